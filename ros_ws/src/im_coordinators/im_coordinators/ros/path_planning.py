@@ -1,0 +1,112 @@
+"""Node ``/path_planning_coordinator``."""
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from im_core.config import package_file
+from im_core.robot import load_cell
+from im_core.ros import run
+from im_core.ros.calls import call
+from im_core.ros.status import status_to_error
+from im_msgs.msg import GroupState
+from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
+from im_pnt.ros.node import PntNode
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from im_coordinators.strategies import DETOUR_FAILURES, detour
+
+GROUP = "left"
+CART_JOINTS = 3
+ANSWER_S = 10.0
+
+
+class PathPlanningCoordinator(PntNode):
+    """Functions of ``nets/path_planning_coordinator.yaml``; the net decides what comes when."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "path_planning_coordinator",
+            [package_file("im_coordinators", "nets/path_planning_coordinator.yaml")],
+            functions={
+                "find_configuration": self.find_configuration,
+                "plan_direct": self.plan_direct,
+                "plan_detour": self.plan_detour,
+                "check_given": self.check_given,
+            },
+            guards={"detour_may_help": lambda ctx: ctx.failure.get("code") in DETOUR_FAILURES},
+        )
+        self._tucked = list(load_cell().sides[GROUP].home)
+        self._state = self.create_client(GetGroupState, "/mcs/get_group_state")
+        self._kinematics = self.create_client(InverseKinematics, "/mcs/inverse_kinematics")
+        self._check = self.create_client(CheckPath, "/mcs/check_path")
+
+    async def find_configuration(self, ctx: Any) -> None:
+        """Finds joint positions for the destination in the DOM, from where the group is."""
+        destination = await self.dom.get("destination", PoseStamped)
+        here = await self._here()
+        request = InverseKinematics.Request(
+            group=GROUP, wrist=destination.pose, seed=_position(here), avoid_collisions=True
+        )
+        answer = await call(self, self._kinematics, request, ANSWER_S, "inverse kinematics")
+        if not answer.success:
+            raise status_to_error(answer.status)
+        goal = _trajectory(here.joints, [answer.q])
+        await self.dom.put("goal_configuration", goal, place="path_planning_coordinator.goal_valid")
+
+    async def plan_direct(self, ctx: Any) -> None:
+        """Stores the joint-interpolated path to the goal if it is free."""
+        here, goal = await self._here(), await self._goal()
+        await self._store(here, [goal])
+
+    async def plan_detour(self, ctx: Any) -> None:
+        """Stores the path with the arm tucked on the way if it is free."""
+        here, goal = await self._here(), await self._goal()
+        await self._store(here, detour(_position(here), goal, self._tucked, CART_JOINTS))
+
+    async def check_given(self, ctx: Any) -> None:
+        """Stores the path that was given if it is free."""
+        given = await self.dom.get("given_path", JointTrajectory)
+        here = await self._here()
+        await self._store(here, [list(point.positions) for point in given.points])
+        await self.dom.invalidate("given_path")
+
+    async def _here(self) -> GroupState:
+        request = GetGroupState.Request(group=GROUP)
+        answer = await call(self, self._state, request, ANSWER_S, f"the position of {GROUP}")
+        if not answer.success:
+            raise status_to_error(answer.status)
+        return answer.state
+
+    async def _goal(self) -> list[float]:
+        goal = await self.dom.get("goal_configuration", JointTrajectory)
+        return list(goal.points[-1].positions)
+
+    async def _store(self, here: GroupState, points: Sequence[Sequence[float]]) -> None:
+        whole = _trajectory(here.joints, [_position(here), *points])
+        answer = await call(
+            self, self._check, CheckPath.Request(group=GROUP, path=whole), ANSWER_S, "a path to be checked"
+        )
+        if not answer.success:
+            raise status_to_error(answer.status)
+        await self.dom.put("path", _trajectory(here.joints, points), place="motion_coordinator.path_valid")
+
+
+def _position(state: GroupState) -> list[float]:
+    return list(state.q_rest or state.q)
+
+
+def _trajectory(joints: Sequence[str], points: Sequence[Sequence[float]]) -> JointTrajectory:
+    return JointTrajectory(
+        joint_names=list(joints), points=[JointTrajectoryPoint(positions=list(point)) for point in points]
+    )
+
+
+def main() -> None:
+    """Run ``/path_planning_coordinator``."""
+    sys.exit(run.main(PathPlanningCoordinator))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What all packages of the Intelligent Machine share."""

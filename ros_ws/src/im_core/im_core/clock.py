@@ -1,0 +1,37 @@
+"""The only place that reads the wall clock; everything that waits, waits here."""
+
+import time
+
+
+def monotonic() -> float:
+    """Seconds of a clock that never goes back [s]."""
+    return time.monotonic()
+
+
+def wall() -> float:
+    """Seconds since 1970 [s]."""
+    return time.time()
+
+
+def stamp_name() -> str:
+    """The present local date and time as a name for a folder, e.g. ``20260131-142501``."""
+    return time.strftime("%Y%m%d-%H%M%S")
+
+
+def sleep(seconds: float) -> None:
+    """Sleep; returns at once if ``seconds`` is not positive [s]."""
+    if seconds > 0.0:
+        time.sleep(seconds)
+
+
+def sleep_until(deadline: float) -> float:
+    """Sleep until an absolute time of :func:`monotonic`.
+
+    Args:
+        deadline: Absolute time [s].
+
+    Returns:
+        How late it is on return [s], at least 0.
+    """
+    sleep(deadline - monotonic())
+    return max(0.0, monotonic() - deadline)

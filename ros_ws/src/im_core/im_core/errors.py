@@ -1,0 +1,110 @@
+"""One tree of errors; each carries its facts and reads as a sentence."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+
+
+class ImError(Exception):
+    """Base of all errors of the machine.
+
+    Args:
+        message: One sentence that names what was wrong, where, and what is allowed.
+        code: Kind of error, as in ``im_msgs/msg/Status``.
+        **facts: Named values the message speaks of (joint, value, limit, unit, file, line, ...).
+    """
+
+    default_code = "error"
+
+    def __init__(self, message: str, *, code: str | None = None, **facts: object) -> None:
+        super().__init__(message)
+        self.message = message
+        self.code = code or self.default_code
+        self.facts: dict[str, object] = dict(facts)
+
+    @classmethod
+    def restored(cls, code: str, message: str, facts: Mapping[str, object]) -> "ImError":
+        """The error that another process reported."""
+        error = ImError(message, code=code)
+        error.facts.update(facts)
+        return error
+
+
+class ConfigError(ImError):
+    """A configuration file, parameter or net file says something that is not allowed."""
+
+    default_code = "config"
+
+
+class DataError(ImError):
+    """Data that cannot be used: wrong size, not finite, degenerate, inconsistent."""
+
+    default_code = "data"
+
+
+class StateError(ImError):
+    """A request that the present state does not allow."""
+
+    default_code = "state"
+
+
+class LinkError(ImError):
+    """Another process, or the memory shared with it, is gone or does not answer."""
+
+    default_code = "link"
+
+
+class LimitError(ImError):
+    """A value beyond its limit.
+
+    Args:
+        joint: Name of the joint or quantity.
+        value: What was asked for.
+        limit: What is allowed.
+        unit: Unit of both.
+        what: Kind of limit: position, velocity, torque, ...
+    """
+
+    default_code = "limit"
+
+    def __init__(self, *, joint: str, value: float, limit: float, unit: str, what: str = "position") -> None:
+        super().__init__(
+            f"{joint}: {what} {value:.6g} {unit} is beyond the limit {limit:.6g} {unit}",
+            joint=joint,
+            value=value,
+            limit=limit,
+            unit=unit,
+            what=what,
+        )
+
+
+class WaitTimeoutError(ImError):
+    """Something that was waited for did not come.
+
+    Args:
+        what: What was waited for.
+        seconds: How long [s].
+    """
+
+    default_code = "timeout"
+
+    def __init__(self, *, what: str, seconds: float) -> None:
+        super().__init__(f"waited {seconds:g} s for {what}, in vain", what=what, seconds=seconds)
+
+
+class NotFoundError(ImError):
+    """A name that is not known.
+
+    Args:
+        kind: Kind of thing, e.g. ``camera``.
+        name: The name that was given.
+        known: The names that exist.
+    """
+
+    default_code = "not_found"
+
+    def __init__(self, *, kind: str, name: str, known: Iterable[str] = ()) -> None:
+        names = sorted(known)
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        listed = f" (known: {', '.join(names)})" if names else ""
+        super().__init__(f"there is no {kind} '{name}'{hint}{listed}", kind=kind, name=name, known=names)

@@ -1,0 +1,26 @@
+"""Names by which the parts of one machine on one host find each other."""
+
+import os
+from pathlib import Path
+
+
+def instance() -> str:
+    """Prefix of every shared memory and semaphore name.
+
+    Two machines on one host differ in their ``ROS_DOMAIN_ID``, hence in this name.
+    """
+    return f"im{os.environ.get('ROS_DOMAIN_ID') or '0'}"
+
+
+def run_dir() -> Path:
+    """Folder for logs, databases and pid files of this machine; made if missing."""
+    path = Path(os.environ.get("IM_RUN_DIR") or Path.cwd() / ".run" / instance())
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def results_dir() -> Path:
+    """Folder for the results of commands; made if missing."""
+    path = Path(os.environ.get("IM_RESULTS_DIR") or Path.cwd() / "results")
+    path.mkdir(parents=True, exist_ok=True)
+    return path

@@ -1,0 +1,118 @@
+"""The cell: parameters of ``cell.yaml`` and what follows from them."""
+
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from im_core.config import Model, load_model, package_file
+from im_core.robot.parameters import (
+    ArmModel,
+    Box,
+    Camera,
+    Capsule,
+    Cart,
+    EncoderSpec,
+    Gripper,
+    Led,
+    Positive,
+    Side,
+)
+from im_core.robot.tree import Joint, Link, joints_of, links_of
+
+SIDES = ("left", "right")
+
+
+class Cell(Model):
+    """Everything known about the cell before calibration."""
+
+    period: Positive
+    substeps: Annotated[int, Field(ge=1, le=64)]
+    gravity: float
+    arm_models: dict[str, ArmModel]
+    cart: Cart
+    sides: dict[str, Side]
+    encoder: EncoderSpec
+    gripper: Gripper
+    led: Led
+    boxes: tuple[Box, ...]
+    cameras: dict[str, Camera]
+
+    @model_validator(mode="after")
+    def _references(self) -> Self:
+        if tuple(self.sides) != SIDES:
+            raise ValueError(f"sides are {list(self.sides)}, not {list(SIDES)}")
+        for name, side in self.sides.items():
+            if side.arm not in self.arm_models:
+                raise ValueError(f"sides.{name}.arm: '{side.arm}' is not one of {sorted(self.arm_models)}")
+        for joint, position in zip(self.joints, self.home, strict=True):
+            if not joint.limits.lower <= position <= joint.limits.upper:
+                raise ValueError(f"home of {joint.name}, {position}, is outside its limits")
+        return self
+
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """The 18 joints in order."""
+        return tuple(
+            joint
+            for name, side in self.sides.items()
+            for joint in joints_of(
+                name, side, self.cart, self.arm_models[side.arm],
+                self.encoder.counts_per_turn, self.encoder.noise_counts,
+            )
+        )  # fmt: skip
+
+    @cached_property
+    def links(self) -> tuple[Link, ...]:
+        """The 18 links with mass, each the child of the joint of the same rank."""
+        return tuple(
+            link for name, side in self.sides.items() for link in links_of(name, self.cart, self.arm_models[side.arm])
+        )
+
+    @cached_property
+    def capsules(self) -> tuple[Capsule, ...]:
+        """Collision shapes of all moving links; adjacent links overlap."""
+        return tuple(
+            capsule.model_copy(update={"link": f"{name}_{capsule.link}"})
+            for name, side in self.sides.items()
+            for capsule in (*self.cart.capsules, *self.arm_models[side.arm].capsules)
+        )
+
+    @cached_property
+    def obstacles(self) -> tuple[Box, ...]:
+        """Boxes fixed to the world which nothing may touch."""
+        return tuple(box for box in self.boxes if box.collision)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in order."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def home(self) -> NDArray[np.float64]:
+        """Where the testbed starts, shape (18,) [rad or m]."""
+        return np.array([position for side in self.sides.values() for position in side.home])
+
+    @property
+    def light_names(self) -> tuple[str, ...]:
+        """Names of the wrist lights, in the order of the testbed link."""
+        return tuple(f"{name}_led" for name in self.sides)
+
+    def per_joint(self, attribute: str) -> NDArray[np.float64]:
+        """One attribute of each joint (``rotor_inertia``, ``limits.torque``, ...), shape (18,)."""
+        values: list[object] = list(self.joints)
+        for part in attribute.split("."):
+            values = [getattr(value, part) for value in values]
+        return np.array(values, dtype=np.float64)
+
+
+def load_cell(path: Path | str | None = None) -> Cell:
+    """Read a cell's parameter file; the shipped one by default.
+
+    Raises:
+        ConfigError: The file is missing or wrong; the message names file, line and value.
+    """
+    return load_model(Path(path) if path else package_file("im_core", "robot/cell.yaml"), Cell)

@@ -1,0 +1,209 @@
+"""Typed contents of ``cell.yaml``; SI units, radians."""
+
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from im_core.config import Model
+
+Vector = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+
+
+class Limits(Model):
+    """Limits of a joint.
+
+    Attributes:
+        lower, upper: Range [rad or m].
+        velocity, acceleration, jerk: Largest magnitudes, by s, s2, s3.
+        torque: Largest motor torque at the joint [Nm or N].
+    """
+
+    lower: float
+    upper: float
+    velocity: Positive
+    acceleration: Positive
+    jerk: Positive
+    torque: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.lower >= self.upper:
+            raise ValueError(f"lower {self.lower} is not < upper {self.upper}")
+        return self
+
+
+class Motor(Model):
+    """A motor behind its gear, in the motor's own terms.
+
+    Attributes:
+        inertia: Of the rotor [kg m2].
+        gear: Motor turns per joint turn, negative if they turn opposite ways [1 or rad/m].
+        viscous: Friction by speed [Nm s].
+        coulomb: Friction torque turning forwards (> 0) and backwards (< 0) [Nm].
+    """
+
+    inertia: NonNegative
+    gear: float
+    viscous: NonNegative
+    coulomb: tuple[NonNegative, Annotated[float, Field(le=0.0)]]
+
+
+class DhLink(Model):
+    """A link by its standard Denavit-Hartenberg row; mass properties in the DH frame.
+
+    Attributes:
+        d, a, alpha: The row's constants [m, m, rad].
+        mass: [kg].
+        com: Centre of mass [m].
+        inertia: Principal inertias about the centre of mass [kg m2].
+    """
+
+    d: float
+    a: float
+    alpha: float
+    mass: Positive
+    com: Vector
+    inertia: tuple[Positive, Positive, Positive]
+
+
+class ArmJoint(Model):
+    """Limits and motor of an arm joint."""
+
+    limits: Limits
+    motor: Motor
+
+
+class Capsule(Model):
+    """A cylinder with round ends, for collision and display.
+
+    Attributes:
+        link: URDF link it is fixed to (in ``cell.yaml`` without the side's prefix).
+        p0, p1: Ends of its axis in the link's frame [m].
+        radius: [m].
+        visual: Whether it is drawn.
+    """
+
+    link: str
+    p0: Vector
+    p1: Vector
+    radius: Positive
+    visual: bool = True
+
+
+class Box(Model):
+    """A box, for display, and for collision where it is fixed to the world.
+
+    Attributes:
+        link: URDF link it is fixed to (in ``cart`` without the side's prefix).
+        name: What it is.
+        size: Edge lengths [m].
+        center: In the link's frame [m].
+        color: Red, green, blue, 0 to 1.
+        collision: Whether it is an obstacle.
+    """
+
+    link: str
+    name: str
+    size: tuple[Positive, Positive, Positive]
+    center: Vector
+    color: Vector
+    collision: bool = True
+
+
+class ArmModel(Model):
+    """Kinematics, dynamics and shape of an arm."""
+
+    mount_height: float
+    links: Annotated[tuple[DhLink, ...], Field(min_length=6, max_length=6)]
+    joints: Annotated[tuple[ArmJoint, ...], Field(min_length=6, max_length=6)]
+    capsules: tuple[Capsule, ...]
+
+
+class CartStage(Model):
+    """One moving part of a cart; ``height`` is its joint's above the one before [m]."""
+
+    height: float
+    mass: Positive
+    com: Vector
+    inertia: tuple[Positive, Positive, Positive]
+    motor: Motor
+
+
+class Cart(Model):
+    """A cart: it drives along the track, turns, and tilts."""
+
+    track: CartStage
+    rotation: CartStage
+    tilt: CartStage
+    rotation_limits: Limits
+    tilt_limits: Limits
+    capsules: tuple[Capsule, ...]
+    boxes: tuple[Box, ...]
+
+
+class Side(Model):
+    """One cart with its arm."""
+
+    arm: str
+    track_limits: Limits
+    home: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)]
+    color: Vector
+
+
+class EncoderSpec(Model):
+    """Encoders, on the motor shafts."""
+
+    counts_per_turn: Annotated[int, Field(gt=0)]
+    noise_counts: NonNegative
+
+
+class Gripper(Model):
+    """A pneumatic gripper: opening [m], speed of the jaws [m/s], opening at the start [m]."""
+
+    stroke: Positive
+    rate: Positive
+    initial: NonNegative
+
+
+class Led(Model):
+    """A wrist light: nominal offset and outward axis in the wrist frame [m], diameter [m], half angle [rad]."""
+
+    offset: Vector
+    axis: Vector
+    diameter: Positive
+    half_angle: Positive
+
+
+class Intrinsics(Model):
+    """A pinhole camera: image size, focal lengths, principal point [px]."""
+
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    fx: Positive
+    fy: Positive
+    cx: float
+    cy: float
+
+
+class Camera(Model):
+    """A camera's nominal mount and lens: it stands at ``position``, looks at ``target``, its image's top is ``up``."""
+
+    parent: str
+    position: Vector
+    target: Vector
+    up: Vector
+    intrinsics: Intrinsics
+
+    def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Nominal R, shape (3, 3), and t, shape (3,) [m], with ``x_optical = R x_parent + t``."""
+        position = np.array(self.position)
+        forward = np.array(self.target) - position
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, np.array(self.up))
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        return rotation, -rotation @ position

@@ -1,0 +1,67 @@
+"""What the simulated cell is really like, as the file ``truth.json``.
+
+Written by the testbed; read by what plays hardware (the camera process) and, after calibration is done, by whoever
+prints its error. Nothing that estimates may read it.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, ValidationError
+
+from im_core.config import Model
+from im_core.errors import DataError
+from im_core.robot.parameters import Positive, Vector
+
+FILE_NAME = "truth.json"
+Matrix = tuple[Vector, Vector, Vector]
+
+
+class CameraTruth(Model):
+    """A camera.
+
+    Attributes:
+        parent: Frame it is fixed to, ``world`` (the base) or a link.
+        width, height: Image size [px].
+        K: Intrinsics [px].
+        D: Distortion k1, k2, p1, p2, k3.
+        R_cam_base, t_cam_base_m: Pose, ``x_cam = R x_parent + t`` [m].
+    """
+
+    parent: str
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    K: Matrix
+    D: Annotated[tuple[float, ...], Field(min_length=5, max_length=5)]
+    R_cam_base: Matrix
+    t_cam_base_m: Vector
+
+
+class LedTruth(Model):
+    """A wrist light: offset and outward axis in the frame of its wrist [m], diameter [m]."""
+
+    offset_m: Vector
+    axis: Vector
+    diameter_m: Positive
+
+
+class CellTruth(Model):
+    """True cameras and lights by name, and the seed they were drawn with."""
+
+    seed: int
+    cameras: dict[str, CameraTruth]
+    leds: dict[str, LedTruth]
+
+
+def load_truth(path: Path) -> CellTruth:
+    """Read a truth file.
+
+    Raises:
+        DataError: It is missing or malformed.
+    """
+    try:
+        return CellTruth.model_validate_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error}", file=str(path)) from error
+    except ValidationError as error:
+        raise DataError(f"{path}: is not a truth file: {error}", file=str(path)) from error

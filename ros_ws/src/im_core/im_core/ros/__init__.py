@@ -1,0 +1,1 @@
+"""What the ROS shells of all packages share."""

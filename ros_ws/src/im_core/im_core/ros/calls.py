@@ -1,0 +1,117 @@
+"""Waiting for services, threads and futures with a time-out that says what it waited for."""
+
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from rclpy.client import Client
+
+from im_core import clock
+from im_core.errors import ImError, LinkError, WaitTimeoutError
+from im_core.ros.node import ManagedNode
+
+ResultT = TypeVar("ResultT")
+
+
+async def wait(node: ManagedNode, future: Any, timeout_s: float, what: str) -> Any:
+    """Await a future of rclpy, at most ``timeout_s`` of wall time [s].
+
+    Raises:
+        WaitTimeoutError: It did not complete in time.
+    """
+    promise = node.promise()
+    lock = threading.Lock()
+
+    def settle(_: object = None) -> None:
+        with lock:
+            if not promise.done():
+                promise.set_result(None)
+
+    timer = node.create_timer(timeout_s, settle, clock=node.steady_clock)
+    future.add_done_callback(settle)
+    try:
+        await promise
+    finally:
+        node.destroy_timer(timer)
+    if not future.done():
+        future.cancel()
+        raise WaitTimeoutError(what=what, seconds=timeout_s)
+    return future.result()
+
+
+async def pause(node: ManagedNode, seconds: float) -> None:
+    """Let ``seconds`` of wall time pass without blocking the executor."""
+    promise = node.promise()
+
+    def over() -> None:
+        if not promise.done():
+            promise.set_result(None)
+
+    timer = node.create_timer(seconds, over, clock=node.steady_clock)
+    try:
+        await promise
+    finally:
+        node.destroy_timer(timer)
+
+
+async def call(node: ManagedNode, client: Client, request: Any, timeout_s: float, what: str) -> Any:
+    """Call a service.
+
+    Args:
+        node: The calling node.
+        client: Its client.
+        request: The request.
+        timeout_s: Longest wait, discovery included, wall time [s].
+        what: What is waited for, for the message of the error.
+
+    Raises:
+        WaitTimeoutError: No such service, or no answer, in time.
+    """
+    deadline = clock.monotonic() + timeout_s
+    while not client.service_is_ready():
+        if clock.monotonic() > deadline:
+            raise WaitTimeoutError(what=f"the service {client.srv_name} ({what})", seconds=timeout_s)
+        await pause(node, 0.05)
+    left = max(0.05, deadline - clock.monotonic())
+    try:
+        return await wait(node, client.call_async(request), left, f"an answer of {client.srv_name} ({what})")
+    except WaitTimeoutError:
+        raise
+    except ImError:
+        raise
+    except RuntimeError as error:
+        raise LinkError(f"the call of {client.srv_name} ({what}) failed: {error}") from error
+
+
+def call_blocking(client: Client, request: Any, timeout_s: float, what: str) -> Any:
+    """Call a service from a thread that does not spin (scripts and tests).
+
+    Raises:
+        WaitTimeoutError: No such service, or no answer, in time.
+    """
+    deadline = clock.monotonic() + timeout_s
+    if not client.wait_for_service(timeout_sec=timeout_s):
+        raise WaitTimeoutError(what=f"the service {client.srv_name} ({what})", seconds=timeout_s)
+    done = threading.Event()
+    future = client.call_async(request)
+    future.add_done_callback(lambda _: done.set())
+    if not done.wait(max(0.05, deadline - clock.monotonic())):
+        client.remove_pending_request(future)
+        raise WaitTimeoutError(what=f"an answer of {client.srv_name} ({what})", seconds=timeout_s)
+    return future.result()
+
+
+async def run_in_thread(node: ManagedNode, function: Callable[..., ResultT], *args: object) -> ResultT:
+    """Run a function that takes long in a thread of its own, without blocking the executor."""
+    promise = node.promise()
+
+    def run() -> None:
+        try:
+            result = function(*args)
+        except Exception as error:  # carried to whoever awaits
+            promise.set_exception(error)
+        else:
+            promise.set_result(result)
+
+    threading.Thread(target=run, name=getattr(function, "__name__", "worker"), daemon=True).start()
+    return await promise

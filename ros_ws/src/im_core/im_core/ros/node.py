@@ -1,0 +1,171 @@
+"""Base class of every node: start-up phases, heartbeat, and waking of coroutines."""
+
+import os
+import secrets
+import socket
+
+import rclpy
+from im_msgs.msg import TaskStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from std_msgs.msg import UInt8
+
+from im_core import clock
+from im_core.errors import ImError
+from im_core.ros import qos
+
+PHASE_LOAD, PHASE_CONFIGURE, PHASE_START, PHASE_SHUTDOWN = range(4)
+
+PHASE_TOPIC = "/im/phase"
+STATUS_TOPIC = "/im/task_status"
+HEARTBEAT_PERIOD_S = 0.5
+WAKE_DELAY_S = 0.0002
+
+
+class Promise(Future):
+    """A future that may be completed from any thread; whoever awaits it in the node's executor goes on.
+
+    The events executor resumes suspended coroutines only after an event of the middleware. A promise makes
+    one (the node's one-shot timer), 0.3 ms later.
+    """
+
+    def __init__(self, node: "ManagedNode") -> None:
+        super().__init__()
+        self._node = node
+
+    def set_result(self, result: object) -> None:
+        """Complete with a result."""
+        super().set_result(result)
+        self._node.wake()
+
+    def set_exception(self, exception: Exception) -> None:
+        """Complete with an exception, raised where the promise is awaited."""
+        super().set_exception(exception)
+        self._node.wake()
+
+
+class ManagedNode(Node):
+    """A task of the machine (paper, section 3): loaded, configured and started in step with all others.
+
+    The bootstrap announces the phases LOAD, CONFIGURE, START and SHUTDOWN on ``/im/phase``; the node follows,
+    and tells where it is on ``/im/task_status``. With the parameter ``standalone:=true`` it passes through
+    the phases alone. Subclasses override :meth:`phase_configure`, :meth:`phase_start`, :meth:`phase_shutdown`.
+    """
+
+    def __init__(self, name: str, **kwargs: object) -> None:
+        super().__init__(name, **kwargs)
+        self.task_name = name
+        self.incarnation = secrets.randbits(63)
+        self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._phase = TaskStatus.LOADED
+        self._detail = ""
+        self._stopped = False
+        self._wake_timer = self.create_timer(WAKE_DELAY_S, self._woken, clock=self.steady_clock)
+        self._wake_timer.cancel()
+        self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
+        self.create_timer(HEARTBEAT_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        standalone = self.declare_parameter("standalone", False).value
+        if standalone:
+            self._standalone_timer = self.create_timer(0.01, self._start_alone, clock=self.steady_clock)
+        else:
+            self.create_subscription(UInt8, PHASE_TOPIC, lambda message: self._follow(message.data), qos.LATCHED)
+        self._publish_status()
+
+    def phase_configure(self) -> None:
+        """Load the configuration, open what is shared, start child processes.
+
+        Raises:
+            ImError: It cannot be done; the node reports FAILED with the sentence.
+        """
+
+    def phase_start(self) -> None:
+        """Begin to serve.
+
+        Raises:
+            ImError: It cannot be done; the node reports FAILED with the sentence.
+        """
+
+    def phase_shutdown(self) -> None:
+        """Release everything; called once, whatever happened before."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether all start-up phases are passed."""
+        return bool(self._phase == TaskStatus.READY)
+
+    @property
+    def failed(self) -> str:
+        """Why the node failed, or an empty string."""
+        return self._detail if self._phase == TaskStatus.FAILED else ""
+
+    def fail(self, error: ImError) -> None:
+        """Report that this task cannot go on."""
+        self._set_phase(TaskStatus.FAILED, error.message)
+        self.get_logger().error(error.message)
+
+    def promise(self) -> Promise:
+        """A future for coroutines of this node that any thread may complete."""
+        return Promise(self)
+
+    def wake(self) -> None:
+        """Let the executor look at its suspended coroutines soon; from any thread."""
+        if rclpy.ok():
+            self._wake_timer.reset()
+
+    def shut_down_once(self) -> None:
+        """Run :meth:`phase_shutdown` if it has not been run."""
+        if self._stopped:
+            return
+        self._stopped = True
+        self._phase = TaskStatus.STOPPING
+        if rclpy.ok():
+            self._publish_status()
+        try:
+            self.phase_shutdown()
+        except ImError as error:
+            self.get_logger().error(error.message)
+
+    def _woken(self) -> None:
+        self._wake_timer.cancel()
+
+    def _start_alone(self) -> None:
+        self._standalone_timer.cancel()
+        self._follow(PHASE_START)
+
+    def _follow(self, target: int) -> None:
+        if target == PHASE_SHUTDOWN:
+            self.shut_down_once()
+            rclpy.try_shutdown()
+            return
+        if target >= PHASE_CONFIGURE and self._phase == TaskStatus.LOADED:
+            self._run_phase(self.phase_configure, TaskStatus.CONFIGURED)
+        if target >= PHASE_START and self._phase == TaskStatus.CONFIGURED:
+            self._run_phase(self.phase_start, TaskStatus.READY)
+
+    def _run_phase(self, phase: object, reached: int) -> None:
+        try:
+            phase()
+        except ImError as error:
+            self.fail(error)
+        else:
+            self._set_phase(reached, "")
+
+    def _set_phase(self, phase: int, detail: str) -> None:
+        self._phase, self._detail = phase, detail
+        self._publish_status()
+
+    def _publish_status(self) -> None:
+        message = TaskStatus(
+            name=self.task_name,
+            node=self.get_fully_qualified_name(),
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            incarnation=self.incarnation,
+            phase=self._phase,
+            detail=self._detail,
+        )
+        seconds = clock.wall()
+        message.stamp.sec = int(seconds)
+        message.stamp.nanosec = int((seconds % 1.0) * 1e9)
+        self._status_publisher.publish(message)

@@ -1,0 +1,100 @@
+"""Running nodes with the events executor: the one place that spins."""
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+
+import rclpy
+from rclpy.exceptions import InvalidHandle, RCLError
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from im_core.errors import ImError
+from im_core.ros.node import ManagedNode
+
+# Without a time-out the events executor busy-loops; this one is never reached.
+FOREVER_S = 1e6
+
+
+class Spinner:
+    """Nodes of one context in one events executor, in this thread or in one of its own."""
+
+    def __init__(self, nodes: Sequence[rclpy.node.Node]) -> None:
+        self.nodes = list(nodes)
+        self.executor = EventsExecutor()
+        for node in self.nodes:
+            self.executor.add_node(node)
+        self._end = Future()
+        self._thread: threading.Thread | None = None
+
+    def spin(self) -> None:
+        """Spin until :meth:`stop`, or until ROS is shut down."""
+        try:
+            self.executor.spin_until_future_complete(self._end, FOREVER_S)
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+
+    def start(self) -> "Spinner":
+        """Spin in a thread."""
+        self._thread = threading.Thread(target=self.spin, name="spinner", daemon=True)
+        self._thread.start()
+        return self
+
+    def request_stop(self) -> None:
+        """End :meth:`spin` soon; from any thread and from signal handlers."""
+        if not self._end.done():
+            self._end.set_result(None)
+        self.executor.wake()
+
+    def stop(self) -> None:
+        """End the spinning and destroy the nodes."""
+        self.request_stop()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+        for node in self.nodes:
+            if isinstance(node, ManagedNode):
+                node.shut_down_once()
+        self.executor.shutdown(1.0)
+        for node in self.nodes:
+            try:
+                node.destroy_node()
+            except (InvalidHandle, RCLError):
+                pass
+
+    def __enter__(self) -> "Spinner":
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+
+def spin_in_thread(*nodes: rclpy.node.Node) -> Spinner:
+    """Spin nodes in a thread; stop with :meth:`Spinner.stop`, or use it in a ``with`` statement."""
+    return Spinner(nodes).start()
+
+
+def main(make_node: Callable[[], ManagedNode], args: Sequence[str] | None = None) -> int:
+    """Run one node as a process until SIGINT, SIGTERM or the SHUTDOWN phase.
+
+    Returns:
+        Exit code: 0 after an orderly end, 1 if the node could not be made.
+    """
+    rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = make_node()
+    except ImError as error:
+        print(error.message, file=sys.stderr)
+        rclpy.try_shutdown()
+        return 1
+    spinner = Spinner([node])
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: spinner.request_stop())
+    try:
+        spinner.spin()
+    finally:
+        spinner.stop()
+        rclpy.try_shutdown()
+    return 0

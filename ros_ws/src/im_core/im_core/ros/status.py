@@ -1,0 +1,32 @@
+"""Errors of the machine to and from ``im_msgs/msg/Status``."""
+
+import json
+
+from diagnostic_msgs.msg import KeyValue
+from im_msgs.msg import Status
+
+from im_core.errors import ImError
+
+OK = "ok"
+
+
+def ok_status(message: str = "") -> Status:
+    """The status of what went well."""
+    return Status(code=OK, message=message)
+
+
+def to_status(error: ImError) -> Status:
+    """The message that stands for an error."""
+    facts = [KeyValue(key=key, value=json.dumps(value, default=str)) for key, value in error.facts.items()]
+    return Status(code=error.code, message=error.message, facts=facts)
+
+
+def status_to_error(status: Status) -> ImError:
+    """The error that a message stands for."""
+    facts: dict[str, object] = {}
+    for fact in status.facts:
+        try:
+            facts[fact.key] = json.loads(fact.value)
+        except json.JSONDecodeError:
+            facts[fact.key] = fact.value
+    return ImError.restored(status.code or "error", status.message, facts)

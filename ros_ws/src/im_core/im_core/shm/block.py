@@ -1,0 +1,172 @@
+"""Named shared memory with an owner."""
+
+import mmap
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import posix_ipc
+from numpy.typing import NDArray
+
+from im_core import clock
+from im_core.errors import LinkError
+from im_core.shm.owner import ProcessId
+
+_MAGIC = 0x696D5F73686D3032
+_HEADER = np.dtype([("magic", "<u8"), ("pid", "<i8"), ("start", "<i8"), ("size", "<u8")])
+_HEADER_BYTES = 64
+_POLL_S = 0.01
+
+
+class SharedBlock:
+    """Bytes shared by several processes under one name.
+
+    The creator owns the block. A block whose owner has died is stale: :meth:`create` replaces it, :meth:`attach`
+    waits for its replacement.
+    """
+
+    def __init__(self, name: str, memory: mmap.mmap, owned: bool) -> None:
+        """Use :meth:`create` or :meth:`attach`."""
+        self.name = name
+        self.owned = owned
+        self.published = not owned
+        self._memory = memory
+        header = np.frombuffer(memory, dtype=_HEADER, count=1)[0]
+        self._owner = ProcessId(int(header["pid"]), int(header["start"]))
+        self.size = int(header["size"])
+
+    @classmethod
+    def create(cls, name: str, size: int) -> Self:
+        """Create a zeroed block of ``size`` bytes; a stale block of that name is replaced.
+
+        The block can be attached only after :meth:`publish`, so that nobody sees it half initialised.
+
+        Raises:
+            LinkError: Another living process owns a block of that name.
+        """
+        _refuse_if_in_use(name)
+        unlink(name)
+        shared = posix_ipc.SharedMemory(f"/{name}", posix_ipc.O_CREX, mode=0o600, size=_HEADER_BYTES + size)
+        memory = mmap.mmap(shared.fd, _HEADER_BYTES + size)
+        shared.close_fd()
+        owner = ProcessId.current()
+        header = np.frombuffer(memory, dtype=_HEADER, count=1)
+        header[0] = (0, owner.pid, owner.start, size)
+        return cls(name, memory, owned=True)
+
+    @classmethod
+    def attach(cls, name: str, timeout_s: float) -> Self:
+        """Attach to a published block whose owner lives.
+
+        Args:
+            name: Name given by the creator.
+            timeout_s: How long to wait for the block to appear [s].
+
+        Raises:
+            LinkError: No such block appeared in time; the message says whether a stale one is there.
+        """
+        deadline = clock.monotonic() + timeout_s
+        while True:
+            memory, trouble = _open(name)
+            if memory is not None:
+                return cls(name, memory, owned=False)
+            if clock.monotonic() >= deadline:
+                raise LinkError(
+                    f"shared memory '{name}' {trouble} (waited {timeout_s:g} s)", name=name, seconds=timeout_s
+                )
+            clock.sleep(_POLL_S)
+
+    def publish(self) -> None:
+        """Let others attach."""
+        np.frombuffer(self._memory, dtype="<u8", count=1)[0] = _MAGIC
+        self.published = True
+
+    def array(self, dtype: np.dtype[np.void] | str, count: int, offset: int = 0) -> NDArray[Any]:
+        """A view of ``count`` items of ``dtype`` at byte ``offset``."""
+        return np.frombuffer(self._memory, dtype=dtype, count=count, offset=_HEADER_BYTES + offset)
+
+    def owner_alive(self) -> bool:
+        """Whether the process that created the block still runs."""
+        return self._owner.alive()
+
+    def close(self) -> None:
+        """Release the mapping; views that are still in use keep it until they go. The owner unlinks the name."""
+        if self.owned:
+            self.unlink()
+        try:
+            self._memory.close()
+        except BufferError:
+            return  # numpy views are alive: the mapping ends with the last of them
+
+    def unlink(self) -> None:
+        """Remove the name; processes that are attached keep the memory. Only the owner's own block is removed."""
+        if self.owned:
+            self.owned = False
+            unlink(self.name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _open(name: str) -> tuple[mmap.mmap | None, str]:
+    """Map a published block with a living owner, or say why there is none."""
+    try:
+        shared = posix_ipc.SharedMemory(f"/{name}")
+    except posix_ipc.ExistentialError:
+        return None, "does not exist"
+    try:
+        size = os.fstat(shared.fd).st_size
+        if size < _HEADER_BYTES:
+            return None, "is being created"
+        memory = mmap.mmap(shared.fd, size)
+    finally:
+        shared.close_fd()
+    header = np.frombuffer(memory, dtype=_HEADER, count=1)[0]
+    if int(header["magic"]) != _MAGIC:
+        return None, "is not initialised"
+    if not ProcessId(int(header["pid"]), int(header["start"])).alive():
+        return None, f"was left behind by process {int(header['pid'])}, which is gone"
+    return memory, ""
+
+
+def _refuse_if_in_use(name: str) -> None:
+    memory, _ = _open(name)
+    if memory is None:
+        return
+    pid = int(np.frombuffer(memory, dtype=_HEADER, count=1)[0]["pid"])
+    if pid != os.getpid():
+        raise LinkError(
+            f"shared memory '{name}' is in use by process {pid}: "
+            "two machines on one host need different values of ROS_DOMAIN_ID",
+            name=name,
+            pid=pid,
+        )
+
+
+def unlink(name: str) -> None:
+    """Remove a block's name if it exists."""
+    try:
+        posix_ipc.unlink_shared_memory(f"/{name}")
+    except posix_ipc.ExistentialError:
+        return
+
+
+def remove_all(instance: str) -> list[str]:
+    """Remove every block and semaphore of one instance of the machine, as after ``kill -9`` of all of it.
+
+    Returns:
+        Names of the files removed from ``/dev/shm``.
+    """
+    removed = []
+    for path in sorted(Path("/dev/shm").iterdir()):
+        if path.name.startswith((f"{instance}_", f"sem.{instance}_")):
+            path.unlink(missing_ok=True)
+            removed.append(path.name)
+    return removed

@@ -1,0 +1,105 @@
+"""JSON messages from one process to another, in order."""
+
+import json
+from collections.abc import Iterator
+from typing import Any, Self
+
+from im_core.errors import DataError, LinkError
+from im_core.shm.block import SharedBlock
+
+_LENGTH_BYTES = 4
+_HEADER_BYTES = 64
+
+
+class MessageRing:
+    """A queue with one writer and one reader that never block each other.
+
+    Two counters run through the ring: ``head`` (bytes written, moved by the writer) and ``tail`` (bytes read, moved by
+    the reader). A message is its length (4 bytes) and its JSON text.
+    """
+
+    def __init__(self, block: SharedBlock) -> None:
+        """Use :meth:`create` or :meth:`attach`."""
+        self._block = block
+        self.capacity = block.size - _HEADER_BYTES
+        self._counters = block.array("<u8", 2)
+        self._data = memoryview(block.array("u1", self.capacity, offset=_HEADER_BYTES)).cast("B")
+
+    @classmethod
+    def create(cls, name: str, capacity: int = 65536) -> Self:
+        """Create an empty ring of ``capacity`` bytes; one of that name is replaced."""
+        block = SharedBlock.create(name, _HEADER_BYTES + capacity)
+        block.publish()
+        return cls(block)
+
+    @classmethod
+    def attach(cls, name: str, timeout_s: float) -> Self:
+        """Attach to a ring.
+
+        Raises:
+            LinkError: It did not appear within ``timeout_s`` [s].
+        """
+        return cls(SharedBlock.attach(name, timeout_s))
+
+    def send(self, message: dict[str, Any]) -> None:
+        """Append a message.
+
+        Raises:
+            DataError: The message is not JSON (NaN and infinity are not).
+            LinkError: The reader has not made room.
+        """
+        try:
+            text = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
+        except (TypeError, ValueError) as error:
+            raise DataError(f"a message for ring '{self._block.name}' is not JSON: {error}") from None
+        head, tail = int(self._counters[0]), int(self._counters[1])
+        needed, free = _LENGTH_BYTES + len(text), self.capacity - (head - tail)
+        if needed > free:
+            raise LinkError(
+                f"ring '{self._block.name}' is full: a message of {needed} bytes, {free} of {self.capacity} free",
+                name=self._block.name,
+                needed=needed,
+                free=free,
+            )
+        self._put(head, len(text).to_bytes(_LENGTH_BYTES, "little"))
+        self._put(head + _LENGTH_BYTES, text)
+        self._counters[0] = head + needed
+
+    def receive(self) -> dict[str, Any] | None:
+        """Take the oldest message, None if there is none."""
+        head, tail = int(self._counters[0]), int(self._counters[1])
+        if head == tail:
+            return None
+        length = int.from_bytes(self._take(tail, _LENGTH_BYTES), "little")
+        message: dict[str, Any] = json.loads(self._take(tail + _LENGTH_BYTES, length))
+        self._counters[1] = tail + _LENGTH_BYTES + length
+        return message
+
+    def receive_all(self) -> Iterator[dict[str, Any]]:
+        """Take messages, oldest first, until there is none."""
+        while (message := self.receive()) is not None:
+            yield message
+
+    def empty(self) -> bool:
+        """Whether every message has been taken."""
+        return int(self._counters[0]) == int(self._counters[1])
+
+    def owner_alive(self) -> bool:
+        """Whether the process that created the ring still runs."""
+        return self._block.owner_alive()
+
+    def close(self) -> None:
+        """Release the memory; the creator removes the name."""
+        self._data.release()
+        self._block.close()
+
+    def _put(self, position: int, data: bytes) -> None:
+        start = position % self.capacity
+        first = min(len(data), self.capacity - start)
+        self._data[start : start + first] = data[:first]
+        self._data[: len(data) - first] = data[first:]
+
+    def _take(self, position: int, count: int) -> bytes:
+        start = position % self.capacity
+        first = min(count, self.capacity - start)
+        return bytes(self._data[start : start + first]) + bytes(self._data[: count - first])

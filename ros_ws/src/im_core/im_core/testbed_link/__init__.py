@@ -1,0 +1,40 @@
+"""The link between the testbed's physics, the servo loop and the cameras: shared memory ``/<instance>_testbed``.
+
+The physics process creates the link, everybody else attaches. It is a stand-in for the wires of a real robot: encoder
+readings one way, torques the other, and an exposure trigger for the cameras.
+
+One tick, period 4.5 ms, is one handshake::
+
+    physics                                        servo (im_mcs.servo)
+    -------                                        --------------------
+    while factor == 0 and no demand: sleep         while not link.wait_state(timeout_s=0.2):
+    publish_state(tick k), post state    ------>       (nothing to do yet; look after oneself)
+    await_command()                                state = link.read_state()          # tick k
+                                         <------   link.write_command(tau, power, brakes, gripper, wants_time)
+    four substeps
+    tick = k + 1, its state is readable
+
+*Pace.* ``factor > 0``: with a servo attached the servo paces, i.e. it sleeps to its own absolute deadline
+(``link.wall_period_s`` apart) between ``wait_state`` and ``write_command``; alone, physics paces itself.
+``factor == 0``: a tick starts only while somebody wants time: the servo's last command said ``wants_time``, a client
+asked by ``request_time(slot, ticks)``, or an exposure is pending. A client that first sends its message to the servo
+and then calls ``request_time(Slot.MCS, 1)`` is therefore heard at a tick that does not depend on anybody's speed.
+
+*Watchdog.* A servo that does not answer a tick within 0.5 s of wall time, or dies, is declared gone: brakes on, power
+off, physics goes on alone. A servo that comes back late gets a :class:`~im_core.errors.LinkError` from
+``write_command`` and must ``attach_servo`` again. When physics is gone, ``wait_state``, ``expose`` and ``wait_tick``
+raise the same error, and one attaches anew.
+
+*Brakes.* ``brakes[i]`` true: the joint is held. Without power all torques are zero and all brakes are engaged, whatever
+the command says; ``State.power`` and ``State.brakes`` tell what is so.
+
+*Grippers.* Openings in metres: the command is where to go, the state is where the jaws are.
+
+*Exposures.* ``expose(ticks, blank_light, timeout_s)`` starts at the next tick boundary and takes ``ticks`` ticks;
+``blank_light`` strobes the wrist lights off during it. One client at a time; a new client replaces a dead one.
+"""
+
+from im_core.testbed_link.link import TestbedLink
+from im_core.testbed_link.values import Command, Exposure, ExposureRequest, Slot, State, TrueState
+
+__all__ = ["Command", "Exposure", "ExposureRequest", "Slot", "State", "TestbedLink", "TrueState"]

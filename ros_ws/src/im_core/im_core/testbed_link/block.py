@@ -1,0 +1,127 @@
+"""Memory layout of the testbed link."""
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.shm import Semaphore, SharedBlock
+
+N_GRIPPERS = 2
+MAX_LIGHTS = 8
+
+_FIXED = np.dtype(
+    [
+        ("n_joints", "<i8"),
+        ("period_ns", "<i8"),
+        ("factor", "<f8"),
+        ("seed", "<i8"),
+        ("light_names", "S32", (MAX_LIGHTS,)),
+    ],
+    align=True,
+)
+
+
+def layout(n_joints: int) -> np.dtype[np.void]:
+    """Fields of the link for ``n_joints`` joints; each field has one writer, named in the comments."""
+    return np.dtype(
+        [
+            # physics
+            ("sequence", "<u8"),
+            ("tick", "<i8"),
+            ("q", "<f8", (n_joints,)),
+            ("power", "<i8"),
+            ("brakes", "?", (n_joints,)),
+            ("gripper", "<f8", (N_GRIPPERS,)),
+            ("q_true", "<f8", (n_joints,)),
+            ("v_true", "<f8", (n_joints,)),
+            ("servo_losses", "<i8"),
+            # servo; physics clears the pid of one that is gone
+            ("servo_pid", "<i8"),
+            ("servo_start", "<i8"),
+            ("command_tick", "<i8"),
+            ("command_tau", "<f8", (n_joints,)),
+            ("command_power", "<i8"),
+            ("command_brakes", "?", (n_joints,)),
+            ("command_gripper", "<f8", (N_GRIPPERS,)),
+            ("command_wants_time", "<i8"),
+            # one writer for each slot
+            ("demand_until", "<i8", (3,)),
+            # testbed node
+            ("lights", "?", (MAX_LIGHTS,)),
+            # cameras
+            ("exposure_request", "<i8"),
+            ("exposure_ticks", "<i8"),
+            ("exposure_blank", "<i8"),
+            # physics
+            ("exposure_done", "<i8"),
+            ("exposure_start", "<i8"),
+            ("exposure_end", "<i8"),
+            ("exposure_q", "<f8", (n_joints,)),
+            ("exposure_light", "<f8", (MAX_LIGHTS,)),
+        ],
+        align=True,
+    )
+
+
+class LinkBlock:
+    """Views of the fields (``view["q"]``; scalars have shape ()) and the four semaphores."""
+
+    def __init__(self, instance: str, block: SharedBlock, semaphores: dict[str, Semaphore]) -> None:
+        """Use :meth:`create` or :meth:`attach`."""
+        self.instance = instance
+        self.block = block
+        self._semaphores = semaphores
+        self.state, self.command = semaphores["state"], semaphores["command"]
+        self.wake, self.exposed = semaphores["wake"], semaphores["exposed"]
+        fixed = block.array(_FIXED, 1).reshape(())
+        self.n_joints = int(fixed["n_joints"])
+        self.period_ns = int(fixed["period_ns"])
+        self.factor = float(fixed["factor"])
+        self.seed = int(fixed["seed"])
+        self.light_names = tuple(name.decode() for name in fixed["light_names"].tolist() if name)
+        dtype = layout(self.n_joints)
+        record = block.array(dtype, 1, offset=_FIXED.itemsize).reshape(())
+        self.view: dict[str, NDArray[Any]] = {name: record[name] for name in dtype.names or ()}
+
+    @classmethod
+    def create(
+        cls, instance: str, n_joints: int, period_ns: int, factor: float, seed: int, light_names: tuple[str, ...]
+    ) -> Self:
+        """Create block and semaphores; what a dead machine of that instance left behind is replaced.
+
+        Raises:
+            LinkError: A living process of that instance owns the link.
+        """
+        block = SharedBlock.create(f"{instance}_testbed", _FIXED.itemsize + layout(n_joints).itemsize)
+        semaphores = {name: Semaphore.create(f"{instance}_testbed_{name}") for name in _SEMAPHORES}
+        names = [name.encode() for name in light_names] + [b""] * (MAX_LIGHTS - len(light_names))
+        block.array(_FIXED, 1)[0] = (n_joints, period_ns, factor, seed, names)
+        return cls(instance, block, semaphores)
+
+    @classmethod
+    def attach(cls, instance: str, timeout_s: float) -> Self:
+        """Attach to a link whose physics lives.
+
+        Raises:
+            LinkError: There is none within ``timeout_s`` [s].
+        """
+        block = SharedBlock.attach(f"{instance}_testbed", timeout_s)
+        semaphores = {name: Semaphore.attach(f"{instance}_testbed_{name}", timeout_s) for name in _SEMAPHORES}
+        return cls(instance, block, semaphores)
+
+    def unlink(self) -> None:
+        """Remove the names, as the creator."""
+        for semaphore in self._semaphores.values():
+            semaphore.unlink()
+        self.block.unlink()
+
+    def close(self) -> None:
+        """Release everything; the creator also removes the names."""
+        self.view = {}
+        for semaphore in self._semaphores.values():
+            semaphore.close()
+        self.block.close()
+
+
+_SEMAPHORES = ("state", "command", "wake", "exposed")

@@ -1,0 +1,56 @@
+"""The cameras' end of the testbed link."""
+
+from im_core import clock
+from im_core.errors import DataError, LinkError, WaitTimeoutError
+from im_core.testbed_link.block import LinkBlock
+from im_core.testbed_link.values import Exposure
+
+_SLICE_S = 0.1
+MAX_EXPOSURE_TICKS = 10_000
+
+
+class CameraSide:
+    """Asks for exposures."""
+
+    _shared: LinkBlock
+
+    def expose(self, ticks: int, blank_light: bool, timeout_s: float) -> Exposure:
+        """Open the shutter at the next tick boundary for ``ticks`` ticks, and wait until it has closed.
+
+        One client at a time: a request replaces one that is still pending.
+
+        Args:
+            ticks: Length of the exposure, 1 to 10,000 [ticks].
+            blank_light: Whether the wrist lights are strobed off during the exposure.
+            timeout_s: How long to wait, wall time [s].
+
+        Raises:
+            DataError: ``ticks`` is out of range.
+            LinkError: Physics is gone.
+            WaitTimeoutError: The exposure did not end in time.
+        """
+        if not 1 <= ticks <= MAX_EXPOSURE_TICKS:
+            raise DataError(f"an exposure of {ticks} ticks is not between 1 and {MAX_EXPOSURE_TICKS}", ticks=ticks)
+        shared, view = self._shared, self._shared.view
+        shared.exposed.drain()
+        request = int(view["exposure_request"]) + 1
+        view["exposure_ticks"][()] = ticks
+        view["exposure_blank"][()] = blank_light
+        view["exposure_request"][()] = request
+        shared.wake.post()
+        deadline = clock.monotonic() + timeout_s
+        while int(view["exposure_done"]) != request:
+            left = deadline - clock.monotonic()
+            if left <= 0.0:
+                raise WaitTimeoutError(what=f"an exposure of {ticks} ticks", seconds=timeout_s)
+            if not shared.exposed.wait(min(left, _SLICE_S)) and not shared.block.owner_alive():
+                raise LinkError("the testbed's physics process is gone")
+        start, end = int(view["exposure_start"]), int(view["exposure_end"])
+        fractions = view["exposure_light"].tolist()
+        return Exposure(
+            start_tick=start,
+            end_tick=end,
+            stamp_ns=(start + end) * shared.period_ns // 2,
+            q_true=view["exposure_q"].copy(),
+            light_fraction=dict(zip(shared.light_names, fractions, strict=False)),
+        )

@@ -1,0 +1,113 @@
+"""The servo's end of the testbed link."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import LinkError
+from im_core.shm import ProcessId
+from im_core.testbed_link.block import LinkBlock
+from im_core.testbed_link.values import State
+
+_LIVENESS_S = 0.1
+
+
+class ServoSide:
+    """Reads the measured state of each tick and answers it with a command."""
+
+    _shared: LinkBlock
+
+    def attach_servo(self, pid: int) -> None:
+        """Take part in the handshake from the next tick on.
+
+        Args:
+            pid: Process that runs the servo loop.
+
+        Raises:
+            LinkError: Another living servo is attached, or ``pid`` does not run.
+        """
+        view, process = self._shared.view, ProcessId.of(pid)
+        if process.start < 0:
+            raise LinkError(f"process {pid} cannot be the servo: it does not run", pid=pid)
+        present = ProcessId(int(view["servo_pid"]), int(view["servo_start"]))
+        if present.pid != pid and present.alive():
+            raise LinkError(f"the testbed already has a servo, process {present.pid}", pid=present.pid)
+        self._shared.state.drain()
+        view["servo_start"][()] = process.start
+        view["servo_pid"][()] = pid
+        self._shared.wake.post()
+
+    def wait_state(self, timeout_s: float) -> bool:
+        """Wait for the start of a tick.
+
+        Returns:
+            True if a tick waits for :meth:`write_command`, False after ``timeout_s`` [s] without one.
+
+        Raises:
+            LinkError: Physics is gone.
+        """
+        if self._shared.state.wait(timeout_s):
+            return True
+        if not self._shared.block.owner_alive():
+            raise LinkError("the testbed's physics process is gone")
+        return False
+
+    def read_state(self) -> State:
+        """The measured state of the newest tick; never torn, from any process.
+
+        Raises:
+            LinkError: Physics died while it wrote the state.
+        """
+        view = self._shared.view
+        sequence = view["sequence"]
+        for _ in range(100_000):
+            before = int(sequence)
+            tick = int(view["tick"])
+            state = State(
+                tick=tick,
+                stamp_ns=tick * self._shared.period_ns,
+                q=view["q"].copy(),
+                power=bool(view["power"]),
+                brakes=view["brakes"].copy(),
+                gripper=view["gripper"].copy(),
+            )
+            if before % 2 == 0 and int(sequence) == before:
+                return state
+        raise LinkError("the testbed's physics process stopped in the middle of writing the state")
+
+    def write_command(
+        self,
+        tau: NDArray[np.float64],
+        power: bool,
+        brakes: NDArray[np.bool_],
+        gripper: NDArray[np.float64],
+        wants_time: bool,
+    ) -> None:
+        """Answer the current tick.
+
+        Args:
+            tau: Motor torques at the joints, shape (n,) [Nm or N]; cut to the motors' limits, NaN counts as 0.
+            power: Whether the motors shall have power.
+            brakes: Which brakes shall be engaged, shape (n,).
+            gripper: Wanted openings, shape (2,) [m].
+            wants_time: Whether, at clock factor 0, another tick shall follow.
+
+        Raises:
+            LinkError: Physics has declared this servo gone; :meth:`attach_servo` again.
+        """
+        view = self._shared.view
+        if not int(view["servo_pid"]):
+            raise LinkError(f"the testbed declared the servo gone before tick {int(view['tick'])}")
+        view["command_tau"][:] = tau
+        view["command_power"][()] = power
+        view["command_brakes"][:] = brakes
+        view["command_gripper"][:] = gripper
+        view["command_wants_time"][()] = wants_time
+        view["command_tick"][()] = view["tick"]
+        self._shared.command.post()
+
+    def detach_servo(self) -> None:
+        """Leave the handshake; the testbed engages brakes and cuts power. Harmless when not attached."""
+        view = self._shared.view
+        view["servo_pid"][()] = 0
+        view["command_wants_time"][()] = False
+        self._shared.command.post()

@@ -1,0 +1,46 @@
+"""The box in which the cell works, and in which errors of calibrated cameras are given."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import DataError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Axis-parallel box in the world.
+
+    Attributes:
+        low: Lower corner [m].
+        high: Upper corner [m].
+    """
+
+    low: tuple[float, float, float] = (-1.0, -0.5, 0.6)
+    high: tuple[float, float, float] = (1.0, 0.5, 1.6)
+
+    def __post_init__(self) -> None:
+        """Check the corners.
+
+        Raises:
+            DataError: A side is not longer than zero.
+        """
+        if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
+            raise DataError(f"The workspace from {self.low} to {self.high} m has a side that is not longer than zero.")
+
+    def grid(self, counts: tuple[int, int, int] = (10, 5, 5)) -> Array:
+        """Centres of equal cells, so that a mean over them is a mean over the volume.
+
+        Args:
+            counts: Number of cells along each axis.
+
+        Returns:
+            Points, shape (counts[0] * counts[1] * counts[2], 3) [m].
+        """
+        axes = [
+            a + (b - a) * (np.arange(n) + 0.5) / n for a, b, n in zip(self.low, self.high, counts, strict=True)
+        ]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,0 +1,66 @@
+"""Files with predefined manipulator positions (paper, section 7)."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+from im_core.config import Model, load_model, package_file
+
+#: The cell's own poses, for the two ceiling cameras.
+OWN_POSES = ("im_dispatcher", "poses/ceiling_40.yaml")
+
+Quaternion = tuple[float, float, float, float]
+
+
+class WristPose(Model):
+    """One position of the wrist frame.
+
+    Attributes:
+        name: Its name in reports.
+        position_m: Origin of the wrist frame in the world frame [m].
+        orientation_xyzw: Unit quaternion world <- wrist.
+    """
+
+    name: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
+    position_m: tuple[float, float, float]
+    orientation_xyzw: Quaternion
+
+    @pydantic.field_validator("orientation_xyzw")
+    @classmethod
+    def _unit(cls, value: Quaternion) -> Quaternion:
+        norm = math.hypot(*value)
+        if abs(norm - 1.0) > 1e-3:
+            raise ValueError(f"the quaternion has length {norm:.4f}; it must be 1")
+        x, y, z, w = (component / norm for component in value)
+        return (x, y, z, w)
+
+
+class PosesFile(Model):
+    """A list of wrist poses of one group."""
+
+    group: Literal["left"]
+    frame: Literal["world"]
+    poses: Annotated[tuple[WristPose, ...], pydantic.Field(min_length=1, max_length=1000)]
+
+    @pydantic.field_validator("poses")
+    @classmethod
+    def _names_differ(cls, value: tuple[WristPose, ...]) -> tuple[WristPose, ...]:
+        seen: set[str] = set()
+        for pose in value:
+            if pose.name in seen:
+                raise ValueError(f"two poses are named '{pose.name}'")
+            seen.add(pose.name)
+        return value
+
+
+def load_poses(path: str | Path | None) -> PosesFile:
+    """Read a poses file.
+
+    Args:
+        path: The file; empty or None for the cell's own.
+
+    Raises:
+        ConfigError: It is missing, empty, or malformed; names file and line.
+    """
+    return load_model(path or package_file(*OWN_POSES), PosesFile)

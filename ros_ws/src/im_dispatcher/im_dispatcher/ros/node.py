@@ -1,0 +1,226 @@
+"""Node ``/dispatcher``."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Pose, PoseStamped
+from im_core import clock
+from im_core.config import package_file
+from im_core.errors import DataError, ImError, StateError
+from im_core.names import results_dir
+from im_core.robot import load_cell
+from im_core.ros import qos, run
+from im_core.ros.status import ok_status, to_status
+from im_msgs.msg import CalibrationReport, CameraNames, Firing, GroupState, Observation, ObservationSet, Rejection
+from im_msgs.msg import SpotSet
+from im_msgs.srv import CalibrateCamera
+from im_pnt.ros.node import PntNode
+
+from im_dispatcher.job import CalibrationJob
+from im_dispatcher.observation import check_same_rest, light_covariance, rotation_of
+from im_dispatcher.poses_file import WristPose, load_poses
+from im_dispatcher.report import StepTimes, make_directory, write_report
+
+CEILING = ("ceiling_left", "ceiling_right")
+
+
+class Dispatcher(PntNode):
+    """Functions and enabling functions of the Dispatcher's nets, and the services that feed its input tape."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "dispatcher",
+            [package_file("im_dispatcher", f"nets/{name}.yaml") for name in ("calibrate_camera", "grip")],
+            functions={
+                "init_calib": self.init_calib,
+                "read_next_pos": self.read_next_pos,
+                "keep_observation": self.keep_observation,
+                "skip_pose": self.skip_pose,
+                "write_report": self.write_report,
+                "report_failure": self.report_failure,
+            },
+            guards={
+                "more_poses": lambda _: self._job is not None and self._job.more_poses(),
+                "pose_dispensable": lambda ctx: self._dispensable(ctx.failure),
+            },
+        )
+        self._cell = load_cell()
+        self._seed = self.declare_parameter("seed", 0).value
+        self._job: CalibrationJob[Observation] | None = None
+        self._directory: Path | None = None
+        self._times = StepTimes()
+        self._begun = (0.0, 0.0)
+        self.create_subscription(Firing, "/pnt/firings", self._note_firing, qos.EVENTS)
+
+    def phase_start(self) -> None:
+        """Start the nets, then take commands."""
+        super().phase_start()
+        self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._calibrate_camera)
+
+    # Functions of calibrate_camera.yaml, in its order.
+
+    async def init_calib(self, ctx: Any) -> None:
+        """Reads the poses and sets the loop variable."""
+        self._job, self._directory = None, None
+        self._times = StepTimes()
+        self._begun = (clock.monotonic(), self._now_s())
+        arguments = ctx.command.arguments
+        poses = load_poses(arguments.get("poses_file", "")).poses
+        cameras = list(arguments.get("cameras") or CEILING)
+        self._job = CalibrationJob(cameras=cameras, poses=poses, known_cameras=list(self._cell.cameras))
+        self._directory = make_directory(results_dir(), clock.stamp_name())
+        await self.dom.put("calibration_cameras", CameraNames(cameras=cameras, light=self._cell.light_names[0]))
+        ctx.progress(f"{len(poses)} poses for {', '.join(cameras)}", 0.0)
+
+    async def read_next_pos(self, ctx: Any) -> None:
+        """Counts the loop variable down and stores the next destination."""
+        job = self._present_job()
+        pose = job.take()
+        await self.dom.put("destination", _stamped(pose), place="calibrate_camera.destination_valid")
+        ctx.progress(f"pose {job.taken} of {len(job.poses)} ({pose.name})", job.progress)
+
+    async def keep_observation(self, ctx: Any) -> None:
+        """Adds spot and position of this pose to the observations."""
+        job = self._present_job()
+        spots = await self.dom.get("spots", SpotSet)
+        position = await self.dom.get("current_position", GroupState)
+        try:
+            job.keep(self._observation(job.current.name, spots, position))
+        except DataError as error:
+            job.skip(error.message)
+        await self._publish_observations(job)
+        ctx.progress(f"{len(job.observations)} observations", job.progress)
+
+    async def skip_pose(self, ctx: Any) -> None:
+        """Leaves out this pose and says why."""
+        job = self._present_job()
+        reason = ctx.failure.get("message", "unknown")
+        job.skip(reason)
+        await self._publish_observations(job)
+        ctx.progress(f"pose {job.current.name} skipped: {reason}", job.progress)
+
+    async def write_report(self, ctx: Any) -> None:
+        """Writes the report of a calibration that succeeded."""
+        calibration = await self.dom.get("calibration", CalibrationReport)
+        report = json.loads(calibration.json)
+        job = self._present_job()
+        skipped = [{"pose": skip.pose, "camera": "", "reason": skip.reason} for skip in job.skipped]
+        report["points_rejected"] = [*report.get("points_rejected", []), *skipped]
+        report["poses"] = len(job.poses)
+        ctx.result.update(self._finish(report))
+
+    async def report_failure(self, ctx: Any) -> None:
+        """Writes the report of a command that failed."""
+        reason = ctx.failure.get("message", "unknown")
+        report: dict[str, Any] = {"success": False, "message": reason}
+        if self._job is not None:
+            report["points_used"] = 0
+            report["points_rejected"] = [{"pose": s.pose, "camera": "", "reason": s.reason} for s in self._job.skipped]
+        if self._directory is not None:
+            self._finish(report)
+        self._job = None
+
+    # Services.
+
+    async def _calibrate_camera(self, request: Any, response: Any) -> Any:
+        try:
+            self._refuse_while_busy()
+            arguments = {"cameras": list(request.cameras) or list(CEILING), "poses_file": request.poses_file}
+            result = await self.command("calibrate_camera", arguments)
+        except ImError as error:
+            response.success, response.message = False, error.message
+            return response
+        response.success = result.success
+        if result.success:
+            response.report = await self.dom.get("calibration", CalibrationReport)
+            response.report.json = json.dumps(result.results["report"])
+            response.report.directory = result.results["directory"]
+            response.message = response.report.message
+        else:
+            response.message = result.status.message
+        return response
+
+    def _refuse_while_busy(self) -> None:
+        if self._job is not None and self._job_running:
+            done = len(self._job.observations) + len(self._job.skipped)
+            raise StateError(
+                f"calibrate_camera is running (pose {done} of {len(self._job.poses)} done); ask again when it has ended",
+            )
+
+    # What the functions share.
+
+    def _present_job(self) -> CalibrationJob[Observation]:
+        if self._job is None:
+            raise StateError("no calibrate_camera command is running")
+        return self._job
+
+    def _dispensable(self, failure: dict[str, Any]) -> bool:
+        return self._job is not None and self._job.dispensable(failure.get("code", ""))
+
+    def _observation(self, pose: str, spots: SpotSet, position: GroupState) -> Observation:
+        rest_ns = position.rest_since.sec * 10**9 + position.rest_since.nanosec
+        for spot in spots.spots:
+            check_same_rest(spot.stamp.sec * 10**9 + spot.stamp.nanosec, rest_ns, pose)
+        n = len(position.q_rest)
+        quaternion = position.wrist.orientation
+        covariance = light_covariance(
+            np.array(position.jacobian).reshape(6, -1),
+            np.array(position.q_rest_covariance).reshape(n, -1),
+            rotation_of(quaternion.x, quaternion.y, quaternion.z, quaternion.w),
+            np.array(self._cell.led.offset),
+        )
+        return Observation(
+            pose=pose,
+            wrist=position.wrist,
+            position_covariance=covariance.ravel(),
+            spots=spots.spots,
+            rest_since=position.rest_since,
+        )
+
+    async def _publish_observations(self, job: CalibrationJob[Observation]) -> None:
+        collected = ObservationSet(
+            cameras=list(job.cameras),
+            observations=job.observations,
+            rejected=[Rejection(pose=skip.pose, reason=skip.reason) for skip in job.skipped],
+            directory=str(self._directory),
+        )
+        await self.dom.put("observations", collected)
+
+    def _finish(self, report: dict[str, Any]) -> dict[str, Any]:
+        wall, simulated = clock.monotonic() - self._begun[0], self._now_s() - self._begun[1]
+        report["timing"] = self._times.summary(wall, simulated)
+        report["seed"] = self._seed
+        write_report(self._directory, report)
+        return {"report": report, "directory": str(self._directory)}
+
+    def _note_firing(self, message: Firing) -> None:
+        name = f"{message.net}.{message.transition}"
+        stamp = message.stamp.sec + message.stamp.nanosec * 1e-9
+        if message.phase == Firing.START:
+            self._times.start(name, stamp)
+        else:
+            self._times.end(name, stamp, message.duration)
+
+    def _now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds) * 1e-9
+
+
+def _stamped(pose: WristPose) -> PoseStamped:
+    message = PoseStamped(pose=Pose())
+    message.header.frame_id = "world"
+    position, orientation = message.pose.position, message.pose.orientation
+    position.x, position.y, position.z = pose.position_m
+    orientation.x, orientation.y, orientation.z, orientation.w = pose.orientation_xyzw
+    return message
+
+
+def main() -> None:
+    """Run ``/dispatcher``."""
+    sys.exit(run.main(Dispatcher))
+
+
+if __name__ == "__main__":
+    main()

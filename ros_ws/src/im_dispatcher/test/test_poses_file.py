@@ -1,0 +1,48 @@
+"""Poses files: what is accepted, and how faults are told."""
+
+from pathlib import Path
+
+import pytest
+from im_core.errors import ConfigError
+from im_dispatcher.poses_file import load_poses
+
+HEAD = "group: left\nframe: world\nposes:\n"
+POSE = "  - {{name: {name}, position_m: [0.1, 0.2, 1.0], orientation_xyzw: [0, 0, 0, 1]}}\n"
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "poses.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_cells_own_poses_are_forty() -> None:
+    assert len(load_poses(None).poses) == 40
+
+
+def test_poses_are_read_in_order(tmp_path: Path) -> None:
+    path = written(tmp_path, HEAD + POSE.format(name="a") + POSE.format(name="b"))
+    assert [pose.name for pose in load_poses(path).poses] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"poses\.yaml:1: the file is empty"),
+        ("[1, 2", r"poses\.yaml:1: not YAML"),
+        (HEAD + "  - {name: a, position_m: [0, 0], orientation_xyzw: [0, 0, 0, 1]}\n", r"yaml:4: poses\[0\].position_m"),
+        (HEAD + POSE.format(name="a") + "  - {name: b, position_m: [0, .nan, 0], orientation_xyzw: [0, 0, 0, 1]}\n",
+         r"yaml:5: poses\[1\].position_m\[1\]"),
+        (HEAD + "  - {name: a, position_m: [0, 0, 1], orientation_xyzw: [0, 0, 0, 2]}\n", "length 2.0000; it must be 1"),
+        (HEAD + POSE.format(name="a") * 2, "two poses are named 'a'"),
+        ("group: right\nframe: world\nposes: []\n", r"yaml:1: group"),
+    ],
+)
+def test_faults_name_the_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_poses(written(tmp_path, text))
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere\.yaml: cannot be read"):
+        load_poses(tmp_path / "nowhere.yaml")

@@ -1,0 +1,34 @@
+"""Reports on disk and where the time went."""
+
+import json
+from pathlib import Path
+
+import pytest
+from im_dispatcher.report import StepTimes, make_directory, write_report
+
+
+def test_latest_points_to_the_newest_report(tmp_path: Path) -> None:
+    for number in (1, 2):
+        write_report(make_directory(tmp_path, "20260101-000000"), {"number": number})
+    assert json.loads((tmp_path / "latest" / "report.json").read_text())["number"] == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["20260101-000000", "20260101-000000-1", "latest"]
+
+
+def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
+    directory = make_directory(tmp_path, "a")
+    write_report(directory, {"number": 1})
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_report(directory, {"number": float("nan")})
+    assert json.loads((directory / "report.json").read_text()) == {"number": 1}
+
+
+def test_times_add_up_by_step() -> None:
+    times = StepTimes()
+    for start in (1.0, 5.0):
+        times.start("net.move", start)
+        times.end("net.move", start + 2.0, 0.5)
+    times.start("net.instant", 9.0)
+    times.end("net.instant", 9.0, 0.0)
+    summary = times.summary(wall_s=2.0, simulated_s=10.0)
+    assert summary["simulated_over_wall"] == 5.0
+    assert summary["steps"] == {"net.move": {"count": 2, "wall_s": 1.0, "simulated_s": 4.0}}

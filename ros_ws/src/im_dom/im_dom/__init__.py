@@ -1,0 +1,1 @@
+"""The Data Object Manager (paper, section 6): stores and retrieves globally available data."""

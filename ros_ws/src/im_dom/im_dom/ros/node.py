@@ -1,0 +1,101 @@
+"""Node ``/dom``."""
+
+import sys
+from typing import Any
+
+from im_core.errors import ImError
+from im_core.names import run_dir
+from im_core.ros import qos, run
+from im_core.ros.node import ManagedNode
+from im_core.ros.status import ok_status, to_status
+from im_msgs.msg import ObjectChange, ObjectInfo
+from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
+
+from im_dom.store import ObjectRecord, ObjectStore
+
+
+class DomNode(ManagedNode):
+    """ROS shell of :class:`im_dom.store.ObjectStore`; translates messages, decides nothing."""
+
+    def __init__(self) -> None:
+        super().__init__("dom")
+        self._store: ObjectStore | None = None
+
+    def phase_configure(self) -> None:
+        """Open the store and offer the services."""
+        self._store = ObjectStore(run_dir() / "dom.sqlite")
+        self._changes = self.create_publisher(ObjectChange, "/dom/changes", qos.EVENTS)
+        self.create_service(PutObject, "/dom/put", self._put)
+        self.create_service(GetObject, "/dom/get", self._get)
+        self.create_service(ListObjects, "/dom/list", self._list)
+        self.create_service(InvalidateObject, "/dom/invalidate", self._invalidate)
+
+    def phase_shutdown(self) -> None:
+        """Close the store."""
+        if self._store is not None:
+            self._store.close()
+
+    def _put(self, request: Any, response: Any) -> Any:
+        def put() -> ObjectRecord:
+            return self._store.put(
+                request.name, request.type, bytes(request.data), request.place, request.source, self._now_ns()
+            )
+
+        return self._answer(response, put, changed=True)
+
+    def _get(self, request: Any, response: Any) -> Any:
+        def get() -> ObjectRecord:
+            record, data = self._store.get(request.name, request.type)
+            if not request.metadata_only:
+                response.data = data
+            return record
+
+        return self._answer(response, get, changed=False)
+
+    def _invalidate(self, request: Any, response: Any) -> Any:
+        def invalidate() -> ObjectRecord:
+            return self._store.invalidate(request.name, request.source, self._now_ns())
+
+        return self._answer(response, invalidate, changed=True)
+
+    def _list(self, request: Any, response: Any) -> Any:
+        response.objects = [to_info(record) for record in self._store.records(request.prefix)]
+        return response
+
+    def _answer(self, response: Any, operation: Any, changed: bool) -> Any:
+        try:
+            response.object = to_info(operation())
+        except ImError as error:
+            response.success, response.status = False, to_status(error)
+            return response
+        response.success, response.status = True, ok_status()
+        if changed:
+            self._changes.publish(ObjectChange(object=response.object))
+        return response
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+
+def to_info(record: ObjectRecord) -> ObjectInfo:
+    """The message of a record."""
+    info = ObjectInfo(
+        name=record.name,
+        type=record.type,
+        version=record.version,
+        valid=record.valid,
+        place=record.place,
+        source=record.source,
+        size=record.size,
+    )
+    info.stamp.sec, info.stamp.nanosec = divmod(record.stamp_ns, 10**9)
+    return info
+
+
+def main() -> None:
+    """Run ``/dom``."""
+    sys.exit(run.main(DomNode))
+
+
+if __name__ == "__main__":
+    main()

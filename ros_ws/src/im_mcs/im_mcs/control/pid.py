@@ -1,0 +1,80 @@
+"""PID positioning (paper, section 4)."""
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from im_core.config import Model as ConfigModel
+from im_core.errors import ConfigError
+from im_mcs.control.controller import ControlInput, ControllerSetup
+from im_mcs.control.velocity import VelocityEstimator
+
+
+class PidParameters(ConfigModel):
+    """Gains as the poles of a joint of its own inertia, so that one line serves joints of any size.
+
+    With inertia ``I`` the gains are ``kp = I w^2``, ``kd = 2 zeta w I``, ``ki = kp w_i``.
+    """
+
+    bandwidth_rad_s: float = pydantic.Field(gt=0)
+    damping: float = pydantic.Field(gt=0)
+    integral_rad_s: float = pydantic.Field(ge=0)
+    derivative_bandwidth_rad_s: float = pydantic.Field(gt=0)
+    integral_limit: float = pydantic.Field(gt=0, le=1, description="share of the torque limit")
+    deadband: float = pydantic.Field(ge=0, description="error that is not integrated [rad or m]")
+
+
+class Pid:
+    """Independent joint PID; the derivative acts on the error, through a low pass.
+
+    Args:
+        setup: Joints, model and parameters (:class:`PidParameters`).
+
+    Raises:
+        ConfigError: A parameter is missing, unknown or out of range.
+    """
+
+    def __init__(self, setup: ControllerSetup) -> None:
+        try:
+            p = self.parameters = PidParameters.model_validate(setup.parameters)
+        except pydantic.ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise ConfigError(f"controller parameter '{where}': {first['msg']}", parameter=where) from None
+        inertia = setup.model.inertia_diagonal(setup.q_nominal)[setup.joints]
+        self._kp = inertia * p.bandwidth_rad_s**2
+        self._kd = 2.0 * p.damping * p.bandwidth_rad_s * inertia
+        self._ki_dt = self._kp * p.integral_rad_s * setup.period_s
+        self._integral_limit = p.integral_limit * setup.torque_limit
+        self._torque_limit = setup.torque_limit
+        self._deadband = p.deadband
+        self._rate = VelocityEstimator(len(setup.joints), setup.period_s, p.derivative_bandwidth_rad_s)
+        self._integral = np.zeros(len(setup.joints))
+        self._hold = False
+
+    def reset(self) -> None:
+        """No integral, no past."""
+        self._rate.reset()
+        self._integral = np.zeros_like(self._integral)
+        self._hold = False
+
+    def hold_integral(self, hold: bool) -> None:
+        """Freeze or free the integral."""
+        self._hold = hold
+
+    def torque(self, given: ControlInput) -> NDArray[np.float64]:
+        """PID torques, shape (n,)."""
+        error = given.setpoint.q - given.q
+        feedforward = self.feedforward(given)
+        tau = feedforward + self._kp * error + self._kd * self._rate.update(error) + self._integral
+        if not self._hold:
+            beyond = np.copysign(np.maximum(np.abs(error) - self._deadband, 0.0), error)
+            # no wind-up: a saturated joint integrates only back
+            free = (np.abs(tau) < self._torque_limit) | (tau * error < 0.0)
+            step = np.where(free, self._ki_dt * beyond, 0.0)
+            self._integral = np.clip(self._integral + step, -self._integral_limit, self._integral_limit)
+        return tau
+
+    def feedforward(self, given: ControlInput) -> NDArray[np.float64]:
+        """Torques known beforehand, shape (n,); none here."""
+        return np.zeros_like(given.q)

@@ -1,0 +1,102 @@
+"""Kinematics and dynamics of the cell in the eyes of MCS (pinocchio)."""
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from im_core.errors import NotFoundError
+from im_core.robot import Cell, urdf
+
+
+class Model:
+    """All joints of the cell, in its order; made from the same parameter file as the testbed.
+
+    Args:
+        cell: Parameters.
+    """
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        self.names: tuple[str, ...] = cell.joint_names
+        self.n = len(self.names)
+        self.pin = pin.buildModelFromXML(urdf(cell, shapes=False))
+        self.pin.gravity.linear = np.array([0.0, 0.0, -cell.gravity])
+        self.rotor_inertia = cell.per_joint("rotor_inertia")
+        self.pin.armature = self.rotor_inertia
+        self.viscous_friction = cell.per_joint("viscous")
+        self.coulomb_positive = cell.per_joint("coulomb_positive")
+        self.coulomb_negative = cell.per_joint("coulomb_negative")
+        self._data = self.pin.createData()
+        order = tuple(self.pin.names)[1:]
+        if order != self.names:
+            raise NotFoundError(kind="joint order", name=", ".join(order), known=self.names)
+
+    def index(self, joint: str) -> int:
+        """Rank of a joint.
+
+        Raises:
+            NotFoundError: There is no such joint.
+        """
+        if joint not in self.names:
+            raise NotFoundError(kind="joint", name=joint, known=self.names)
+        return self.names.index(joint)
+
+    def frame_id(self, frame: str) -> int:
+        """Identifier of a frame, for the other methods.
+
+        Raises:
+            NotFoundError: There is no such frame.
+        """
+        if not self.pin.existFrame(frame):
+            raise NotFoundError(kind="frame", name=frame, known=[f.name for f in self.pin.frames])
+        return int(self.pin.getFrameId(frame))
+
+    def gravity(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Torques that hold the arms still at ``q``, shape (18,) [Nm or N]."""
+        return np.asarray(pin.computeGeneralizedGravity(self.pin, self._data, q))
+
+    def inertia(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Joint-space inertia with rotors at ``q``, shape (18, 18) [kg m2, kg m or kg]."""
+        upper = np.triu(pin.crba(self.pin, self._data, q))
+        return np.asarray(upper + np.triu(upper, 1).T)
+
+    def inertia_diagonal(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Each joint's own inertia at ``q`` while the others stand still, shape (18,)."""
+        return np.diag(self.inertia(q)).copy()
+
+    def inverse_dynamics(
+        self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Torques of a motion, rotors included, friction not, shape (18,) [Nm or N]."""
+        return np.asarray(pin.rnea(self.pin, self._data, q, v, a)).copy()
+
+    def pose(self, q: NDArray[np.float64], frame: str) -> pin.SE3:
+        """Pose of a frame in ``world`` at ``q``, shape (18,).
+
+        Raises:
+            NotFoundError: There is no such frame.
+        """
+        frame_id = self.frame_id(frame)
+        pin.forwardKinematics(self.pin, self._data, q)
+        return pin.updateFramePlacement(self.pin, self._data, frame_id).copy()
+
+    def poses(self, q: NDArray[np.float64]) -> dict[str, pin.SE3]:
+        """Pose of every body and frame in ``world`` at ``q``."""
+        pin.framesForwardKinematics(self.pin, self._data, q)
+        return {
+            frame.name: self._data.oMf[i]
+            for i, frame in enumerate(self.pin.frames)
+            if frame.type == pin.FrameType.BODY
+        }
+
+    def jacobian(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:
+        """Velocity of a frame's origin for each joint's, along the axes of ``world``, shape (6, 18): linear, angular.
+
+        Raises:
+            NotFoundError: There is no such frame.
+        """
+        return np.asarray(
+            pin.computeFrameJacobian(
+                self.pin, self._data, q, self.frame_id(frame), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            )
+        )

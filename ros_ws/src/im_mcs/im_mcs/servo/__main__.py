@@ -1,0 +1,24 @@
+"""``python -m im_mcs.servo INSTANCE [CONFIG [PRESET]]``: the servo process of one machine."""
+
+import sys
+from pathlib import Path
+
+from im_core.errors import ImError
+from im_mcs.config import load_config
+from im_mcs.servo.process import run
+
+
+def main(arguments: list[str]) -> int:
+    """Run the servo; 1 if it cannot be started, with the reason on standard error."""
+    try:
+        config = load_config(Path(arguments[1]) if len(arguments) > 1 and arguments[1] else None)
+        if len(arguments) > 2:
+            config = config.with_preset(arguments[2])
+        return run(arguments[0], config)
+    except ImError as error:
+        print(error.message, file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

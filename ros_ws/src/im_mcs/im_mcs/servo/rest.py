@@ -1,0 +1,119 @@
+"""When is an arm at rest, and where is it then."""
+
+from collections import deque
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_mcs.config import Servo
+
+
+class RestPhase(StrEnum):
+    """Where a group is on its way to rest."""
+
+    MOVING = "moving"
+    SETTLING = "settling"
+    MEASURING = "measuring"
+    AT_REST = "at rest"
+
+
+class RestMonitor:
+    """Judges rest from encoder readings alone, tick by tick, so that the same readings give the same tick.
+
+    *Settling* ends when, over a short window, every joint's mean error is within tolerance and the means of both halves
+    agree within what encoder noise explains (three standard deviations). *Measuring* then averages a window of
+    ``rest_window_ticks`` readings; if its halves disagree the arm has moved, and settling begins anew.
+
+    Args:
+        resolution: Of the encoders, shape (n,) [rad or m].
+        noise: Their standard deviation before quantisation, shape (n,) [rad or m].
+        settings: Windows and tolerance.
+    """
+
+    def __init__(self, resolution: NDArray[np.float64], noise: NDArray[np.float64], settings: Servo) -> None:
+        self._reading_sd = np.sqrt(noise**2 + resolution**2 / 12.0)
+        self._quantisation = resolution**2 / 12.0
+        self._tolerance = settings.settle.tolerance
+        self._settle_window = settings.settle.window_ticks
+        self._rest_window = settings.rest_window_ticks
+        self.timeout_s = settings.settle.timeout_s
+        self._timeout_ticks = round(self.timeout_s / settings.period_s)
+        self.restart()
+
+    def restart(self) -> None:
+        """The group is about to move, or has lost its hold: it is not at rest."""
+        self.phase = RestPhase.MOVING
+        self.settling_ticks = 0
+        self.since_tick = 0
+        self.q = np.zeros_like(self._reading_sd)
+        self.variance = np.zeros_like(self.q)
+        self._readings: deque[NDArray[np.float64]] = deque(maxlen=self._settle_window)
+        self.last_error = np.zeros_like(self._reading_sd)
+
+    @property
+    def window(self) -> int:
+        """Number of readings averaged at rest [ticks]."""
+        return self._rest_window
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the rest measurement is complete and holds."""
+        return self.phase is RestPhase.AT_REST
+
+    @property
+    def timed_out(self) -> bool:
+        """Whether settling takes longer than allowed."""
+        return self.settling_ticks > self._timeout_ticks
+
+    def worst(self) -> int:
+        """Rank of the joint with the largest mean error."""
+        return int(np.argmax(np.abs(self.last_error)))
+
+    def update(self, tick: int, q: NDArray[np.float64], target: NDArray[np.float64] | None) -> None:
+        """Take a reading of a group whose setpoint stands still.
+
+        Args:
+            tick: Number of the tick.
+            q: Readings, shape (n,).
+            target: Setpoint, shape (n,); None while brakes hold, when any place will do.
+        """
+        if self.phase is RestPhase.AT_REST:
+            return
+        if self.phase is RestPhase.MOVING:
+            self._settle()
+        self.settling_ticks += 1
+        self._readings.append(q)
+        if len(self._readings) < (self._readings.maxlen or 0):
+            return
+        readings = np.array(self._readings)
+        mean = readings.mean(axis=0)
+        if not self._still(readings):
+            self._settle()
+            return
+        if self.phase is RestPhase.SETTLING:
+            if target is not None:
+                self.last_error = target - mean
+                if (np.abs(self.last_error) > self._tolerance + 3.0 * self._sd(len(readings))).any():
+                    return
+            self.phase = RestPhase.MEASURING
+            self.since_tick = tick
+            self._readings = deque(maxlen=self._rest_window)
+            return
+        self.phase = RestPhase.AT_REST
+        self.q = mean
+        # the arm stands still, so noise averages out; quantisation need not
+        self.variance = readings.var(axis=0, ddof=1) / len(readings) + self._quantisation
+
+    def _settle(self) -> None:
+        if self.phase is not RestPhase.SETTLING:
+            self._readings = deque(maxlen=self._settle_window)
+        self.phase = RestPhase.SETTLING
+
+    def _still(self, readings: NDArray[np.float64]) -> bool:
+        half = len(readings) // 2
+        drift = readings[half:].mean(axis=0) - readings[:half].mean(axis=0)
+        return bool((np.abs(drift) <= 3.0 * np.sqrt(2.0) * self._sd(half) + self._tolerance / 4.0).all())
+
+    def _sd(self, count: int) -> NDArray[np.float64]:
+        return np.asarray(self._reading_sd / np.sqrt(count))

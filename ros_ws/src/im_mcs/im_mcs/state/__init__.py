@@ -1,0 +1,15 @@
+"""State manager (paper, section 4 and Figure 7): states, allocation of slots, order of transitions."""
+
+from im_mcs.state.reservation import Reservations
+from im_mcs.state.table import TABLE, UNCONFIGURED_MESSAGE, Event, State, Transition, lifecycle_of, next_state
+
+__all__ = [
+    "TABLE",
+    "UNCONFIGURED_MESSAGE",
+    "Event",
+    "Reservations",
+    "State",
+    "Transition",
+    "lifecycle_of",
+    "next_state",
+]

@@ -1,0 +1,123 @@
+"""The state table: which request is allowed in which state, and where it leads (paper, Figure 7)."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from im_core.errors import StateError
+
+
+class State(StrEnum):
+    """States of MCS; all but the first are the paper's."""
+
+    UNCONFIGURED = "unconfigured"
+    """Nothing is loaded."""
+    COLD = "cold"
+    """Power off, no slot reserved."""
+    RESERVED = "reserved"
+    """Power off, the slots of at least one group allocated."""
+    ACTIVE = "active"
+    """Power on, brakes on."""
+    MOTION = "motion"
+    """Power on, brakes of the reserved groups off."""
+    ESTOPPED = "estopped"
+    """Power off and brakes on after an emergency stop; latched."""
+
+
+class Event(StrEnum):
+    """What may be asked of MCS, or happen to it."""
+
+    CONFIGURE = "configure"
+    CLEANUP = "cleanup"
+    RESERVE = "reserve"
+    RELEASE = "release"
+    RELEASE_LAST = "release the last group"
+    POWER_ON = "power_on"
+    POWER_OFF = "power_off"
+    ENABLE_MOTION = "enable_motion"
+    DISABLE_MOTION = "disable_motion"
+    MOVE = "move"
+    CANCEL = "cancel"
+    SET_GRIPPER = "set_gripper"
+    ESTOP = "estop"
+    RESET = "reset"
+
+
+@dataclass(frozen=True)
+class Transition:
+    """A row of the table.
+
+    Attributes:
+        source: State before.
+        event: Request.
+        target: State after.
+        condition: What must hold, in words; empty if nothing.
+    """
+
+    source: State
+    event: Event
+    target: State
+    condition: str = ""
+
+
+TABLE: tuple[Transition, ...] = (
+    Transition(State.UNCONFIGURED, Event.CONFIGURE, State.COLD, "configuration valid, testbed answers"),
+    Transition(State.COLD, Event.CLEANUP, State.UNCONFIGURED),
+    Transition(State.COLD, Event.RESERVE, State.RESERVED, "every slot answers, none is owned by another group"),
+    Transition(State.RESERVED, Event.RESERVE, State.RESERVED, "every slot answers, none is owned by another group"),
+    Transition(State.RESERVED, Event.RELEASE, State.RESERVED, "the group is reserved"),
+    Transition(State.RESERVED, Event.RELEASE_LAST, State.COLD, "the group is reserved"),
+    Transition(State.RESERVED, Event.POWER_ON, State.ACTIVE, "power on, brakes on; measured state valid"),
+    Transition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
+    Transition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, "gravity torque present before the brakes release"),
+    Transition(State.ACTIVE, Event.POWER_OFF, State.RESERVED),
+    Transition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE),
+    Transition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
+    Transition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, "at rest first"),
+    Transition(State.MOTION, Event.MOVE, State.MOTION, "the group is reserved and not moving"),
+    Transition(State.MOTION, Event.CANCEL, State.MOTION),
+    Transition(State.MOTION, Event.SET_GRIPPER, State.MOTION),
+    Transition(State.MOTION, Event.ESTOP, State.ESTOPPED),
+    Transition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone; nothing moves"),
+)
+
+UNCONFIGURED_MESSAGE = "MCS is unconfigured; configure it first (ros2 lifecycle set /mcs configure)"
+
+_ROWS = {(row.source, row.event): row for row in TABLE}
+_LIFECYCLE = {
+    State.UNCONFIGURED: "unconfigured",
+    State.COLD: "inactive",
+    State.RESERVED: "inactive",
+    State.ESTOPPED: "inactive",
+    State.ACTIVE: "active",
+    State.MOTION: "active",
+}
+
+
+def lifecycle_of(state: State) -> str:
+    """Label of the ROS lifecycle state that goes with ``state``: power on is *active*."""
+    return _LIFECYCLE[state]
+
+
+def allowed_in(state: State) -> tuple[Event, ...]:
+    """Requests that the table has a row for in ``state``, in the order of the table."""
+    return tuple(row.event for row in TABLE if row.source is state and row.event is not Event.RELEASE_LAST)
+
+
+def next_state(state: State, event: Event) -> State:
+    """State that ``event`` leads to.
+
+    Raises:
+        StateError: The table has no such row; the message names state, request and what would be allowed.
+    """
+    row = _ROWS.get((state, event))
+    if row is not None:
+        return row.target
+    if state is State.UNCONFIGURED:
+        raise StateError(UNCONFIGURED_MESSAGE, state=state.value, request=event.value)
+    allowed = [e.value for e in allowed_in(state)]
+    raise StateError(
+        f"{event.value} is refused in state {state.value}; allowed here: {', '.join(allowed)}",
+        state=state.value,
+        request=event.value,
+        allowed=allowed,
+    )

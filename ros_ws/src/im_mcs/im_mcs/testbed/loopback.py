@@ -1,0 +1,73 @@
+"""Channel driver without hardware: every joint a mass of its own. For tests and for trying a controller."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_mcs.testbed.driver import Drive, Measured
+
+
+class LoopbackDriver:
+    """Joints ``inertia * qdd = tau - bias(q)``, integrated semi-implicitly; a braked joint stands still.
+
+    Args:
+        inertia: Inertia of each joint, shape (n,) [kg m2 or kg].
+        q: Where the joints are at first, shape (n,) [rad or m].
+        period_s: Servo period [s].
+        bias: Torques that positions cause, such as gravity; none if not given.
+    """
+
+    n_grippers = 2
+    wall_period_s = 0.0
+
+    def __init__(
+        self,
+        inertia: NDArray[np.float64],
+        q: NDArray[np.float64],
+        period_s: float = 0.0045,
+        bias: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
+    ) -> None:
+        self.n_joints = len(inertia)
+        self.period_s = period_s
+        self.q = q.astype(np.float64)
+        self.v = np.zeros(len(q))
+        self.drive = Drive(np.zeros(len(q)), False, np.ones(len(q), dtype=np.bool_), np.zeros(2), False)
+        self._inertia = inertia
+        self._bias = bias
+        self._tick = 0
+
+    def connect(self) -> None:
+        """Nothing to reach."""
+
+    def wait(self, timeout_s: float) -> bool:
+        """The next tick is always there."""
+        return True
+
+    def read(self) -> Measured:
+        """Exact positions; power and brakes as commanded."""
+        return Measured(
+            self._tick,
+            round(self._tick * self.period_s * 1e9),
+            self.q.copy(),
+            self.drive.power,
+            self.drive.brakes | (not self.drive.power),
+            self.drive.gripper,
+        )
+
+    def write(self, drive: Drive) -> None:
+        """Let one period pass."""
+        self.drive = drive
+        braked = drive.brakes | (not drive.power)
+        tau = drive.tau if drive.power else np.zeros(self.n_joints)
+        bias = self._bias(self.q) if self._bias is not None else 0.0
+        self.v = np.where(braked, 0.0, self.v + (tau - bias) / self._inertia * self.period_s)
+        self.q = self.q + self.v * self.period_s
+        self._tick += 1
+
+    def after_tick(self, tick: int) -> None:
+        """Nothing to wait for."""
+
+    def close(self) -> None:
+        """Power off, brakes on."""
+        self.v = np.zeros(self.n_joints)

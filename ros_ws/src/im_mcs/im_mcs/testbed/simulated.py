@@ -1,0 +1,66 @@
+"""Channel driver of the simulated testbed, over shared memory and semaphores."""
+
+import os
+
+from im_core import clock
+from im_core.testbed_link import TestbedLink
+from im_mcs.testbed.driver import Drive, Measured
+
+_POLL_S = 20e-6
+
+
+class SimulatedDriver:
+    """The servo's end of :class:`im_core.testbed_link.TestbedLink`.
+
+    Args:
+        instance: Which machine on this host.
+        timeout_s: How long :meth:`connect` waits for the testbed, wall time [s].
+    """
+
+    n_grippers = 2
+
+    def __init__(self, instance: str, timeout_s: float) -> None:
+        self._link = TestbedLink.attach(instance, timeout_s)
+        self.n_joints = self._link.n_joints
+        self.period_s = self._link.period_s
+        self.wall_period_s = self._link.wall_period_s
+
+    def connect(self) -> None:
+        """Take part in the handshake.
+
+        Raises:
+            LinkError: Another servo does.
+        """
+        self._link.attach_servo(os.getpid())
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for a tick to begin.
+
+        Raises:
+            LinkError: The physics process is gone.
+        """
+        return self._link.wait_state(timeout_s)
+
+    def read(self) -> Measured:
+        """Encoder readings, power, brakes and grippers of the newest tick."""
+        s = self._link.read_state()
+        return Measured(s.tick, s.stamp_ns, s.q, s.power, s.brakes, s.gripper)
+
+    def write(self, drive: Drive) -> None:
+        """Answer the tick.
+
+        Raises:
+            LinkError: The testbed has declared this servo gone.
+        """
+        self._link.write_command(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time)
+
+    def after_tick(self, tick: int) -> None:
+        """Wait until physics has completed ``tick``; it takes a fraction of a millisecond."""
+        deadline = clock.monotonic() + 0.1
+        while self._link.tick <= tick and clock.monotonic() < deadline:
+            clock.sleep(_POLL_S)
+
+    def close(self) -> None:
+        """Leave the handshake; the testbed brakes by itself."""
+        self._link.detach_servo()
+        self._link.close()

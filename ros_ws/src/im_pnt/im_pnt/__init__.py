@@ -1,0 +1,1 @@
+"""Petri net transducers (paper, section 6): nets, their execution, their analysis, their drawing."""

@@ -1,0 +1,168 @@
+"""Two-phase firing and coordination structures made explicit (paper, section 6 and Figure 11).
+
+A transition with an action hides its tokens while the action runs. In the expanded net they are seen: ``t.start`` takes
+the inputs and marks ``t.active``; ``t.end`` or ``t.failed`` takes that token and gives the outputs or the ``on_failure``
+places. A P-invariant of the expanded net therefore holds at every instant, whatever the action's outcome.
+
+A service ``s`` adds the places I.s, SI, O.s and SO of the paper's coordination structure: ``accept.s`` takes the request
+and the input semaphore SI, ``t_f.s`` gives SI back and marks O.s, ``return.s`` answers the caller and gives SO back.
+Where services share a ``done`` or ``failed`` place, ``serving.s`` tells whose end it is.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+from im_pnt.errors import NetError
+from im_pnt.net import Arcs, Net, Place, Role, Service, Transition
+
+INPUT_SEMAPHORE = "SI"
+OUTPUT_SEMAPHORE = "SO"
+
+
+def active_place(transition: str) -> str:
+    """Returns the name of the place that is marked while the action of a transition runs."""
+    return f"{transition}.active"
+
+
+def input_place(service: str) -> str:
+    """Returns the name of place I of a service."""
+    return f"I.{service}"
+
+
+def output_place(service: str) -> str:
+    """Returns the name of place O of a service."""
+    return f"O.{service}"
+
+
+def expand(net: Net) -> Net:
+    """Makes the phases of timed transitions and the coordination structures explicit.
+
+    Args:
+        net: A net as written.
+
+    Returns:
+        The expanded net; an expanded net is returned as it is.
+
+    Raises:
+        NetError: A transition with an action has neither ``on_failure`` nor a place to escalate to.
+    """
+    if any(transition.role is not Role.PLAIN for transition in net.transitions.values()):
+        return net
+    places = dict(net.places)
+    transitions: dict[str, Transition] = {}
+    for transition in net.transitions.values():
+        for part in _phases(net, transition):
+            transitions[part.name] = part
+        if transition.action is not None:
+            active = active_place(transition.name)
+            places[active] = Place(active)
+    for place in net.places.values():
+        if place.on_invalid:
+            withdrawn = _withdrawn(place)
+            transitions[withdrawn.name] = withdrawn
+    if net.services:
+        places[INPUT_SEMAPHORE] = Place(INPUT_SEMAPHORE, tokens=1)
+        places[OUTPUT_SEMAPHORE] = Place(OUTPUT_SEMAPHORE, tokens=1)
+    ends = Counter(end for service in net.services.values() for end in {service.done, service.failed})
+    for service in net.services.values():
+        serving: dict[str, int] = {}
+        if ends[service.done] > 1 or ends[service.failed] > 1:
+            serving = {f"serving.{service.name}": 1}
+        places[input_place(service.name)] = Place(input_place(service.name), remote=True)
+        places[output_place(service.name)] = Place(output_place(service.name))
+        places.update((name, Place(name)) for name in serving)
+        for part in _coordination(service, serving):
+            transitions[part.name] = part
+    rest = net.rest
+    if rest is not None and net.services:
+        rest = (*rest, INPUT_SEMAPHORE, OUTPUT_SEMAPHORE)
+    return replace(net, places=places, transitions=transitions, rest=rest)
+
+
+def failure_arcs(net: Net, transition: Transition) -> Arcs:
+    """Returns where the tokens of a failed action go.
+
+    Raises:
+        NetError: Nothing says where.
+    """
+    if transition.on_failure:
+        return transition.on_failure
+    if net.escalate is not None:
+        return {net.escalate: 1}
+    raise NetError(
+        f"transition {transition.name} of net {net.name} has an action but no on_failure places, "
+        "and the net has no escalate place",
+        net=net.name,
+        transition=transition.name,
+    )
+
+
+def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
+    if transition.action is None:
+        yield replace(transition, origin=transition.name)
+        return
+    name, active = transition.name, {active_place(transition.name): 1}
+    yield replace(
+        transition,
+        name=f"{name}.start",
+        outputs=active,
+        remote_outputs={},
+        emit=(),
+        on_failure={},
+        role=Role.START,
+        origin=name,
+    )
+    yield Transition(
+        name=f"{name}.end",
+        inputs=active,
+        outputs=transition.outputs,
+        remote_outputs=transition.remote_outputs,
+        emit=transition.emit,
+        role=Role.END,
+        origin=name,
+        line=transition.line,
+    )
+    yield Transition(
+        name=f"{name}.failed",
+        inputs=active,
+        outputs=failure_arcs(net, transition),
+        role=Role.FAILED,
+        origin=name,
+        line=transition.line,
+    )
+
+
+def _withdrawn(place: Place) -> Transition:
+    outputs: dict[str, int] = {}
+    for name in place.on_invalid:
+        outputs[name] = outputs.get(name, 0) + 1
+    return Transition(
+        name=f"{place.name}.withdrawn",
+        inputs={place.name: 1},
+        outputs=outputs,
+        role=Role.WITHDRAWN,
+        origin=place.name,
+    )
+
+
+def _coordination(service: Service, serving: Arcs) -> Iterator[Transition]:
+    request, reply, name = input_place(service.name), output_place(service.name), service.name
+    yield Transition(
+        name=f"accept.{name}",
+        inputs={request: 1, INPUT_SEMAPHORE: 1},
+        outputs={service.entry: 1, **serving},
+        role=Role.ACCEPT,
+        origin=name,
+    )
+    for suffix, place, role in (("", service.done, Role.FINISH), (".failed", service.failed, Role.FINISH_FAILED)):
+        yield Transition(
+            name=f"t_f.{name}{suffix}",
+            inputs={place: 1, OUTPUT_SEMAPHORE: 1, **serving},
+            outputs={INPUT_SEMAPHORE: 1, reply: 1},
+            role=role,
+            origin=name,
+        )
+    yield Transition(
+        name=f"return.{name}", inputs={reply: 1}, outputs={OUTPUT_SEMAPHORE: 1}, role=Role.RETURN, origin=name
+    )

@@ -1,0 +1,245 @@
+"""Places, transitions and what hangs on them: the net as its author wrote it.
+
+The terms are those of Murata, "Petri Nets: Properties, Analysis and Applications" (Proc. IEEE 77(4), 1989), and of the
+paper, section 6: tapes, enabling functions, actions, remote places, coordination structures.
+"""
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+Arcs = Mapping[str, int]
+"""Place name to arc weight (>= 1)."""
+
+Marking = Mapping[str, int]
+"""Place name to number of tokens; a place that is not named holds none."""
+
+
+class RemotePlace(NamedTuple):
+    """A place of another net, perhaps in another process (paper, Figure 9)."""
+
+    net: str
+    place: str
+
+    def __str__(self) -> str:
+        return f"{self.net}.{self.place}"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place.
+
+    Attributes:
+        name: Name, unique in the net.
+        tokens: Tokens of the initial marking.
+        capacity: Bound that verification proves; a net that can exceed it is refused. None: no bound stated.
+        data_object: Data object whose existence and validity the place stands for.
+        on_invalid: Places to which its tokens go when the object loses its validity.
+        remote: Whether transitions of other nets may mark it.
+    """
+
+    name: str
+    tokens: int = 0
+    capacity: int | None = None
+    data_object: str | None = None
+    on_invalid: tuple[str, ...] = ()
+    remote: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """An enabling function by its registered name, or its negation."""
+
+    name: str
+    negated: bool = False
+
+    def __str__(self) -> str:
+        return f"not {self.name}" if self.negated else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionAction:
+    """Calls a registered function."""
+
+    function: str
+
+    def __str__(self) -> str:
+        return f"function {self.function}"
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceAction:
+    """Calls a service; ``build`` makes further request fields, ``handle`` reads the response."""
+
+    name: str
+    type: str
+    fields: Mapping[str, object] = field(default_factory=dict)
+    build: str | None = None
+    handle: str | None = None
+
+    def __str__(self) -> str:
+        return f"service {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class GoalAction:
+    """Sends an action goal; ``build`` makes further goal fields, ``handle`` reads the result."""
+
+    name: str
+    type: str
+    fields: Mapping[str, object] = field(default_factory=dict)
+    build: str | None = None
+    handle: str | None = None
+
+    def __str__(self) -> str:
+        return f"goal {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class RequestAction:
+    """Asks another net for one of its services through its coordination structure (paper, Figure 11)."""
+
+    net: str
+    service: str
+    fields: Mapping[str, object] = field(default_factory=dict)
+    build: str | None = None
+
+    def __str__(self) -> str:
+        return f"request {self.net}.{self.service}"
+
+
+Action = FunctionAction | ServiceAction | GoalAction | RequestAction
+
+
+class Role(enum.Enum):
+    """What a transition of an expanded net is."""
+
+    PLAIN = "plain"
+    START = "start"
+    END = "end"
+    FAILED = "failed"
+    ACCEPT = "accept"
+    FINISH = "finish"
+    FINISH_FAILED = "finish_failed"
+    RETURN = "return"
+    WITHDRAWN = "withdrawn"
+    ENVIRONMENT = "environment"
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """A transition.
+
+    Attributes:
+        name: Name, unique in the net.
+        inputs: Tokens it takes.
+        outputs: Tokens it gives when its action has confirmed.
+        remote_outputs: Tokens it gives to places of other nets.
+        inhibitors: It is disabled while the place holds that many tokens or more.
+        guard: Enabling function.
+        symbol: Symbol it needs from the input tape.
+        emit: Symbols it writes to the output tape when it ends.
+        action: What is done between taking and giving.
+        on_failure: Tokens it gives instead when the action fails.
+        timeout: Wall time the action may take [s]; None: the runner's own limit, if any.
+        priority: Larger goes first among contending transitions.
+        role: What it is in an expanded net.
+        origin: Transition, service or place it was expanded from; its own name otherwise.
+        line: Line of the file, 0 where it was made by a program.
+    """
+
+    name: str
+    inputs: Arcs = field(default_factory=dict)
+    outputs: Arcs = field(default_factory=dict)
+    remote_outputs: Mapping[RemotePlace, int] = field(default_factory=dict)
+    inhibitors: Arcs = field(default_factory=dict)
+    guard: Guard | None = None
+    symbol: str | None = None
+    emit: tuple[str, ...] = ()
+    action: Action | None = None
+    on_failure: Arcs = field(default_factory=dict)
+    timeout: float | None = None
+    priority: int = 0
+    role: Role = Role.PLAIN
+    origin: str = ""
+    line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """A service that a net offers through a coordination structure.
+
+    Attributes:
+        name: Name by which callers ask for it.
+        entry: Place marked when a request is accepted.
+        done: Place that means success.
+        failed: Place that means failure.
+    """
+
+    name: str
+    entry: str
+    done: str
+    failed: str
+
+
+@dataclass(frozen=True, slots=True)
+class Net:
+    """A net; as written, or as :func:`im_pnt.expand.expand` made it.
+
+    Attributes:
+        name: Name by which other nets refer to it.
+        places: Places by name, in the author's order.
+        transitions: Transitions by name, in the author's order.
+        services: Services it offers.
+        escalate: Place for failures of transitions without ``on_failure``.
+        rest: Places that may hold tokens while the net waits for a symbol or a request; None: those marked initially.
+        description: One line for people.
+        source: File it came from.
+    """
+
+    name: str
+    places: Mapping[str, Place]
+    transitions: Mapping[str, Transition]
+    services: Mapping[str, Service] = field(default_factory=dict)
+    escalate: str | None = None
+    rest: tuple[str, ...] | None = None
+    description: str = ""
+    source: str = ""
+
+    def initial_marking(self) -> dict[str, int]:
+        """Returns the tokens of the marked places."""
+        return {place.name: place.tokens for place in self.places.values() if place.tokens}
+
+    def rest_places(self) -> frozenset[str]:
+        """Returns the places that may hold tokens while the net is at rest."""
+        if self.rest is not None:
+            return frozenset(self.rest)
+        return frozenset(place.name for place in self.places.values() if place.tokens)
+
+    def symbols(self) -> tuple[str, ...]:
+        """Returns the symbols that the net reads from its input tape, in order of first use."""
+        return tuple(dict.fromkeys(t.symbol for t in self.transitions.values() if t.symbol))
+
+    def guards(self) -> frozenset[str]:
+        """Returns the names of the enabling functions used."""
+        return frozenset(t.guard.name for t in self.transitions.values() if t.guard)
+
+    def functions(self) -> frozenset[str]:
+        """Returns the names of the registered functions that its actions call, builders and handlers included."""
+        names: set[str] = set()
+        for transition in self.transitions.values():
+            match transition.action:
+                case FunctionAction(function):
+                    names.add(function)
+                case ServiceAction(build=build, handle=handle) | GoalAction(build=build, handle=handle):
+                    names.update(name for name in (build, handle) if name)
+                case RequestAction(build=build) if build:
+                    names.add(build)
+        return frozenset(names)
+
+    def partners(self) -> frozenset[str]:
+        """Returns the other nets it sends tokens or requests to."""
+        nets = {remote.net for t in self.transitions.values() for remote in t.remote_outputs}
+        nets.update(t.action.net for t in self.transitions.values() if isinstance(t.action, RequestAction))
+        return frozenset(nets)

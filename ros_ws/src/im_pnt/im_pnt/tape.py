@@ -1,0 +1,50 @@
+"""Tapes (paper, section 6): the input tape gives commands to a net, the output tape acknowledges them."""
+
+from collections import deque
+
+from im_pnt.jobs import Job
+
+DONE_SUFFIX = "_done"
+FAILED_SUFFIX = "_failed"
+
+
+class InputTape:
+    """Symbols that wait to be read, with the commands they stand for; a transition reads the oldest of its symbol."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, deque[Job]] = {}
+
+    def write(self, job: Job) -> None:
+        """Puts a command at the end."""
+        self._waiting.setdefault(job.command.symbol, deque()).append(job)
+
+    def has(self, symbol: str) -> bool:
+        """Whether a symbol is on the tape."""
+        return bool(self._waiting.get(symbol))
+
+    def read(self, symbol: str) -> Job:
+        """Takes the oldest command of a symbol from the tape.
+
+        Raises:
+            LookupError: The symbol is not there.
+        """
+        return self._waiting[symbol].popleft()
+
+    def withdraw(self, command_id: int) -> list[Job]:
+        """Takes the commands with a number from the tape, wherever they are."""
+        taken: list[Job] = []
+        for symbol, jobs in self._waiting.items():
+            taken.extend(job for job in jobs if job.command.id == command_id)
+            self._waiting[symbol] = deque(job for job in jobs if job.command.id != command_id)
+        return taken
+
+    def waiting(self) -> list[Job]:
+        """Returns the commands on the tape, symbol by symbol."""
+        return [job for jobs in self._waiting.values() for job in jobs]
+
+
+def ends(emitted: str, symbol: str) -> bool | None:
+    """Whether an output symbol says that a command is done (True), failed (False), or neither (None)."""
+    if emitted == symbol + DONE_SUFFIX:
+        return True
+    return False if emitted == symbol + FAILED_SUFFIX else None

@@ -1,0 +1,46 @@
+"""Exposures: what a shutter sees between two ticks."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.testbed_link import ExposureRequest, TestbedLink
+
+
+class Exposures:
+    """Serves one exposure request after the other; a new request replaces one whose client is gone.
+
+    Args:
+        link: Where requests come from and results go to.
+    """
+
+    def __init__(self, link: TestbedLink) -> None:
+        self._link = link
+        self._request: ExposureRequest | None = None
+        self._start = 0
+        self._q_sum = np.zeros(link.n_joints)
+        self._light_sum = np.zeros(len(link.light_names))
+        self._lights = np.zeros(len(link.light_names))
+
+    def begin_tick(self, tick: int) -> None:
+        """Open the shutter if somebody asked for it."""
+        self._lights[:] = self._link.lights()
+        request = self._link.pending_exposure()
+        if request is None or (self._request is not None and request.request == self._request.request):
+            return
+        self._request, self._start = request, tick
+        self._q_sum[:] = 0.0
+        self._light_sum[:] = 0.0
+
+    def end_tick(self, tick: int, q_before: NDArray[np.float64], q_after: NDArray[np.float64]) -> None:
+        """Account for the tick that led to ``tick``; joint positions before and after it, shape (n,) [rad or m]."""
+        request = self._request
+        if request is None:
+            return
+        self._q_sum += 0.5 * (q_before + q_after)
+        if not request.blank_light:
+            self._light_sum += self._lights
+        if tick - self._start >= request.ticks:
+            self._link.finish_exposure(
+                request, self._start, tick, self._q_sum / request.ticks, self._light_sum / request.ticks
+            )
+            self._request = None

@@ -1,0 +1,68 @@
+"""The tick loop of the physics process."""
+
+from im_core import clock
+from im_core.testbed_link import TestbedLink
+from im_sim.exposures import Exposures
+from im_sim.plant import Plant
+
+SERVO_TIMEOUT_S = 0.5
+_DEMAND_WAIT_S = 0.2
+_LATE_PERIODS = 10
+
+
+class TickLoop:
+    """Joins plant and link, tick by tick, at the pace of the link's protocol.
+
+    Args:
+        plant: What is simulated.
+        link: Created, not yet published; the first state opens it.
+    """
+
+    def __init__(self, plant: Plant, link: TestbedLink) -> None:
+        self._plant = plant
+        self._link = link
+        self._exposures = Exposures(link)
+        self._tick = 0
+        self._deadline = clock.monotonic()
+        self._stopped = False
+        self._publish()
+
+    def stop(self) -> None:
+        """End :meth:`run` soon; safe in a signal handler."""
+        self._stopped = True
+
+    def run(self) -> None:
+        """Run until :meth:`stop`."""
+        while not self._stopped:
+            if self._link.factor == 0.0:
+                if not self._link.await_demand(_DEMAND_WAIT_S):
+                    continue
+            elif not self._link.servo_attached():
+                self._pace()
+            self.run_tick()
+
+    def run_tick(self) -> None:
+        """One tick: the servo's command for the present state, a step of the plant, the next state."""
+        plant = self._plant
+        self._exposures.begin_tick(self._tick)
+        command = self._link.await_command(SERVO_TIMEOUT_S)
+        before = plant.q
+        plant.run_tick(command)
+        self._tick += 1
+        self._publish()
+        self._exposures.end_tick(self._tick, before, plant.q)
+
+    def _pace(self) -> None:
+        """Sleep until the next tick is due; after a pause of the clock, start counting anew."""
+        period = self._link.wall_period_s
+        self._deadline += period
+        now = clock.monotonic()
+        if now - self._deadline > _LATE_PERIODS * period:
+            self._deadline = now
+        clock.sleep_until(self._deadline)
+
+    def _publish(self) -> None:
+        plant = self._plant
+        self._link.publish_state(
+            self._tick, plant.encoders(self._tick), plant.power, plant.brakes, plant.gripper, plant.q, plant.v
+        )

@@ -1,0 +1,70 @@
+"""The physics process: ``python -m im_sim.physics --instance NAME --factor 1.0 --seed 0 [--config cell.yaml]``."""
+
+import argparse
+import gc
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from im_core.errors import ImError
+from im_core.robot import load_cell
+from im_core.testbed_link import TestbedLink
+from im_sim.loop import TickLoop
+from im_sim.plant import Plant
+
+FIFO_PRIORITY = 70  # below the servo, which it must not delay
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Simulate until SIGTERM or SIGINT.
+
+    Returns:
+        Exit code: 0 after an orderly end, 1 after an error, whose sentence is the last line written.
+    """
+    parser = argparse.ArgumentParser(prog="im_sim.physics", description="Physics of the simulated testbed.")
+    parser.add_argument("--instance", required=True, help="name of the machine on this host")
+    parser.add_argument("--config", type=Path, help="parameters of the cell (default: the shipped ones)")
+    parser.add_argument("--factor", type=float, default=1.0, help="clock factor; 0: as fast as time is asked for")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the encoder noise")
+    options = parser.parse_args(arguments)
+    try:
+        simulate(options.instance, options.config, options.factor, options.seed)
+    except ImError as error:
+        print(error.message, file=sys.stderr)
+        return 1
+    return 0
+
+
+def simulate(instance: str, config: Path | None, factor: float, seed: int) -> None:
+    """Create the link and run the tick loop until a signal ends it.
+
+    Raises:
+        ConfigError: The cell's parameters are wrong.
+        LinkError: Another testbed of that instance runs.
+    """
+    cell = load_cell(config)
+    n_joints = len(cell.joints)
+    with TestbedLink.create(instance, n_joints, cell.period, factor, seed, cell.light_names) as link:
+        plant = Plant(cell, seed)
+        loop = TickLoop(plant, link)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: loop.stop())
+        if factor > 0.0:
+            _ask_for_real_time()
+        gc.collect()
+        gc.freeze()
+        loop.run()
+        plant.close()
+
+
+def _ask_for_real_time() -> None:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
+    except PermissionError:
+        print("SCHED_FIFO is not permitted; the physics runs at normal priority", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""Draws what the simulated cell is really like: cameras and lights off their nominal values."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from im_core.robot import Camera, Cell
+from im_core.robot.parameters import Vector
+from im_core.robot.truth import CameraTruth, CellTruth, LedTruth, Matrix
+
+FOCAL_SPREAD = 0.02
+ASPECT_SPREAD = 0.001
+PRINCIPAL_POINT_SPREAD_PX = 8.0
+POSITION_SPREAD_M = 0.03
+ANGLE_SPREAD_RAD = np.deg2rad(2.0)
+LED_OFFSET_SD_M = 0.003
+RADIAL_MEAN, RADIAL_SD = (-0.22, 0.04), (0.01, 0.004)
+TANGENTIAL_SD = 7e-4
+
+
+def draw_truth(cell: Cell, seed: int) -> CellTruth:
+    """The true cell of a seed.
+
+    Focal lengths, principal points and poses are uniform within their spreads, distortion and light offsets normal.
+    Every camera and light has a random stream of its own, so that adding one changes no other.
+    """
+    cameras = {name: _camera(camera, _stream(seed, f"camera {name}")) for name, camera in cell.cameras.items()}
+    leds = {}
+    for name in cell.light_names:
+        offset = np.array(cell.led.offset) + _stream(seed, f"light {name}").normal(0.0, LED_OFFSET_SD_M, 3)
+        leds[name] = LedTruth(offset_m=_vector(offset), axis=cell.led.axis, diameter_m=cell.led.diameter)
+    return CellTruth(seed=seed, cameras=cameras, leds=leds)
+
+
+def _camera(camera: Camera, rng: np.random.Generator) -> CameraTruth:
+    lens = camera.intrinsics
+    scale = 1.0 + rng.uniform(-FOCAL_SPREAD, FOCAL_SPREAD)
+    fx = lens.fx * scale
+    fy = lens.fy * scale * (1.0 + rng.uniform(-ASPECT_SPREAD, ASPECT_SPREAD))
+    cx, cy = np.array([lens.cx, lens.cy]) + rng.uniform(-PRINCIPAL_POINT_SPREAD_PX, PRINCIPAL_POINT_SPREAD_PX, 2)
+    k1, k2 = rng.normal(RADIAL_MEAN, RADIAL_SD)
+    p1, p2 = rng.normal(0.0, TANGENTIAL_SD, 2)
+    rotation, translation = camera.pose()
+    position = -rotation.T @ translation + rng.uniform(-POSITION_SPREAD_M, POSITION_SPREAD_M, 3)
+    rotation = Rotation.from_rotvec(rng.uniform(-ANGLE_SPREAD_RAD, ANGLE_SPREAD_RAD, 3)).as_matrix() @ rotation
+    return CameraTruth(
+        parent=camera.parent,
+        width=lens.width,
+        height=lens.height,
+        K=_matrix(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])),
+        D=(float(k1), float(k2), float(p1), float(p2), 0.0),
+        R_cam_base=_matrix(rotation),
+        t_cam_base_m=_vector(-rotation @ position),
+    )
+
+
+def _stream(seed: int, name: str) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence([seed & 0xFFFFFFFFFFFFFFFF, *name.encode()])))
+
+
+def _vector(values: NDArray[np.float64]) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _matrix(values: NDArray[np.float64]) -> Matrix:
+    first, second, third = (_vector(row) for row in values)
+    return first, second, third

@@ -1,0 +1,110 @@
+"""The pybullet world: the cell's links as one multibody, floor and table as obstacles."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+
+from im_core.errors import DataError
+from im_core.robot import Cell, urdf
+
+
+class World:
+    """A pybullet client (DIRECT) with the cell in it, driven by joint torques.
+
+    Args:
+        cell: Links, joints, obstacles.
+        dt: Length of a step [s].
+    """
+
+    def __init__(self, cell: Cell, dt: float) -> None:
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self._options = {"physicsClientId": self.client}
+        pybullet.setGravity(0.0, 0.0, -cell.gravity, **self._options)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=dt, numSubSteps=0, deterministicOverlappingPairs=1, **self._options
+        )
+        for box in cell.obstacles:
+            half = [edge / 2.0 for edge in box.size]
+            shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, **self._options)
+            pybullet.createMultiBody(0.0, shape, basePosition=box.center, **self._options)
+        self.body = self._load(urdf(cell, frames=False))
+        self._joints = self._moving_joints(cell)
+        self._make_exact(cell)
+        self.reset(cell.home, np.zeros(len(self._joints)))
+
+    def reset(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
+        """Set positions and velocities, shape (n,) each [rad or m, by s]."""
+        for joint, position, velocity in zip(self._joints, q, v, strict=True):
+            pybullet.resetJointState(self.body, joint, position, velocity, **self._options)
+
+    def state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions and velocities, shape (n,) each [rad or m, by s]."""
+        states = pybullet.getJointStates(self.body, self._joints, **self._options)
+        return np.array([state[0] for state in states]), np.array([state[1] for state in states])
+
+    def step(self, tau: NDArray[np.float64]) -> None:
+        """One step under joint torques, shape (n,) [Nm or N]."""
+        pybullet.setJointMotorControlArray(
+            self.body, self._joints, pybullet.TORQUE_CONTROL, forces=tau.tolist(), **self._options
+        )
+        pybullet.stepSimulation(**self._options)
+
+    def inverse_dynamics(
+        self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Torques that pybullet finds for a motion, shape (n,) [Nm or N]."""
+        return np.array(
+            pybullet.calculateInverseDynamics(self.body, q.tolist(), v.tolist(), a.tolist(), **self._options)
+        )
+
+    def close(self) -> None:
+        """Disconnect."""
+        pybullet.disconnect(**self._options)
+
+    def _load(self, text: str) -> int:
+        """Load a URDF; pybullet reads files only."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "testbed.urdf"
+            path.write_text(text, encoding="utf-8")
+            body: int = pybullet.loadURDF(
+                str(path), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE, **self._options
+            )
+        return body
+
+    def _moving_joints(self, cell: Cell) -> list[int]:
+        count = pybullet.getNumJoints(self.body, **self._options)
+        infos = [pybullet.getJointInfo(self.body, joint, **self._options) for joint in range(count)]
+        indices = {info[1].decode(): info[0] for info in infos}
+        missing = [name for name in cell.joint_names if name not in indices]
+        if missing or count != len(cell.joints):
+            raise DataError(f"pybullet read {count} joints from the URDF of {len(cell.joints)}, without {missing}")
+        return [indices[name] for name in cell.joint_names]
+
+    def _make_exact(self, cell: Cell) -> None:
+        """Undo what pybullet adds to a URDF or takes from it.
+
+        Motors that hold velocity zero, damping, and a limit on speed are switched off. pybullet sets inertias that
+        violate the triangle inequality, as that published for link 3, to zero: all are set again.
+        """
+        n = len(self._joints)
+        pybullet.setJointMotorControlArray(
+            self.body, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * n, **self._options
+        )
+        for joint, link in zip(self._joints, cell.links, strict=True):
+            pybullet.changeDynamics(
+                self.body,
+                joint,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                lateralFriction=0.5,
+                restitution=0.0,
+                maxJointVelocity=1e3,
+                **self._options,
+            )
+            # In a call of its own: beside other changes pybullet ignores it.
+            pybullet.changeDynamics(self.body, joint, localInertiaDiagonal=link.inertia, **self._options)
+        pybullet.changeDynamics(self.body, -1, linearDamping=0.0, angularDamping=0.0, **self._options)

@@ -1,0 +1,1 @@
+"""The Vision Services System (paper, section 5)."""

@@ -1,0 +1,16 @@
+"""Camera calibration: where cameras are and how they image, from a wrist LED moved by the robot. No ROS in here."""
+
+from im_vss.calibration.calibration import Calibration, CameraEstimate, Rejection, Verdict
+from im_vss.calibration.errors import DegenerateDataError
+from im_vss.calibration.pipeline import calibrate
+from im_vss.calibration.problem import CalibrationProblem
+
+__all__ = [
+    "Calibration",
+    "CalibrationProblem",
+    "CameraEstimate",
+    "DegenerateDataError",
+    "Rejection",
+    "Verdict",
+    "calibrate",
+]

@@ -1,0 +1,144 @@
+"""What a calibration ends with: the cameras, how well they are known, and whether to trust them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.camera_model import CameraModel
+from im_vss.calibration.expected import ExpectedError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A reason not to trust a calibration.
+
+    Attributes:
+        kind: ``UNOBSERVABLE`` (the data cannot determine some parameters) or ``MISFIT`` (the stated noise cannot explain
+            the residuals).
+        parameters: The parameters concerned.
+        reason: What is wrong, a sentence.
+        advice: What to do about it, a sentence.
+    """
+
+    kind: str
+    parameters: tuple[str, ...]
+    reason: str
+    advice: str
+
+    def __str__(self) -> str:
+        """The verdict as text."""
+        return f"{self.kind}: {self.reason} {self.advice}"
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """An observation that was left out.
+
+    Attributes:
+        pose: Name of the pose.
+        camera: Name of the camera; empty: the whole pose.
+        reason: Why, a sentence.
+        sigmas: Mahalanobis distance from the prediction.
+    """
+
+    pose: str
+    camera: str
+    reason: str
+    sigmas: float
+
+
+@dataclass(frozen=True)
+class CameraEstimate:
+    """One calibrated camera.
+
+    Attributes:
+        name: Name of the camera.
+        model: Intrinsics, lens and pose.
+        covariance: Covariance of :data:`im_vss.calibration.unknowns.CAMERA_PARAMETERS`, shape (14, 14).
+        spots_used: Number of spots that count.
+        rms_px: RMS length of their residuals [px].
+    """
+
+    name: str
+    model: CameraModel
+    covariance: Array
+    spots_used: int
+    rms_px: float
+
+    @property
+    def standard_deviations(self) -> Array:
+        """Standard deviations of the 14 parameters, shape (14,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Joint estimate of all cameras; arrays are in the order of the problem.
+
+    Attributes:
+        cameras: The c cameras.
+        led_offset_error: Estimated error of the nominal LED offset, wrist frame, shape (3,) [m].
+        joint_offsets: Estimated constant joint offsets, shape (k,) [rad].
+        parameter_names: Name of each unknown.
+        covariance: Covariance of all unknowns, shape (size, size).
+        chi2: Squared Mahalanobis length of the residuals of the used spots and of the priors.
+        dof: Degrees of freedom of `chi2`.
+        p_value: Probability of a `chi2` this large or larger if the model and the noise are as stated.
+        used: Which spots count, shape (c, n).
+        residuals: Measured minus predicted spots, NaN where not seen, shape (c, n, 2) [px].
+        residual_covariances: Their covariances by image and position noise, shape (c, n, 2, 2) [px^2].
+        led_positions: LED positions by the robot, offsets corrected, shape (n, 3) [m].
+        rejections: What was left out, and why.
+        verdicts: Reasons not to trust the result; empty for a good one.
+        expected: Errors to expect in the workspace.
+    """
+
+    cameras: tuple[CameraEstimate, ...]
+    led_offset_error: Array
+    joint_offsets: Array
+    parameter_names: tuple[str, ...]
+    covariance: Array
+    chi2: float
+    dof: int
+    p_value: float
+    used: Mask
+    residuals: Array
+    residual_covariances: Array
+    led_positions: Array
+    rejections: tuple[Rejection, ...]
+    verdicts: tuple[Verdict, ...]
+    expected: ExpectedError
+
+    @property
+    def success(self) -> bool:
+        """Whether nothing speaks against using the result."""
+        return not self.verdicts
+
+    @property
+    def points_used(self) -> int:
+        """Number of poses of which at least one spot counts."""
+        return int(self.used.any(axis=0).sum())
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """Reduced chi-square; 1 on average for a correct model, NaN without redundancy."""
+        return self.chi2 / self.dof if self.dof > 0 else float("nan")
+
+    @property
+    def standard_deviations(self) -> Array:
+        """Standard deviation of each unknown, shape (size,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def message(self) -> str:
+        """The outcome in a sentence or two."""
+        if self.verdicts:
+            return " ".join(str(verdict) for verdict in self.verdicts)
+        names = ", ".join(camera.name for camera in self.cameras)
+        text = f"Calibrated {names} from {self.points_used} poses; expect {self.expected.reprojection_rms_px:.3f} px"
+        triangulation = self.expected.triangulation_rms_mm
+        return f"{text} and {triangulation:.2f} mm RMS in the workspace." if triangulation == triangulation else f"{text} RMS."

@@ -1,0 +1,137 @@
+"""Chi-square gates: which spots the noise can explain, judged without their own influence on the estimate."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
+
+from im_vss.calibration.agreement import FALSE_ALARM, Agreement, Prediction
+from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.residuals import camera_blocks, linearise, projectable
+from im_vss.calibration.solve import Fit, maximise_likelihood, spot_distances
+from im_vss.calibration.unknowns import Layout
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TRUSTED_SHARE = 0.6
+"""Least share of the spots that has to agree; less is not a matter of outliers."""
+
+_ROUNDS = 20
+_RIDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class Gated:
+    """A fit to the spots that passed.
+
+    Attributes:
+        fit: The maximum-likelihood fit to `used`.
+        used: Spots that passed, shape (c, n).
+        distances: Squared Mahalanobis length of each spot's own prediction error, NaN where not seen, shape (c, n).
+        scale: Factor on the noise variance by which the gates had to be widened; 1 for data as good as they say.
+    """
+
+    fit: Fit
+    used: Mask
+    distances: Array
+    scale: float
+
+
+def fit_with_gates(first: Fit, problem: CalibrationProblem, layout: Layout) -> Gated:
+    """Alternate between gates and maximum likelihood until the set of spots no longer changes.
+
+    Where gates at the stated noise would leave out more than outliers explain, the noise is larger than stated (or the model
+    is wrong): the gates then widen with the scatter of the typical pose, so that the misfit is seen and not sorted away.
+
+    Args:
+        first: A robust fit.
+        problem: The observations.
+        layout: Places of the unknowns.
+    """
+    gated = _iterate(first, problem, layout, widen=False)
+    if gated.used.sum() >= TRUSTED_SHARE * problem.detected.sum():
+        return gated
+    return _iterate(first, problem, layout, widen=True)
+
+
+def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Layout, used: Mask) -> Prediction:
+    """Predict the spots of each pose from all other poses.
+
+    Leaving a pose out takes its share from the information; the parameters then have covariance P', move by
+    ``-P' J^T S^-1 r``, and the pose's spots deviate with covariance ``S + J P' J^T``. A spot may thus return once what
+    spoiled the estimate is gone. Source: Cook and Weisberg, "Residuals and Influence in Regression" (1982), section 2.2.
+
+    Args:
+        fit: A fit to `used`.
+        problem: The observations.
+        layout: Places of the unknowns.
+        used: Which spots counted, shape (c, n).
+    """
+    line = linearise(fit.unknowns, problem, layout, problem.detected & projectable(fit.unknowns, problem))
+    rows = np.repeat(used.T, 2, axis=1)
+    jacobians = np.where(rows[..., None], line.jacobians, 0.0)
+    both = rows[:, :, None] & rows[:, None, :]
+    weights = np.linalg.inv(np.where(both, line.covariances, np.eye(rows.shape[1])))
+    weighted = np.swapaxes(jacobians, 1, 2) @ weights
+    diagonal = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
+    scaled = (fit.information - weighted @ jacobians) / diagonal[:, None] / diagonal[None, :]
+    without = np.linalg.inv(scaled + _RIDGE * np.eye(layout.size)) / diagonal[:, None] / diagonal[None, :]
+    spread = line.jacobians @ without
+    gradient = weighted @ np.where(rows, line.residuals, 0.0)[..., None]
+    errors = line.residuals + (spread @ gradient)[..., 0]
+    return Prediction(errors, line.covariances + spread @ np.swapaxes(line.jacobians, 1, 2), line.by_point)
+
+
+def _iterate(first: Fit, problem: CalibrationProblem, layout: Layout, *, widen: bool) -> Gated:
+    """Iterate to a stable set; should sets recur in a cycle, what two of them share is used."""
+    detected = problem.detected
+    fit, used, scale = first, _first_gate(first, problem, layout), 1.0
+    history: set[bytes] = set()
+    while True:
+        fit = maximise_likelihood(fit.unknowns, problem, layout, used)
+        prediction = predict_from_others(fit, problem, layout, used)
+        if widen:
+            scale = _noise_scale(prediction, used)
+        agreement = Agreement(prediction, detected, scale)
+        chosen = np.zeros_like(used)
+        for pose in np.flatnonzero(detected.any(axis=0)):
+            chosen[agreement.cameras(int(pose)), pose] = True
+        if np.array_equal(chosen, used) or len(history) >= _ROUNDS or not _enough(chosen, layout):
+            return Gated(fit, used, np.where(detected, _own_distances(prediction), np.nan), scale)
+        history.add(used.tobytes())
+        used = chosen & used if chosen.tobytes() in history else chosen
+
+
+def _noise_scale(prediction: Prediction, used: Mask) -> float:
+    """Noise variance over its stated value by the median pose; 1 unless clearly larger."""
+    poses = np.flatnonzero(used.any(axis=0))
+    ratios = []
+    for pose in poses:
+        cameras = np.flatnonzero(used[:, pose])
+        ratios.append(prediction.distance(int(pose), cameras) / chi2_distribution.median(2 * len(cameras)))
+    scale = float(np.median(ratios))
+    return scale if scale > 1.0 + 3.0 / np.sqrt(len(poses)) else 1.0
+
+
+def _first_gate(fit: Fit, problem: CalibrationProblem, layout: Layout) -> Mask:
+    """Generous gate on the robust fit: a spot by itself, widened by the scatter of the typical spot."""
+    seen = problem.detected & projectable(fit.unknowns, problem)
+    unknowns = replace(fit.unknowns, displacements=np.zeros_like(problem.positions))
+    distances = spot_distances(linearise(unknowns, problem, layout, seen))
+    typical = float(np.median(distances[seen])) / chi2_distribution.median(2)
+    gate = chi2_distribution.isf(FALSE_ALARM, 2) * max(1.0, typical)
+    chosen = np.asarray(seen & (distances <= gate))
+    return chosen if _enough(chosen, layout) else seen
+
+
+def _own_distances(prediction: Prediction) -> Array:
+    spots = np.swapaxes(prediction.errors.reshape(len(prediction.errors), -1, 2), 0, 1)
+    solved = np.linalg.solve(camera_blocks(prediction.covariances), spots[..., None])[..., 0]
+    return np.asarray((spots * solved).sum(axis=2))
+
+
+def _enough(chosen: Mask, layout: Layout) -> bool:
+    """Whether each camera keeps more coordinates than it has unknowns."""
+    return bool(chosen.sum(axis=1).min() >= 8) and 2 * int(chosen.sum()) > 14 * layout.cameras

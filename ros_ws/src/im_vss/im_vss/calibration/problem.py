@@ -1,0 +1,130 @@
+"""What a calibration starts from: where the LED was by the robot, and where the cameras saw it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import DataError
+from im_core.workspace import Workspace
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MINIMUM_SPOTS = 7
+"""Fewest spots of a camera: 14 unknowns need 14 image coordinates."""
+
+
+@dataclass(frozen=True)
+class CalibrationProblem:
+    """Observations of one wrist LED by one or more cameras over n poses of the arm.
+
+    The true LED position of pose i is ``positions[i] + wrist_rotations[i] @ e + joint_jacobians[i] @ dq + noise``, where
+    the noise has covariance ``position_covariances[i]``, is independent between poses and common to all cameras; `e`
+    and `dq` are constant unknowns with zero-mean priors.
+
+    Attributes:
+        camera_names: Names of the c cameras.
+        image_sizes: Width and height of each camera's image [px].
+        positions: LED positions by the robot's kinematics with the nominal LED offset, shape (n, 3) [m].
+        position_covariances: Covariances of `positions`, shape (n, 3, 3) [m^2].
+        wrist_rotations: Rotations wrist -> base, shape (n, 3, 3).
+        spots: Spot centres, NaN where a camera saw none, shape (c, n, 2) [px].
+        spot_covariances: Covariances of `spots`, ignored where there is no spot, shape (c, n, 2, 2) [px^2].
+        led_offset_prior_sd: Prior standard deviation of each axis of `e` [m]; 0: the nominal offset is exact.
+        led_offset_nominal: Nominal LED offset in the wrist frame, for the report only [m].
+        joint_offset_prior_sd: Prior standard deviation of each element of `dq` [rad]; 0: no joint offsets.
+        joint_jacobians: Derivatives of the positions by the joints, shape (n, 3, k) [m/rad]; None: no joint offsets.
+        pose_names: One label a pose; empty: "0", "1", ...
+        workspace: Where errors are predicted.
+    """
+
+    camera_names: tuple[str, ...]
+    image_sizes: tuple[tuple[int, int], ...]
+    positions: Array
+    position_covariances: Array
+    wrist_rotations: Array
+    spots: Array
+    spot_covariances: Array
+    led_offset_prior_sd: float = 0.0
+    led_offset_nominal: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    joint_offset_prior_sd: float = 0.0
+    joint_jacobians: Array | None = None
+    pose_names: tuple[str, ...] = ()
+    workspace: Workspace = field(default_factory=Workspace)
+
+    def __post_init__(self) -> None:
+        """Check shapes and values.
+
+        Raises:
+            DataError: An array has the wrong shape or a value that cannot be; the message names it.
+        """
+        c, n = len(self.camera_names), len(self.positions)
+        if c == 0:
+            raise DataError("A calibration needs at least one camera, none is given.")
+        if len(set(self.camera_names)) != c:
+            raise DataError(f"Each camera may be given once, got {', '.join(self.camera_names)}.")
+        if len(self.image_sizes) != c or any(side < 1 for size in self.image_sizes for side in size):
+            raise DataError(f"Image sizes are {self.image_sizes}, {c} pairs of positive numbers are needed.")
+        shapes = {
+            "positions": (n, 3),
+            "position_covariances": (n, 3, 3),
+            "wrist_rotations": (n, 3, 3),
+            "spots": (c, n, 2),
+            "spot_covariances": (c, n, 2, 2),
+        }
+        if self.joint_jacobians is not None:
+            shapes["joint_jacobians"] = (n, 3, np.shape(self.joint_jacobians)[-1])
+        for name, shape in shapes.items():
+            value = np.array(getattr(self, name), dtype=float)
+            if value.shape != shape:
+                raise DataError(f"{name} has shape {value.shape}, it must be {shape}.", array=name)
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        if not self.pose_names:
+            object.__setattr__(self, "pose_names", tuple(str(i) for i in range(n)))
+        if len(self.pose_names) != n:
+            raise DataError(f"There are {len(self.pose_names)} pose names for {n} poses.")
+        self._check_values()
+
+    def _check_values(self) -> None:
+        for name in ("positions", "position_covariances", "wrist_rotations", "joint_jacobians"):
+            value = getattr(self, name)
+            if value is not None and not np.all(np.isfinite(value)):
+                pose = self.pose_names[int(np.argwhere(~np.isfinite(value))[0, 0])]
+                raise DataError(f"{name} of pose {pose} holds a value that is not finite.", array=name, pose=pose)
+        if np.any(np.isinf(self.spots)) or np.any(np.isnan(self.spots).sum(axis=2) == 1):
+            raise DataError("A spot must be two finite numbers, or two NaN where the LED was not seen.")
+        for name in ("led_offset_prior_sd", "joint_offset_prior_sd"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise DataError(f"{name} is {value}, it must be a finite number >= 0.")
+        if self.joint_offset_prior_sd > 0.0 and self.joint_jacobians is None:
+            raise DataError("joint_offset_prior_sd > 0 needs joint_jacobians, none are given.")
+        rotations = self.wrist_rotations
+        defect = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        for i in np.flatnonzero((defect > 1e-4) | (np.linalg.det(rotations) < 0.0)):
+            raise DataError(f"The wrist rotation of pose {self.pose_names[i]} is not a rotation matrix.")
+        _check_covariances("position", self.position_covariances, self.pose_names, strict=False)
+        for c, camera in enumerate(self.camera_names):
+            seen = self.detected[c]
+            names = tuple(np.array(self.pose_names, dtype=object)[seen])
+            _check_covariances(f"{camera} spot", self.spot_covariances[c][seen], names, strict=True)
+
+    @property
+    def detected(self) -> Mask:
+        """Where a camera saw the LED, shape (c, n)."""
+        return np.asarray(~np.isnan(self.spots[..., 0]))
+
+
+def _check_covariances(what: str, covariances: Array, poses: tuple[str, ...], *, strict: bool) -> None:
+    """Refuse what is no covariance; `strict`: it must have an inverse as well."""
+    for covariance, pose in zip(covariances, poses, strict=True):
+        finite = bool(np.all(np.isfinite(covariance)))
+        if finite:
+            scale = float(np.abs(covariance).max())
+            lowest = float(np.linalg.eigvalsh(covariance)[0])
+            symmetric = bool(np.abs(covariance - covariance.T).max() <= 1e-6 * scale)
+            finite = symmetric and (lowest > 0.0 if strict else lowest >= -1e-9 * scale)
+        if not finite:
+            raise DataError(f"The {what} covariance of pose {pose} is not a covariance matrix.", pose=pose)

@@ -1,0 +1,103 @@
+"""Residuals of all spots, their derivatives, and their covariance with the LED positions eliminated.
+
+The uncertain LED positions X_i are unknowns that the cameras share. The normal equations of everything have one 3x3 block for
+each; taking its Schur complement leaves equations in the parameters alone, whose residuals have the covariance
+``S_i = Sigma_u + A_i C_i A_i^T``: A_i are the derivatives of all spots of pose i by X_i, C_i is the covariance of the measured
+position, and the blocks off the diagonal carry what the cameras have in common. Source: Triggs et al., "Bundle adjustment -
+a modern synthesis" (2000), section 6; the identity is the matrix inversion lemma.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.projection import project
+from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The problem around a value of the unknowns, n poses in c cameras; rows where no spot counts are zero.
+
+    Attributes:
+        residuals: Measured spots minus those predicted from the robot's positions, linearised at the estimated positions,
+            shape (n, 2c) [px].
+        by_point: Derivatives of the predictions by the LED position, shape (n, 2c, 3) [px/m].
+        jacobians: Derivatives of the predictions by the unknowns, shape (n, 2c, size).
+        covariances: Covariances S of the residuals, unit rows where no spot counts, shape (n, 2c, 2c) [px^2].
+    """
+
+    residuals: Array
+    by_point: Array
+    jacobians: Array
+    covariances: Array
+
+
+def linearise(
+    unknowns: Unknowns, problem: CalibrationProblem, layout: Layout, used: Mask, image_covariances: Array | None = None
+) -> Linearisation:
+    """Linearise the problem.
+
+    Args:
+        unknowns: Where; every used spot must lie in front of its camera.
+        problem: The observations.
+        layout: Places of the unknowns.
+        used: Which spots count, shape (c, n).
+        image_covariances: Covariances of the spots, shape (c, n, 2, 2) [px^2]; None: those of the problem.
+    """
+    pixels, by_point, by_camera = project(
+        unknowns.intrinsics, unknowns.rotations, unknowns.translations, unknowns.led_positions(problem)
+    )
+    c, n = used.shape
+    residuals = by_pose(np.where(used[..., None], problem.spots - pixels, 0.0))
+    stacked = np.ascontiguousarray(np.swapaxes(np.where(used[..., None, None], by_point, 0.0), 0, 1)).reshape(n, 2 * c, 3)
+    by_camera = np.where(used[..., None, None], by_camera, 0.0)
+
+    jacobians = np.zeros((n, c, 2, layout.size))
+    for camera in range(c):
+        jacobians[:, camera, :, PER_CAMERA * camera : PER_CAMERA * (camera + 1)] = by_camera[camera]
+    jacobians = jacobians.reshape(n, 2 * c, layout.size)
+    if layout.led:
+        jacobians[:, :, layout.led_slice] = stacked @ problem.wrist_rotations
+    if layout.joints and problem.joint_jacobians is not None:
+        jacobians[:, :, layout.joint_slice] = stacked @ problem.joint_jacobians
+
+    covariances = stacked @ problem.position_covariances @ np.swapaxes(stacked, 1, 2)
+    noise = problem.spot_covariances if image_covariances is None else image_covariances
+    noise = np.where(used[..., None, None], noise, np.eye(2))
+    for camera in range(c):
+        rows = slice(2 * camera, 2 * camera + 2)
+        covariances[:, rows, rows] += noise[camera]
+    residuals = residuals + (stacked @ unknowns.displacements[..., None])[..., 0]
+    return Linearisation(residuals, stacked, jacobians, covariances)
+
+
+def image_residuals(unknowns: Unknowns, problem: CalibrationProblem, used: Mask) -> Array | None:
+    """Spots minus the images of the estimated positions, shape (n, 2c) [px]; None if a used spot is behind its camera."""
+    pixels = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, unknowns.led_positions(problem))[0]
+    if not np.all(np.isfinite(pixels[used])):
+        return None
+    return by_pose(np.where(used[..., None], problem.spots - pixels, 0.0))
+
+
+def projectable(unknowns: Unknowns, problem: CalibrationProblem, nearest: float = 0.1) -> Mask:
+    """Where the estimated LED position is more than `nearest` [m] in front of a camera, shape (c, n)."""
+    points = unknowns.led_positions(problem)
+    depth = np.einsum("cx,nx->cn", unknowns.rotations[:, 2], points) + unknowns.translations[:, 2, None]
+    return np.asarray(depth > nearest)
+
+
+def by_pose(spots: Array) -> Array:
+    """Coordinates of all cameras in a row for each pose, shape (c, n, 2) -> (n, 2c)."""
+    return np.ascontiguousarray(np.swapaxes(spots, 0, 1)).reshape(spots.shape[1], -1)
+
+
+def camera_blocks(matrices: Array) -> Array:
+    """The 2x2 blocks on the diagonal, shape (n, 2c, 2c) -> (c, n, 2, 2)."""
+    count = matrices.shape[1] // 2
+    return np.stack([matrices[:, 2 * c : 2 * c + 2, 2 * c : 2 * c + 2] for c in range(count)])

@@ -1,0 +1,187 @@
+"""A start for each camera from nothing: direct linear transformation, made robust by RANSAC.
+
+Source: Hartley and Zisserman, "Multiple View Geometry", 2nd ed., sections 7.1 (DLT), 6.2.4 (decomposition), 8.5 (plane).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_vss.calibration.errors import DegenerateDataError
+from im_vss.calibration.planar_start import planar_start
+from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
+from im_vss.calibration.unknowns import Layout, Unknowns
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 400
+_SAMPLE_SIZE = 7
+_SEED = 1989
+_REFITS = 6
+_FLAT = 0.02
+_THIN = 0.005
+
+
+@dataclass(frozen=True)
+class PinholeStart:
+    """A camera without distortion.
+
+    Attributes:
+        intrinsics: fx, fy, cx, cy [px].
+        rotation: Rotation base -> camera, shape (3, 3).
+        translation: Base origin in the camera frame, shape (3,) [m].
+    """
+
+    intrinsics: Array
+    rotation: Array
+    translation: Array
+
+
+def start(problem: CalibrationProblem, layout: Layout, offsets: Unknowns | None = None) -> Unknowns:
+    """Start values of all unknowns, distortion at zero.
+
+    Args:
+        problem: The observations, in canonical order if the result shall not depend on the order.
+        layout: Which unknowns there are.
+        offsets: Where to take LED and joint offsets from; None: their prior means.
+
+    Raises:
+        DegenerateDataError: A camera has too few spots, or they lie on a line, or no camera explains them.
+    """
+    points = problem.positions if offsets is None else offsets.robot_positions(problem)
+    known = 0.0 if offsets is None else 0.8
+    cameras = [_start_camera(problem, c, points, known) for c in range(len(problem.camera_names))]
+    return Unknowns(
+        np.array([[*camera.intrinsics, 0.0, 0.0, 0.0, 0.0] for camera in cameras]),
+        np.array([camera.rotation for camera in cameras]),
+        np.array([camera.translation for camera in cameras]),
+        np.zeros(3) if offsets is None else offsets.led_offset,
+        np.zeros(layout.joints) if offsets is None else offsets.joint_offsets,
+        np.zeros_like(problem.positions),
+    )
+
+
+def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: float) -> PinholeStart:
+    name, seen = problem.camera_names[c], problem.detected[c]
+    width, height = problem.image_sizes[c]
+    everything = tuple(f"{name}.{group}" for group in ("intrinsics", "distortion", "pose"))
+    if seen.sum() < MINIMUM_SPOTS:
+        raise DegenerateDataError(
+            f"Camera {name} saw the LED in {int(seen.sum())} poses, at least {MINIMUM_SPOTS} are needed; add poses in its view.",
+            parameters=everything,
+            camera=name,
+            spots=int(seen.sum()),
+        )
+    points, pixels = positions[seen], problem.spots[c][seen]
+    extent = robust_extent(points)
+    if extent[1] < _THIN * extent[0] or extent[0] <= 0.0:
+        raise DegenerateDataError(
+            f"The LED positions seen by {name} lie on a line or in a point; spread the poses over a volume.",
+            parameters=everything,
+            camera=name,
+        )
+    tolerance = _pixel_tolerance(problem, c, points, pixels, 1.0 - known)
+    found = None if extent[2] < _FLAT * extent[0] else _ransac(points, pixels, tolerance, width)
+    if found is None:
+        found = planar_start(points, pixels, (width, height), tolerance)
+    if found is None:
+        raise DegenerateDataError(
+            f"No camera explains where {name} saw the LED; check that the spots belong to these poses.",
+            parameters=everything,
+            camera=name,
+        )
+    return PinholeStart(*found)
+
+
+def robust_extent(points: Array) -> Array:
+    """Standard deviations along the principal axes of a cloud without its farthest fifth, largest first, shape (3,) [m]."""
+    distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    core = points[distance <= np.quantile(distance, 0.8)]
+    values = np.linalg.eigvalsh(np.cov((core - core.mean(axis=0)).T, ddof=0))
+    return np.asarray(np.sqrt(np.maximum(values[::-1], 0.0)))
+
+
+def _pixel_tolerance(problem: CalibrationProblem, c: int, points: Array, pixels: Array, unknown: float) -> float:
+    """Deviation [px] from a pinhole camera that distortion, noise and the unknown share of the offsets explain."""
+    pixels_per_metre = np.median(np.abs(pixels - np.median(pixels, axis=0))) / max(
+        1e-9, float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+    )
+    offset = problem.led_offset_prior_sd
+    if problem.joint_jacobians is not None:
+        offset = np.hypot(offset, problem.joint_offset_prior_sd * float(np.abs(problem.joint_jacobians).mean()) * 2.0)
+    position = np.sqrt(np.trace(problem.position_covariances, axis1=1, axis2=2).mean() / 3.0)
+    image = np.sqrt(np.nanmedian(np.trace(problem.spot_covariances[c], axis1=1, axis2=2)) / 2.0)
+    lens = 0.008 * problem.image_sizes[c][0]
+    return float(np.sqrt(lens**2 + 2.0 * (2.0 * pixels_per_metre) ** 2 * ((unknown * offset) ** 2 + position**2) + 2.0 * image**2))
+
+
+def _ransac(points: Array, pixels: Array, tolerance: float, width: int) -> tuple[Array, Array, Array] | None:
+    """Best pinhole camera over random samples, refitted to what agrees with it."""
+    order = np.lexsort((*pixels.T, *points.T))
+    points, pixels = points[order], pixels[order]
+    keys = np.random.default_rng(_SEED).random((_SAMPLES, len(points)))
+    samples = np.argsort(keys, axis=1)[:, :_SAMPLE_SIZE]
+    candidates = _dlt(points[samples], pixels[samples], np.ones(samples.shape))
+    squared = _squared_errors(candidates, points, pixels)
+    costs = (squared / (squared + tolerance**2)).sum(axis=1)
+    for best in np.argsort(costs, kind="stable")[:20]:
+        matrix = candidates[best]
+        for _ in range(_REFITS):
+            weights = (1.0 + _squared_errors(matrix[None], points, pixels)[0] / tolerance**2) ** -2
+            matrix = _dlt(points[None], pixels[None], weights[None])[0]
+        camera = _decompose(matrix, points)
+        if camera is not None and 0.2 * width < min(camera[0][:2]) and max(camera[0][:2]) < 20.0 * width:
+            return camera
+    return None
+
+
+def _dlt(points: Array, pixels: Array, weights: Array) -> Array:
+    """Projection matrices, shape (b, 3, 4), of b weighted sets of correspondences, shapes (b, m, 3), (b, m, 2), (b, m)."""
+    point_mean, pixel_mean = points.mean(axis=1, keepdims=True), pixels.mean(axis=1, keepdims=True)
+    point_scale = np.sqrt(3.0) / np.maximum(np.linalg.norm(points - point_mean, axis=2).mean(axis=1), 1e-9)
+    pixel_scale = np.sqrt(2.0) / np.maximum(np.linalg.norm(pixels - pixel_mean, axis=2).mean(axis=1), 1e-9)
+    x = np.concatenate(((points - point_mean) * point_scale[:, None, None], np.ones((*points.shape[:2], 1))), axis=2)
+    u = (pixels - pixel_mean) * pixel_scale[:, None, None]
+    rows = np.zeros((*points.shape[:2], 2, 12))
+    rows[..., 0, 0:4] = rows[..., 1, 4:8] = x
+    rows[..., 8:12] = -u[..., None] * x[:, :, None, :]
+    rows *= np.sqrt(weights)[..., None, None]
+    stacked = rows.reshape(len(points), -1, 12)
+    matrices = np.linalg.eigh(np.swapaxes(stacked, 1, 2) @ stacked)[1][:, :, 0].reshape(-1, 3, 4)
+    normalise = np.zeros((len(points), 4, 4))
+    normalise[:, [0, 1, 2], [0, 1, 2]] = point_scale[:, None]
+    normalise[:, :3, 3] = -point_mean[:, 0] * point_scale[:, None]
+    normalise[:, 3, 3] = 1.0
+    restore = np.zeros((len(points), 3, 3))
+    restore[:, [0, 1], [0, 1]] = 1.0 / pixel_scale[:, None]
+    restore[:, :2, 2] = pixel_mean[:, 0]
+    restore[:, 2, 2] = 1.0
+    return np.asarray(restore @ matrices @ normalise)
+
+
+def _squared_errors(matrices: Array, points: Array, pixels: Array) -> Array:
+    """Squared reprojection errors of b matrices, shape (b, m) [px^2]; huge where the depth changes sign."""
+    image = points @ np.swapaxes(matrices[:, :, :3], 1, 2) + matrices[:, None, :, 3]
+    depth = image[..., 2]
+    sign = np.sign(np.median(depth, axis=1, keepdims=True))
+    good = depth * sign > 1e-12
+    errors = image[..., :2] / np.where(good, depth, 1.0)[..., None] - pixels
+    return np.where(good, (errors**2).sum(axis=-1), 1e12)
+
+
+def _decompose(matrix: Array, points: Array) -> tuple[Array, Array, Array] | None:
+    """Intrinsics fx, fy, cx, cy, rotation and translation of a projection matrix; None if it is no camera."""
+    if np.median(points @ matrix[2, :3] + matrix[2, 3]) < 0.0:
+        matrix = -matrix
+    if np.linalg.det(matrix[:, :3]) <= 0.0:
+        return None
+    q, r = np.linalg.qr(np.flipud(matrix[:, :3]).T)
+    K, rotation = np.fliplr(np.flipud(r.T)), np.flipud(q.T)
+    signs = np.where(np.diag(K) < 0.0, -1.0, 1.0)
+    K, rotation = K * signs, signs[:, None] * rotation
+    if min(abs(np.diag(K))) < 1e-12 or np.linalg.det(rotation) < 0.0:
+        return None
+    translation = np.linalg.solve(K, matrix[:, 3])
+    K = K / K[2, 2]
+    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), rotation, translation

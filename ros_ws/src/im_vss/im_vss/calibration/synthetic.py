@@ -1,0 +1,168 @@
+"""Seeded synthetic calibration problems with their truth: for tests, and to see what a design of poses would give."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.camera_model import CameraModel
+from im_core.workspace import Workspace
+from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.unknowns import rotation_exp
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+OUTLIER_KINDS = ("blob", "bias", "stale")
+"""A wrong blob anywhere in the image; a spot displaced by 2 to 10 px; a joint reading of another moment, 3 to 10 cm off."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """What to simulate.
+
+    Attributes:
+        poses: Number of poses.
+        cameras: Number of cameras, in a row above the workspace.
+        sigma_px: Standard deviation of each spot coordinate [px].
+        sigma_m: Standard deviation of each coordinate of the LED position by the robot [m].
+        anisotropy: Ratio of the largest to the smallest standard deviation of position and spot noise, axes random.
+        outlier_share: Share of the poses that are gross outliers.
+        missing_share: Share of the spots that were not detected.
+        led_offset_prior_sd: Standard deviation of the LED offset error, drawn from it and told to the solver [m].
+        joint_offset_prior_sd: Standard deviation of constant joint offsets, drawn and told likewise [rad].
+        workspace: Box of the LED positions and of the predicted errors.
+    """
+
+    poses: int = 40
+    cameras: int = 2
+    sigma_px: float = 0.1
+    sigma_m: float = 4e-4
+    anisotropy: float = 1.0
+    outlier_share: float = 0.0
+    missing_share: float = 0.0
+    led_offset_prior_sd: float = 5e-3
+    joint_offset_prior_sd: float = 0.0
+    workspace: Workspace = Workspace()
+
+
+@dataclass(frozen=True)
+class SyntheticScene:
+    """A problem and the truth behind it.
+
+    Attributes:
+        problem: What a solver may see.
+        cameras: True cameras.
+        led_offset_error: True error of the nominal LED offset [m], shape (3,).
+        joint_offsets: True joint offsets [rad], shape (6,).
+        outliers: Spots that are no honest observation, shape (c, n).
+    """
+
+    problem: CalibrationProblem
+    cameras: tuple[CameraModel, ...]
+    led_offset_error: Array
+    joint_offsets: Array
+    outliers: Mask
+
+
+def make_scene(design: Design, seed: int, positions: Array | None = None, wrists: Array | None = None) -> SyntheticScene:
+    """Simulate the observations of a design.
+
+    Args:
+        design: What to simulate.
+        seed: Seed of every draw.
+        positions: True LED positions, shape (n, 3) [m]; None: drawn over the workspace.
+        wrists: Wrist rotations, shape (n, 3, 3); None: drawn uniformly.
+    """
+    rng = np.random.default_rng(seed)
+    low, high = np.array(design.workspace.low), np.array(design.workspace.high)
+    n, c = design.poses, design.cameras
+    truth = rng.uniform(low, high, (n, 3))
+    truth = truth if positions is None else np.array(positions, dtype=float)
+    drawn = random_rotations(rng, n)
+    rotations = drawn if wrists is None else np.array(wrists, dtype=float)
+    cameras = tuple(_draw_camera(rng, i, c, (low + high) / 2.0) for i in range(c))
+    offset = rng.normal(0.0, 1.0, 3) * design.led_offset_prior_sd
+    lever = truth[:, None, :] - np.linspace((0.0, 0.0, 0.7), (0.3, 0.2, 1.2), 6)
+    jacobians = np.swapaxes(np.cross(random_rotations(rng, 2 * n).reshape(n, 6, 3), lever), 1, 2)
+    joint_offsets = rng.normal(0.0, 1.0, 6) * design.joint_offset_prior_sd
+
+    position_covariances = _covariances(rng, (n,), 3, design.sigma_m, design.anisotropy)
+    spot_covariances = _covariances(rng, (c, n), 2, design.sigma_px, design.anisotropy)
+    noise = np.linalg.cholesky(position_covariances) @ rng.normal(size=(n, 3, 1))
+    measured = truth - rotations @ offset - jacobians @ joint_offsets + noise[..., 0]
+    spots = np.stack([camera.project(truth) for camera in cameras])
+    spots = spots + (np.linalg.cholesky(spot_covariances) @ rng.normal(size=(c, n, 2, 1)))[..., 0]
+    outliers = np.zeros((c, n), dtype=bool)
+    for i in np.flatnonzero(rng.random(n) < design.outlier_share):
+        _spoil(rng, OUTLIER_KINDS[rng.integers(3)], int(i), spots, measured, outliers)
+    inside = np.stack([camera.contains(spot) for camera, spot in zip(cameras, spots, strict=True)])
+    spots[~inside | (rng.random((c, n)) < design.missing_share)] = np.nan
+    problem = CalibrationProblem(
+        camera_names=tuple(f"camera_{i}" for i in range(c)),
+        image_sizes=((640, 480),) * c,
+        positions=measured,
+        position_covariances=position_covariances,
+        wrist_rotations=rotations,
+        spots=spots,
+        spot_covariances=spot_covariances,
+        led_offset_prior_sd=design.led_offset_prior_sd,
+        joint_offset_prior_sd=design.joint_offset_prior_sd,
+        joint_jacobians=jacobians if design.joint_offset_prior_sd > 0.0 else None,
+        workspace=design.workspace,
+    )
+    return SyntheticScene(problem, cameras, offset, joint_offsets, outliers)
+
+
+def with_stated_noise(problem: CalibrationProblem, factor: float) -> CalibrationProblem:
+    """The same observations with all stated standard deviations multiplied by `factor`."""
+    return replace(
+        problem,
+        position_covariances=problem.position_covariances * factor**2,
+        spot_covariances=problem.spot_covariances * factor**2,
+    )
+
+
+def random_rotations(rng: np.random.Generator, count: int) -> Array:
+    """Uniformly distributed rotations, shape (count, 3, 3)."""
+    q, r = np.linalg.qr(rng.normal(size=(count, 3, 3)))
+    q = q * np.sign(np.einsum("nii->ni", r))[:, None, :]
+    return np.asarray(q * np.linalg.det(q)[:, None, None])
+
+
+def _draw_camera(rng: np.random.Generator, index: int, count: int, target: Array) -> CameraModel:
+    """A camera about 3.2 m above the target that looks at it, off by 2 degrees, with a scattered lens."""
+    x = 0.0 if count == 1 else -0.9 + 1.8 * index / (count - 1)
+    centre = target + np.array([x, 0.35 * (-1.0) ** index, 3.2]) + rng.normal(0.0, 0.03, 3)
+    z = (target - centre) / np.linalg.norm(target - centre)
+    x_axis = np.cross(np.array([0.0, 1.0, 0.0]), z)
+    x_axis /= np.linalg.norm(x_axis)
+    rotation = rotation_exp(rng.normal(0.0, np.deg2rad(2.0), (1, 3)))[0] @ np.stack((x_axis, np.cross(z, x_axis), z))
+    f = 600.0 * (1.0 + rng.normal(0.0, 0.01))
+    K = np.array([[f, 0.0, 319.5 + rng.normal(0.0, 6.0)], [0.0, f * 1.0005, 239.5 + rng.normal(0.0, 6.0)], [0.0, 0.0, 1.0]])
+    D = np.array([-0.22 + rng.normal(0.0, 0.01), 0.04 + rng.normal(0.0, 0.01), *rng.normal(0.0, 7e-4, 2), 0.0])
+    return CameraModel(640, 480, K, D, rotation, -rotation @ centre)
+
+
+def _covariances(rng: np.random.Generator, shape: tuple[int, ...], size: int, sigma: float, anisotropy: float) -> Array:
+    """Random covariances whose mean variance is sigma^2."""
+    shares = np.exp(rng.uniform(-0.5, 0.5, (*shape, size)) * 2.0 * np.log(anisotropy))
+    shares *= sigma**2 / shares.mean(axis=-1, keepdims=True)
+    axes = np.linalg.qr(rng.normal(size=(*shape, size, size)))[0]
+    return np.asarray((axes * shares[..., None, :]) @ np.swapaxes(axes, -1, -2))
+
+
+def _spoil(rng: np.random.Generator, kind: str, i: int, spots: Array, measured: Array, outliers: Mask) -> None:
+    """Turn a spot or a whole pose into a gross outlier."""
+    camera = int(rng.integers(len(spots)))
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    if kind == "stale":
+        direction = rng.normal(size=3)
+        measured[i] += direction / np.linalg.norm(direction) * rng.uniform(0.03, 0.10)
+        outliers[:, i] = True
+    elif kind == "bias":
+        spots[camera, i] += rng.uniform(2.0, 10.0) * np.array([np.cos(angle), np.sin(angle)])
+        outliers[camera, i] = True
+    else:
+        spots[camera, i] = rng.uniform((0.0, 0.0), (639.0, 479.0))
+        outliers[camera, i] = True

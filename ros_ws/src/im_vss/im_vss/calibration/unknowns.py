@@ -1,0 +1,148 @@
+"""The unknowns of a calibration and their places in the parameter vector."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_vss.calibration.problem import CalibrationProblem
+
+Array = NDArray[np.float64]
+
+CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "rx", "ry", "rz", "tx", "ty", "tz")
+"""Order of one camera's parameters: [px] x 4, [-] x 4, rotation vector in the camera frame [rad] x 3, [m] x 3."""
+
+PER_CAMERA = len(CAMERA_PARAMETERS)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which unknowns a problem has, and where: the cameras, then the LED offset, then the joint offsets.
+
+    Attributes:
+        cameras: Number of cameras.
+        led: Whether the LED offset is estimated.
+        joints: Number of joint offsets that are estimated.
+        prior_precision: Inverse prior variances, 0 where there is no prior, shape (size,).
+    """
+
+    cameras: int
+    led: bool
+    joints: int
+    prior_precision: Array
+
+    @staticmethod
+    def of(problem: CalibrationProblem) -> "Layout":
+        """Layout of the unknowns of a problem."""
+        led = problem.led_offset_prior_sd > 0.0
+        joints = 0
+        if problem.joint_jacobians is not None and problem.joint_offset_prior_sd > 0.0:
+            joints = problem.joint_jacobians.shape[2]
+        c = len(problem.camera_names)
+        precision = np.zeros(PER_CAMERA * c + 3 * led + joints)
+        if led:
+            precision[PER_CAMERA * c : PER_CAMERA * c + 3] = problem.led_offset_prior_sd**-2
+        if joints:
+            precision[-joints:] = problem.joint_offset_prior_sd**-2
+        return Layout(c, led, joints, precision)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return len(self.prior_precision)
+
+    @property
+    def led_slice(self) -> slice:
+        """Place of the LED offset; empty if it is known."""
+        start = PER_CAMERA * self.cameras
+        return slice(start, start + 3 * self.led)
+
+    @property
+    def joint_slice(self) -> slice:
+        """Place of the joint offsets; empty if there are none."""
+        return slice(self.size - self.joints, self.size)
+
+    def camera_slice(self, c: int) -> slice:
+        """Place of the parameters of camera `c`."""
+        return slice(PER_CAMERA * c, PER_CAMERA * (c + 1))
+
+    def names(self, camera_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Name of each unknown, such as ``ceiling_left.fx``, ``led_offset.x``, ``joint_offset.0``."""
+        cameras = [f"{camera}.{name}" for camera in camera_names for name in CAMERA_PARAMETERS]
+        led = [f"led_offset.{axis}" for axis in "xyz"] if self.led else []
+        return (*cameras, *led, *(f"joint_offset.{j}" for j in range(self.joints)))
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """A value of all unknowns.
+
+    Attributes:
+        intrinsics: fx, fy, cx, cy [px], k1, k2, p1, p2 [-] of each camera, shape (c, 8).
+        rotations: Rotations base -> camera, shape (c, 3, 3).
+        translations: Origin of the base in each camera frame, shape (c, 3) [m].
+        led_offset: Error of the nominal LED offset, in the wrist frame, shape (3,) [m].
+        joint_offsets: Constant errors of the joint readings, shape (k,) [rad].
+        displacements: LED positions minus where the robot's readings, offsets corrected, put them, shape (n, 3) [m].
+    """
+
+    intrinsics: Array
+    rotations: Array
+    translations: Array
+    led_offset: Array
+    joint_offsets: Array
+    displacements: Array
+
+    def robot_positions(self, problem: CalibrationProblem) -> Array:
+        """LED positions by the robot, corrected for the offsets, shape (n, 3) [m]."""
+        positions = problem.positions + problem.wrist_rotations @ self.led_offset
+        if problem.joint_jacobians is not None and len(self.joint_offsets):
+            positions = positions + problem.joint_jacobians @ self.joint_offsets
+        return np.asarray(positions)
+
+    def led_positions(self, problem: CalibrationProblem) -> Array:
+        """Estimated LED positions: those by the robot, moved to agree with the spots, shape (n, 3) [m]."""
+        return self.robot_positions(problem) + self.displacements
+
+    def moved(self, step: Array, layout: Layout, displacements: Array) -> "Unknowns":
+        """Unknowns after a step; a rotation moves by ``exp(step) @ R``.
+
+        Args:
+            step: Change of the parameter vector, shape (size,).
+            layout: Places of the unknowns in it.
+            displacements: New displacements, shape (n, 3) [m].
+        """
+        cameras = step[: PER_CAMERA * layout.cameras].reshape(layout.cameras, PER_CAMERA)
+        return Unknowns(
+            self.intrinsics + cameras[:, :8],
+            rotation_exp(cameras[:, 8:11]) @ self.rotations,
+            self.translations + cameras[:, 11:],
+            self.led_offset + (step[layout.led_slice] if layout.led else 0.0),
+            self.joint_offsets + step[layout.joint_slice],
+            displacements,
+        )
+
+    def prior_vector(self, layout: Layout) -> Array:
+        """Deviation of each unknown from its prior mean, 0 where there is no prior, shape (size,)."""
+        vector = np.zeros(layout.size)
+        if layout.led:
+            vector[layout.led_slice] = self.led_offset
+        vector[layout.joint_slice] = self.joint_offsets
+        return vector
+
+
+def skew(v: Array) -> Array:
+    """Cross-product matrices of vectors, shape (..., 3) -> (..., 3, 3)."""
+    matrix = np.zeros((*v.shape[:-1], 3, 3))
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    return matrix
+
+
+def rotation_exp(vectors: Array) -> Array:
+    """Rotation matrices of rotation vectors (Rodrigues), shape (c, 3) [rad] -> (c, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    k = skew(vectors)
+    half = np.sinc(angle / (2.0 * np.pi))
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * k + 0.5 * half**2 * (k @ k))

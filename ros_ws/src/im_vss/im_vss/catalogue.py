@@ -1,0 +1,104 @@
+"""The master catalogue of all Services, Tools and Vision Modules, and the part of it that an application needs."""
+
+import importlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from im_core.config import Model, load_model, package_file
+from im_core.errors import ConfigError, NotFoundError
+from pydantic import Field, model_validator
+
+Implementation = Annotated[str, Field(pattern=r"^[a-z_][\w.]*:[A-Z]\w*$")]
+
+
+class ServiceEntry(Model):
+    """A Service: its class as ``module:Class``, and the Tools it calls."""
+
+    implementation: Implementation
+    tools: tuple[str, ...]
+
+
+class ToolEntry(Model):
+    """A Tool: its class as ``module:Class``, and the Vision Modules it uses."""
+
+    implementation: Implementation
+    modules: tuple[str, ...]
+
+
+class ModuleEntry(Model):
+    """A Vision Module: its class as ``module:Class``, and the manager that lends it."""
+
+    implementation: Implementation
+    manager: str
+
+
+class Catalogue(Model):
+    """Everything that exists; ``managers`` says what each Vision Module Manager is for."""
+
+    services: dict[str, ServiceEntry]
+    tools: dict[str, ToolEntry]
+    modules: dict[str, ModuleEntry]
+    managers: dict[str, str]
+
+    @model_validator(mode="after")
+    def _references(self) -> Self:
+        for name, service in self.services.items():
+            _require(f"services.{name}.tools", service.tools, self.tools)
+        for name, tool in self.tools.items():
+            _require(f"tools.{name}.modules", tool.modules, self.modules)
+        for name, module in self.modules.items():
+            _require(f"modules.{name}.manager", [module.manager], self.managers)
+        return self
+
+    def closure(self, services: Iterable[str]) -> Self:
+        """The part that some Services need, directly or through their Tools.
+
+        Raises:
+            NotFoundError: There is no Service of one of the names.
+        """
+        chosen: dict[str, ServiceEntry] = {}
+        for name in services:
+            if name not in self.services:
+                raise NotFoundError(kind="vision service", name=name, known=self.services)
+            chosen[name] = self.services[name]
+        used_tools = {name for service in chosen.values() for name in service.tools}
+        tools = {name: tool for name, tool in self.tools.items() if name in used_tools}
+        used_modules = {name for tool in tools.values() for name in tool.modules}
+        modules = {name: module for name, module in self.modules.items() if name in used_modules}
+        used_managers = {module.manager for module in modules.values()}
+        managers = {name: purpose for name, purpose in self.managers.items() if name in used_managers}
+        return self.model_copy(
+            update={"services": chosen, "tools": tools, "modules": modules, "managers": managers}
+        )
+
+
+def load_catalogue(path: Path | None = None) -> Catalogue:
+    """Read a catalogue; the shipped one by default.
+
+    Raises:
+        ConfigError: The file is missing or wrong; the message names file and line.
+    """
+    return load_model(path or package_file("im_vss", "config/catalogue.yaml"), Catalogue)
+
+
+def load_class(implementation: str, base: type) -> Any:
+    """The class named by ``module:Class``.
+
+    Raises:
+        ConfigError: It does not exist, or is no subclass of `base`.
+    """
+    module, name = implementation.split(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"catalogue: {implementation} cannot be loaded: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise ConfigError(f"catalogue: {implementation} is no {base.__name__}")
+    return found
+
+
+def _require(where: str, names: Iterable[str], known: Iterable[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise ValueError(f"{where}: '{name}' is not one of {', '.join(sorted(known))}")

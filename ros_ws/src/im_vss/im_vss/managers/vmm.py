@@ -1,0 +1,113 @@
+"""The Vision Module Manager: first-come leases of Vision Modules."""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+
+from im_core import clock
+from im_core.errors import NotFoundError, StateError, WaitTimeoutError
+
+from im_vss.managers.lease import Lease, VisionClient
+
+_SLICE_S = 0.2
+
+
+class VisionModuleManager:
+    """Lends each of its Vision Modules to one client at a time, in the order of their requests.
+
+    A lease ends with its release, its deadline, or the cancellation or death of its client, whichever comes first; the
+    wait for one is bounded.
+    """
+
+    def __init__(
+        self, name: str, modules: Iterable[str], wait_s: float, hold_s: float, now: Callable[[], float] = clock.monotonic
+    ) -> None:
+        """Manage some modules.
+
+        Args:
+            name: Name of the manager.
+            modules: Names of its modules.
+            wait_s: Longest wait for a lease [s].
+            hold_s: Longest lease [s].
+            now: Clock that deadlines are measured with [s].
+        """
+        self.name = name
+        self.wait_s = wait_s
+        self.hold_s = hold_s
+        self._now = now
+        self._changed = threading.Condition()
+        self._queues: dict[str, deque[VisionClient]] = {module: deque() for module in modules}
+        self._held: dict[str, Lease] = {}
+
+    @contextmanager
+    def lend(self, module: str, client: VisionClient) -> Iterator[Lease]:
+        """Wait for a module, use it in a ``with`` block, give it back.
+
+        Raises:
+            NotFoundError: The manager has no such module.
+            StateError: The client gave up while it waited.
+            WaitTimeoutError: The module did not become free in time.
+        """
+        lease = self._acquire(module, client)
+        try:
+            yield lease
+        finally:
+            with self._changed:
+                lease.released = True
+                self._changed.notify_all()
+
+    def queue(self, module: str) -> tuple[str | None, tuple[str, ...]]:
+        """Name of the client that holds a module, None if it is free, and of those who wait, first come first."""
+        with self._changed:
+            held = self._held.get(module)
+            holder = held.client.name if held is not None and held.valid else None
+            return holder, tuple(client.name for client in self._queues[module])
+
+    def _acquire(self, module: str, client: VisionClient) -> Lease:
+        queue = self._queues.get(module)
+        if queue is None:
+            raise NotFoundError(kind=f"vision module of {self.name}", name=module, known=self._queues)
+        give_up = self._now() + self.wait_s
+        with self._changed:
+            queue.append(client)
+            try:
+                while not (self._first(queue) is client and self._free(module)):
+                    if client.gone:
+                        raise StateError(f"{client.name} gave up waiting for {module}", module=module)
+                    if self._now() >= give_up:
+                        raise WaitTimeoutError(what=self._whom(module, client), seconds=self.wait_s)
+                    self._changed.wait(self._slice(module, give_up))
+                if client.gone:
+                    raise StateError(f"{client.name} gave up waiting for {module}", module=module)
+                lease = Lease(module, client, self._now() + self.hold_s, self.hold_s, self._now)
+                self._held[module] = lease
+                return lease
+            finally:
+                if client in queue:
+                    queue.remove(client)
+                self._changed.notify_all()
+
+    @staticmethod
+    def _first(queue: deque[VisionClient]) -> VisionClient | None:
+        """The first client that still waits; those that are gone leave the queue."""
+        while queue and queue[0].gone:
+            queue.popleft()
+        return queue[0] if queue else None
+
+    def _free(self, module: str) -> bool:
+        held = self._held.get(module)
+        return held is None or not held.valid
+
+    def _slice(self, module: str, give_up: float) -> float:
+        """How long to sleep: until something may have changed without a notice [s]."""
+        held = self._held.get(module)
+        ends = [give_up] + ([held.deadline] if held is not None and held.valid else [])
+        return min(max(min(ends) - self._now(), 0.0), _SLICE_S)
+
+    def _whom(self, module: str, client: VisionClient) -> str:
+        held = self._held.get(module)
+        holder = held.client.name if held is not None and held.valid else "nobody"
+        queue = self._queues[module]
+        ahead = queue.index(client) if client in queue else 0
+        return f"{module}, held by {holder}, {ahead} before {client.name}"

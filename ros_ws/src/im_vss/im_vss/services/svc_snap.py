@@ -1,0 +1,45 @@
+"""Service that takes images."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from im_vss.frames import Frame
+from im_vss.managers import VisionClient
+from im_vss.services.service import Service
+from im_vss.services.stopwatch import Stopwatch
+
+
+@dataclass(frozen=True)
+class SnapRequest:
+    """Take one image with each camera, all at the same time; exposure 0 stands for the nominal one [s]."""
+
+    cameras: tuple[str, ...]
+    exposure_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class SnapResult:
+    """The images, in the order of the request, and where the time went, by step [s]."""
+
+    frames: tuple[Frame, ...]
+    timing: dict[str, float]
+
+
+class SvcSnap(Service):
+    """Takes and shows an image of each camera."""
+
+    name: ClassVar[str] = "snap"
+
+    def serve(self, client: VisionClient, request: SnapRequest) -> SnapResult:
+        """Take the images.
+
+        Raises:
+            ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
+        """
+        watch = Stopwatch()
+        with watch.step("snap_s"):
+            images = self.tool("tool_snap")(client, request.cameras, request.exposure_s, (False,))
+        with watch.step("display_s"):
+            self.tool("tool_image_disp")(client, images)
+        frames = tuple(images.frames[camera][0] for camera in request.cameras)
+        return SnapResult(frames, {**images.timing, **watch.report()})

@@ -1,0 +1,64 @@
+"""Service that finds the light spot."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from im_vss.managers import VisionClient
+from im_vss.services.service import Service
+from im_vss.services.stopwatch import Stopwatch
+from im_vss.spot import Finding
+
+
+@dataclass(frozen=True)
+class SpotFindRequest:
+    """Find the light in each camera, all exposed at the same time; exposure 0 stands for the nominal one [s]."""
+
+    cameras: tuple[str, ...]
+    exposure_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class CameraSpot:
+    """What one camera saw: its name, testbed time of the exposure with light [ns], and the spot or the cause."""
+
+    camera: str
+    stamp_ns: int
+    finding: Finding
+
+
+@dataclass(frozen=True)
+class SpotFindResult:
+    """The spots, in the order of the request, and where the time went, by step [s]."""
+
+    spots: tuple[CameraSpot, ...]
+    timing: dict[str, float]
+
+
+class SvcSpotFind(Service):
+    """Captures images, shows them, computes the spots and marks them (paper, section 5, SpotFind)."""
+
+    name: ClassVar[str] = "spot_find"
+
+    def serve(self, client: VisionClient, request: SpotFindRequest) -> SpotFindResult:
+        """Find the spots: an exposure without light, one with it, common to all cameras.
+
+        Raises:
+            ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver. A spot that is
+                not found is no error: its finding says why.
+        """
+        watch = Stopwatch()
+        with watch.step("snap_s"):
+            images = self.tool("tool_snap")(client, request.cameras, request.exposure_s, (True, False))
+        with watch.step("display_s"):
+            self.tool("tool_image_disp")(client, images)
+        findings: dict[str, Finding] = {}
+        with watch.step("find_s"):
+            for camera in request.cameras:
+                off, on = images.frames[camera]
+                findings[camera] = self.tool("tool_spot_find")(off, on)
+        with watch.step("display_s"):
+            self.tool("tool_spot_disp")(client, findings)
+        spots = tuple(
+            CameraSpot(camera, images.frames[camera][1].stamp_ns, finding) for camera, finding in findings.items()
+        )
+        return SpotFindResult(spots, {**images.timing, **watch.report()})

@@ -1,0 +1,132 @@
+"""Decision whether a pair of frames shows the light, where, and if not, why."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from im_core.config import Model
+from im_core.errors import DataError
+from numpy.typing import NDArray
+from pydantic import Field
+
+from im_vss.spot.candidates import MatchedFilter
+from im_vss.spot.fit import SpotFit, fit_spot
+from im_vss.spot.noise import SensorNoise
+
+Frame = NDArray[np.uint8]
+
+_MOST_PEAKS = 6
+_ERASE_SIGMAS = 5.0
+_ERASE_MINIMUM_PX = 8.0
+
+
+class SpotGates(Model):
+    """What a spot must be like.
+
+    Attributes:
+        sigma_expected: Width the search is tuned to [px].
+        sigma_low: Smallest width of a spot [px].
+        sigma_high: Largest width of a spot [px].
+        detection_snr: Smallest response of the matched filter [-]. Noise alone reaches about 5 in a 640 x 480 frame.
+        faint_snr: From here on a response below `detection_snr` is called "too faint" rather than "nothing" [-].
+        chi2_per_dof: Largest misfit of the Gaussian [-].
+        saturated_pixels: Most saturated pixels with which a centre is still given.
+        rival_ratio: A second candidate this bright, relative to the first, makes the result ambiguous [-].
+        edge: Nearest a centre may be to the edge of the image [px].
+    """
+
+    sigma_expected: float = Field(gt=0.0)
+    sigma_low: float = Field(gt=0.0)
+    sigma_high: float = Field(gt=0.0)
+    detection_snr: float = Field(ge=6.0)
+    faint_snr: float = Field(ge=5.0)
+    chi2_per_dof: float = Field(gt=1.0)
+    saturated_pixels: int = Field(ge=0)
+    rival_ratio: float = Field(gt=0.0, le=1.0)
+    edge: float = Field(ge=0.0)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of :func:`find_spot`.
+
+    Attributes:
+        spot: The spot, None when it was not found.
+        cause: Why it was not found, one clause; empty when it was.
+        snr: Strongest response of the matched filter [-].
+        candidates: Spots that passed every gate, brightest first.
+    """
+
+    spot: SpotFit | None
+    cause: str
+    snr: float
+    candidates: tuple[SpotFit, ...] = ()
+
+
+def find_spot(on: Frame, off: Frame, noise: SensorNoise, gates: SpotGates) -> Finding:
+    """Find the light in the difference of two frames of the same scene.
+
+    Args:
+        on: Frame with the light, shape (h, w) [DN].
+        off: Frame without it, shape (h, w) [DN].
+        noise: Noise of the sensor that took the frames.
+        gates: What the spot must be like.
+
+    Returns:
+        The spot with its covariance, or the cause why there is none.
+
+    Raises:
+        DataError: The frames differ in shape.
+    """
+    if on.shape != off.shape:
+        raise DataError(f"The frames of a pair have shapes {on.shape} and {off.shape}, they must be the same.")
+    response = MatchedFilter(on, off, gates.sigma_expected, noise)
+    first = peak = response.strongest()
+    accepted: list[SpotFit] = []
+    refusals: list[str] = []
+    for _ in range(_MOST_PEAKS):
+        if peak.snr < gates.detection_snr:
+            break
+        fit = fit_spot(on, off, (peak.u, peak.v), gates.sigma_expected, noise)
+        refusal = _refusal(fit, on.shape, gates)
+        if refusal:
+            refusals.append(f"{refusal} at ({peak.u}, {peak.v}) px")
+        else:
+            accepted.append(fit)
+        response.erase(peak.u, peak.v, max(_ERASE_MINIMUM_PX, _ERASE_SIGMAS * min(fit.sigma, gates.sigma_high)))
+        peak = response.strongest()
+    accepted.sort(key=lambda fit: -fit.amplitude * fit.sigma**2)
+    return _decide(tuple(accepted), refusals, first.snr, gates)
+
+
+def _refusal(fit: SpotFit, shape: tuple[int, ...], gates: SpotGates) -> str:
+    """Why a candidate is not a spot, empty if it is one."""
+    if fit.saturated > gates.saturated_pixels:
+        return f"saturated: {fit.saturated} pixels, at most {gates.saturated_pixels} are allowed"
+    if not fit.converged:
+        return "wrong shape: no Gaussian fits"
+    if not gates.sigma_low <= fit.sigma <= gates.sigma_high:
+        return f"wrong size: sigma {fit.sigma:.2f} px is not between {gates.sigma_low:g} and {gates.sigma_high:g}"
+    if fit.chi2_per_dof > gates.chi2_per_dof:
+        return f"wrong shape: chi2/dof {fit.chi2_per_dof:.1f} is more than {gates.chi2_per_dof:g}"
+    if fit.flux_snr < gates.faint_snr:
+        return f"too faint: SNR {fit.flux_snr:.1f} is less than {gates.faint_snr:g}"
+    high_v, high_u = shape[0] - 1 - gates.edge, shape[1] - 1 - gates.edge
+    if not (gates.edge <= fit.u <= high_u and gates.edge <= fit.v <= high_v):
+        return f"at the edge of the image: nearer than {gates.edge:g} px"
+    return ""
+
+
+def _decide(accepted: tuple[SpotFit, ...], refusals: list[str], snr: float, gates: SpotGates) -> Finding:
+    """Choose among the candidates."""
+    if accepted:
+        brightness = [fit.amplitude * fit.sigma**2 for fit in accepted]
+        rivals = [fit for fit, b in zip(accepted, brightness, strict=True) if b >= gates.rival_ratio * brightness[0]]
+        if len(rivals) == 1:
+            return Finding(rivals[0], "", snr, accepted)
+        places = ", ".join(f"({fit.u:.1f}, {fit.v:.1f})" for fit in rivals)
+        return Finding(None, f"several candidates: {places} px", snr, accepted)
+    if refusals:
+        return Finding(None, refusals[0], snr)
+    if snr >= gates.faint_snr:
+        return Finding(None, f"too faint: SNR {snr:.1f} is less than {gates.detection_snr:g}", snr)
+    return Finding(None, "no light seen: it is off, blocked or out of view", snr)

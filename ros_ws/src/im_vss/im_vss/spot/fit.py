@@ -1,0 +1,179 @@
+"""Maximum-likelihood centre of a spot in a difference of two frames."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_vss.spot.noise import SensorNoise
+from im_vss.spot.psf import amplitude_to_flux, flux_to_amplitude, pixel_derivatives, pixel_integrals
+
+Array = NDArray[np.float64]
+Frame = NDArray[np.uint8]
+
+_WINDOW_SIGMAS = 4.5
+_MINIMUM_HALF = 5
+_ITERATIONS = 25
+_TOLERANCE_PX = 1e-5
+_SIGMA_RANGE = (0.3, 8.0)
+_MAXIMUM_STEP_PX = 1.0
+
+
+@dataclass(frozen=True)
+class SpotFit:
+    """A Gaussian spot fitted to a difference of two frames.
+
+    Attributes:
+        u: Column of the centre, OpenCV pixel centres [px].
+        v: Row of the centre [px].
+        covariance: Covariance of (u, v), shape (2, 2) [px^2].
+        amplitude: Peak above the background [DN].
+        sigma: Standard deviation of the spot [px].
+        flux_snr: Flux over its standard deviation [-].
+        chi2_per_dof: Mean squared normalised residual of the fit [-].
+        saturated: Number of saturated pixels in the spot; they are left out of the fit.
+        converged: Whether the fit came to rest inside its window.
+    """
+
+    u: float
+    v: float
+    covariance: Array
+    amplitude: float
+    sigma: float
+    flux_snr: float
+    chi2_per_dof: float
+    saturated: int
+    converged: bool
+
+
+def fit_spot(on: Frame, off: Frame, start: tuple[float, float], sigma: float, noise: SensorNoise) -> SpotFit:
+    """Fit a pixel-integrated Gaussian on a constant background to ``on - off`` around a start.
+
+    Gauss-Newton on (u, v, flux, sigma, background); each pixel is weighted by the variance the noise model predicts
+    for the fitted spot on the mean of the off frame, so that the weights do not follow the noise of the data.
+    Source: Kay, "Fundamentals of Statistical Signal Processing: Estimation Theory", 3.9 (variance depends on the mean).
+
+    Args:
+        on: Frame with the light, shape (h, w) [DN].
+        off: Frame without it, shape (h, w) [DN].
+        start: Column and row near the centre [px].
+        sigma: Guess of the spot's standard deviation [px].
+        noise: Noise of the sensor that took the frames.
+
+    Returns:
+        The fit; `converged` is False where the data support none.
+    """
+    window = _Window(on, off, start, sigma, noise)
+    theta = window.start(sigma)
+    converged = False
+    for _ in range(_ITERATIONS):
+        step = window.step(theta)
+        if step is None:
+            break
+        shift = float(np.abs(step[:2]).max())
+        if shift > _MAXIMUM_STEP_PX:
+            step *= _MAXIMUM_STEP_PX / shift
+        step[3] = np.clip(step[3], -0.5 * theta[3], theta[3])
+        theta = theta + step
+        if not window.holds(theta):
+            break
+        if shift < _TOLERANCE_PX:
+            converged = True
+            break
+    return window.result(theta, converged)
+
+
+class _Window:
+    """Pixels around a candidate, and the linearised model on them."""
+
+    def __init__(self, on: Frame, off: Frame, start: tuple[float, float], sigma: float, noise: SensorNoise) -> None:
+        half = max(_MINIMUM_HALF, int(np.ceil(_WINDOW_SIGMAS * sigma)))
+        column, row = round(start[0]), round(start[1])
+        self.rows = np.arange(max(row - half, 0), min(row + half + 1, on.shape[0]), dtype=float)
+        self.columns = np.arange(max(column - half, 0), min(column + half + 1, on.shape[1]), dtype=float)
+        area = np.s_[int(self.rows[0]) : int(self.rows[-1]) + 1, int(self.columns[0]) : int(self.columns[-1]) + 1]
+        on_area, off_area = on[area].astype(float), off[area].astype(float)
+        self.difference = on_area - off_area
+        self.usable = (on_area < noise.saturation) & (off_area < noise.saturation)
+        self.background = _smooth(off_area)
+        self.off_variance = noise.variance(self.background)
+        self.noise = noise
+
+    def start(self, sigma: float) -> Array:
+        """Start values: moments of the pixels above half of the brightest."""
+        peak = float(self.difference.max())
+        weights = np.where(self.difference > 0.5 * peak, self.difference, 0.0)
+        total = max(float(weights.sum()), 1e-9)
+        u = float((weights.sum(axis=0) * self.columns).sum() / total)
+        v = float((weights.sum(axis=1) * self.rows).sum() / total)
+        return np.array([u, v, amplitude_to_flux(peak, sigma), sigma, 0.0])
+
+    def holds(self, theta: Array) -> bool:
+        """Whether parameters are finite, inside the window and of a possible width."""
+        return bool(
+            np.all(np.isfinite(theta))
+            and self.columns[0] <= theta[0] <= self.columns[-1]
+            and self.rows[0] <= theta[1] <= self.rows[-1]
+            and _SIGMA_RANGE[0] <= theta[3] <= _SIGMA_RANGE[1]
+        )
+
+    def step(self, theta: Array) -> Array | None:
+        """Gauss-Newton step from `theta`, None where the normal equations are singular."""
+        residual, jacobian, weight = self.linearised(theta)
+        try:
+            return np.asarray(np.linalg.solve((jacobian.T * weight) @ jacobian, jacobian.T @ (weight * residual)))
+        except np.linalg.LinAlgError:
+            return None
+
+    def linearised(self, theta: Array) -> tuple[Array, Array, Array]:
+        """Residuals (n,), Jacobian (n, 5) and weights (n,) [1/DN^2] of the usable pixels."""
+        u, v, flux, sigma, offset = theta
+        along_u, along_v = pixel_integrals(u, sigma, self.columns), pixel_integrals(v, sigma, self.rows)
+        du, du_dsigma = pixel_derivatives(u, sigma, self.columns)
+        dv, dv_dsigma = pixel_derivatives(v, sigma, self.rows)
+        shape = np.outer(along_v, along_u)
+        signal = flux * shape
+        variance = self.off_variance + self.noise.variance(self.background + np.maximum(signal + offset, 0.0))
+        jacobian = np.stack(
+            (
+                flux * np.outer(along_v, du),
+                flux * np.outer(dv, along_u),
+                shape,
+                flux * (np.outer(dv_dsigma, along_u) + np.outer(along_v, du_dsigma)),
+                np.ones_like(shape),
+            ),
+            axis=-1,
+        )
+        mask = self.usable
+        return (self.difference - signal - offset)[mask], jacobian[mask], 1.0 / variance[mask]
+
+    def result(self, theta: Array, converged: bool) -> SpotFit:
+        """The fit at `theta`."""
+        u, v, flux, sigma = (float(value) for value in theta[:4])
+        covariance, snr, chi2 = np.full((2, 2), np.inf), 0.0, np.inf
+        degrees = int(self.usable.sum()) - len(theta)
+        if converged and degrees > 0:
+            residual, jacobian, weight = self.linearised(theta)
+            full = np.linalg.inv((jacobian.T * weight) @ jacobian)
+            covariance = full[:2, :2]
+            snr = flux / float(np.sqrt(full[2, 2]))
+            chi2 = float((weight * residual**2).sum()) / degrees
+        near = np.hypot(self.columns[None, :] - u, self.rows[:, None] - v) <= 3.0 * max(sigma, 1.0)
+        return SpotFit(
+            u=u,
+            v=v,
+            covariance=covariance,
+            amplitude=flux_to_amplitude(flux, sigma),
+            sigma=sigma,
+            flux_snr=snr,
+            chi2_per_dof=chi2,
+            saturated=int((~self.usable & near).sum()),
+            converged=converged and degrees > 0,
+        )
+
+
+def _smooth(area: Array) -> Array:
+    """Mean over 3 x 3 pixels, edges repeated."""
+    padded = np.pad(area, 1, mode="edge")
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)

@@ -1,0 +1,38 @@
+"""Tool that captures images."""
+
+from typing import ClassVar
+
+from im_vss.frames import FrameSet, SnapOrder
+from im_vss.managers import VisionClient
+from im_vss.tools.tool import Tool
+
+
+class ToolSnap(Tool):
+    """Captures images with one or more cameras at the same time (paper: toolSnap)."""
+
+    name: ClassVar[str] = "tool_snap"
+
+    def __call__(
+        self, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, blank_light: tuple[bool, ...]
+    ) -> FrameSet:
+        """Expose one frame for each element of `blank_light`, all cameras together.
+
+        Args:
+            client: Who asks.
+            cameras: Names of the cameras.
+            exposure_s: Length of each exposure [s]; 0: the nominal one.
+            blank_light: For each frame, whether the wrist lights are strobed off.
+
+        Raises:
+            ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
+        """
+        settings = self.rig.settings
+        order = SnapOrder(
+            cameras=settings.check_cameras(cameras),
+            blank_light=blank_light,
+            exposure_s=settings.exposure_time(exposure_s),
+            timeout_s=settings.waits.exposure,
+        )
+        with self.modules.use("vm_snap", client) as (vm_snap, lease):
+            frames: FrameSet = vm_snap.snap(lease, order)
+        return frames

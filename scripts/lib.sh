@@ -1,0 +1,65 @@
+# Shared by all scripts: where things are, how to speak, and the environment of the machine. Source it, do not run it.
+# shellcheck shell=bash
+
+IM_ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
+IM_VENV="$IM_ROOT/.venv"
+IM_WS="$IM_ROOT/ros_ws"
+export IM_ROOT
+
+say() { printf '%s\n' "$*"; }
+warn() { printf '%s\n' "$*" >&2; }
+
+# die CODE SENTENCE: says what is wrong and ends the script.
+die() {
+  local code="$1"
+  shift
+  printf '%s: %s\n' "$(basename "$0" .sh)" "$*" >&2
+  exit "$code"
+}
+
+# help: prints the comment block at the top of the calling script.
+help() { sed -n '2,/^[^#]/{s/^# \{0,1\}//;t print;b;: print;p}' "$0"; }
+
+# wants_help ARGS...: true if one of the arguments asks for help.
+wants_help() {
+  local argument
+  for argument in "$@"; do
+    [[ "$argument" == -h || "$argument" == --help ]] && return 0
+  done
+  return 1
+}
+
+# True where a ROS 2 Jazzy installation is sourced; it is then the underlay, and the virtual environment adds the rest.
+ros_is_sourced() { [[ "${ROS_DISTRO:-}" == jazzy && -n "${AMENT_PREFIX_PATH:-}" && "${IM_WHEELS:-}" != 1 ]]; }
+
+# The Fast DDS profile (16 MB shared-memory segments, so that images pass whole) and the defaults of every process.
+im_defaults() {
+  if [[ -z "${HOME:-}" ]]; then
+    export HOME="$IM_ROOT/.run"
+    mkdir -p "$HOME"
+  fi
+  export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"
+  export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+  export IM_RUN_DIR="${IM_RUN_DIR:-$IM_ROOT/.run/im$ROS_DOMAIN_ID}"
+  export ROS_LOG_DIR="${ROS_LOG_DIR:-$IM_RUN_DIR/ros}"
+  export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$IM_WS/src/im_bringup/im_bringup/config/fastdds.xml}"
+  export PYTHONUNBUFFERED=1
+  # The servo's matrices are small: threads of a BLAS would only disturb it.
+  export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
+}
+
+# im_env: the complete environment, as every script but setup.sh needs it.
+im_env() {
+  [[ -f "$IM_WS/install/.im-built" ]] || die 3 "the workspace is not built yet; run scripts/setup.sh first"
+  im_defaults
+  local nounset=0
+  [[ $- == *u* ]] && nounset=1
+  set +u
+  # shellcheck disable=SC1091
+  source "$IM_WS/install/setup.bash"
+  ((nounset)) && set -u
+  export PATH="$IM_VENV/bin:$PATH" VIRTUAL_ENV="$IM_VENV"
+}
+
+# im_python ARGS...: the python of the virtual environment.
+im_python() { "$IM_VENV/bin/python" "$@"; }
