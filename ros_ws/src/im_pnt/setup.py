@@ -16,7 +16,7 @@ setup(
     zip_safe=True,
     maintainer="im maintainers",
     maintainer_email="maintainers@example.org",
-    description="Petri net transducers: nets from YAML, verified, executed, distributed over processes, and drawn live.",
+    description="Petri net transducers: nets from YAML, verified, executed, distributed, and drawn live",
     license="MIT",
     entry_points={
         "console_scripts": [

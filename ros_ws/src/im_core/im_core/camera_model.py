@@ -1,7 +1,7 @@
 """Pinhole camera with `plumb_bob` lens distortion and a pose in the world.
 
-Conventions (OpenCV and REP-105): ``x_cam = R_cam_base @ x_world + t_cam_base``; z forward, x right, y down; the centre of
-the upper left pixel is (0, 0); D = (k1, k2, p1, p2, k3).
+Conventions (OpenCV and REP-105): ``x_cam = R_cam_base @ x_world + t_cam_base``; z forward, x right, y down; the centre
+of the upper left pixel is (0, 0); D = (k1, k2, p1, p2, k3).
 """
 
 from dataclasses import dataclass, field
@@ -95,7 +95,7 @@ def undistort(xd: ArrayLike, D: ArrayLike) -> Array:
     worst = float(np.nanmax(np.abs(distort(guess, D) - target), initial=0.0))
     if np.all(np.isfinite(guess)) and worst < 1e-9:
         return guess
-    raise DataError(f"The lens model D = {np.asarray(D).tolist()} cannot be inverted at some of the given image points.")
+    raise DataError(f"the lens model D = {np.asarray(D).tolist()} cannot be inverted at some of the given pixels")
 
 
 @dataclass(frozen=True)

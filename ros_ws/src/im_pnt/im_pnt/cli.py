@@ -25,9 +25,9 @@ Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wr
 
 _VERIFY = """Searches every marking that the nets can reach, alone or composed over remote places and services.
 
-A net is refused when a place can grow without end or over its capacity, when it can get stuck (waiting for a symbol or
-a caller at rest is not stuck; 'rest:' in the file names the places that may hold tokens then), or when a command it once
-took can become impossible for ever. The shortest firing sequence that shows it is printed. Guards are taken to be
+A net is refused when a place can grow without end or over its capacity, when it can get stuck (waiting for a symbol
+or a caller at rest is not stuck; 'rest:' in the file names the places that may hold tokens then), or when a command it
+once took can become impossible for ever. The shortest firing sequence that shows it is printed. Guards are taken to be
 either true or false; the tape is free: any symbol may come at any time."""
 
 

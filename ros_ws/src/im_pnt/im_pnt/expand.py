@@ -1,12 +1,12 @@
 """Two-phase firing and coordination structures made explicit (paper, section 6 and Figure 11).
 
-A transition with an action hides its tokens while the action runs. In the expanded net they are seen: ``t.start`` takes
-the inputs and marks ``t.active``; ``t.end`` or ``t.failed`` takes that token and gives the outputs or the ``on_failure``
-places. A P-invariant of the expanded net therefore holds at every instant, whatever the action's outcome.
+A transition with an action hides its tokens while the action runs. In the expanded net they are seen: ``t.start``
+takes the inputs and marks ``t.active``; ``t.end`` or ``t.failed`` takes that token and gives the outputs or the
+``on_failure`` places. A P-invariant of the expanded net therefore holds at every instant, whatever the outcome.
 
-A service ``s`` adds the places I.s, SI, O.s and SO of the paper's coordination structure: ``accept.s`` takes the request
-and the input semaphore SI, ``t_f.s`` gives SI back and marks O.s, ``return.s`` answers the caller and gives SO back.
-Where services share a ``done`` or ``failed`` place, ``serving.s`` tells whose end it is.
+A service ``s`` adds the places I.s, SI, O.s and SO of the paper's coordination structure: ``accept.s`` takes the
+request and the input semaphore SI, ``t_f.s`` gives SI back and marks O.s, ``return.s`` answers the caller and gives SO
+back. Where services share a ``done`` or ``failed`` place, ``serving.s`` tells whose end it is.
 """
 
 from collections import Counter

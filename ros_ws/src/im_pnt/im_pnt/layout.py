@@ -6,6 +6,7 @@ layer is found by barycentres, and the horizontal places by an isotonic fit to t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 Point = tuple[float, float]
 Edge = tuple[str, str]
@@ -91,12 +92,12 @@ def _forward(edge: Edge, backward: set[Edge]) -> Edge:
 
 def _depths(nodes: list[str], edges: Sequence[Edge], backward: set[Edge]) -> dict[str, int]:
     forward = {_forward(edge, backward) for edge in edges if edge[0] != edge[1]}
-    waiting = {node: 0 for node in nodes}
+    waiting = dict.fromkeys(nodes, 0)
     follows: dict[str, list[str]] = {node: [] for node in nodes}
     for a, b in sorted(forward):
         waiting[b] += 1
         follows[a].append(b)
-    depth = {node: 0 for node in nodes}
+    depth = dict.fromkeys(nodes, 0)
     ready = [node for node in nodes if waiting[node] == 0]
     while ready:
         node = ready.pop()
@@ -128,7 +129,7 @@ def _with_dummies(depth: dict[str, int], edges: Sequence[Edge], backward: set[Ed
                 chain.append(dummy)
             made[a, b] = chain
             full: list[_Node] = [a, *chain, b]
-            for upper, lower in zip(full, full[1:], strict=False):
+            for upper, lower in pairwise(full):
                 graph.down.setdefault(upper, []).append(lower)
                 graph.up.setdefault(lower, []).append(upper)
         graph.chains[edge] = made[a, b][::-1] if edge in backward else made[a, b]

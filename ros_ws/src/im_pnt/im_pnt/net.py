@@ -70,13 +70,23 @@ class FunctionAction:
 
 @dataclass(frozen=True, slots=True)
 class ServiceAction:
-    """Calls a service; ``build`` makes further request fields, ``handle`` reads the response."""
+    """Calls a service.
+
+    Attributes:
+        name: Name of the service.
+        type: Its type, ``package/srv/Type``.
+        fields: Fields of the request.
+        build: Registered function that makes further fields.
+        handle: Registered function that reads the response.
+        task: Task that answers, whose death ends the wait; None: the first part of the name, if that is a task.
+    """
 
     name: str
     type: str
     fields: Mapping[str, object] = field(default_factory=dict)
     build: str | None = None
     handle: str | None = None
+    task: str | None = None
 
     def __str__(self) -> str:
         return f"service {self.name}"
@@ -84,13 +94,14 @@ class ServiceAction:
 
 @dataclass(frozen=True, slots=True)
 class GoalAction:
-    """Sends an action goal; ``build`` makes further goal fields, ``handle`` reads the result."""
+    """Sends an action goal; the attributes are those of :class:`ServiceAction`, the type is ``package/action/Type``."""
 
     name: str
     type: str
     fields: Mapping[str, object] = field(default_factory=dict)
     build: str | None = None
     handle: str | None = None
+    task: str | None = None
 
     def __str__(self) -> str:
         return f"goal {self.name}"

@@ -224,7 +224,7 @@ def _action(node: YamlNode, keys: Mapping[str, YamlNode]) -> Action | None:
         return FunctionAction(_name(value))
     if kind == "request":
         return _request(value)
-    parts = value.items(("name", "type", "request" if kind == "service" else "goal", "build", "handle"))
+    parts = value.items(("name", "type", "request" if kind == "service" else "goal", "build", "handle", "task"))
     for required in ("name", "type"):
         if required not in parts:
             raise value.error(f"'{required}' is missing")
@@ -240,6 +240,7 @@ def _action(node: YamlNode, keys: Mapping[str, YamlNode]) -> Action | None:
         _fields(parts.get("request") or parts.get("goal")),
         _name(parts["build"]) if "build" in parts else None,
         _name(parts["handle"]) if "handle" in parts else None,
+        _name(parts["task"]) if "task" in parts else None,
     )
 
 

@@ -1,8 +1,8 @@
 """Dry friction and brakes: joints that stick stand still exactly, joints that slide are slowed by a fixed torque."""
 
+import eigenpy
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dposv
 
 _MAX_PIVOTS = 100
 
@@ -58,13 +58,13 @@ class DryFriction:
                 needed = -momentum
             elif sticks.any():
                 known = np.where(sticks, 0.0, momentum - np.where(sign > 0.0, p_positive, -p_negative))
-                v = dposv(np.where(sticks[:, None] | sticks, self._identity, inertia), known)[1]
+                v = _solve(np.where(sticks[:, None] | sticks, self._identity, inertia), known)
                 needed = inertia @ v - momentum
             else:
-                v = dposv(inertia, momentum - np.where(sign > 0.0, p_positive, -p_negative))[1]
+                v = _solve(inertia, momentum - np.where(sign > 0.0, p_positive, -p_negative))
                 needed = momentum
             wrong = (sticks & ((needed > p_negative) | (needed < -p_positive))) | (v * sign < 0.0)
-            count = np.count_nonzero(wrong)
+            count = int(np.count_nonzero(wrong))
             if not count:
                 break
             one_by_one = one_by_one or count >= best + 3
@@ -74,3 +74,9 @@ class DryFriction:
             sign[changed] = np.where(sticks[changed], -np.sign(needed[changed]), 0.0)
         self._sign = sign
         return v
+
+
+def _solve(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By Cholesky; the result of a single row comes as a matrix."""
+    solution: NDArray[np.float64] = eigenpy.LLT(matrix).solve(right).ravel()
+    return solution

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
 from im_core.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError
 from im_core.robot import Camera, Cell
-
 from im_vss.camera_info import camera_info_yaml
 
 
@@ -40,7 +40,9 @@ class CameraBook:
 
     def __init__(self, cell: Cell, cameras: Iterable[str], directory: Path) -> None:
         """Start from the nominal cameras of `cell`; files go to `directory`."""
-        self._entries = {name: CameraEntry(name, cell.cameras[name].parent, nominal(cell.cameras[name])) for name in cameras}
+        self._entries = {
+            name: CameraEntry(name, cell.cameras[name].parent, nominal(cell.cameras[name])) for name in cameras
+        }
         self._directory = directory
         self._lock = threading.Lock()
         self.on_change: Callable[[], None] = lambda: None

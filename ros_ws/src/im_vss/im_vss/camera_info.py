@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from im_core.camera_model import CameraModel
 from numpy.typing import NDArray
+
+from im_core.camera_model import CameraModel
 
 
 def projection_matrix(model: CameraModel) -> NDArray[np.float64]:

@@ -5,9 +5,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Self
 
+from pydantic import Field, model_validator
+
 from im_core.config import Model, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
-from pydantic import Field, model_validator
 
 Implementation = Annotated[str, Field(pattern=r"^[a-z_][\w.]*:[A-Z]\w*$")]
 

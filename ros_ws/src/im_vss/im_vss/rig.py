@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 from im_core.robot import Cell
-
 from im_vss.camera_book import CameraBook
 from im_vss.frames import FrameSource, Screen
 from im_vss.monitor import Monitors

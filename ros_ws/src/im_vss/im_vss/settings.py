@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
+from pydantic import Field, model_validator
+
 from im_core.config import Model, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
 from im_core.robot import Cell
-from pydantic import Field, model_validator
-
 from im_vss.spot import SensorNoise, SpotGates
 
 Seconds = Annotated[float, Field(gt=0.0)]
@@ -63,11 +63,9 @@ class VssSettings(Model):
         """
         if wanted == 0.0:
             return self.exposure.nominal
-        if not self.exposure.shortest <= wanted <= self.exposure.longest:
-            raise ConfigError(
-                f"an exposure of {wanted:g} s is not between {self.exposure.shortest:g} and {self.exposure.longest:g} s",
-                exposure=wanted,
-            )
+        low, high = self.exposure.shortest, self.exposure.longest
+        if not low <= wanted <= high:
+            raise ConfigError(f"an exposure of {wanted:g} s is not between {low:g} and {high:g} s", exposure=wanted)
         return wanted
 
     def check_cameras(self, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import Any
 
 from im_core.errors import NotFoundError
-
 from im_vss.catalogue import Catalogue, load_class
 from im_vss.managers import VisionClient, VisionModuleManager
 from im_vss.modules import VisionModule

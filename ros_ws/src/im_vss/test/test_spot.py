@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from im_vss.spot import SensorNoise, SpotGates, find_spot
 from im_vss.spot.psf import amplitude_to_flux, pixel_derivatives, pixel_integrals
 

@@ -53,6 +53,7 @@ class MotionCoordinator(PntNode):
         handle = await wait(self, self._move.send_goal_async(Move.Goal(path=path)), ANSWER_S, "MCS to accept a move")
         if not handle.accepted:
             raise StateError(f"MCS refused to move {GROUP}: it is {self._mcs_state()}", state=self._mcs_state())
+        ctx.on_cancel(handle.cancel_goal_async)
         try:
             answer = await self.heartbeats.wait(
                 handle.get_result_async(), "mcs", LONGEST_MOVE_S, f"the end of a move of {GROUP}"

@@ -35,7 +35,7 @@ class PathPlanningCoordinator(PntNode):
                 "plan_detour": self.plan_detour,
                 "check_given": self.check_given,
             },
-            guards={"detour_may_help": lambda ctx: ctx.failure.get("code") in DETOUR_FAILURES},
+            guards={"detour_may_help": lambda ctx: ctx.failure.code in DETOUR_FAILURES},
         )
         self._tucked = list(load_cell().sides[GROUP].home)
         self._state = self.create_client(GetGroupState, "/mcs/get_group_state")

@@ -30,7 +30,9 @@ class VisionCoordinator(PntNode):
                 "look_again": self.look_again,
                 "do_calibrate": self.do_calibrate,
             },
-            guards={"another_look_may_help": lambda ctx: another_look_may_help(ctx.failure.get("causes", []))},
+            guards={
+                "another_look_may_help": lambda ctx: another_look_may_help(ctx.failure.facts.get("causes", []))
+            },
         )
         self._exposure = self.declare_parameter("exposure", 0.0).value
         self._long_exposure = self.declare_parameter("long_exposure", 0.009 * LONGER_EXPOSURE).value

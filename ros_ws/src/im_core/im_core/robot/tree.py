@@ -72,7 +72,12 @@ def joints_of(name: str, side: Side, cart: Cart, arm: ArmModel, counts: int, noi
     """The nine joints of one side, from the track to the wrist."""
 
     def joint(
-        joint_name: str, kind: str, axis: Vector, links: tuple[str, str], pose: tuple[Vector, Vector], limits: Limits,
+        joint_name: str,
+        kind: str,
+        axis: Vector,
+        links: tuple[str, str],
+        pose: tuple[Vector, Vector],
+        limits: Limits,
         motor: Motor,
     ) -> Joint:
         gear = abs(motor.gear)

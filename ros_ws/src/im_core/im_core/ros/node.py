@@ -1,18 +1,25 @@
 """Base class of every node: start-up phases, heartbeat, and waking of coroutines."""
 
+import inspect
 import os
 import secrets
 import socket
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import rclpy
 from im_msgs.msg import TaskStatus
+from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.service import Service
+from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Future
 from std_msgs.msg import UInt8
 
 from im_core import clock
-from im_core.errors import ImError
+from im_core.errors import ImError, NotFoundError
 from im_core.ros import qos
 
 PHASE_LOAD, PHASE_CONFIGURE, PHASE_START, PHASE_SHUTDOWN = range(4)
@@ -20,6 +27,12 @@ PHASE_LOAD, PHASE_CONFIGURE, PHASE_START, PHASE_SHUTDOWN = range(4)
 PHASE_TOPIC = "/im/phase"
 STATUS_TOPIC = "/im/task_status"
 HEARTBEAT_PERIOD_S = 0.5
+
+INTROSPECTION = {
+    "off": ServiceIntrospectionState.OFF,
+    "metadata": ServiceIntrospectionState.METADATA,
+    "contents": ServiceIntrospectionState.CONTENTS,
+}
 WAKE_DELAY_S = 0.0002
 
 
@@ -50,11 +63,18 @@ class ManagedNode(Node):
 
     The bootstrap announces the phases LOAD, CONFIGURE, START and SHUTDOWN on ``/im/phase``; the node follows,
     and tells where it is on ``/im/task_status``. With the parameter ``standalone:=true`` it passes through
-    the phases alone. Subclasses override :meth:`phase_configure`, :meth:`phase_start`, :meth:`phase_shutdown`.
+    the phases alone; with ``introspection:=metadata`` or ``contents`` all its services and clients publish what
+    they carry on ``<service>/_service_event``. Subclasses override :meth:`phase_configure`, :meth:`phase_start`, :meth:`phase_shutdown`.
     """
+
+    _introspection = ServiceIntrospectionState.OFF
 
     def __init__(self, name: str, **kwargs: object) -> None:
         super().__init__(name, **kwargs)
+        introspection = self.declare_parameter("introspection", "off").value
+        if introspection not in INTROSPECTION:
+            raise NotFoundError(kind="kind of introspection", name=str(introspection), known=INTROSPECTION)
+        self._introspection = INTROSPECTION[introspection]
         self.task_name = name
         self.incarnation = secrets.randbits(63)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -71,6 +91,33 @@ class ManagedNode(Node):
         else:
             self.create_subscription(UInt8, PHASE_TOPIC, lambda message: self._follow(message.data), qos.LATCHED)
         self._publish_status()
+
+    def create_service(self, *args: object, **kwargs: object) -> Service:
+        """As in rclpy, with introspection as the node's parameter says."""
+        service = super().create_service(*args, **kwargs)
+        service.configure_introspection(self.get_clock(), qos.EVENTS, self._introspection)
+        service.send_response = partial(self._send_when_done, service, service.send_response)
+        return service
+
+    def _send_when_done(self, service: Service, send: Callable[..., None], response: Any, header: object) -> None:
+        """Send what a service's callback returned; the events executor would take a coroutine for the response."""
+        if not inspect.iscoroutine(response):
+            send(response, header)
+            return
+
+        def finished(task: Any) -> None:
+            if (error := task.exception()) is not None:
+                self.get_logger().error(f"{service.srv_name} failed: {error!r}")
+            if rclpy.ok():
+                send(service.srv_type.Response() if error is not None else task.result(), header)
+
+        self.executor.create_task(response).add_done_callback(finished)
+
+    def create_client(self, *args: object, **kwargs: object) -> Client:
+        """As in rclpy, with introspection as the node's parameter says."""
+        client = super().create_client(*args, **kwargs)
+        client.configure_introspection(self.get_clock(), qos.EVENTS, self._introspection)
+        return client
 
     def phase_configure(self) -> None:
         """Load the configuration, open what is shared, start child processes.

@@ -42,3 +42,11 @@ STATUS = QoSProfile(
 
 #: Streams of which the newest counts.
 SENSOR = qos_profile_sensor_data
+
+#: Images: reliable, so that every subscriber matches, and a short queue, for they are large.
+IMAGES = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=5,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)

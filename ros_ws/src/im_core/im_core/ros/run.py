@@ -6,9 +6,10 @@ import threading
 from collections.abc import Callable, Sequence
 
 import rclpy
-from rclpy.exceptions import InvalidHandle, RCLError
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
@@ -38,9 +39,10 @@ class Spinner:
             pass
 
     def start(self) -> "Spinner":
-        """Spin in a thread."""
-        self._thread = threading.Thread(target=self.spin, name="spinner", daemon=True)
-        self._thread.start()
+        """Spin in a thread; harmless when it spins already."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self.spin, name="spinner", daemon=True)
+            self._thread.start()
         return self
 
     def request_stop(self) -> None:
@@ -61,7 +63,7 @@ class Spinner:
         for node in self.nodes:
             try:
                 node.destroy_node()
-            except (InvalidHandle, RCLError):
+            except (InvalidHandle, rclpy_implementation.RCLError):
                 pass
 
     def __enter__(self) -> "Spinner":

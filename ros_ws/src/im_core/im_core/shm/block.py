@@ -87,6 +87,11 @@ class SharedBlock:
         """A view of ``count`` items of ``dtype`` at byte ``offset``."""
         return np.frombuffer(self._memory, dtype=dtype, count=count, offset=_HEADER_BYTES + offset)
 
+    def buffer(self, count: int, offset: int = 0) -> memoryview:
+        """The ``count`` bytes at byte ``offset``."""
+        start = _HEADER_BYTES + offset
+        return memoryview(self._memory)[start : start + count]
+
     def owner_alive(self) -> bool:
         """Whether the process that created the block still runs."""
         return self._owner.alive()
@@ -158,15 +163,17 @@ def unlink(name: str) -> None:
         return
 
 
-def remove_all(instance: str) -> list[str]:
-    """Remove every block and semaphore of one instance of the machine, as after ``kill -9`` of all of it.
+def remove_all(prefix: str) -> list[str]:
+    """Remove every block and semaphore whose name begins with ``prefix``, as after ``kill -9`` of their owners.
+
+    Names begin with the machine's instance and an underscore: ``remove_all("im7_")`` clears all of ``im7``.
 
     Returns:
         Names of the files removed from ``/dev/shm``.
     """
     removed = []
     for path in sorted(Path("/dev/shm").iterdir()):
-        if path.name.startswith((f"{instance}_", f"sem.{instance}_")):
+        if path.name.startswith((prefix, f"sem.{prefix}")):
             path.unlink(missing_ok=True)
             removed.append(path.name)
     return removed

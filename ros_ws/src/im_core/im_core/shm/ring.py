@@ -23,7 +23,7 @@ class MessageRing:
         self._block = block
         self.capacity = block.size - _HEADER_BYTES
         self._counters = block.array("<u8", 2)
-        self._data = memoryview(block.array("u1", self.capacity, offset=_HEADER_BYTES)).cast("B")
+        self._data = block.buffer(self.capacity, offset=_HEADER_BYTES)
 
     @classmethod
     def create(cls, name: str, capacity: int = 65536) -> Self:

@@ -40,6 +40,7 @@ class Dispatcher(PntNode):
                 "keep_observation": self.keep_observation,
                 "skip_pose": self.skip_pose,
                 "write_report": self.write_report,
+                "note_failure": self.note_failure,
                 "report_failure": self.report_failure,
             },
             guards={
@@ -51,6 +52,7 @@ class Dispatcher(PntNode):
         self._seed = self.declare_parameter("seed", 0).value
         self._job: CalibrationJob[Observation] | None = None
         self._directory: Path | None = None
+        self._reason = ""
         self._times = StepTimes()
         self._begun = (0.0, 0.0)
         self.create_subscription(Firing, "/pnt/firings", self._note_firing, qos.EVENTS)
@@ -64,7 +66,7 @@ class Dispatcher(PntNode):
 
     async def init_calib(self, ctx: Any) -> None:
         """Reads the poses and sets the loop variable."""
-        self._job, self._directory = None, None
+        self._job, self._directory, self._reason = None, None, ""
         self._times = StepTimes()
         self._begun = (clock.monotonic(), self._now_s())
         arguments = ctx.command.arguments
@@ -97,7 +99,7 @@ class Dispatcher(PntNode):
     async def skip_pose(self, ctx: Any) -> None:
         """Leaves out this pose and says why."""
         job = self._present_job()
-        reason = ctx.failure.get("message", "unknown")
+        reason = ctx.failure.message
         job.skip(reason)
         await self._publish_observations(job)
         ctx.progress(f"pose {job.current.name} skipped: {reason}", job.progress)
@@ -112,9 +114,15 @@ class Dispatcher(PntNode):
         report["poses"] = len(job.poses)
         ctx.result.update(self._finish(report))
 
+    async def note_failure(self, ctx: Any) -> None:
+        """Keeps the reason for which the command ends, before what is done to end it can fail too."""
+        self._reason = "the command was cancelled" if ctx.cancelled else ctx.failure.message
+        ctx.progress(f"giving up: {self._reason}")
+
     async def report_failure(self, ctx: Any) -> None:
         """Writes the report of a command that failed."""
-        reason = ctx.failure.get("message", "unknown")
+        reason = self._reason or ctx.failure.message
+        ctx.result["message"] = reason
         report: dict[str, Any] = {"success": False, "message": reason}
         if self._job is not None:
             report["points_used"] = 0
@@ -157,8 +165,8 @@ class Dispatcher(PntNode):
             raise StateError("no calibrate_camera command is running")
         return self._job
 
-    def _dispensable(self, failure: dict[str, Any]) -> bool:
-        return self._job is not None and self._job.dispensable(failure.get("code", ""))
+    def _dispensable(self, failure: ImError | None) -> bool:
+        return self._job is not None and failure is not None and self._job.dispensable(failure.code)
 
     def _observation(self, pose: str, spots: SpotSet, position: GroupState) -> Observation:
         rest_ns = position.rest_since.sec * 10**9 + position.rest_since.nanosec

@@ -2,9 +2,10 @@
 
 import importlib
 from dataclasses import dataclass
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
+import pydantic
 from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
@@ -64,6 +65,23 @@ class Controller(Protocol):
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
         """Torques for this tick, shape (n,) [Nm or N]; the loop limits them."""
         ...
+
+
+ParametersT = TypeVar("ParametersT", bound=pydantic.BaseModel)
+
+
+def checked(model: type[ParametersT], parameters: dict[str, Any]) -> ParametersT:
+    """Parameters of a control law as its typed model.
+
+    Raises:
+        ConfigError: One is missing, unknown or out of range; it is named.
+    """
+    try:
+        return model.model_validate(parameters)
+    except pydantic.ValidationError as error:
+        fault = error.errors()[0]
+        where = ".".join(str(part) for part in fault["loc"])
+        raise ConfigError(f"controller parameter '{where}': {fault['msg']}", parameter=where) from None
 
 
 def load_controller(name: str, setup: ControllerSetup) -> Controller:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from im_core.errors import ImError, LinkError, StateError
+from im_core.errors import ImError, LimitError, LinkError, NotFoundError, StateError
 from im_mcs.client.requests import Request, check_path, check_speed_scale, parse_request
 from im_mcs.config import McsConfig
 from im_mcs.control import ControllerSetup, load_controller
@@ -13,6 +13,7 @@ from im_mcs.control.velocity import VelocityEstimator
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
 from im_mcs.planning import GroupPlanner, JointPath
+from im_mcs.servo.gripper import GripperMotion
 from im_mcs.servo.group import ControlledGroup, Goal
 from im_mcs.servo.rest import RestMonitor
 from im_mcs.state import Event, State
@@ -61,6 +62,7 @@ class Mcs:
             measured=self.measured,
             arms=self,
         )
+        self._grippers: dict[int, GripperMotion] = {}
         self._progress_ticks = max(1, round(_PROGRESS_S / config.servo.period_s))
 
     def tick(self, messages: Iterable[dict[str, Any]]) -> None:
@@ -80,7 +82,9 @@ class Mcs:
         self._watch(m)
         self._control(m)
         self._finish_goals(m)
-        self.wants_time = self.manager.busy or any(g.engaged and not g.settled for g in self.groups.values())
+        self._finish_grippers(m)
+        settling = any(group.engaged and not group.settled for group in self.groups.values())
+        self.wants_time = self.manager.busy or settling or bool(self._grippers)
         self.testbed.write(Drive(self.tau, self.manager.power, self.manager.brakes, self.gripper, self.wants_time))
 
     def obey(self, message: dict[str, Any]) -> None:
@@ -119,6 +123,10 @@ class Mcs:
             goal, group.goal = group.goal, None
             if goal is not None:
                 self._result(group, goal, reason)
+        self.gripper = self.measured.gripper.copy()
+        for motion in self._grippers.values():
+            self._answer(motion.id, reason)
+        self._grippers.clear()
         self.disengage()
 
     def moving(self) -> str | None:
@@ -170,7 +178,8 @@ class Mcs:
             case Event.CANCEL:
                 self._cancel(int(arguments["goal"]))
             case Event.SET_GRIPPER:
-                self._set_gripper(str(arguments["gripper"]), float(arguments["opening"]))
+                self._set_gripper(request)
+                return
             case _:
                 self.manager.begin(event, lambda error: self._answer(request.id, error))
                 return
@@ -199,11 +208,21 @@ class Mcs:
                 return
         raise StateError(f"goal {goal_id} is not under way", goal=goal_id)
 
-    def _set_gripper(self, gripper: str, opening: float) -> None:
+    def _set_gripper(self, request: Request) -> None:
         self.manager.check(Event.SET_GRIPPER)
+        name, opening = str(request.arguments["gripper"]), float(request.arguments["opening"])
         names = [slot.name for slot in self.config.gripper_slots]
+        if name not in names:
+            raise NotFoundError(kind="gripper", name=name, known=names)
+        stroke = self.model.cell.gripper.stroke
+        if not 0.0 <= opening <= stroke:
+            raise LimitError(joint=name, value=opening, limit=stroke if opening > 0.0 else 0.0, unit="m", what="opening")
+        slot = names.index(name)
+        if slot in self._grippers:
+            raise StateError(f"{name} is moving; wait for its end", gripper=name)
         self.gripper = self.gripper.copy()
-        self.gripper[names.index(gripper)] = opening
+        self.gripper[slot] = opening
+        self._grippers[slot] = GripperMotion(request.id, slot, float(self.measured.gripper[slot]))
 
     def _watch(self, m: Measured) -> None:
         """E-stop on what no controller can mend."""
@@ -250,6 +269,11 @@ class Mcs:
                 self._emit(
                     {"event": "progress", "id": group.goal.id, "progress": group.planner.progress, "point": group.planner.point}
                 )
+
+    def _finish_grippers(self, m: Measured) -> None:
+        for motion in [motion for motion in self._grippers.values() if motion.update(m.gripper)]:
+            del self._grippers[motion.slot]
+            self._answer(motion.id, None, opening=motion.last)
 
     def _result(self, group: ControlledGroup, goal: Goal, fault: ImError | None) -> None:
         duration = (self.measured.tick - goal.since_tick) * self.config.servo.period_s

@@ -151,7 +151,8 @@ class ControlledGroup:
         joint, unit = self._limits.names[rank], self._limits.units[rank]
         error = float(self.monitor.last_error[worst])
         return ImError(
-            f"group '{self.name}' did not settle: {joint} is {error:.3g} {unit} off after {self.monitor.timeout_s:g} s",
+            f"group '{self.name}' did not settle: {joint} still moves or is off its setpoint, by {error:.3g} {unit} "
+            f"after {self.monitor.timeout_s:g} s",
             code="not_settled",
             joint=joint,
             value=error,

@@ -13,9 +13,11 @@ from im_mcs.model import Model
 from im_mcs.servo.channel import STATES, ServoChannel, sample_message
 from im_mcs.servo.core import Mcs
 from im_mcs.servo.realtime import Pacer, schedule
+from im_mcs.state import State
 from im_mcs.testbed import TestbedInterface, load_driver
 
 _WAIT_S = 0.05
+_SNAPSHOT_TICKS = 4
 _SAMPLE_PERIOD_NS = 20_000_000
 
 
@@ -47,6 +49,7 @@ class ServoProcess:
             instance, model.n, len(gripper_channels), config.testbed.attach_timeout_s
         )
         self._pending: list[dict[str, Any]] = []
+        self._told_state = State.COLD
         testbed = TestbedInterface(self._driver, channels, gripper_channels)
         self._mcs = Mcs(config, model, testbed, self._pending.append)
         self._record = self._channel.snapshot.record()
@@ -89,6 +92,7 @@ class ServoProcess:
             self._mcs.lose_testbed(error)
             for message in self._channel.requests.receive_all():
                 self._mcs.obey(message)
+            self._tell_state()
             self._write_snapshot()
             self._send_events()
             clock.sleep(_WAIT_S)
@@ -111,13 +115,15 @@ class ServoProcess:
         asks for next then falls into the next tick, whoever is faster.
         """
         m = self._mcs.measured
+        self._tell_state()
         powered = self._mcs.manager.power
         if powered and not self._powered:
             self._pacer.restart()
         self._powered = powered
         if self._pending and not self._mcs.wants_time:
             self._driver.after_tick(m.tick)
-        self._write_snapshot()
+        if self._pending or not self._mcs.wants_time or m.tick % _SNAPSHOT_TICKS == 0:
+            self._write_snapshot()
         if m.stamp_ns >= self._next_sample_ns:
             self._next_sample_ns = (m.stamp_ns // _SAMPLE_PERIOD_NS + 1) * _SAMPLE_PERIOD_NS
             try:
@@ -125,6 +131,13 @@ class ServoProcess:
             except LinkError:
                 pass  # the owner is slow: joint states are a stream of which the newest counts
         self._send_events()
+
+    def _tell_state(self) -> None:
+        """A change of state is told before the answers that came with it."""
+        state = self._mcs.manager.state
+        if state is not self._told_state:
+            self._told_state = state
+            self._pending.insert(0, {"event": "state", "state": state.value, "reason": self._mcs.manager.cause})
 
     def _send_events(self) -> None:
         if self._pending:

@@ -33,7 +33,7 @@ class RestMonitor:
 
     def __init__(self, resolution: NDArray[np.float64], noise: NDArray[np.float64], settings: Servo) -> None:
         self._reading_sd = np.sqrt(noise**2 + resolution**2 / 12.0)
-        self._quantisation = resolution**2 / 12.0
+        self._quantisation = _quantisation_variance(resolution, noise)
         self._tolerance = settings.settle.tolerance
         self._settle_window = settings.settle.window_ticks
         self._rest_window = settings.rest_window_ticks
@@ -88,21 +88,20 @@ class RestMonitor:
             return
         readings = np.array(self._readings)
         mean = readings.mean(axis=0)
+        if target is not None:
+            self.last_error = target - mean
         if not self._still(readings):
             self._settle()
             return
         if self.phase is RestPhase.SETTLING:
-            if target is not None:
-                self.last_error = target - mean
-                if (np.abs(self.last_error) > self._tolerance + 3.0 * self._sd(len(readings))).any():
-                    return
+            if target is not None and (np.abs(self.last_error) > self._tolerance + 3.0 * self._sd(len(readings))).any():
+                return
             self.phase = RestPhase.MEASURING
             self.since_tick = tick
             self._readings = deque(maxlen=self._rest_window)
             return
         self.phase = RestPhase.AT_REST
         self.q = mean
-        # the arm stands still, so noise averages out; quantisation need not
         self.variance = readings.var(axis=0, ddof=1) / len(readings) + self._quantisation
 
     def _settle(self) -> None:
@@ -117,3 +116,14 @@ class RestMonitor:
 
     def _sd(self, count: int) -> NDArray[np.float64]:
         return np.asarray(self._reading_sd / np.sqrt(count))
+
+
+def _quantisation_variance(resolution: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Variance of what quantisation leaves in the mean of many readings of an arm that stands still.
+
+    Noise before a quantiser acts as dither; of the error's Fourier series over one step the first harmonic remains, with
+    amplitude ``step / pi * exp(-2 pi^2 sd^2 / step^2)`` (B. Widrow, I. Kollar, "Quantization Noise", 2008, chapter 19);
+    without noise the error is uniform over a step.
+    """
+    dithered = resolution**2 / (2.0 * np.pi**2) * np.exp(-((2.0 * np.pi * noise / resolution) ** 2))
+    return np.asarray(np.where(noise > 0.0, dithered, resolution**2 / 12.0))

@@ -1,7 +1,7 @@
 """Several nets as one, with what surrounds them.
 
-Nets are joined over remote places (paper, Figure 9) and coordination structures (Figure 11). What lies outside the given
-nets is modelled, each by its most general behaviour:
+Nets are joined over remote places (paper, Figure 9) and coordination structures (Figure 11). What lies outside the
+given nets is modelled, each by its most general behaviour:
 
 * the input tape is free: any symbol may be there at any time;
 * a service that none of the given nets asks for has one generic caller, who asks again after each reply;
@@ -215,9 +215,7 @@ class _Composer:
                 name = self.q(net.name, place.name)
                 if place.remote and place.name not in inputs_of_services and name not in self._fed:
                     arrival = self.q(net.name, f"arrive.{place.name}")
-                    self._environment(
-                        Transition(arrival, outputs={name: 1}, role=Role.ENVIRONMENT, origin=place.name)
-                    )
+                    self._environment(Transition(arrival, outputs={name: 1}, role=Role.ENVIRONMENT, origin=place.name))
                     self.parts.at_rest_only.add(arrival)
                     self._assume(f"other nets mark {name} only while everything is at rest")
             for text in open_guards(net):

@@ -4,6 +4,8 @@ from im_vss.calibration.calibration import Calibration, CameraEstimate, Rejectio
 from im_vss.calibration.errors import DegenerateDataError
 from im_vss.calibration.pipeline import calibrate
 from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.report import report_of, summary
+from im_vss.calibration.results import write_results
 
 __all__ = [
     "Calibration",
@@ -13,4 +15,7 @@ __all__ = [
     "Rejection",
     "Verdict",
     "calibrate",
+    "report_of",
+    "summary",
+    "write_results",
 ]

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 
 from im_core import clock
 from im_core.errors import NotFoundError, StateError, WaitTimeoutError
-
 from im_vss.managers.lease import Lease, VisionClient
 
 _SLICE_S = 0.2
@@ -21,7 +20,12 @@ class VisionModuleManager:
     """
 
     def __init__(
-        self, name: str, modules: Iterable[str], wait_s: float, hold_s: float, now: Callable[[], float] = clock.monotonic
+        self,
+        name: str,
+        modules: Iterable[str],
+        wait_s: float,
+        hold_s: float,
+        now: Callable[[], float] = clock.monotonic,
     ) -> None:
         """Manage some modules.
 

@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from im_core.errors import WaitTimeoutError
-
 from im_vss.managers.lease import Lease
 
 if TYPE_CHECKING:

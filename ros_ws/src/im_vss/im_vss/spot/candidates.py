@@ -37,8 +37,8 @@ class MatchedFilter:
     def __init__(self, on: Frame, off: Frame, sigma: float, noise: SensorNoise) -> None:
         """Filter ``on - off``, shape (h, w) [DN], for spots of standard deviation `sigma` [px]."""
         reach = int(np.ceil(_REACH_SIGMAS * sigma))
-        kernel = cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F)
-        kernel /= np.sqrt((kernel**2).sum())
+        gaussian = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F), dtype=np.float32)
+        kernel = gaussian / np.sqrt((gaussian**2).sum())
         background = cv2.blur(off, (3, 3)).astype(np.float32)
         deviation = np.sqrt(2.0 * noise.variance(background))
         whitened = cv2.subtract(on, off, dtype=cv2.CV_32F) / deviation

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from im_core.config import Model
-from im_core.errors import DataError
 from numpy.typing import NDArray
 from pydantic import Field
 
+from im_core.config import Model
+from im_core.errors import DataError
 from im_vss.spot.candidates import MatchedFilter
 from im_vss.spot.fit import SpotFit, fit_spot
 from im_vss.spot.noise import SensorNoise

@@ -3,9 +3,10 @@
 from typing import TypeVar
 
 import numpy as np
-from im_core.config import Model
 from numpy.typing import NDArray
 from pydantic import Field
+
+from im_core.config import Model
 
 Float = TypeVar("Float", np.float32, np.float64)
 
@@ -32,7 +33,8 @@ class SensorNoise(Model):
 
     def analog_variance(self, mean: NDArray[Float]) -> NDArray[Float]:
         """Variance of pixels before quantisation [DN^2], for expected values `mean` [DN] of any shape."""
-        return np.maximum(mean - self.black_level, 0.0) / self.gain + (self.read_noise / self.gain) ** 2
+        photons: NDArray[Float] = np.maximum(mean - self.black_level, 0.0) / self.gain
+        return photons + (self.read_noise / self.gain) ** 2
 
     def variance(self, mean: NDArray[Float]) -> NDArray[Float]:
         """Variance of pixels after quantisation [DN^2], for expected values `mean` [DN] of any shape."""

@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from im_core.errors import ConfigError
-
 from im_vss.managers import Lease, VisionClient, VisionModuleManager
 
 if TYPE_CHECKING:

@@ -1,0 +1,150 @@
+"""The deployment file: which task runs in which process on which host."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Self
+
+import pydantic
+
+from im_core import config
+from im_core.config import Model
+from im_core.errors import NotFoundError
+
+Scalar = bool | int | float | str
+ParameterValue = Scalar | list[Scalar]
+Name = Annotated[str, pydantic.StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+HostName = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]*$")]
+
+_REFERENCE = re.compile(r"\$\{(\w+)\}")
+
+
+class Task(Model):
+    """One task: the executable that runs it, and what it is given.
+
+    Attributes:
+        package: ROS package of the executable.
+        executable: Its console script.
+        node: Fully qualified name of the node.
+        parameters: ROS parameters; ``${clock_factor}``, ``${seed}`` and ``${port}`` stand for those of the deployment.
+    """
+
+    package: Name
+    executable: Name
+    node: NodeName
+    parameters: dict[str, ParameterValue] = pydantic.Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A task and its place: unique id, symbolic name, host and process."""
+
+    id: int
+    name: str
+    host: str
+    process: str
+    task: Task
+
+
+class Deployment(Model):
+    """All tasks of a machine.
+
+    Attributes:
+        clock_factor: Simulated seconds a second of wall time; 0: as fast as it goes.
+        seed: Seed of everything drawn at random.
+        port: TCP port of the display.
+        hosts: Host name -> process name -> task name -> task, in starting order.
+    """
+
+    clock_factor: Annotated[float, pydantic.Field(ge=0.0, le=100.0)] = 1.0
+    seed: Annotated[int, pydantic.Field(ge=0, le=2**31 - 1)] = 1
+    port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
+    hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
+
+    @pydantic.model_validator(mode="after")
+    def _check_tasks(self) -> Self:
+        names: dict[str, str] = {}
+        nodes: dict[str, str] = {}
+        for host, processes in self.hosts.items():
+            for process, tasks in processes.items():
+                if len(tasks) != 1:
+                    raise ValueError(f"process '{process}' of host '{host}' has {len(tasks)} tasks, it must have 1")
+                for name, task in tasks.items():
+                    place = f"process '{process}' of host '{host}'"
+                    if name in names:
+                        raise ValueError(f"task '{name}' is in {names[name]} and in {place}")
+                    if task.node in nodes:
+                        raise ValueError(f"node {task.node} belongs to task '{nodes[task.node]}' and to '{name}'")
+                    if task.node.rpartition("/")[2] != name:
+                        raise ValueError(f"task '{name}' has the node {task.node}, which must end in the task's name")
+                    names[name], nodes[task.node] = place, name
+                    self._check_references(name, task)
+        return self
+
+    def _check_references(self, name: str, task: Task) -> None:
+        known = self._variables()
+        for parameter, value in task.parameters.items():
+            for reference in _REFERENCE.findall(value) if isinstance(value, str) else ():
+                if reference not in known:
+                    raise ValueError(
+                        f"parameter '{parameter}' of task '{name}' refers to '${{{reference}}}'; "
+                        f"known are {', '.join(sorted(known))}"
+                    )
+
+    def _variables(self) -> dict[str, Scalar]:
+        return {"clock_factor": self.clock_factor, "seed": self.seed, "port": self.port}
+
+    def tasks(self) -> Iterator[Placed]:
+        """All tasks with their places, in starting order; ids count from 1."""
+        number = 0
+        for host, processes in self.hosts.items():
+            for process, tasks in processes.items():
+                for name, task in tasks.items():
+                    number += 1
+                    yield Placed(number, name, host, process, task)
+
+    def on_host(self, host: str) -> list[Placed]:
+        """The tasks of one host, in starting order.
+
+        Raises:
+            NotFoundError: The deployment has no such host.
+        """
+        if host not in self.hosts:
+            raise NotFoundError(kind="host of the deployment", name=host, known=self.hosts)
+        return [placed for placed in self.tasks() if placed.host == host]
+
+    def parameters_of(self, task: Task) -> dict[str, ParameterValue]:
+        """ROS parameters of a task: references replaced, ``use_sim_time`` true unless the file says otherwise."""
+        values: dict[str, ParameterValue] = {"use_sim_time": True}
+        for name, value in task.parameters.items():
+            values[name] = self._resolved(value) if isinstance(value, str) else value
+        return values
+
+    def _resolved(self, text: str) -> Scalar:
+        variables = self._variables()
+        whole = _REFERENCE.fullmatch(text)
+        if whole is not None:
+            return variables[whole.group(1)]
+        return _REFERENCE.sub(lambda match: str(variables[match.group(1)]), text)
+
+    def with_values(self, factor: float | None, seed: int | None, port: int | None) -> "Deployment":
+        """The same deployment with some of its values replaced; None leaves a value as it is."""
+        given = {"clock_factor": factor, "seed": seed, "port": port}
+        changed = {name: value for name, value in given.items() if value is not None}
+        return Deployment.model_validate({**self.model_dump(), **changed})
+
+
+def default_path() -> Path:
+    """The deployment that ``scripts/start.sh`` takes when none is named."""
+    return config.package_file("im_bringup", "deployments/default.yaml")
+
+
+def load(path: str | Path) -> Deployment:
+    """Read a deployment file.
+
+    Raises:
+        ConfigError: It cannot be read or is not a deployment; names file, line and field.
+    """
+    return config.load_model(path, Deployment)

@@ -1,0 +1,88 @@
+"""What a machine that was killed leaves behind: processes, shared memory, semaphores."""
+
+import fcntl
+import os
+import re
+import signal
+from pathlib import Path
+
+from im_core import clock, names, shm
+from im_core.shm import ProcessId
+
+#: Every process of a machine has this in its environment, with the machine's instance as value.
+MARKER = "IM_MACHINE"
+
+_SHM = Path("/dev/shm")
+_DDS_LOCK = re.compile(r"^(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))_[es]l$")
+
+
+def processes() -> list[ProcessId]:
+    """Processes of the machine of this ROS domain, without the calling one."""
+    wanted = f"{MARKER}={names.instance()}".encode()
+    found = []
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdigit() or int(folder.name) == os.getpid():
+            continue
+        try:
+            environment = (folder / "environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        process = ProcessId.of(int(folder.name))
+        if wanted in environment and process.alive():
+            found.append(process)
+    return found
+
+
+def kill(found: list[ProcessId], timeout_s: float) -> list[ProcessId]:
+    """Kill processes.
+
+    Args:
+        found: The processes.
+        timeout_s: Longest wait for their end [s].
+
+    Returns:
+        Those that are still there.
+    """
+    for process in found:
+        if process.alive():
+            try:
+                os.kill(process.pid, signal.SIGKILL)
+            except (ProcessLookupError, PermissionError):
+                continue
+    deadline = clock.monotonic() + timeout_s
+    while any(process.alive() for process in found) and clock.monotonic() < deadline:
+        clock.sleep(0.01)
+    return [process for process in found if process.alive()]
+
+
+def remove_shared_memory() -> list[str]:
+    """Remove the blocks and semaphores of this machine, and what dead processes left of Fast DDS.
+
+    Returns:
+        Names of the files removed from ``/dev/shm``.
+    """
+    return shm.remove_all(f"{names.instance()}_") + _remove_dds_segments()
+
+
+def _remove_dds_segments() -> list[str]:
+    """Fast DDS holds a lock on the lock file of every segment in use; the kernel gives it back when the owner dies."""
+    removed = []
+    for lock in sorted(_SHM.glob("fastrtps_*")):
+        match = _DDS_LOCK.match(lock.name)
+        if match is None or not _unlocked(lock):
+            continue
+        for name in (match.group(1), f"sem.{match.group(1)}_mutex", lock.name):
+            path = _SHM / name
+            if path.exists():
+                path.unlink(missing_ok=True)
+                removed.append(name)
+    return removed
+
+
+def _unlocked(path: Path) -> bool:
+    try:
+        with path.open("ab") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

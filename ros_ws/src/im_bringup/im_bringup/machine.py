@@ -1,0 +1,101 @@
+"""The record of a running machine: one file a ROS domain, written by the bootstrap, read by ``start`` and ``stop``."""
+
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from im_core import names
+from im_core.errors import DataError, StateError
+from im_core.shm import ProcessId
+
+STARTING, READY, FAILED, STOPPING = "starting", "ready", "failed", "stopping"
+
+
+@dataclass(frozen=True)
+class MachineRecord:
+    """What is known of a running machine without asking its nodes.
+
+    Attributes:
+        pid: Process of the bootstrap.
+        start: Its start time, so that a reused pid is not taken for it [clock ticks].
+        state: starting, ready, failed or stopping.
+        phase: Start-up phase it is in.
+        tasks: Number of tasks.
+        missing: One sentence for each task that has not finished the phase.
+        run_dir: Folder of its logs.
+        deployment: File it was started from.
+        clock_factor: Simulated seconds a second.
+        seed: Seed of the run.
+        port: Port of the display.
+    """
+
+    pid: int
+    start: int
+    state: str
+    phase: str
+    tasks: int
+    run_dir: str
+    deployment: str
+    clock_factor: float
+    seed: int
+    port: int
+    missing: list[str] = field(default_factory=list)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the bootstrap runs."""
+        return ProcessId(self.pid, self.start).alive()
+
+
+def record_path(instance: str | None = None) -> Path:
+    """The record's file. It is in shared memory, so that it holds for all folders and ends with the computer's run."""
+    return Path("/dev/shm") / f"{instance or names.instance()}_machine.json"
+
+
+def read() -> MachineRecord | None:
+    """The record of the machine of this ROS domain, None if there is none.
+
+    Raises:
+        DataError: The file is not a record.
+    """
+    path = record_path()
+    try:
+        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return MachineRecord(**data)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, TypeError) as error:
+        raise DataError(f"{path} is not the record of a machine: {error}", file=str(path)) from error
+
+
+def read_running() -> MachineRecord:
+    """The record of the machine that runs in this ROS domain.
+
+    Raises:
+        StateError: None runs.
+        DataError: The record cannot be read.
+    """
+    record = read()
+    if record is None or not record.alive:
+        raise StateError(f"no machine runs in ROS domain {domain()}; scripts/start.sh starts one")
+    return record
+
+
+def write(record: MachineRecord) -> None:
+    """Replace the record in one step."""
+    path = record_path()
+    new = path.with_name(f"{path.name}.{os.getpid()}")
+    new.write_text(json.dumps(asdict(record)), encoding="utf-8")
+    os.replace(new, path)
+
+
+def remove() -> None:
+    """Remove the record."""
+    record_path().unlink(missing_ok=True)
+
+
+def domain() -> str:
+    """The ROS domain of this environment."""
+    return os.environ.get("ROS_DOMAIN_ID") or "0"

@@ -1,0 +1,143 @@
+"""Task identification (paper, section 3): unique id and symbolic name of every task, where it runs, how far it is."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+from im_bringup.deployment import Placed
+from im_core.errors import NotFoundError
+
+#: A task of another host whose heartbeat is silent for longer is taken for dead [s].
+SILENCE_S = 6.0
+
+
+class Progress(IntEnum):
+    """How far a task is; the first of them as in ``im_msgs/msg/TaskStatus``."""
+
+    STARTING = -1
+    LOADED = 0
+    CONFIGURED = 1
+    READY = 2
+    STOPPING = 3
+    FAILED = 4
+    DEAD = 5
+
+    @property
+    def word(self) -> str:
+        """The word for it in messages."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class TaskRecord:
+    """What is known of a task.
+
+    Attributes:
+        placed: Id, name, host, process and executable, from the deployment.
+        pid: Process id, 0 if it never ran.
+        incarnation: Number the task drew when it started, 0 if it was not heard yet.
+        restarts: How often it was started again.
+        progress: How far it is.
+        detail: Why it failed or died, or empty.
+        heard: When its heartbeat came last, monotonic time [s]; negative if never.
+    """
+
+    placed: Placed
+    pid: int = 0
+    incarnation: int = 0
+    restarts: int = 0
+    progress: Progress = Progress.STARTING
+    detail: str = ""
+    heard: float = -1.0
+
+    @property
+    def name(self) -> str:
+        """Symbolic name."""
+        return self.placed.name
+
+
+class Registry:
+    """Records of all tasks of a machine.
+
+    Args:
+        tasks: The tasks of the deployment.
+        local_host: Host whose processes are watched directly; the others are known by their heartbeats.
+    """
+
+    def __init__(self, tasks: Iterable[Placed], local_host: str) -> None:
+        self._records = {placed.name: TaskRecord(placed) for placed in tasks}
+        self._local_host = local_host
+
+    def records(self) -> list[TaskRecord]:
+        """All records, in starting order."""
+        return list(self._records.values())
+
+    def find(self, name: str) -> TaskRecord:
+        """The record of a task by its symbolic name.
+
+        Raises:
+            NotFoundError: No task has this name; the message lists those that exist.
+        """
+        if name not in self._records:
+            raise NotFoundError(kind="task", name=name, known=self._records)
+        return self._records[name]
+
+    def started(self, name: str, pid: int, restarts: int) -> None:
+        """A process of this host was started for the task."""
+        record = self.find(name)
+        self._records[name] = TaskRecord(record.placed, pid=pid, restarts=restarts)
+
+    def died(self, name: str, detail: str) -> None:
+        """The process of the task ended."""
+        self._records[name] = replace(self.find(name), progress=Progress.DEAD, detail=detail)
+
+    def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str, now: float) -> bool:
+        """A heartbeat came.
+
+        Args:
+            name: Task that sent it.
+            pid: Its process.
+            incarnation: Number it drew when it started.
+            progress: How far it is.
+            detail: Why it failed, or empty.
+            now: Monotonic time [s].
+
+        Returns:
+            Whether the record changed in more than the time of the heartbeat. Heartbeats of unknown tasks, and late
+            ones of processes that were replaced, change nothing.
+        """
+        record = self._records.get(name)
+        if record is None:
+            return False
+        local = record.placed.host == self._local_host
+        if local and (pid != record.pid or record.progress is Progress.DEAD):
+            return False
+        again = bool(record.incarnation) and incarnation != record.incarnation
+        new = TaskRecord(
+            record.placed,
+            pid=pid,
+            incarnation=incarnation,
+            restarts=record.restarts + (1 if again and not local else 0),
+            progress=progress,
+            detail=detail,
+            heard=now,
+        )
+        self._records[name] = new
+        return replace(record, heard=now) != new
+
+    def silence(self, now: float) -> list[TaskRecord]:
+        """Mark tasks of other hosts that fell silent as dead.
+
+        Args:
+            now: Monotonic time [s].
+
+        Returns:
+            The records that changed.
+        """
+        changed = []
+        for record in self.records():
+            remote = record.placed.host != self._local_host
+            if remote and record.heard >= 0 and record.progress is not Progress.DEAD and now - record.heard > SILENCE_S:
+                self.died(record.name, f"nothing was heard of it for {now - record.heard:.1f} s")
+                changed.append(self.find(record.name))
+        return changed

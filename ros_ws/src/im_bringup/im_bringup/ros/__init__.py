@@ -1,0 +1,1 @@
+"""ROS shells: the bootstrap and agent nodes, and the commands that are ROS clients."""

@@ -1,0 +1,98 @@
+"""Node ``/agent_<host>``: the agent of a host other than the bootstrap's; it follows the phases of the bootstrap."""
+
+import argparse
+import os
+import re
+import signal
+import sys
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import UInt8
+
+from im_bringup import deployment as deployments
+from im_bringup.agent import Agent, Died
+from im_bringup.commands import commands, environment
+from im_bringup.deployment import Deployment
+from im_bringup.phases import Phase
+from im_core import clock, names
+from im_core.errors import ImError
+from im_core.ros import qos
+from im_core.ros.node import PHASE_TOPIC
+from im_core.ros.run import Spinner
+
+POLL_PERIOD_S = 0.05
+
+
+class AgentNode(Node):
+    """Starts the tasks of its host when the bootstrap is there, and stops them when it says so.
+
+    Args:
+        deployment: The deployment, the same as the bootstrap's.
+        host: Name of this host in it.
+    """
+
+    def __init__(self, deployment: Deployment, host: str) -> None:
+        super().__init__("agent_" + re.sub(r"\W", "_", host))
+        run_dir = names.run_dir().resolve() / host
+        self._agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir))
+        self._started = False
+        self.finished = False
+        self.create_subscription(UInt8, PHASE_TOPIC, lambda message: self._follow(Phase(message.data)), qos.LATCHED)
+        self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(f"host {host} waits for the bootstrap")
+
+    def shut_down(self) -> None:
+        """Stop all tasks of this host, the last started first."""
+        for name in self._agent.shut_down():
+            self.get_logger().warning(f"task {name} did not end and was killed")
+
+    def _follow(self, phase: Phase) -> None:
+        if phase is Phase.SHUTDOWN:
+            self.finished = self._started
+        elif not self._started:
+            self._started = True
+            for event in self._agent.start():
+                self.get_logger().info(f"task {event.name} started, process {event.pid}")
+        if phase is Phase.START:
+            self._agent.respawn = True
+
+    def _poll(self) -> None:
+        for event in self._agent.poll(clock.monotonic()):
+            if isinstance(event, Died):
+                self.get_logger().error(f"task {event.name}: {event.sentence}")
+        if self.finished:
+            rclpy.try_shutdown()
+
+
+def main() -> int:
+    """Run the agent until SIGINT, SIGTERM or the end of the machine."""
+    parser = argparse.ArgumentParser(
+        prog="agent", description="Run the tasks of one host of a deployment; the bootstrap runs on another host."
+    )
+    parser.add_argument("host", help="name of this host in the deployment")
+    parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
+    arguments = parser.parse_args()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = AgentNode(deployments.load(arguments.deployment), arguments.host)
+    except ImError as error:
+        print(f"agent: {error.message}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return 1
+    spinner = Spinner([node])
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: spinner.request_stop())
+    try:
+        spinner.spin()
+    finally:
+        node.shut_down()
+        spinner.stop()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+"""Node ``/bootstrap``: starts the tasks of the deployment phase by phase, knows them by name, stops them in order."""
+
+import argparse
+import os
+import signal
+import socket
+import sys
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import UInt8
+
+from im_bringup import deployment as deployments
+from im_bringup import machine
+from im_bringup.agent import Agent, Died
+from im_bringup.bootstrap import Bootstrap
+from im_bringup.commands import commands, environment
+from im_bringup.deployment import Deployment
+from im_bringup.machine import MachineRecord
+from im_bringup.phases import Phase
+from im_bringup.registry import Progress
+from im_bringup.ros.convert import to_message
+from im_core import clock, names
+from im_core.errors import ImError
+from im_core.ros import qos
+from im_core.ros.node import PHASE_TOPIC, STATUS_TOPIC
+from im_core.ros.run import Spinner
+from im_core.shm import ProcessId
+from im_msgs.msg import TaskRegistry, TaskStatus
+from im_msgs.srv import QueryTask
+
+POLL_PERIOD_S = 0.05
+
+
+class BootstrapNode(Node):
+    """ROS shell of :class:`im_bringup.bootstrap.Bootstrap`; translates messages, decides nothing.
+
+    Args:
+        deployment: What to start.
+        path: The file it came from.
+        host: Host of the deployment that this process runs on.
+    """
+
+    def __init__(self, deployment: Deployment, path: Path, host: str) -> None:
+        super().__init__("bootstrap")
+        self._deployment, self._path = deployment, path
+        self._run_dir = names.run_dir().resolve()
+        agent = Agent(commands(deployment, host, self._run_dir), environment(os.environ, self._run_dir))
+        self._bootstrap = Bootstrap(list(deployment.tasks()), agent, host)
+        self._process = ProcessId.current()
+        self._written: MachineRecord | None = None
+        self._phase_publisher = self.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
+        self._tasks_publisher = self.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
+        self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
+        self.create_service(QueryTask, "/bootstrap/query_task", self._query)
+        self._announce(Phase.LOAD)
+        self._bootstrap.start()
+        self._show()
+        self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def shut_down(self) -> None:
+        """Stop all tasks, the last started first; then those of other hosts are told to stop."""
+        self._write_record(machine.STOPPING)
+        for name in self._bootstrap.shut_down():
+            self.get_logger().warning(f"task {name} did not end and was killed")
+        self._announce(Phase.SHUTDOWN)
+        machine.remove()
+
+    def _poll(self) -> None:
+        before = self._bootstrap.phase
+        events = self._bootstrap.poll(clock.monotonic())
+        for event in events:
+            if isinstance(event, Died):
+                self.get_logger().error(f"task {event.name}: {event.sentence}")
+            else:
+                self.get_logger().info(f"task {event.name} started again, process {event.pid}")
+        if self._bootstrap.phase is not before:
+            self._announce(self._bootstrap.phase)
+        if events or self._bootstrap.changed():
+            self._show()
+
+    def _status(self, message: Any) -> None:
+        self._bootstrap.heard(
+            message.name, message.pid, message.incarnation, Progress(message.phase), message.detail, clock.monotonic()
+        )
+
+    def _query(self, request: Any, response: Any) -> Any:
+        try:
+            response.task = to_message(self._bootstrap.registry.find(request.name))
+        except ImError as error:
+            response.success, response.message = False, error.message
+            return response
+        response.success = True
+        return response
+
+    def _announce(self, phase: Phase) -> None:
+        self._phase_publisher.publish(UInt8(data=int(phase)))
+        self.get_logger().info(f"phase {phase.name}")
+
+    def _show(self) -> None:
+        message = TaskRegistry(tasks=[to_message(record) for record in self._bootstrap.registry.records()])
+        seconds = clock.wall()
+        message.stamp.sec, message.stamp.nanosec = int(seconds), int(seconds % 1.0 * 1e9)
+        self._tasks_publisher.publish(message)
+        self._write_record(self._bootstrap.state)
+
+    def _write_record(self, state: str) -> None:
+        record = MachineRecord(
+            pid=self._process.pid,
+            start=self._process.start,
+            state=state,
+            phase=self._bootstrap.phase.name,
+            tasks=len(self._bootstrap.registry.records()),
+            run_dir=str(self._run_dir),
+            deployment=str(self._path),
+            clock_factor=self._deployment.clock_factor,
+            seed=self._deployment.seed,
+            port=self._deployment.port,
+            missing=self._bootstrap.missing(),
+        )
+        if record != self._written:
+            machine.write(record)
+            self._written = record
+
+
+def local_host(deployment: Deployment) -> str:
+    """The host of the deployment on which the bootstrap runs: this host's name if it is there, else ``localhost``."""
+    name = socket.gethostname()
+    return name if name in deployment.hosts else "localhost"
+
+
+def main() -> int:
+    """Run ``/bootstrap`` until SIGINT or SIGTERM."""
+    parser = argparse.ArgumentParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
+    parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
+    parser.add_argument("--factor", type=float)
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--port", type=int)
+    arguments = parser.parse_args()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        deployment = deployments.load(arguments.deployment)
+        deployment = deployment.with_values(arguments.factor, arguments.seed, arguments.port)
+        node = BootstrapNode(deployment, Path(arguments.deployment).resolve(), local_host(deployment))
+    except ImError as error:
+        print(error.message, file=sys.stderr)
+        rclpy.try_shutdown()
+        return 1
+    spinner = Spinner([node])
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: spinner.request_stop())
+    try:
+        spinner.spin()
+    finally:
+        node.shut_down()
+        spinner.stop()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

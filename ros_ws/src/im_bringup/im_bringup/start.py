@@ -1,0 +1,157 @@
+"""``start``: start the machine and wait until every task is ready, or say which is not, and why."""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from im_bringup import deployment as deployments
+from im_bringup import leftovers, machine, stop
+from im_bringup.commands import environment
+from im_bringup.deployment import Deployment
+from im_bringup.executables import path_of
+from im_bringup.machine import MachineRecord
+from im_core import clock, names
+from im_core.errors import ImError, StateError
+
+TIMEOUT_S = 60.0
+_POLL_S = 0.05
+
+
+def parser() -> argparse.ArgumentParser:
+    """The arguments of the command."""
+    parser = argparse.ArgumentParser(
+        prog="start",
+        description="Start the machine of this ROS domain; return when every task is ready.",
+        epilog="Exit codes: 0 ready, 1 not started (said why), 2 bad usage or deployment file.",
+    )
+    parser.add_argument("deployment", nargs="?", help="deployment file (default: the one of im_bringup)")
+    parser.add_argument("--factor", type=float, help="simulated seconds a second; 0: as fast as it goes")
+    parser.add_argument("--seed", type=int, help="seed of all that is drawn at random")
+    parser.add_argument("--port", type=int, help="TCP port of the display")
+    parser.add_argument("--timeout", type=float, default=TIMEOUT_S, help="longest wait in s (default: %(default)g)")
+    return parser
+
+
+def main() -> int:
+    """Run the command."""
+    arguments = parser().parse_args()
+    path = Path(arguments.deployment or deployments.default_path()).resolve()
+    try:
+        deployment = deployments.load(path).with_values(arguments.factor, arguments.seed, arguments.port)
+    except ImError as error:
+        print(f"start: {error.message}", file=sys.stderr)
+        return 2
+    except ValueError as error:
+        print(f"start: {error}", file=sys.stderr)
+        return 2
+    try:
+        return start(deployment, path, arguments.timeout)
+    except KeyboardInterrupt:
+        print("\nstart: interrupted; stopping what was started", file=sys.stderr)
+        stop.stop(say=lambda _: None)
+        return 130
+    except ImError as error:
+        print(f"start: {error.message}", file=sys.stderr)
+        return 1
+
+
+def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
+    """Start the machine.
+
+    Args:
+        deployment: What to start.
+        path: The file it came from.
+        timeout_s: Longest wait for all tasks to be ready [s].
+
+    Returns:
+        0 if all tasks are ready, else 1; the machine is down again then.
+
+    Raises:
+        StateError: A machine of this ROS domain runs already.
+    """
+    began = clock.monotonic()
+    clear_the_way()
+    process = spawn_bootstrap(deployment, path)
+    shown = ""
+    while clock.monotonic() - began < timeout_s:
+        record = machine.read()
+        record = record if record is not None and record.pid == process.pid else None
+        if process.poll() is not None:
+            print(f"start: the bootstrap ended at once: {stop.bootstrap_words()}", file=sys.stderr)
+            stop.stop(say=lambda _: None)
+            return 1
+        if record is not None:
+            if record.phase != shown:
+                shown = record.phase
+                print(f"start: {shown.lower()} {record.tasks} tasks", flush=True)
+            if record.state == machine.READY:
+                print_ready(record, clock.monotonic() - began)
+                return 0
+            if record.state == machine.FAILED:
+                return give_up("not every task could be started", record)
+        clock.sleep(_POLL_S)
+    return give_up(f"not every task was ready after {timeout_s:g} s", machine.read())
+
+
+def clear_the_way() -> None:
+    """Make sure that nothing of this ROS domain runs or is left.
+
+    Raises:
+        StateError: A machine runs.
+    """
+    record = machine.read()
+    if record is not None and record.alive:
+        raise StateError(
+            f"a machine of ROS domain {machine.domain()} runs already ({record.state}, process {record.pid}); "
+            "stop it with scripts/stop.sh, or set another ROS_DOMAIN_ID"
+        )
+    leftovers.kill(leftovers.processes(), timeout_s=2.0)
+    leftovers.remove_shared_memory()
+    run_dir = names.run_dir()
+    for folder in ("log", "parameters"):
+        shutil.rmtree(run_dir / folder, ignore_errors=True)
+    (run_dir / "log").mkdir()
+
+
+def spawn_bootstrap(deployment: Deployment, path: Path) -> "subprocess.Popen[bytes]":
+    """Start the bootstrap, detached from this terminal."""
+    run_dir = names.run_dir().resolve()
+    argv = [
+        str(path_of("im_bringup", "bootstrap")),
+        str(path),
+        *("--factor", repr(deployment.clock_factor)),
+        *("--seed", str(deployment.seed)),
+        *("--port", str(deployment.port)),
+    ]
+    with (run_dir / "log" / "bootstrap.log").open("ab") as log:
+        return subprocess.Popen(
+            argv,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=environment(os.environ, run_dir),
+            start_new_session=True,
+        )
+
+
+def give_up(sentence: str, record: MachineRecord | None) -> int:
+    """Say what is missing, and take everything down."""
+    print(f"start: {sentence}:", file=sys.stderr)
+    for missing in record.missing if record is not None else ["the bootstrap has not reported"]:
+        print(f"  {missing}", file=sys.stderr)
+    stop.stop(say=lambda _: None)
+    return 1
+
+
+def print_ready(record: MachineRecord, seconds: float) -> None:
+    """Say that the machine is up, and what to do with it."""
+    speed = "as fast as it goes" if record.clock_factor == 0 else f"clock factor {record.clock_factor:g}"
+    print(f"start: ready after {seconds:.1f} s: {record.tasks} tasks, ROS domain {machine.domain()}, {speed}")
+    print(f"start: nets at http://localhost:{record.port}, logs in {record.run_dir}/log")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,87 @@
+"""``stop``: take the machine of this ROS domain down, whatever state it is in."""
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Callable
+
+from im_bringup import leftovers, machine
+from im_bringup.agent import last_words
+from im_core import clock, names
+from im_core.errors import DataError
+
+#: The bootstrap's own ordered shutdown takes less than this [s].
+_ORDERLY_S = 4.3
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(
+        prog="stop",
+        description="Stop the machine of this ROS domain and remove what a killed one left behind; takes 5 s at most.",
+        epilog="Exit codes: 0 nothing runs any more, 1 something could not be ended (said what).",
+    )
+    parser.parse_args()
+    try:
+        return stop(say=print)
+    except KeyboardInterrupt:
+        return stop(say=print)
+
+
+def stop(say: Callable[[str], None]) -> int:
+    """Stop the machine.
+
+    Args:
+        say: Takes one sentence at a time.
+
+    Returns:
+        0 if nothing is left, else 1.
+    """
+    began = clock.monotonic()
+    try:
+        record = machine.read()
+    except DataError:
+        record = None
+    ran = record is not None and record.alive
+    if record is not None and ran:
+        _end_bootstrap(record, began + _ORDERLY_S)
+    found = leftovers.processes()
+    remaining = leftovers.kill(found, timeout_s=0.5)
+    removed = leftovers.remove_shared_memory()
+    machine.remove()
+    if remaining:
+        pids = ", ".join(str(process.pid) for process in remaining)
+        print(f"stop: processes {pids} could not be ended", file=sys.stderr)
+        return 1
+    say(_summary(ran, len(found), len(removed), clock.monotonic() - began))
+    return 0
+
+
+def _end_bootstrap(record: machine.MachineRecord, deadline: float) -> None:
+    try:
+        os.kill(record.pid, signal.SIGINT)
+    except ProcessLookupError:
+        return
+    while record.alive and clock.monotonic() < deadline:
+        clock.sleep(0.02)
+
+
+def _summary(ran: bool, killed: int, removed: int, seconds: float) -> str:
+    if not ran and not killed and not removed:
+        return f"stop: no machine runs in ROS domain {machine.domain()}"
+    parts = ["all tasks ended in order" if ran and not killed else ""]
+    if killed:
+        parts.append(f"{killed} processes had to be killed")
+    if removed and not ran:
+        parts.append(f"{removed} files of a killed machine removed from /dev/shm")
+    return f"stop: {', '.join(part for part in parts if part)}; took {seconds:.1f} s"
+
+
+def bootstrap_words() -> str:
+    """The last line of the bootstrap's log."""
+    return last_words(names.run_dir() / "log" / "bootstrap.log") or "it said nothing"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

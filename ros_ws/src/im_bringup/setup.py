@@ -1,0 +1,34 @@
+"""Package that brings the Intelligent Machine up, records it and takes it down."""
+
+from setuptools import find_packages, setup
+
+setup(
+    name="im_bringup",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"im_bringup": ["py.typed", "config/*.xml", "deployments/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/im_bringup"]),
+        ("share/im_bringup", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="im maintainers",
+    maintainer_email="maintainers@example.org",
+    description="Deployment, bootstrap, task registry, recording and replay of the Intelligent Machine",
+    license="MIT",
+    entry_points={
+        "console_scripts": [
+            "agent=im_bringup.ros.agent:main",
+            "bootstrap=im_bringup.ros.bootstrap:main",
+            "calibrate_camera=im_bringup.ros.calibrate_camera:main",
+            "record=im_bringup.ros.record:main",
+            "replay=im_bringup.ros.replay:main",
+            "run=im_bringup.run_command:main",
+            "start=im_bringup.start:main",
+            "stop=im_bringup.stop:main",
+            "truth_error=im_bringup.ros.truth_error:main",
+        ],
+    },
+)

@@ -1,0 +1,41 @@
+"""Errors carry their facts and read as sentences."""
+
+import os
+from unittest.mock import patch
+
+import pytest
+from im_core.errors import ImError, LimitError, NotFoundError, StateError, WaitTimeoutError
+from im_core.names import instance, results_dir, run_dir
+
+
+def test_facts_are_kept() -> None:
+    error = LimitError(joint="left_j3", value=2.91, limit=2.8, unit="rad")
+    assert str(error) == "left_j3: position 2.91 rad is beyond the limit 2.8 rad"
+    assert error.facts == {"joint": "left_j3", "value": 2.91, "limit": 2.8, "unit": "rad", "what": "position"}
+    assert error.code == "limit"
+
+
+def test_the_nearest_name_is_offered_only_if_it_is_near() -> None:
+    known = ["ceiling_left", "wall"]
+    assert "did you mean 'ceiling_left'?" in NotFoundError(kind="camera", name="celing_left", known=known).message
+    far = NotFoundError(kind="camera", name="zzz", known=known).message
+    assert far == "there is no camera 'zzz' (known: ceiling_left, wall)"
+
+
+def test_a_time_out_says_what_it_waited_for() -> None:
+    assert WaitTimeoutError(what="a spot", seconds=20.0).message == "waited 20 s for a spot, in vain"
+
+
+def test_an_error_of_another_process_is_restored() -> None:
+    restored = ImError.restored("state", "no", {"state": "cold"})
+    assert (restored.code, restored.message, restored.facts) == ("state", "no", {"state": "cold"})
+    assert StateError("no").code == "state"
+
+
+@pytest.mark.parametrize(("domain", "expected"), [("", "im0"), ("7", "im7")])
+def test_machines_differ_by_domain(domain: str, expected: str, tmp_path: os.PathLike[str]) -> None:
+    variables = {"ROS_DOMAIN_ID": domain, "IM_RUN_DIR": f"{tmp_path}/run", "IM_RESULTS_DIR": f"{tmp_path}/results"}
+    with patch.dict(os.environ, variables):
+        assert instance() == expected
+        assert run_dir().is_dir()
+        assert results_dir().is_dir()

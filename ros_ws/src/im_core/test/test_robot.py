@@ -1,0 +1,167 @@
+import xml.etree.ElementTree as ET
+from math import cos, sin
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from im_core.config import package_file
+from im_core.errors import ConfigError, DataError
+from im_core.robot import load_cell, urdf
+from im_core.robot.truth import load_truth
+
+CELL = load_cell()
+TREE = ET.fromstring(urdf(CELL))
+
+
+def numbers(text):
+    return np.array([float(word) for word in text.split()])
+
+
+def transform(rotation, translation):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, translation
+    return T
+
+
+def urdf_pose(link, q):
+    """Pose of a URDF link in the world by walking up the tree, shape (4, 4)."""
+    positions = dict(zip(CELL.joint_names, q, strict=True))
+    T = np.eye(4)
+    while link != "world":
+        joint = next(joint for joint in TREE.findall("joint") if joint.find("child").get("link") == link)
+        origin = joint.find("origin")
+        step = transform(Rotation.from_euler("xyz", numbers(origin.get("rpy"))).as_matrix(), numbers(origin.get("xyz")))
+        if joint.get("type") != "fixed":
+            along = numbers(joint.find("axis").get("xyz")) * positions[joint.get("name")]
+            turned = joint.get("type") == "revolute"
+            step = step @ (transform(Rotation.from_rotvec(along).as_matrix(), np.zeros(3)) if turned
+                           else transform(np.eye(3), along))  # fmt: skip
+        T, link = step @ T, joint.find("parent").get("link")
+    return T
+
+
+def dh_pose(side, q):
+    """Pose of DH frame 6 from the table alone: cart, then the product of the rows, shape (4, 4)."""
+    track, rotation, tilt, *arm = q[:9] if side == "left" else q[9:]
+    cart = CELL.cart
+    T = transform(np.eye(3), [track, 0.0, cart.track.height + cart.rotation.height])
+    T = T @ transform(Rotation.from_euler("z", rotation).as_matrix(), np.zeros(3))
+    T = T @ transform(np.eye(3), [0.0, 0.0, cart.tilt.height])
+    T = T @ transform(Rotation.from_euler("y", tilt).as_matrix(), np.zeros(3))
+    model = CELL.arm_models[CELL.sides[side].arm]
+    T = T @ transform(np.eye(3), [0.0, 0.0, model.mount_height])
+    for row, theta in zip(model.links, arm, strict=True):
+        c, s, ca, sa = cos(theta), sin(theta), cos(row.alpha), sin(row.alpha)
+        T = T @ np.array([
+            [c, -s * ca, s * sa, row.a * c],
+            [s, c * ca, -c * sa, row.a * s],
+            [0.0, sa, ca, row.d],
+            [0.0, 0.0, 0.0, 1.0],
+        ])  # fmt: skip
+    return T
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_urdf_has_the_kinematics_of_the_dh_table(side):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        q = rng.uniform(CELL.per_joint("limits.lower"), CELL.per_joint("limits.upper"))
+        np.testing.assert_allclose(urdf_pose(f"{side}_wrist", q), dh_pose(side, q), atol=1e-12)
+
+
+def test_the_18_joints_come_in_order():
+    names = ["track", "rotation", "tilt", *(f"j{number}" for number in range(1, 7))]
+    assert CELL.joint_names == tuple(f"{side}_{name}" for side in ("left", "right") for name in names)
+    moving = [joint.get("name") for joint in TREE.findall("joint") if joint.get("type") != "fixed"]
+    assert tuple(moving) == CELL.joint_names
+    assert [joint.child for joint in CELL.joints] == [link.name for link in CELL.links]
+
+
+def test_shoulder_is_near_one_metre_and_led_is_on_the_wrist():
+    assert urdf_pose("left_link2", CELL.home)[2, 3] == pytest.approx(1.0, abs=0.01)
+    offset = np.linalg.inv(urdf_pose("left_wrist", CELL.home)) @ urdf_pose("left_led", CELL.home)
+    np.testing.assert_allclose(offset[:3, 3], CELL.led.offset, atol=1e-12)
+
+
+def test_reflected_rotor_inertias_are_those_of_the_published_arm():
+    """P.I. Corke, Robotics, Vision and Control: reflected inertias of the PUMA 560 [kg m2], as G^2 J."""
+    left_arm = CELL.per_joint("rotor_inertia")[3:9]
+    np.testing.assert_allclose(left_arm, [0.784, 2.325, 0.577, 0.191, 0.171, 0.194], rtol=2e-3)
+
+
+def test_friction_opposes_both_directions_and_swaps_with_the_sign_of_the_gear():
+    assert (CELL.per_joint("coulomb_positive") > 0.0).all()
+    assert (CELL.per_joint("coulomb_negative") > 0.0).all()
+    j1 = CELL.joints[3]
+    assert (j1.coulomb_positive, j1.coulomb_negative) == pytest.approx((62.6111 * 0.435, 62.6111 * 0.395))
+
+
+def test_masses_are_physical_but_for_the_published_link_3():
+    """A rigid body's principal inertias satisfy the triangle inequality."""
+    for link in CELL.links:
+        a, b, c = sorted(link.inertia)
+        assert link.mass > 0.0
+        assert (a + b >= c) != link.name.endswith("link3"), link.name
+
+
+def test_encoders_resolve_better_than_a_tenth_of_a_milliradian():
+    assert (CELL.per_joint("resolution") < 1e-4).all()
+    assert CELL.joints[4].resolution == pytest.approx(2.0 * np.pi / (4000 * 107.815))
+
+
+def test_every_urdf_shape_and_frame_is_attached_to_a_known_link():
+    links = {link.get("name") for link in TREE.findall("link")}
+    assert {"left_cart", "right_platform", "left_base", "right_wrist", "left_led"} <= links
+    assert {capsule.link for capsule in CELL.capsules} <= links
+    assert {camera.parent for camera in CELL.cameras.values()} <= links
+    assert [box.name for box in CELL.obstacles] == ["floor", "table"]
+    bare = ET.fromstring(urdf(CELL, frames=False, shapes=False))
+    assert {link.get("name") for link in bare.findall("link")} == {"world", *(link.name for link in CELL.links)}
+    assert not bare.findall(".//geometry")
+    assert max(len(line) for line in urdf(CELL).splitlines()) < 300
+
+
+def test_arms_start_apart():
+    for capsule in CELL.capsules:
+        for end in (capsule.p0, capsule.p1):
+            T = urdf_pose(capsule.link, CELL.home)
+            x = (T[:3, :3] @ end + T[:3, 3])[0]
+            assert (x < 0.5) == capsule.link.startswith("left")
+
+
+@pytest.mark.parametrize("name", list(CELL.cameras))
+def test_cameras_look_at_their_target_with_the_right_side_up(name):
+    camera = CELL.cameras[name]
+    R, t = camera.pose()
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    x, y, z = R @ camera.target + t
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert z > 0.0
+    assert (R @ camera.up)[1] < 0.0, "up is towards smaller rows"
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda data: data["sides"]["left"].update(arm="puma_700"), r"'puma_700' is not one of"),
+    (lambda data: data["sides"]["left"].update(home=[9.0] + [0.0] * 8), r"home of left_track, 9.0, is outside"),
+    (lambda data: data["cart"]["tilt"].update(mass=-1.0), r":\d+: cart.tilt.mass: .*greater than 0"),
+    (lambda data: data["led"].update(colour="red"), r"led.colour"),
+    (lambda data: data["sides"].pop("right"), r"sides are \['left'\]"),
+])  # fmt: skip
+def test_a_wrong_cell_is_refused_by_name(tmp_path, change, message):
+    data = yaml.safe_load(package_file("im_core", "robot/cell.yaml").read_text())
+    change(data)
+    path = tmp_path / "cell.yaml"
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(ConfigError, match=message):
+        load_cell(path)
+
+
+def test_a_wrong_truth_file_is_refused(tmp_path):
+    with pytest.raises(DataError, match="cannot be read"):
+        load_truth(tmp_path / "truth.json")
+    (tmp_path / "truth.json").write_text("{}")
+    with pytest.raises(DataError, match="is not a truth file"):
+        load_truth(tmp_path / "truth.json")

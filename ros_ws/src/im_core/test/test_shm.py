@@ -1,0 +1,167 @@
+import json
+import multiprocessing
+import os
+import signal
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from im_core import clock
+from im_core.errors import DataError, LinkError
+from im_core.shm import MessageRing, ProcessId, Semaphore, SharedBlock, Snapshot, remove_all
+
+PREFIX = f"imtest{os.getpid()}_"
+SPAWN = multiprocessing.get_context("spawn")
+RECORD = np.dtype([("count", "<i8"), ("values", "<f8", (200,))])
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left():
+    yield
+    assert remove_all(PREFIX) == []
+
+
+def create_and_wait(name):
+    block = SharedBlock.create(name, 8)
+    block.publish()
+    signal.pause()
+
+
+def write_snapshots(name):
+    snapshot = Snapshot.attach(name, RECORD, timeout_s=5.0)
+    record = snapshot.record()
+    for count in range(1, 20_000):
+        record["count"] = count
+        record["values"][:] = count
+        snapshot.write(record)
+    snapshot.close()
+
+
+@pytest.fixture
+def other_process_with_block():
+    name = PREFIX + "block"
+    process = SPAWN.Process(target=create_and_wait, args=(name,), daemon=True)
+    process.start()
+    SharedBlock.attach(name, timeout_s=10.0).close()
+    yield name, process
+    process.kill()
+    process.join()
+    remove_all(PREFIX)
+
+
+def test_block_of_a_living_process_is_not_replaced(other_process_with_block):
+    name, process = other_process_with_block
+    with pytest.raises(LinkError, match=rf"'{name}' is in use by process {process.pid}.*ROS_DOMAIN_ID"):
+        SharedBlock.create(name, 8)
+
+
+def test_block_of_a_killed_process_is_refused_to_readers_and_replaced_by_creators(other_process_with_block):
+    name, process = other_process_with_block
+    attached = SharedBlock.attach(name, timeout_s=0.0)
+    assert attached.owner_alive()
+    os.kill(process.pid, signal.SIGKILL)  # not reaped yet: a zombie counts as dead
+    while ProcessId.of(process.pid).start >= 0:
+        clock.sleep(0.005)
+    assert not attached.owner_alive()
+    with pytest.raises(LinkError, match=f"left behind by process {process.pid}, which is gone"):
+        SharedBlock.attach(name, timeout_s=0.0)
+    with SharedBlock.create(name, 8) as block:
+        block.publish()
+        SharedBlock.attach(name, timeout_s=0.0).close()
+
+
+def test_unpublished_or_missing_block_cannot_be_attached():
+    name = PREFIX + "half"
+    with pytest.raises(LinkError, match="does not exist"):
+        SharedBlock.attach(name, timeout_s=0.0)
+    with SharedBlock.create(name, 8), pytest.raises(LinkError, match="is not initialised"):
+        SharedBlock.attach(name, timeout_s=0.0)
+
+
+def test_snapshot_is_never_torn():
+    name = PREFIX + "snapshot"
+    snapshot = Snapshot.create(name, RECORD)
+    writer = SPAWN.Process(target=write_snapshots, args=(name,))
+    writer.start()
+    last, reads = 0, 0
+    while last < 19_999:
+        record = snapshot.read()
+        assert (record["values"] == record["count"]).all()
+        assert record["count"] >= last
+        last, reads = int(record["count"]), reads + 1
+        assert writer.is_alive() or snapshot.sequence == 19_999
+    writer.join()
+    assert reads > 10
+    snapshot.close()
+
+
+def test_snapshot_of_another_size_is_refused():
+    snapshot = Snapshot.create(PREFIX + "snapshot", RECORD)
+    with pytest.raises(LinkError, match="holds records of 1608 bytes, not of 8"):
+        Snapshot.attach(PREFIX + "snapshot", np.dtype([("count", "<i8")]), timeout_s=0.0)
+    snapshot.close()
+
+
+def test_snapshot_of_a_writer_that_died_while_writing_is_an_error():
+    snapshot = Snapshot.create(PREFIX + "snapshot", RECORD)
+    snapshot._sequence[0] = 3
+    with pytest.raises(LinkError, match="stopped in the middle of a write"):
+        snapshot.read()
+    snapshot.write(snapshot.record())
+    assert snapshot.read()["count"] == 0
+    snapshot.close()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.one_of(st.none(), st.dictionaries(st.text(max_size=5), st.integers() | st.text(max_size=20)))))
+def test_ring_is_a_queue(operations):
+    """Against a deque: None takes a message, anything else is sent."""
+    ring = MessageRing.create(PREFIX + "ring", capacity=256)
+    expected = deque()
+    for message in operations:
+        if message is None:
+            assert ring.receive() == (expected.popleft() if expected else None)
+            continue
+        try:
+            ring.send(message)
+        except LinkError:
+            assert len(json.dumps([*expected, message])) > 128, "there was room"
+        else:
+            expected.append(message)
+    assert list(ring.receive_all()) == list(expected)
+    assert ring.empty()
+    ring.close()
+
+
+def test_ring_refuses_what_is_not_json_and_says_when_it_is_full():
+    ring = MessageRing.create(PREFIX + "ring", capacity=64)
+    reader = MessageRing.attach(PREFIX + "ring", timeout_s=0.0)
+    with pytest.raises(DataError, match="is not JSON"):
+        ring.send({"value": float("nan")})
+    with pytest.raises(LinkError, match="is full: a message of 115 bytes, 64 of 64 free"):
+        ring.send({"text": "x" * 100})
+    ring.send({"a": [1, 2.5, None, "ü"]})
+    assert reader.receive() == {"a": [1, 2.5, None, "ü"]}
+    reader.close()
+    ring.close()
+
+
+def test_semaphore_counts():
+    owner = Semaphore.create(PREFIX + "semaphore")
+    other = Semaphore.attach(PREFIX + "semaphore", timeout_s=0.0)
+    assert not other.wait(0.0)
+    owner.post()
+    owner.post()
+    assert other.wait(0.0)
+    assert other.wait(0.1)
+    assert not other.wait(0.01)
+    owner.post()
+    other.drain()
+    assert not owner.wait(0.0)
+    other.close()
+    owner.close()
+    with pytest.raises(LinkError, match="does not exist"):
+        Semaphore.attach(PREFIX + "semaphore", timeout_s=0.0)

@@ -1,0 +1,115 @@
+"""Kinematic questions that are answered without the servo; safe to ask from several threads."""
+
+import math
+import threading
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from im_core.errors import DataError, NotFoundError, StateError
+from im_mcs.client.requests import check_path
+from im_mcs.collision import CollisionChecker
+from im_mcs.config import Group, McsConfig
+from im_mcs.ik import InverseKinematics
+from im_mcs.limits import JointLimits
+from im_mcs.model import Model
+
+
+class Kinematics:
+    """Inverse kinematics and path checks for the groups of a configuration.
+
+    Args:
+        config: Configuration.
+        model: Kinematics and shapes; used by this object alone.
+    """
+
+    def __init__(self, config: McsConfig, model: Model) -> None:
+        self._config = config
+        self._model = model
+        self._limits = JointLimits(model, config.limits)
+        self._collision = CollisionChecker(model, config.clearance_m)
+        self._lock = threading.Lock()
+
+    def inverse(
+        self,
+        group: str,
+        position: Sequence[float],
+        orientation: Sequence[float],
+        seed: Sequence[float],
+        q_all: NDArray[np.float64],
+        avoid_collisions: bool,
+    ) -> NDArray[np.float64]:
+        """Joint positions of a group for a pose of its wrist.
+
+        Args:
+            group: Name of the group.
+            position: Of the wrist in ``world``, shape (3,) [m].
+            orientation: Quaternion x, y, z, w.
+            seed: Where to start, shape (n,); empty: where the group is.
+            q_all: Positions of all joints, shape (18,) [rad or m].
+            avoid_collisions: Whether solutions in collision are passed over.
+
+        Raises:
+            NotFoundError: No such group.
+            StateError: The group has no wrist.
+            DataError: A value is not finite, or the pose is out of reach.
+            LimitError: The seed is out of range.
+            ImError: Every solution is in collision.
+        """
+        description = self._group(group)
+        if description.wrist is None:
+            raise StateError(f"group '{group}' has no wrist; inverse kinematics needs one", group=group)
+        target = wrist_pose(position, orientation)
+        index = self.index(group)
+        start = self._limits.check_positions(index, seed, "seed") if len(seed) else q_all[index]
+        with self._lock:
+            solver = InverseKinematics(self._model, self._limits, index, description.wrist)
+            return solver.solve(target, q_all, start, self._collision if avoid_collisions else None)
+
+    def check_path(self, group: str, points: list[list[float]], q_all: NDArray[np.float64]) -> float:
+        """Smallest distance on the straight joint path through ``points``, the first being where the group is [m].
+
+        Raises:
+            NotFoundError: No such group.
+            DataError: A value is not finite, or sizes are wrong.
+            LimitError: A point is out of range.
+            ImError: Two bodies come too close (code ``collision``).
+        """
+        self._group(group)
+        index = self.index(group)
+        path = check_path(self._limits, index, points, self._config.planning.max_points)
+        with self._lock:
+            return self._collision.check_path(q_all, index, path)
+
+    def index(self, group: str) -> NDArray[np.intp]:
+        """Ranks of a group's joints, shape (n,).
+
+        Raises:
+            NotFoundError: No such group.
+        """
+        return np.array([self._model.index(joint) for joint in self._group(group).joints], dtype=np.intp)
+
+    def _group(self, name: str) -> Group:
+        groups = self._config.groups
+        if name not in groups:
+            raise NotFoundError(kind="group", name=name, known=groups)
+        return groups[name]
+
+
+def wrist_pose(position: Sequence[float], orientation: Sequence[float]) -> pin.SE3:
+    """A pose from a position [m] and a quaternion x, y, z, w.
+
+    Raises:
+        DataError: A value is not finite, or the quaternion is not of length 1 (within 1 %).
+    """
+    values = [*position, *orientation]
+    if not all(math.isfinite(value) for value in values):
+        raise DataError(f"the pose {values} has a value that is not a finite number")
+    x, y, z, w = orientation
+    norm = math.hypot(x, y, z, w)
+    if abs(norm - 1.0) > 0.01:
+        raise DataError(f"the orientation ({x}, {y}, {z}, {w}) is not a unit quaternion: its length is {norm:.4g}")
+    quaternion = pin.Quaternion(w / norm, x / norm, y / norm, z / norm)
+    return pin.SE3(quaternion.matrix(), np.array(position, dtype=np.float64))

@@ -1,0 +1,157 @@
+"""Inverse kinematics of a wrist pose by damped least squares, with redundant joints."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from im_core.errors import DataError, ImError
+from im_mcs.collision import CollisionChecker
+from im_mcs.limits import JointLimits
+from im_mcs.model import Model
+
+_ITERATIONS = 80
+_POSITION_TOLERANCE_M = 1e-7
+_ROTATION_TOLERANCE_RAD = 1e-7
+_DAMPING = 1e-3
+_STEP = 0.5
+_NULL_GAIN = 0.15
+_NULL_ITERATIONS = 40
+_SEEDS = 24
+_SEED_KEY = 20240607
+
+
+@dataclass(frozen=True)
+class IkAttempt:
+    """Where an iteration ended.
+
+    Attributes:
+        q: Positions of the group, shape (n,) [rad or m].
+        position_error: Distance from the wanted position [m].
+        rotation_error: Angle from the wanted orientation [rad].
+    """
+
+    q: NDArray[np.float64]
+    position_error: float
+    rotation_error: float
+
+    @property
+    def reached(self) -> bool:
+        """Whether the pose is met."""
+        return self.position_error < _POSITION_TOLERANCE_M and self.rotation_error < _ROTATION_TOLERANCE_RAD
+
+
+class InverseKinematics:
+    """Joint positions of one group for a pose of its wrist.
+
+    Each step solves ``dq = J^T (J J^T + d^2 I)^-1 e`` (Y. Nakamura, H. Hanafusa, 1986) over the joints that are not
+    against a limit; what remains of the redundancy pulls towards the preferred position (the cell's home: carts at their
+    nominal place, joints off their limits). Several starts are tried, always the same ones in the same order.
+
+    Args:
+        model: Kinematics.
+        limits: Ranges of the joints.
+        index: Joints of the group, shape (n,).
+        frame: Its wrist frame.
+    """
+
+    def __init__(self, model: Model, limits: JointLimits, index: NDArray[np.intp], frame: str) -> None:
+        self._model = model
+        self._index = index
+        self._frame = frame
+        self._lower, self._upper = limits.lower[index], limits.upper[index]
+        self._preferred = np.clip(model.cell.home[index], self._lower, self._upper)
+
+    def solve(
+        self,
+        target: pin.SE3,
+        q_all: NDArray[np.float64],
+        seed: NDArray[np.float64],
+        collision: CollisionChecker | None = None,
+    ) -> NDArray[np.float64]:
+        """Find joint positions.
+
+        Args:
+            target: Wanted pose of the wrist in ``world``.
+            q_all: Positions of all joints; those of other groups stay, shape (18,) [rad or m].
+            seed: Where to start, shape (n,) [rad or m].
+            collision: If given, solutions in collision are passed over.
+
+        Returns:
+            Positions of the group, shape (n,) [rad or m].
+
+        Raises:
+            DataError: The pose is out of reach; the message says how near one comes.
+            ImError: It is within reach, but only in collision (code ``collision``).
+        """
+        best: IkAttempt | None = None
+        blocked: ImError | None = None
+        for start in self._starts(np.clip(seed, self._lower, self._upper)):
+            attempt = self._descend(target, q_all, start)
+            if attempt.reached:
+                try:
+                    if collision is not None:
+                        collision.require_free(self._whole(q_all, attempt.q))
+                except ImError as error:
+                    blocked = blocked or error
+                    continue
+                return attempt.q
+            if best is None or attempt.position_error < best.position_error:
+                best = attempt
+        if blocked is not None:
+            raise blocked
+        assert best is not None
+        x, y, z = target.translation
+        raise DataError(
+            f"{self._frame} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach: the nearest solution is "
+            f"{best.position_error * 1e3:.1f} mm and {np.degrees(best.rotation_error):.2f} deg off",
+            frame=self._frame,
+            position_m=[float(x), float(y), float(z)],
+        )
+
+    def _starts(self, seed: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        generator = np.random.Generator(np.random.Philox(key=_SEED_KEY))
+        spread = generator.uniform(size=(_SEEDS - 2, len(seed)))
+        return [seed, self._preferred, *(self._lower + spread * (self._upper - self._lower))]
+
+    def _descend(self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]) -> IkAttempt:
+        q = start.copy()
+        error = self._error(target, q_all, q)
+        for k in range(_ITERATIONS):
+            attempt = IkAttempt(q, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
+            if attempt.reached and k >= _NULL_ITERATIONS:
+                break
+            jacobian = self._model.jacobian(self._whole(q_all, q), self._frame)[:, self._index]
+            pull = _NULL_GAIN * max(0.0, 1.0 - k / _NULL_ITERATIONS)  # ends, so that the last steps converge
+            q = self._step(jacobian, error, q, pull)
+            error = self._error(target, q_all, q)
+        return attempt
+
+    def _step(
+        self, jacobian: NDArray[np.float64], error: NDArray[np.float64], q: NDArray[np.float64], pull: float
+    ) -> NDArray[np.float64]:
+        """One damped step within the limits."""
+        free = np.ones(len(q), dtype=np.bool_)
+        wish = pull * (self._preferred - q)
+        for _ in range(2):
+            j = jacobian * free
+            inverse = j.T @ np.linalg.inv(j @ j.T + _DAMPING**2 * np.eye(6))
+            step = inverse @ error
+            step += (wish - inverse @ (j @ wish)) * free
+            step *= min(1.0, _STEP / max(float(np.abs(step).max()), 1e-12))
+            outside = ((q + step) < self._lower) | ((q + step) > self._upper)
+            if not (outside & free).any():
+                break
+            free &= ~outside
+        return np.clip(q + step, self._lower, self._upper)
+
+    def _error(self, target: pin.SE3, q_all: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+        pose = self._model.pose(self._whole(q_all, q), self._frame)
+        rotation = pin.log3(target.rotation @ pose.rotation.T)
+        return np.concatenate([target.translation - pose.translation, rotation])
+
+    def _whole(self, q_all: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+        whole = q_all.copy()
+        whole[self._index] = q
+        return whole

@@ -1,0 +1,145 @@
+"""Lifecycle interface of a node whose transitions take time."""
+
+from collections.abc import Awaitable, Callable, Mapping
+
+import lifecycle_msgs.srv
+from lifecycle_msgs.msg import State, Transition, TransitionDescription
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.service import Service
+from rclpy.type_support import check_is_valid_srv_type
+
+from im_core.errors import ImError, StateError
+
+Work = Callable[[], Awaitable[None]]
+
+
+class Lifecycle:
+    """The state machine of rcl with its five services and ``transition_event``, driven by coroutines.
+
+    ``rclpy.lifecycle.LifecycleNode`` runs transitions as blocking callbacks; here a transition awaits its work, so that
+    the node goes on meanwhile.
+
+    Args:
+        node: The node whose lifecycle this is.
+        work: Coroutine function of each transition, by the label of the transition (``configure``, ``cleanup``,
+            ``activate``, ``deactivate``, ``shutdown``); it raises :class:`ImError` if it cannot be done.
+    """
+
+    def __init__(self, node: Node, work: Mapping[str, Work]) -> None:
+        self._node = node
+        self._work = work
+        types = (
+            lifecycle_msgs.srv.ChangeState,
+            lifecycle_msgs.srv.GetState,
+            lifecycle_msgs.srv.GetAvailableStates,
+            lifecycle_msgs.srv.GetAvailableTransitions,
+        )
+        for service_type in types:
+            check_is_valid_srv_type(service_type)  # loads the type support that the machine needs
+        with node.handle:
+            self._machine = _rclpy.LifecycleStateMachine(node.handle, True)
+        self._serve(self._machine.service_change_state, types[0], self._change_state)
+        self._serve(self._machine.service_get_state, types[1], self._get_state)
+        self._serve(self._machine.service_get_available_states, types[2], self._get_states)
+        self._serve(self._machine.service_get_available_transitions, types[3], self._get_transitions)
+        self._serve(self._machine.service_get_transition_graph, types[3], self._get_graph)
+
+    @property
+    def state(self) -> str:
+        """Label of the present state."""
+        return str(self._machine.current_state[1])
+
+    async def change(self, transition: str) -> None:
+        """Go through a transition with its work.
+
+        Args:
+            transition: ``configure``, ``cleanup``, ``activate``, ``deactivate`` or ``shutdown``.
+
+        Raises:
+            StateError: The present state has no such transition.
+            ImError: The work could not be done; the state is as before.
+        """
+        self._begin(self._id_of(transition))
+        try:
+            await self._work[transition]()
+        except ImError:
+            self._end(TransitionCallbackReturn.FAILURE)
+            raise
+        self._end(TransitionCallbackReturn.SUCCESS)
+
+    def follow(self, transition: str) -> None:
+        """Go through a transition whose work has happened already."""
+        self._begin(self._id_of(transition))
+        self._end(TransitionCallbackReturn.SUCCESS)
+
+    def _begin(self, transition_id: int) -> None:
+        self._machine.trigger_transition_by_id(transition_id, True)
+
+    def _end(self, outcome: TransitionCallbackReturn) -> None:
+        self._machine.trigger_transition_by_label(outcome.to_label(), True)
+
+    def _id_of(self, transition: str) -> int:
+        known = {label: number for number, label, *_ in self._machine.available_transitions}
+        if transition not in known:
+            raise StateError(
+                f"the lifecycle transition '{transition}' is not possible in state {self.state}; "
+                f"possible: {', '.join(known) or 'none, a transition is under way'}",
+                state=self.state,
+                request=transition,
+            )
+        return int(known[transition])
+
+    def _serve(self, implementation: object, service_type: type, callback: Callable[..., object]) -> None:
+        group = self._node.default_callback_group
+        service = Service(
+            implementation, service_type, implementation.name, callback, group, QoSProfile(**implementation.qos)
+        )
+        group.add_entity(service)
+        self._node._services.append(service)
+
+    async def _change_state(self, request: object, response: object) -> object:
+        labels = {number: label for number, label, *_ in self._machine.available_transitions}
+        label = request.transition.label or labels.get(request.transition.id) or _LABELS.get(request.transition.id, "")
+        try:
+            await self.change(label)
+            response.success = True
+        except ImError as error:
+            self._node.get_logger().warning(error.message)
+            response.success = False
+        return response
+
+    def _get_state(self, _: object, response: object) -> object:
+        response.current_state.id, response.current_state.label = self._machine.current_state
+        return response
+
+    def _get_states(self, _: object, response: object) -> object:
+        response.available_states = [State(id=n, label=label) for n, label in self._machine.available_states]
+        return response
+
+    def _get_transitions(self, _: object, response: object) -> object:
+        response.available_transitions = [_description(t) for t in self._machine.available_transitions]
+        return response
+
+    def _get_graph(self, _: object, response: object) -> object:
+        response.available_transitions = [_description(t) for t in self._machine.transition_graph]
+        return response
+
+
+_LABELS = {
+    Transition.TRANSITION_CONFIGURE: "configure",
+    Transition.TRANSITION_CLEANUP: "cleanup",
+    Transition.TRANSITION_ACTIVATE: "activate",
+    Transition.TRANSITION_DEACTIVATE: "deactivate",
+}
+
+
+def _description(transition: tuple[int, str, int, str, int, str]) -> TransitionDescription:
+    number, label, start_id, start_label, goal_id, goal_label = transition
+    return TransitionDescription(
+        transition=Transition(id=number, label=label),
+        start_state=State(id=start_id, label=start_label),
+        goal_state=State(id=goal_id, label=goal_label),
+    )

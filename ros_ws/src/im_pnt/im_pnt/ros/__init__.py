@@ -1,0 +1,1 @@
+"""ROS shell of the Petri net transducers: translates messages, decides nothing."""

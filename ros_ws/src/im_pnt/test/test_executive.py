@@ -1,0 +1,313 @@
+import pytest
+
+from im_core.errors import DataError, ImError
+from im_pnt.errors import NetError, NetFileError
+from im_pnt.events import CommandCancelled, GuardsChanged, ObjectInvalidated
+from im_pnt.functions import ActionContext
+from im_pnt.netfile import load_net, parse_net
+from im_pnt.testing import Process, hold
+
+
+def test_tokens_are_hidden_in_active_while_an_action_runs_and_appear_when_it_confirms():
+    net = parse_net("net: n\nplaces: {a: 1, b: , bad: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: bad}}")
+    process = Process([net], {"f": hold})
+    process.pump()
+    assert process.marking("n") == {"t.active": 1}
+    process.end("t")
+    assert process.marking("n") == {"b": 1}
+    assert process.recorder.names("n") == ["t+", "t"]
+
+
+def test_failure_is_a_third_outcome_with_its_own_arcs_and_its_facts_reach_the_next_action():
+    seen: list[ImError | None] = []
+    net = parse_net(
+        """
+net: n
+places: {a: 1, b: , bad: , c: }
+transitions:
+  t: {in: a, out: b, action: fails, on_failure: bad}
+  u: {in: bad, out: c, action: looks, on_failure: bad}
+"""
+    )
+
+    def fails(ctx: ActionContext) -> None:
+        raise DataError("no spot", camera="wall")
+
+    process = Process([net], {"fails": fails, "looks": lambda ctx: seen.append(ctx.failure)})
+    process.pump()
+    assert process.marking("n") == {"c": 1}
+    assert process.recorder.names("n") == ["t+", "t!", "u+", "u"]
+    assert seen[0] is not None
+    assert seen[0].facts == {"camera": "wall"}
+
+
+def test_an_exception_that_is_not_ours_is_a_failure_that_names_the_transition():
+    net = parse_net("net: n\nplaces: {a: 1, b: , bad: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: bad}}")
+    process = Process([net], {"f": lambda ctx: 1 // 0})
+    process.pump()
+    assert process.marking("n") == {"bad": 1}
+    assert "transition t broke: ZeroDivisionError" in process.recorder.firings[-1].message
+
+
+def test_a_guard_and_its_negation_are_evaluated_once_a_decision():
+    calls: list[str] = []
+    net = parse_net(
+        """
+net: n
+places: {a: 1, yes: , no: }
+transitions:
+  t: {in: a, out: yes, guard: g}
+  u: {in: a, out: no, guard: not g}
+"""
+    )
+
+    def flips(ctx: ActionContext) -> bool:
+        calls.append(ctx.transition)
+        return len(calls) % 2 == 0
+
+    process = Process([net], guards={"g": flips})
+    process.pump()
+    assert process.marking("n") == {"no": 1}
+    assert len(calls) == 1
+
+
+def test_a_guard_that_is_false_is_asked_again_when_something_happens():
+    allowed = [False]
+    net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b, guard: g}}")
+    process = Process([net], guards={"g": lambda ctx: allowed[0]})
+    process.pump()
+    assert process.marking("n") == {"a": 1}
+    allowed[0] = True
+    process.exchange.nets["n"].post(GuardsChanged())
+    process.pump()
+    assert process.marking("n") == {"b": 1}
+
+
+def test_a_guard_that_breaks_counts_as_false_and_is_reported():
+    net = parse_net(
+        "net: n\nplaces: {a: 1, b: , c: }\n"
+        "transitions: {t: {in: a, out: b, guard: g}, u: {in: a, out: c, guard: not g}}"
+    )
+    process = Process([net], guards={"g": lambda ctx: 1 / 0 > 0})
+    process.pump()
+    assert process.marking("n") == {"c": 1}
+    assert "guard g counts as false" in process.recorder.troubles[0]
+
+
+def test_the_tape_symbol_resolves_contending_transitions_and_is_consumed():
+    net = parse_net(
+        """
+net: n
+places: {idle: 1, a: , b: }
+transitions:
+  go_left: {in: idle, out: a, symbol: left}
+  go_right: {in: idle, out: b, symbol: right}
+  left_over: {in: a, out: idle, emit: left_done}
+  right_over: {in: b, out: idle, emit: right_done}
+"""
+    )
+    process = Process([net])
+    process.pump()
+    assert process.marking("n") == {"idle": 1}
+    process.command("n", "right")
+    process.command("n", "left")
+    assert process.recorder.names("n") == ["go_right", "right_over", "go_left", "left_over"]
+    assert [result.success for result in process.results] == [True, True]
+
+
+def test_an_unknown_symbol_is_refused_with_the_nearest():
+    net = parse_net("net: n\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a, symbol: calibrate}}")
+    with pytest.raises(NetError, match=r"does not know the command 'calibrat' \(did you mean 'calibrate'"):
+        Process([net]).command("n", "calibrat")
+
+
+def test_priority_then_seed_resolve_conflicts():
+    text = """
+net: n
+places: {a: 1, b: , c: , d: }
+transitions:
+  low: {in: a, out: b}
+  high: {in: a, out: c, priority: 1}
+  high_too: {in: a, out: d, priority: 1}
+"""
+    chosen = set()
+    for seed in range(20):
+        process = Process([parse_net(text)], seed=seed)
+        process.pump()
+        again = Process([parse_net(text)], seed=seed)
+        again.pump()
+        assert process.recorder.names("n") == again.recorder.names("n")
+        chosen.update(process.marking("n"))
+    assert chosen == {"c", "d"}
+
+
+def test_inhibitor_and_weights():
+    net = parse_net(
+        """
+net: n
+places: {a: 4, b: , full: }
+transitions:
+  t: {in: {a: 2}, out: b, inhibitors: {b: 2}}
+  u: {in: {b: 2}, out: full, action: f, on_failure: full}
+"""
+    )
+    process = Process([net], {"f": hold})
+    process.pump()
+    assert process.marking("n") == {"u.active": 1}
+
+
+def test_any_number_of_actions_in_flight_end_in_any_order():
+    net = parse_net("net: n\nplaces: {a: 3, b: , bad: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: bad}}")
+    process = Process([net], {"f": hold})
+    process.pump()
+    assert process.marking("n") == {"t.active": 3}
+    process.held.reverse()
+    process.end("t")
+    process.end("t", ImError("no"))
+    process.end("t")
+    assert process.marking("n") == {"b": 2, "bad": 1}
+
+
+def test_a_completion_after_the_time_out_changes_nothing():
+    timed = "{in: a, out: b, action: f, on_failure: bad, timeout: 0.000001}"
+    net = parse_net(f"net: n\nplaces: {{a: 1, b: , bad: }}\ntransitions: {{t: {timed}}}")
+    process = Process([net], {"f": hold})
+    process.pump()
+    process.exchange.nets["n"].expire()
+    process.pump()
+    assert process.marking("n") == {"bad": 1}
+    assert "waited" in process.recorder.firings[-1].message
+    process.end("t")
+    assert process.marking("n") == {"bad": 1}
+    assert "after it had been given up" in process.recorder.troubles[0]
+
+
+def test_a_net_without_actions_does_not_hold_the_loop():
+    net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b}, u: {in: b, out: a}}")
+    executive = Process([net]).exchange.nets["n"]
+    assert executive.pump(limit=10)
+    assert executive.sequence == 10
+
+
+def test_an_unregistered_function_is_named_with_file_and_line(data):
+    with pytest.raises(NetFileError, match=r"coordinator\.yaml:9: transitions\.search: no action function 'search'"):
+        Process([load_net(data / "coordinator.yaml")], {"serch": hold})
+
+
+def test_a_request_runs_through_the_coordination_structure_and_its_results_come_back(data):
+    loops = [2]
+
+    def prepare(ctx: ActionContext) -> None:
+        ctx.progress("prepared", 0.1)
+
+    def search(ctx: ActionContext) -> None:
+        assert ctx.command.symbol == "inspect"
+        assert ctx.request_arguments == {"where": "table"}
+        ctx.result["spot"] = loops[0]
+        loops[0] -= 1
+
+    nets = [load_net(data / "dispatcher.yaml"), load_net(data / "coordinator.yaml")]
+    process = Process(nets, {"prepare": prepare, "search": search}, {"more": lambda ctx: loops[0] > 0})
+    process.command("dispatcher", "inspect", where="table")
+    served = ["accept.find", "search+", "search", "t_f.find", "return.find"]
+    assert process.recorder.names("coordinator") == 2 * served
+    assert process.recorder.names("dispatcher") == [
+        *("begin+", "begin", "look+", "look", "again", "look+", "look", "finish")
+    ]
+    assert process.marking("dispatcher") == {"idle": 1}
+    assert process.marking("coordinator") == {"SI": 1, "SO": 1}
+    assert process.results[0].success
+    assert process.recorder.progress == [("prepared", 0.1)]
+    assert {firing.command_id for firing in process.recorder.firings} == {1}
+
+
+def test_a_failure_travels_back_with_its_facts(data):
+    def search(ctx: ActionContext) -> None:
+        raise DataError("the spot was not found", camera="wall")
+
+    nets = [load_net(data / "dispatcher.yaml"), load_net(data / "coordinator.yaml")]
+    process = Process(nets, {"prepare": lambda ctx: None, "search": search}, {"more": lambda ctx: False})
+    process.command("dispatcher", "inspect")
+    assert process.recorder.names("dispatcher")[-2:] == ["look!", "give_up"]
+    assert not process.results[0].success
+    assert process.results[0].error.facts == {"camera": "wall"}
+    assert process.marking("coordinator") == {"SI": 1, "SO": 1}
+
+
+def test_cancelling_a_command_reaches_the_action_that_runs_for_it_in_another_net(data):
+    nets = [load_net(data / "dispatcher.yaml"), load_net(data / "coordinator.yaml")]
+    process = Process(nets, {"prepare": lambda ctx: None, "search": hold}, {"more": lambda ctx: False})
+    number = process.command("dispatcher", "inspect")
+    waiting = process.command("dispatcher", "inspect")
+    told: list[str] = []
+    process.held[0][2].on_cancel(lambda: told.append("stop"))
+    error = ImError("cancelled by its client", code="cancelled")
+    process.exchange.nets["dispatcher"].post(CommandCancelled(waiting, error))
+    process.exchange.nets["dispatcher"].post(CommandCancelled(number, error))
+    process.pump()
+    assert told == ["stop"]
+    assert process.held[0][2].cancelled
+    assert [result.error.code for result in process.results] == ["cancelled"]
+    process.end("search", ImError("stopped", code="cancelled"))
+    assert [result.success for result in process.results] == [False, False]
+    assert process.marking("dispatcher") == {"idle": 1}
+
+
+def test_an_object_that_loses_its_validity_moves_its_token():
+    net = parse_net(
+        """
+net: n
+places: {valid: {tokens: 1, data_object: path, on_invalid: [stale]}, stale: , go: , moved: }
+transitions: {move: {in: [valid, go], out: moved}}
+"""
+    )
+    process = Process([net])
+    process.exchange.nets["n"].post(ObjectInvalidated("other"))
+    process.pump()
+    assert process.marking("n") == {"valid": 1}
+    process.exchange.nets["n"].post(ObjectInvalidated("path"))
+    process.pump()
+    assert process.marking("n") == {"stale": 1}
+    assert process.recorder.names("n") == ["valid.withdrawn"]
+
+
+def test_the_requests_of_two_services_are_answered_each_to_its_caller():
+    server = parse_net(
+        """
+net: server
+places: {one: , two: , did_one: , did_two: , broken: }
+services:
+  s1: {entry: one, done: did_one, failed: broken}
+  s2: {entry: two, done: did_two, failed: broken}
+transitions:
+  do_one: {in: one, out: did_one, action: work, on_failure: broken}
+  do_two: {in: two, out: did_two, action: fails, on_failure: broken}
+"""
+    )
+    client = parse_net(
+        """
+net: client
+places: {a: 1, b: 1, a_done: , b_done: , a_failed: , b_failed: }
+transitions:
+  ask_one: {in: a, out: a_done, request: {to: server.s1, arguments: {x: 1}}, on_failure: a_failed}
+  ask_two: {in: b, out: b_done, request: server.s2, on_failure: b_failed}
+"""
+    )
+
+    def fails(ctx: ActionContext) -> None:
+        raise ImError("two never works")
+
+    for seed in range(8):
+        process = Process([server, client], {"work": lambda ctx: None, "fails": fails}, seed=seed)
+        process.pump()
+        assert process.marking("client") == {"a_done": 1, "b_failed": 1}
+        assert process.marking("server") == {"SI": 1, "SO": 1}
+
+
+def test_a_command_that_its_net_forgets_is_ended_when_the_net_comes_to_rest():
+    net = parse_net(
+        "net: n\nplaces: {idle: 1, a: }\ntransitions: {t: {in: idle, out: a, symbol: s}, u: {in: a, out: idle}}"
+    )
+    process = Process([net])
+    process.command("n", "s")
+    assert "emitted neither s_done nor s_failed" in str(process.results[0].error)

@@ -1,0 +1,217 @@
+"""Node ``/testbed``: owns the physics process, publishes ``/clock``, switches the wrist lights."""
+
+import json
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+
+from im_core import clock, names, shm
+from im_core.errors import ConfigError, DataError, ImError, LinkError, StateError
+from im_core.robot import load_cell
+from im_core.robot.truth import FILE_NAME, CellTruth
+from im_core.ros import qos
+from im_core.ros import run as ros_run
+from im_core.ros.calls import run_in_thread
+from im_core.ros.node import ManagedNode
+from im_core.ros.subprocess import ChildProcess
+from im_core.testbed_link import Slot, TestbedLink
+from im_msgs.srv import Advance, GetTruth, SetLight
+from im_sim.lights import Lights
+from im_sim.truth import draw_truth
+
+START_TIMEOUT_S = 20.0
+CLOCK_POLL_S = 0.01
+CLOCK_REPEAT_S = 1.0
+DIAGNOSTICS_PERIOD_S = 1.0
+LONGEST_ADVANCE_S = 3600.0
+
+
+class TestbedNode(ManagedNode):
+    """ROS shell of the simulated testbed."""
+
+    __test__ = False  # not a test class
+
+    def __init__(self) -> None:
+        super().__init__("testbed")
+        self._child: ChildProcess | None = None
+        self._link: TestbedLink | None = None
+        self._truth: CellTruth | None = None
+        self._published_tick, self._published_at = -1, 0.0
+        self._last_diagnosed = (0, clock.monotonic())
+        anything = ParameterDescriptor(dynamic_typing=True)
+        for name, default in (("factor", 1.0), ("seed", 0), ("cell", "")):
+            self.declare_parameter(name, default, anything)
+        self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
+        self._lights_publisher = self.create_publisher(String, "/testbed/lights", qos.LATCHED)
+        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_service(SetLight, "/testbed/set_light", self._set_light)
+        self.create_service(GetTruth, "/testbed/get_truth", self._get_truth)
+        self.create_service(Advance, "/testbed/advance", self._advance)
+
+    def phase_configure(self) -> None:
+        """Draw the truth, start the physics process and attach to its link."""
+        factor = _number(self.get_parameter("factor").value, "factor", lowest=0.0)
+        seed = int(_number(self.get_parameter("seed").value, "seed", lowest=0.0))
+        path = str(self.get_parameter("cell").value)
+        cell = load_cell(path or None)
+        self._truth = draw_truth(cell, seed)
+        run_dir = names.run_dir()
+        _replace(run_dir / FILE_NAME, self._truth.model_dump_json(indent=1))
+        arguments = ["--instance", names.instance(), "--factor", repr(factor), "--seed", str(seed)]
+        if path:
+            arguments += ["--config", path]
+        self._child = ChildProcess("im_sim.physics", arguments, run_dir / "physics.log")
+        self._link = self._attach(self._child)
+
+    def phase_start(self) -> None:
+        """Publish clock, lights and diagnostics."""
+        self._publish_lights()
+        self.create_timer(CLOCK_POLL_S, self._follow_physics, clock=self.steady_clock)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
+
+    def phase_shutdown(self) -> None:
+        """End the physics process; nothing of it stays in shared memory."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+        if self._child is not None:
+            self._child.terminate()
+            shm.remove_all(f"{names.instance()}_testbed")
+
+    def _attach(self, child: ChildProcess) -> TestbedLink:
+        deadline = clock.monotonic() + START_TIMEOUT_S
+        while True:
+            try:
+                return TestbedLink.attach(names.instance(), timeout_s=0.1)
+            except LinkError:
+                child.check()
+                if clock.monotonic() > deadline:
+                    raise
+
+    def _running(self) -> TestbedLink:
+        if self._link is None:
+            raise StateError("the testbed is not configured yet" if not self.failed else self.failed)
+        if self.failed:
+            raise StateError(f"the testbed has failed: {self.failed}")
+        return self._link
+
+    def _follow_physics(self) -> None:
+        if self._link is None or self._child is None or self.failed:
+            return
+        try:
+            self._child.check()
+        except LinkError as error:
+            self.fail(error)
+            return
+        tick, now = self._link.tick, clock.monotonic()
+        if tick != self._published_tick or now - self._published_at > CLOCK_REPEAT_S:
+            self._published_tick, self._published_at = tick, now
+            self._clock_publisher.publish(Clock(clock=_time(tick * self._link.period_ns)))
+
+    def _publish_lights(self) -> None:
+        if self._link is not None:
+            self._lights_publisher.publish(String(data=json.dumps(Lights(self._link).state())))
+
+    def _publish_diagnostics(self) -> None:
+        if self._link is None:
+            return
+        tick, now = self._link.tick, clock.monotonic()
+        last_tick, last_now = self._last_diagnosed
+        self._last_diagnosed = (tick, now)
+        speed = (tick - last_tick) * self._link.period_s / max(now - last_now, 1e-9)
+        truth = self._link.read_truth()
+        values = {
+            "tick": tick,
+            "testbed time [s]": f"{tick * self._link.period_s:.4f}",
+            "clock factor": self._link.factor,
+            "speed [testbed s / s]": f"{speed:.3f}",
+            "servo process": truth.servo_pid or "none",
+            "servos lost": truth.servo_losses,
+        }
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if self.failed else DiagnosticStatus.OK,
+            name="testbed: physics",
+            message=self.failed or "running",
+            hardware_id="simulated testbed",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = _time(tick * self._link.period_ns)
+        self._diagnostics_publisher.publish(message)
+
+    def _set_light(self, request: SetLight.Request, response: SetLight.Response) -> SetLight.Response:
+        try:
+            Lights(self._running()).switch(request.name, request.on)
+        except ImError as error:
+            response.message = error.message
+            return response
+        self._publish_lights()
+        response.success = True
+        response.message = f"{request.name} is {'on' if request.on else 'off'}"
+        return response
+
+    def _get_truth(self, _: GetTruth.Request, response: GetTruth.Response) -> GetTruth.Response:
+        if self._truth is None:
+            response.message = "the testbed is not configured yet"
+            return response
+        response.success = True
+        response.json = self._truth.model_dump_json()
+        return response
+
+    async def _advance(self, request: Advance.Request, response: Advance.Response) -> Advance.Response:
+        try:
+            link = self._running()
+            duration = _number(request.duration, "duration", lowest=0.0, highest=LONGEST_ADVANCE_S)
+            ticks = math.ceil(round(duration / link.period_s, 6))
+            until = link.request_time(Slot.TESTBED, ticks)
+            slowest = min(link.factor, 0.5) or 0.5
+            tick = await run_in_thread(self, link.wait_tick, until, 10.0 + duration / slowest)
+        except ImError as error:
+            response.message = error.message
+            return response
+        response.success = True
+        response.message = f"{ticks} ticks have passed"
+        response.stamp = _time(tick * link.period_ns)
+        return response
+
+
+def _number(value: Any, name: str, lowest: float, highest: float = math.inf) -> float:
+    """A number within bounds.
+
+    Raises:
+        ConfigError: It is not one.
+        DataError: It is out of bounds.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(f"parameter {name} of /testbed is {value!r}, not a number", parameter=name)
+    if not lowest <= value <= highest:
+        raise DataError(f"{name} {value} of /testbed is not between {lowest:g} and {highest:g}", name=name, value=value)
+    return value
+
+
+def _time(nanoseconds: int) -> Time:
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file so that a reader sees the old or the new one, never half of it."""
+    part = path.with_suffix(".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def main() -> int:
+    """Entry point of the executable ``testbed``."""
+    return ros_run.main(TestbedNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,138 @@
+"""The physics process as others meet it: through the link."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from im_core import clock
+from im_core.errors import LinkError
+from im_core.shm import remove_all
+from im_core.testbed_link import Slot, TestbedLink
+
+INSTANCE = f"imtest{os.getpid()}"
+N = 18
+HELD, FREE = np.ones(N, dtype=bool), np.zeros(N, dtype=bool)
+CLOSED = np.zeros(2)
+
+
+@contextlib.contextmanager
+def physics(*arguments, instance=INSTANCE):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "im_sim.physics", "--instance", instance, *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+        remove_all(f"{instance}_")
+
+
+@contextlib.contextmanager
+def attached(instance=INSTANCE):
+    link = TestbedLink.attach(instance, timeout_s=15.0)
+    yield link
+    link.close()
+
+
+def drive(link, ticks, tau):
+    """Be the servo for some ticks; the states seen, as bytes."""
+    link.attach_servo(os.getpid())
+    link.request_time(Slot.MCS, 1)
+    seen = []
+    for count in range(ticks):
+        assert link.wait_state(2.0)
+        state = link.read_state()
+        seen.append((state.tick, state.q.tobytes(), state.gripper.tobytes()))
+        link.write_command(tau * np.sin(0.1 * count), True, FREE, CLOSED, wants_time=count < ticks - 1)
+    link.wait_tick(ticks, timeout_s=2.0)
+    return seen
+
+
+def test_two_processes_with_one_seed_give_the_same_bits():
+    tau = np.linspace(-30.0, 30.0, N)
+    options = ("--factor", "0", "--seed", "5")
+    runs = []
+    with physics(*options), physics(*options, instance=f"{INSTANCE}b"):
+        for instance in (INSTANCE, f"{INSTANCE}b"):
+            with attached(instance) as link:
+                runs.append(drive(link, 100, tau))
+                assert np.abs(link.read_truth().v).max() > 0.01
+    assert runs[0] == runs[1]
+
+
+def test_a_session_at_factor_0():
+    with physics("--factor", "0", "--seed", "1") as process, attached() as link:
+        clock.sleep(0.05)
+        assert link.tick == 0, "time passes only while something waits for it"
+        state = link.read_state()
+        assert not state.power
+        assert state.brakes.all()
+
+        link.set_light(0, True)
+        on = link.expose(3, blank_light=False, timeout_s=2.0)
+        off = link.expose(3, blank_light=True, timeout_s=2.0)
+        assert (on.start_tick, on.end_tick, off.start_tick, off.end_tick) == (0, 3, 3, 6)
+        assert on.light_fraction == {"left_led": 1.0, "right_led": 0.0}
+        assert off.light_fraction == {"left_led": 0.0, "right_led": 0.0}
+        np.testing.assert_allclose(on.q_true, link.read_truth().q, atol=1e-12)
+        assert np.abs(on.q_true - state.q).max() < 1e-4
+
+        link.wait_tick(link.request_time(Slot.TESTBED, 1000), timeout_s=10.0)
+        assert link.tick == 1006
+
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(2.0) == 0
+        with pytest.raises(LinkError, match="physics process is gone"):
+            link.expose(1, blank_light=False, timeout_s=2.0)
+        with pytest.raises(LinkError, match="does not exist"):
+            TestbedLink.attach(INSTANCE, timeout_s=0.0)
+
+
+def test_real_time_keeps_pace_alone_and_outlives_its_servo():
+    with physics("--factor", "1"), attached() as link:
+        start, begin = link.tick, clock.monotonic()
+        clock.sleep(0.3)
+        passed, wall = (link.tick - start) * link.period_s, clock.monotonic() - begin
+        assert passed == pytest.approx(wall, abs=0.05)
+
+        link.attach_servo(os.getpid())
+        assert link.wait_state(1.0)
+        link.write_command(np.zeros(N), True, HELD, CLOSED, wants_time=True)
+        assert link.wait_state(1.0)
+        assert link.read_state().power
+        link.wait_tick(link.tick + 10, timeout_s=3.0)  # no further command: declared gone after 0.5 s
+        assert link.read_truth().servo_losses == 1
+        state = link.read_state()
+        assert not state.power
+        assert state.brakes.all()
+
+
+def test_a_killed_machine_is_replaced_and_a_living_one_is_not():
+    with physics("--factor", "0") as first, attached() as old:
+        second = subprocess.run(
+            [*first.args], capture_output=True, text=True, check=False,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+        )  # fmt: skip
+        assert second.returncode == 1
+        assert f"in use by process {first.pid}" in second.stderr.splitlines()[-1]
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+        assert not old.physics_alive()
+        with physics("--factor", "0"), attached() as new:
+            assert new.wait_tick(new.request_time(Slot.MCS, 5), timeout_s=5.0) == 5
+
+
+def test_a_wrong_cell_file_is_one_sentence(tmp_path):
+    with physics("--config", str(tmp_path / "none.yaml")) as process:
+        _, errors = process.communicate(timeout=15.0)
+        assert process.returncode == 1
+        assert "none.yaml: cannot be read" in errors.splitlines()[-1]

@@ -1,0 +1,131 @@
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from im_core.robot import load_cell, urdf
+from im_core.testbed_link import Command
+from im_sim.plant import Plant
+
+CELL = load_cell()
+N = len(CELL.joints)
+HELD, FREE = np.ones(N, dtype=bool), np.zeros(N, dtype=bool)
+CLOSED = np.zeros(2)
+REACHING = np.array([-0.6, 0.4, 0.3, 0.5, 0.6, -1.2, 0.3, 0.6, 0.2, 1.2, -0.3, -0.3, 0.5, 0.8, -1.0, 0.2, 0.5, 0.1])
+
+
+@pytest.fixture
+def plant():
+    plant = Plant(CELL, seed=1)
+    yield plant
+    plant.close()
+
+
+def command(tau=None, brakes=FREE, power=True, gripper=CLOSED):
+    return Command(np.zeros(N) if tau is None else tau, power, brakes, gripper, wants_time=True)
+
+
+def place(plant, q):
+    plant._world.reset(q, np.zeros(N))
+    plant.q, plant.v = plant._world.state()
+
+
+def gravity(q):
+    model = pin.buildModelFromXML(urdf(CELL))
+    return pin.computeGeneralizedGravity(model, model.createData(), q)
+
+
+@pytest.mark.parametrize("powered", [True, False])
+def test_brakes_hold_outstretched_arms_for_ten_seconds(plant, powered):
+    place(plant, REACHING)
+    for _ in range(round(10.0 / CELL.period)):
+        plant.run_tick(command(brakes=HELD, power=powered))
+    assert np.abs(plant.q - REACHING).max() < 1e-6
+
+
+def test_without_brakes_and_torque_the_arm_falls(plant):
+    place(plant, REACHING)
+    before = pin.computePotentialEnergy
+    model = pin.buildModelFromXML(urdf(CELL))
+    data = model.createData()
+    height = before(model, data, plant.q)
+    for _ in range(60):
+        plant.run_tick(command())
+    assert before(model, data, plant.q) < height - 5.0
+
+
+def test_gravity_torque_and_dry_friction_hold_the_arm_still(plant):
+    place(plant, REACHING)
+    tau = gravity(REACHING) + 0.5 * CELL.per_joint("coulomb_positive")
+    for _ in range(200):
+        plant.run_tick(command(tau))
+    assert np.abs(plant.q - REACHING).max() < 1e-12
+
+
+def test_more_torque_than_friction_moves_and_viscous_friction_bounds_the_speed(plant):
+    joint = 0
+    tau = gravity(CELL.home)
+    tau[joint] = CELL.joints[joint].coulomb_positive + 10.0
+    for _ in range(400):
+        plant.run_tick(command(tau))
+    assert 0.05 < plant.v[joint] < 10.0 / CELL.joints[joint].viscous
+
+
+def test_brakes_stop_a_moving_arm_within_a_few_ticks(plant):
+    tau = gravity(CELL.home)
+    tau[[3, 8]] += [80.0, 15.0]
+    for _ in range(40):
+        plant.run_tick(command(tau))
+    assert plant.v[3] > 0.3
+    for _ in range(8):
+        plant.run_tick(None)
+    assert np.abs(plant.v).max() < 1e-9
+    assert plant.brakes.all()
+    assert not plant.power
+
+
+def test_power_off_means_no_torque_and_brakes_whatever_is_commanded(plant):
+    before = plant.q
+    for _ in range(20):
+        plant.run_tick(command(np.full(N, 90.0), brakes=FREE, power=False))
+    assert np.abs(plant.q - before).max() < 1e-9
+    assert plant.brakes.all()
+
+
+def test_torques_are_cut_to_the_limits_and_nan_gives_none(plant):
+    other = Plant(CELL, seed=1)
+    limits = CELL.per_joint("limits.torque")
+    wild = np.where(np.arange(N) % 2 == 0, 1e9, np.nan)
+    tame = np.where(np.arange(N) % 2 == 0, limits, 0.0)
+    for _ in range(10):
+        plant.run_tick(command(wild))
+        other.run_tick(command(tame))
+    assert plant.q.tobytes() == other.q.tobytes()
+    assert np.isfinite(plant.q).all()
+    other.close()
+
+
+def test_the_same_seed_and_commands_give_the_same_bits(plant):
+    other = Plant(CELL, seed=1)
+    third = Plant(CELL, seed=2)
+    rng = np.random.default_rng(5)
+    for tick in range(60):
+        same = command(rng.uniform(-20.0, 20.0, N))
+        for each in (plant, other, third):
+            each.run_tick(same)
+        assert plant.q.tobytes() + plant.v.tobytes() == other.q.tobytes() + other.v.tobytes()
+        assert plant.encoders(tick).tobytes() == other.encoders(tick).tobytes()
+        assert plant.encoders(tick).tobytes() != third.encoders(tick).tobytes()
+    other.close()
+    third.close()
+
+
+def test_grippers_travel_at_their_rate_and_stay_without_power(plant):
+    ticks = 20
+    for _ in range(ticks):
+        plant.run_tick(command(brakes=HELD, gripper=np.array([0.0, np.nan])))
+    travelled = CELL.gripper.rate * ticks * CELL.period
+    assert plant.gripper == pytest.approx([CELL.gripper.initial - travelled, CELL.gripper.initial])
+    plant.run_tick(command(brakes=HELD, gripper=np.array([1.0, -1.0])))
+    for _ in range(200):
+        plant.run_tick(None)
+    assert plant.gripper == pytest.approx([CELL.gripper.stroke, 0.0])

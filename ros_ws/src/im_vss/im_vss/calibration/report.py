@@ -1,0 +1,158 @@
+"""The calibration as a report: plain values that JSON can hold."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from im_vss.calibration.calibration import Calibration, CameraEstimate
+from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.unknowns import CAMERA_PARAMETERS
+
+
+def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str, Any]:
+    """Everything a user of the cameras needs to know; numbers that are not defined are null.
+
+    Args:
+        calibration: The result.
+        problem: What it was made from.
+    """
+    nominal = np.array(problem.led_offset_nominal)
+    undetected = [
+        {"pose": pose, "camera": camera, "reason": "The LED was not found."}
+        for c, camera in enumerate(problem.camera_names)
+        for pose, seen in zip(problem.pose_names, problem.detected[c], strict=True)
+        if not seen
+    ]
+    deviations = dict(zip(calibration.parameter_names, numbers(calibration.standard_deviations), strict=True))
+    return {
+        "success": calibration.success,
+        "message": calibration.message,
+        "points_given": len(problem.pose_names),
+        "points_used": calibration.points_used,
+        "points_rejected": [
+            {"pose": r.pose, "camera": r.camera or None, "reason": r.reason, "sigmas": number(r.sigmas)}
+            for r in calibration.rejections
+        ],
+        "points_not_seen": undetected,
+        "cameras": [_camera(camera) for camera in calibration.cameras],
+        "led_offset_m": numbers(nominal + calibration.led_offset_error),
+        "led_offset_error_m": numbers(calibration.led_offset_error),
+        "led_offset_standard_deviation_m": [deviations.get(f"led_offset.{axis}", 0.0) for axis in "xyz"],
+        "joint_offsets_rad": numbers(calibration.joint_offsets),
+        "joint_offsets_standard_deviation_rad": [
+            value for name, value in deviations.items() if name.startswith("joint_offset.")
+        ],
+        "chi2": number(calibration.chi2),
+        "dof": calibration.dof,
+        "chi2_per_dof": number(calibration.chi2_per_dof),
+        "p_value": number(calibration.p_value),
+        "verdicts": [
+            {"kind": v.kind, "parameters": list(v.parameters), "reason": v.reason, "advice": v.advice}
+            for v in calibration.verdicts
+        ],
+        "expected_error": {
+            "triangulation_mm": number(calibration.expected.triangulation_rms_mm),
+            "reprojection_px": number(calibration.expected.reprojection_rms_px),
+            "workspace_low_m": list(problem.workspace.low),
+            "workspace_high_m": list(problem.workspace.high),
+        },
+    }
+
+
+def _camera(camera: CameraEstimate) -> dict[str, Any]:
+    model = camera.model
+    return {
+        "name": camera.name,
+        "width": model.width,
+        "height": model.height,
+        "K": [numbers(row) for row in model.K],
+        "D": numbers(model.D),
+        "R_cam_base": [numbers(row) for row in model.R_cam_base],
+        "t_cam_base_m": numbers(model.t_cam_base),
+        "rms_px": number(camera.rms_px),
+        "spots_used": camera.spots_used,
+        "standard_deviations": dict(zip(CAMERA_PARAMETERS, numbers(camera.standard_deviations), strict=True)),
+        "covariance": [numbers(row) for row in camera.covariance],
+    }
+
+
+def number(value: float) -> float | None:
+    """A finite number, or None."""
+    return float(value) if np.isfinite(value) else None
+
+
+def numbers(values: ArrayLike) -> list[float | None]:
+    """Numbers of a vector, None where not finite."""
+    return [number(value) for value in np.asarray(values, dtype=float).ravel()]
+
+
+def summary(report: Mapping[str, Any]) -> str:
+    """The report as text for people.
+
+    Args:
+        report: As made by :func:`report_of`.
+    """
+    lines = ["Camera calibration", "==================", "", report["message"], ""]
+    lines += [
+        f"poses used          {report['points_used']} of {report['points_given']}"
+        f" ({len(report['points_not_seen'])} spots not found, {len(report['points_rejected'])} observations rejected)",
+        f"chi2 / dof          {_text(report['chi2_per_dof'], '.3f')} (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
+        f"expected error      {_text(report['expected_error']['reprojection_px'], '.3f')} px reprojection,"
+        f" {_text(report['expected_error']['triangulation_mm'], '.2f')} mm triangulation, RMS over the workspace",
+        "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
+    ]
+    if report["joint_offsets_rad"]:
+        values = _vector(report["joint_offsets_rad"], report["joint_offsets_standard_deviation_rad"], 1e3)
+        lines.append(f"joint offsets [mrad] {values}")
+    for camera in report["cameras"]:
+        lines += ["", *_camera_lines(camera)]
+    for title, key in (("Verdicts", "verdicts"), ("Rejected", "points_rejected")):
+        if report[key]:
+            lines += ["", title]
+        for entry in report[key]:
+            if key == "verdicts":
+                lines.append(f"  {entry['kind']}: {entry['reason']} {entry['advice']}")
+            else:
+                where = f"pose {entry['pose']}" + (f", {entry['camera']}" if entry["camera"] else "")
+                lines.append(f"  {where}: {entry['reason']}")
+    return "\n".join(lines) + "\n"
+
+
+def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
+    sd = camera["standard_deviations"]
+    K, D = camera["K"], camera["D"]
+    rotation, translation = np.array(camera["R_cam_base"]), np.array(camera["t_cam_base_m"])
+    centre = -rotation.T @ translation
+    rows = [
+        ("fx, fy [px]", (K[0][0], K[1][1]), ("fx", "fy"), 1.0),
+        ("cx, cy [px]", (K[0][2], K[1][2]), ("cx", "cy"), 1.0),
+        ("k1, k2", D[:2], ("k1", "k2"), 1.0),
+        ("p1, p2 [1e-3]", D[2:4], ("p1", "p2"), 1e3),
+        ("t_cam_base [mm]", camera["t_cam_base_m"], ("tx", "ty", "tz"), 1e3),
+    ]
+    lines = [f"{camera['name']} ({camera['spots_used']} spots, residuals {_text(camera['rms_px'], '.3f')} px RMS)"]
+    lines += [f"  {label:<17} {_vector(values, [sd[name] for name in names], scale)}" for label, values, names, scale in rows]
+    spread = ", ".join(_text(sd[name] and 1e3 * sd[name], ".2f") for name in ("rx", "ry", "rz"))
+    lines.append(f"  rotation [mrad]   known to {spread}")
+    lines.append(f"  stands at [m]     {', '.join(f'{value:.3f}' for value in centre)}")
+    return lines
+
+
+def _text(value: float | None, form: str) -> str:
+    return "unknown" if value is None else format(value, form)
+
+
+def _vector(values: Sequence[float | None], deviations: Sequence[float | None], scale: float) -> str:
+    """Values with their standard deviations, to two digits of the latter."""
+    parts = []
+    for value, deviation in zip(values, deviations, strict=True):
+        if value is None or deviation is None:
+            parts.append(f"{_text(value, 'g')} ± unknown")
+            continue
+        size = deviation * abs(scale)
+        digits = min(6, max(0, 1 - math.floor(math.log10(size)))) if size > 0.0 else 3
+        parts.append(f"{value * scale:.{digits}f} ± {size:.{digits}f}")
+    return ", ".join(parts)

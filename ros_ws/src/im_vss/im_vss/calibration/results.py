@@ -1,0 +1,66 @@
+"""Writes a calibration into a directory: report, summary, plots, and a file for each camera."""
+
+import io
+import json
+import os
+from pathlib import Path
+
+from im_core.errors import DataError
+from im_vss.calibration.calibration import Calibration
+from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.report import report_of, summary
+from im_vss.camera_info import camera_info_yaml
+
+def write_results(directory: Path | str, calibration: Calibration, problem: CalibrationProblem) -> tuple[Path, ...]:
+    """Write ``report.json``, ``summary.txt``, three plots and ``<camera>.yaml`` (`camera_info_manager`).
+
+    Each file appears whole or not at all. Camera files are written for a successful calibration only.
+
+    Args:
+        directory: Where; made if missing.
+        calibration: The result.
+        problem: What it was made from.
+
+    Returns:
+        The files.
+
+    Raises:
+        DataError: The directory cannot be written.
+    """
+    report = report_of(calibration, problem)
+    contents = {
+        "report.json": (json.dumps(report, indent=2, allow_nan=False) + "\n").encode(),
+        "summary.txt": summary(report).encode(),
+    }
+    if calibration.success:
+        for camera in calibration.cameras:
+            contents[f"{camera.name}.yaml"] = camera_info_yaml(camera.name, camera.model).encode()
+    contents |= _pictures(calibration, problem)
+    target = Path(directory)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        return tuple(_write_whole(target / name, content) for name, content in contents.items())
+    except OSError as error:
+        raise DataError(f"The results cannot be written to {target}: {error.strerror}.", file=str(target)) from error
+
+
+def _pictures(calibration: Calibration, problem: CalibrationProblem) -> dict[str, bytes]:
+    """The plots by file name; matplotlib is loaded with the first picture, not with the node that may never draw one."""
+    from im_vss.calibration.plots import plot_coverage, plot_geometry, plot_residuals
+
+    pictures = {}
+    for name, plot in (("residuals", plot_residuals), ("coverage", plot_coverage), ("geometry", plot_geometry)):
+        buffer = io.BytesIO()
+        plot(calibration, problem, buffer)
+        pictures[f"{name}.png"] = buffer.getvalue()
+    return pictures
+
+
+def _write_whole(path: Path, content: bytes) -> Path:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_bytes(content)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+    return path

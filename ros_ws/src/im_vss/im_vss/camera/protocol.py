@@ -1,0 +1,125 @@
+"""What passes between the camera process and its host: shared memory names, requests and replies."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import DataError, ImError
+from im_core.robot import Cell
+from im_core.shm import SharedBlock
+
+MOST_FRAMES = 4
+"""Most exposures of a request."""
+
+
+@dataclass(frozen=True)
+class ChannelNames:
+    """Names of the shared memory and semaphores of one instance of the machine."""
+
+    instance: str
+
+    @property
+    def requests(self) -> str:
+        """Ring of requests to the camera process."""
+        return f"{self.instance}_vss_requests"
+
+    @property
+    def replies(self) -> str:
+        """Ring of replies from it."""
+        return f"{self.instance}_vss_replies"
+
+    @property
+    def images(self) -> str:
+        """Pixels."""
+        return f"{self.instance}_vss_images"
+
+    @property
+    def requested(self) -> str:
+        """Semaphore that is raised with each request."""
+        return f"{self.instance}_vss_requested"
+
+    @property
+    def replied(self) -> str:
+        """Semaphore that is raised with each reply."""
+        return f"{self.instance}_vss_replied"
+
+
+@dataclass(frozen=True)
+class Request:
+    """An order for the camera process; see :class:`im_vss.frames.SnapOrder`."""
+
+    number: int
+    cameras: tuple[str, ...]
+    blank_light: tuple[bool, ...]
+    exposure_s: float
+    timeout_s: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As a message of a ring."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, message: dict[str, Any]) -> Self:
+        """From a message of a ring."""
+        return cls(**{**message, "cameras": tuple(message["cameras"]), "blank_light": tuple(message["blank_light"])})
+
+
+@dataclass(frozen=True)
+class Reply:
+    """The camera process's answer; ``number`` 0 is its first message: it is ready.
+
+    Attributes:
+        number: Number of the request.
+        stamps_ns: Testbed time of the middle of each exposure [ns].
+        timing: Where the time went, by step [s].
+        error: Code, message and facts of what went wrong; None if all is well.
+    """
+
+    number: int
+    stamps_ns: tuple[int, ...] = ()
+    timing: dict[str, float] | None = None
+    error: dict[str, Any] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As a message of a ring."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, message: dict[str, Any]) -> Self:
+        """From a message of a ring."""
+        return cls(**{**message, "stamps_ns": tuple(message["stamps_ns"])})
+
+    @classmethod
+    def failed(cls, number: int, error: ImError) -> Self:
+        """The reply that carries an error."""
+        facts = {key: value for key, value in error.facts.items() if isinstance(value, str | int | float | bool)}
+        return cls(number, error={"code": error.code, "message": error.message, "facts": facts})
+
+
+class ImageStore:
+    """Pixels in shared memory: one place for each camera and exposure of a request."""
+
+    def __init__(self, cell: Cell) -> None:
+        """Lay out places for all cameras of `cell`."""
+        self._shapes = {
+            name: (camera.intrinsics.height, camera.intrinsics.width) for name, camera in cell.cameras.items()
+        }
+        self._offsets: dict[str, int] = {}
+        self.size = 0
+        for name, (height, width) in self._shapes.items():
+            self._offsets[name] = self.size
+            self.size += MOST_FRAMES * height * width
+
+    def image(self, block: SharedBlock, camera: str, frame: int) -> NDArray[np.uint8]:
+        """The image of a camera and exposure as a view of shared memory, shape (h, w) [DN].
+
+        Raises:
+            DataError: There is no place for that many exposures.
+        """
+        if not 0 <= frame < MOST_FRAMES:
+            raise DataError(f"exposure {frame} is not one of 0 to {MOST_FRAMES - 1}", frame=frame)
+        height, width = self._shapes[camera]
+        start = self._offsets[camera] + frame * height * width
+        return np.asarray(block.array("u1", height * width, start), dtype=np.uint8).reshape(height, width)

@@ -1,0 +1,150 @@
+"""The scene as the cameras see it: a mirror of the testbed's joint positions, rendered and probed with rays."""
+
+import importlib.util
+import tempfile
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+
+from im_core.camera_model import CameraModel
+from im_core.errors import ConfigError
+from im_core.robot import Cell, urdf
+from im_core.robot.parameters import Vector
+from im_core.robot.tree import ORIGIN, far_end
+from im_vss.camera.lens import FloatImage, Pinhole
+
+Array = NDArray[np.float64]
+
+_NEAR_M, _FAR_M = 0.03, 9.0
+_LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32) / 255.0
+_SUN = (0.4, -0.6, 1.0)
+_BASE = -1
+
+
+class SceneMirror:
+    """A pybullet client that never steps; it holds the cell at given joint positions."""
+
+    def __init__(self, cell: Cell, renderer: str) -> None:
+        """Load the cell.
+
+        Args:
+            cell: Geometry.
+            renderer: ``egl``, ``tiny``, or ``auto``: EGL where its plug-in loads.
+
+        Raises:
+            ConfigError: EGL is demanded and does not load.
+        """
+        self._client = pybullet.connect(pybullet.DIRECT)
+        self.renderer, self._flag = self._choose(renderer)
+        pybullet.setGravity(0.0, 0.0, 0.0, physicsClientId=self._client)
+        self._body = self._load(urdf(cell, frames=False))
+        self._frames: dict[str, tuple[int, Vector, Vector]] = {"world": (_BASE, ORIGIN, ORIGIN)}
+        indices: dict[str, int] = {}
+        for index in range(pybullet.getNumJoints(self._body, physicsClientId=self._client)):
+            info = pybullet.getJointInfo(self._body, index, physicsClientId=self._client)
+            indices[info[1].decode()] = index
+            self._frames[info[12].decode()] = (index, ORIGIN, ORIGIN)
+        for side, spec in cell.sides.items():
+            last = self._frames[f"{side}_link6"][0]
+            self._frames[f"{side}_wrist"] = (last, *far_end(cell.arm_models[spec.arm].links[-1]))
+        self._joints = [indices[name] for name in cell.joint_names]
+
+    @property
+    def renderer_offset(self) -> tuple[float, float]:
+        """Where the renderer puts a point that belongs at (0, 0), column and row [px]; measured."""
+        return (0.0, 0.0) if self.renderer == "egl" else (0.5, -0.5)
+
+    def set_joints(self, q: Array) -> None:
+        """Move to joint positions, shape (18,) [rad or m]."""
+        pybullet.resetJointStatesMultiDof(
+            self._body, self._joints, [[float(value)] for value in q], physicsClientId=self._client
+        )
+
+    def pose(self, frame: str) -> tuple[Array, Array]:
+        """Rotation frame -> world, shape (3, 3), and origin in the world, shape (3,) [m], of a link or a wrist."""
+        index, xyz, rpy = self._frames[frame]
+        if index == _BASE:
+            return np.eye(3), np.zeros(3)
+        state = pybullet.getLinkState(self._body, index, computeForwardKinematics=True, physicsClientId=self._client)
+        origin, quaternion = pybullet.multiplyTransforms(
+            state[4], state[5], xyz, pybullet.getQuaternionFromEuler(rpy), physicsClientId=self._client
+        )
+        return np.array(pybullet.getMatrixFromQuaternion(quaternion)).reshape(3, 3), np.array(origin)
+
+    def clear(self, start: Array, end: Array) -> bool:
+        """Whether nothing stands between two points of the world, shape (3,) [m]."""
+        hit = pybullet.rayTest(list(start), list(end), physicsClientId=self._client)
+        return int(hit[0][0]) < 0
+
+    def render(self, pinhole: Pinhole, camera: CameraModel) -> FloatImage:
+        """Brightness, 0 to 1, of a pinhole image at the pose of `camera`, shape (h, w)."""
+        pixels = pybullet.getCameraImage(
+            pinhole.width,
+            pinhole.height,
+            viewMatrix=_view(camera),
+            projectionMatrix=_projection(pinhole),
+            lightDirection=_SUN,
+            lightColor=(1.0, 1.0, 1.0),
+            lightDistance=10.0,
+            lightAmbientCoeff=0.55,
+            lightDiffuseCoeff=0.45,
+            lightSpecularCoeff=0.0,
+            shadow=0,
+            renderer=self._flag,
+            flags=pybullet.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=self._client,
+        )[2]
+        colours = np.asarray(pixels, dtype=np.uint8).reshape(pinhole.height, pinhole.width, 4)
+        return np.asarray(colours[..., :3] @ _LUMA, dtype=np.float32)
+
+    def close(self) -> None:
+        """Release the client."""
+        pybullet.disconnect(self._client)
+
+    def _choose(self, renderer: str) -> tuple[str, int]:
+        if renderer in ("auto", "egl"):
+            plugin = importlib.util.find_spec("eglRenderer")
+            if plugin is not None and plugin.origin is not None:
+                loaded = pybullet.loadPlugin(plugin.origin, "_eglRendererPlugin", physicsClientId=self._client)
+                if loaded >= 0:
+                    return "egl", pybullet.ER_BULLET_HARDWARE_OPENGL
+            if renderer == "egl":
+                raise ConfigError("renderer: 'egl' does not load on this host, 'auto' and 'tiny' do", renderer=renderer)
+        return "tiny", pybullet.ER_TINY_RENDERER
+
+    def _load(self, text: str) -> int:
+        with tempfile.NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            return int(
+                pybullet.loadURDF(
+                    file.name,
+                    useFixedBase=True,
+                    flags=pybullet.URDF_MAINTAIN_LINK_ORDER,
+                    physicsClientId=self._client,
+                )
+            )
+
+
+def _view(camera: CameraModel) -> list[float]:
+    """OpenGL view matrix, column by column: OpenGL looks along -z with y up."""
+    matrix = np.eye(4)
+    flip = np.array([1.0, -1.0, -1.0])
+    matrix[:3, :3] = flip[:, None] * camera.R_cam_base
+    matrix[:3, 3] = flip * camera.t_cam_base
+    return [float(value) for value in matrix.T.ravel()]
+
+
+def _projection(pinhole: Pinhole) -> list[float]:
+    """OpenGL projection matrix, column by column; pixel (0, 0) is centred half a pixel inside the image."""
+    width, height, K = pinhole.width, pinhole.height, pinhole.K
+    matrix = np.zeros((4, 4))
+    matrix[0, 0] = 2.0 * K[0, 0] / width
+    matrix[1, 1] = 2.0 * K[1, 1] / height
+    matrix[0, 2] = 1.0 - 2.0 * (K[0, 2] + 0.5) / width
+    matrix[1, 2] = 2.0 * (K[1, 2] + 0.5) / height - 1.0
+    matrix[2, 2] = -(_FAR_M + _NEAR_M) / (_FAR_M - _NEAR_M)
+    matrix[2, 3] = -2.0 * _FAR_M * _NEAR_M / (_FAR_M - _NEAR_M)
+    matrix[3, 2] = -1.0
+    return [float(value) for value in matrix.T.ravel()]

@@ -1,0 +1,195 @@
+"""Between the Vision Services System's types and messages."""
+
+import math
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose, TransformStamped
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+
+from im_core.camera_model import CameraModel
+from im_core.errors import DataError
+from im_msgs.msg import CalibrationReport, CameraCalibration, Rejection, Spot
+from im_msgs.msg import Observation as ObservationMessage
+from im_vss.calibration import Calibration
+from im_vss.camera_book import CameraEntry
+from im_vss.camera_info import projection_matrix
+from im_vss.services.svc_calibrate import Observation, SeenSpot
+from im_vss.services.svc_spot_find import CameraSpot
+
+Array = NDArray[np.float64]
+
+_ENCODINGS = {2: "mono8", 3: "rgb8"}
+
+
+def to_time(stamp_ns: int) -> Time:
+    """Testbed time [ns] as a message."""
+    return Time(sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
+
+
+def to_header(frame: str, stamp_ns: int) -> Header:
+    """Header of an image or camera info."""
+    return Header(stamp=to_time(stamp_ns), frame_id=frame)
+
+
+def to_image(frame: str, stamp_ns: int, image: NDArray[np.uint8]) -> Image:
+    """A grey image, shape (h, w), or a red-green-blue one, shape (h, w, 3), as a message."""
+    height, width = image.shape[:2]
+    message = Image(
+        header=to_header(frame, stamp_ns),
+        height=height,
+        width=width,
+        encoding=_ENCODINGS[image.ndim],
+        is_bigendian=0,
+        step=width * (1 if image.ndim == 2 else image.shape[2]),
+    )
+    message.data = image.tobytes()
+    return message
+
+
+def to_camera_info(entry: CameraEntry, stamp_ns: int) -> CameraInfo:
+    """The present calibration of a camera."""
+    model = entry.model
+    return CameraInfo(
+        header=to_header(entry.frame, stamp_ns),
+        width=model.width,
+        height=model.height,
+        distortion_model="plumb_bob",
+        d=model.D.tolist(),
+        k=model.K.ravel(),
+        r=np.eye(3).ravel(),
+        p=projection_matrix(model).ravel(),
+    )
+
+
+def from_camera_info(info: CameraInfo) -> CameraModel:
+    """Intrinsics and lens of a camera info.
+
+    Raises:
+        DataError: It is not a finite `plumb_bob` camera of 4 or 5 coefficients.
+    """
+    if info.distortion_model not in ("plumb_bob", ""):
+        raise DataError(f"distortion model '{info.distortion_model}' is not 'plumb_bob'", model=info.distortion_model)
+    if len(info.d) not in (0, 4, 5):
+        raise DataError(f"plumb_bob has 4 or 5 coefficients (or none), got {len(info.d)}", coefficients=len(info.d))
+    D = np.zeros(5)
+    D[: len(info.d)] = info.d
+    K = np.array(info.k).reshape(3, 3)
+    if not np.array_equal(K[2], [0.0, 0.0, 1.0]) or K[1, 0] != 0.0 or K[0, 1] != 0.0:
+        raise DataError(f"K = {K.ravel().tolist()} is not [fx 0 cx; 0 fy cy; 0 0 1]")
+    return CameraModel(info.width, info.height, K, D)
+
+
+def to_transform(entry: CameraEntry, stamp_ns: int) -> TransformStamped:
+    """Pose of a camera's optical frame in its parent."""
+    message = TransformStamped(header=to_header(entry.parent, stamp_ns), child_frame_id=entry.frame)
+    position, target = entry.model.position, message.transform
+    target.translation.x, target.translation.y, target.translation.z = (float(value) for value in position)
+    x, y, z, w = quaternion(entry.model.R_cam_base.T)
+    target.rotation.x, target.rotation.y, target.rotation.z, target.rotation.w = x, y, z, w
+    return message
+
+
+def to_spot(seen: CameraSpot) -> Spot:
+    """What a camera saw, as a message."""
+    message = Spot(camera=seen.camera, stamp=to_time(seen.stamp_ns), cause=seen.finding.cause, snr=seen.finding.snr)
+    spot = seen.finding.spot
+    if spot is not None:
+        message.found = True
+        message.u, message.v = spot.u, spot.v
+        message.covariance = spot.covariance.ravel()
+        message.amplitude, message.sigma = spot.amplitude, spot.sigma
+        message.saturated = spot.saturated > 0
+    return message
+
+
+def from_observation(message: ObservationMessage) -> Observation:
+    """An observation from a message.
+
+    Raises:
+        DataError: It holds numbers that are not finite, or no rotation.
+    """
+    spots: dict[str, SeenSpot] = {}
+    for spot in message.spots:
+        if spot.found:
+            if spot.camera in spots:
+                raise DataError(f"pose '{message.pose}' has two spots of {spot.camera}", pose=message.pose)
+            uv, covariance = np.array([spot.u, spot.v]), np.array(spot.covariance).reshape(2, 2)
+            if not np.all(np.isfinite(uv)):
+                raise DataError(f"the spot of {spot.camera} at pose '{message.pose}' is not finite", pose=message.pose)
+            spots[spot.camera] = SeenSpot(uv, covariance)
+    position = message.wrist.position
+    return Observation(
+        pose=message.pose,
+        position=np.array([position.x, position.y, position.z]),
+        rotation=rotation_matrix(message.wrist, message.pose),
+        position_covariance=np.array(message.position_covariance).reshape(3, 3),
+        spots=spots,
+    )
+
+
+def to_report(
+    calibration: Calibration, offset: tuple[float, float, float], message: str, **fields: Any
+) -> CalibrationReport:
+    """A calibration as a message.
+
+    Args:
+        calibration: The estimate.
+        offset: Nominal offset of the light in the wrist frame [m].
+        message: The outcome in a sentence.
+        **fields: Further fields of the message.
+    """
+    return CalibrationReport(
+        success=calibration.success,
+        message=message,
+        cameras=[
+            CameraCalibration(
+                name=camera.name,
+                width=camera.model.width,
+                height=camera.model.height,
+                k=camera.model.K.ravel(),
+                d=camera.model.D,
+                r_cam_base=camera.model.R_cam_base.ravel(),
+                t_cam_base=camera.model.t_cam_base,
+                rms=camera.rms_px,
+                points=camera.spots_used,
+                covariance=_finite_or_empty(camera.covariance),
+            )
+            for camera in calibration.cameras
+        ],
+        points_used=calibration.points_used,
+        points_rejected=[Rejection(pose=r.pose, camera=r.camera, reason=r.reason) for r in calibration.rejections],
+        led_offset=np.array(offset) + calibration.led_offset_error,
+        chi2_per_dof=calibration.chi2_per_dof,
+        verdicts=[str(verdict) for verdict in calibration.verdicts],
+        expected_triangulation=calibration.expected.triangulation_rms_mm,
+        expected_reprojection=calibration.expected.reprojection_rms_px,
+        **fields,
+    )
+
+
+def rotation_matrix(pose: Pose, name: str) -> Array:
+    """Rotation of a pose, shape (3, 3).
+
+    Raises:
+        DataError: Its quaternion is not of unit length.
+    """
+    q = pose.orientation
+    length = math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
+    if not abs(length - 1.0) < 1e-3:
+        raise DataError(f"the orientation of pose '{name}' has length {length:.4g}, it must be 1", pose=name)
+    return np.asarray(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix())
+
+
+def quaternion(rotation: Array) -> tuple[float, float, float, float]:
+    """Unit quaternion (x, y, z, w) of a rotation, shape (3, 3)."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return float(x), float(y), float(z), float(w)
+
+
+def _finite_or_empty(covariance: Array) -> list[float]:
+    return covariance.ravel().tolist() if np.all(np.isfinite(covariance)) else []

@@ -1,0 +1,46 @@
+"""Image topics of the cameras and their static transforms."""
+
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import CameraInfo, Image
+from tf2_msgs.msg import TFMessage
+
+from im_core.ros import qos
+from im_core.ros.node import ManagedNode
+from im_vss.camera_book import CameraBook
+from im_vss.frames import Frame
+from im_vss.frames import Image as Pixels
+from im_vss.ros.messages import to_camera_info, to_image, to_transform
+
+
+class ImageOutputs:
+    """The :class:`im_vss.frames.Screen` of the node: what is shown is published, if anybody looks."""
+
+    def __init__(self, node: ManagedNode, book: CameraBook) -> None:
+        """Create ``image_raw``, ``camera_info`` and ``image_display`` of each camera, and ``/tf_static``."""
+        self._node = node
+        self._book = book
+        names = [entry.name for entry in book.entries()]
+        self._raw = self._publishers(names, Image, "image_raw")
+        self._info = self._publishers(names, CameraInfo, "camera_info")
+        self._display = self._publishers(names, Image, "image_display")
+        self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
+
+    def raw(self, frame: Frame) -> None:
+        """Publish an image as it was taken, and the camera info of the same stamp."""
+        entry = self._book[frame.camera]
+        self._info[frame.camera].publish(to_camera_info(entry, frame.stamp_ns))
+        if self._raw[frame.camera].get_subscription_count():
+            self._raw[frame.camera].publish(to_image(entry.frame, frame.stamp_ns, frame.image))
+
+    def display(self, camera: str, image: Pixels, stamp_ns: int) -> None:
+        """Publish what a monitor shows."""
+        if self._display[camera].get_subscription_count():
+            self._display[camera].publish(to_image(self._book[camera].frame, stamp_ns, image))
+
+    def publish_transforms(self) -> None:
+        """Publish where the cameras are, as far as is known."""
+        stamp_ns = self._node.get_clock().now().nanoseconds
+        self._tf_static.publish(TFMessage(transforms=[to_transform(entry, stamp_ns) for entry in self._book.entries()]))
+
+    def _publishers(self, names: list[str], kind: type, topic: str) -> dict[str, Publisher]:
+        return {name: self._node.create_publisher(kind, f"/{name}/{topic}", qos.IMAGES) for name in names}

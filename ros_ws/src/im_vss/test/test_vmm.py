@@ -1,0 +1,129 @@
+"""Leases of Vision Modules: one at a time, first come first served, never lost."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from im_core import clock
+from im_core.errors import NotFoundError, StateError, WaitTimeoutError
+from im_vss.managers import VisionClient, VisionModuleManager
+from im_vss.modules import VisionModule
+
+
+class VmCounter(VisionModule):
+    """Counts how many are in it."""
+
+    name = "vm_counter"
+
+    def __init__(self):
+        super().__init__(rig=None)
+        self.inside = self.most = self.calls = 0
+
+    def work(self, lease, seconds=0.001):
+        def touch():
+            self.inside += 1
+            self.most = max(self.most, self.inside)
+            clock.sleep(seconds)
+            self.inside -= 1
+            self.calls += 1
+            return self.calls
+
+        return self.run(lease, touch)
+
+
+@pytest.fixture
+def module():
+    made = VmCounter()
+    yield made
+    made.close()
+
+
+def manager(wait_s=5.0, hold_s=5.0):
+    return VisionModuleManager("image_processing", ["vm_counter"], wait_s, hold_s)
+
+
+def test_fifty_clients_never_two_inside(module):
+    vmm = manager()
+
+    def use(number):
+        with vmm.lend("vm_counter", VisionClient(f"client {number}")) as lease:
+            return module.work(lease)
+
+    with ThreadPoolExecutor(50) as pool:
+        results = list(pool.map(use, range(50)))
+    assert sorted(results) == list(range(1, 51))
+    assert module.most == 1
+    assert vmm.queue("vm_counter") == (None, ())
+
+
+def test_first_come_first_served():
+    vmm = manager()
+    order, threads = [], []
+
+    def use(number):
+        with vmm.lend("vm_counter", VisionClient(str(number))):
+            order.append(number)
+
+    with vmm.lend("vm_counter", VisionClient("first")):
+        for number in range(8):
+            threads.append(threading.Thread(target=use, args=(number,)))
+            threads[-1].start()
+            while len(vmm.queue("vm_counter")[1]) <= number:
+                clock.sleep(0.001)
+        assert vmm.queue("vm_counter") == ("first", tuple(str(number) for number in range(8)))
+    for thread in threads:
+        thread.join()
+    assert order == list(range(8))
+
+
+def test_wait_is_bounded_and_names_the_holder():
+    vmm = manager(wait_s=0.05)
+    with vmm.lend("vm_counter", VisionClient("spot_find #1")), pytest.raises(
+        WaitTimeoutError, match=r"vm_counter, held by spot_find #1, 0 before snap #2"
+    ), vmm.lend("vm_counter", VisionClient("snap #2")):
+        pass
+
+
+def test_lease_ends_at_its_deadline(module):
+    vmm = manager(hold_s=0.05)
+    with vmm.lend("vm_counter", VisionClient("slow")) as old:
+        with vmm.lend("vm_counter", VisionClient("next")) as lease:
+            assert module.work(lease) == 1
+        with pytest.raises(StateError, match="the lease of vm_counter by slow is over"):
+            module.work(old)
+
+
+def test_work_beyond_the_lease_is_a_timeout_and_blocks_nobody_forever(module):
+    vmm = manager(hold_s=0.1)
+    with pytest.raises(WaitTimeoutError), vmm.lend("vm_counter", VisionClient("stuck")) as lease:
+        module.work(lease, seconds=0.15)
+    with vmm.lend("vm_counter", VisionClient("next")) as lease:
+        assert module.work(lease) == 2
+    assert module.most == 1
+
+
+def test_cancelled_and_dead_clients_lose_lease_and_place(module):
+    vmm = manager()
+    alive = True
+    dying = VisionClient("dying", alive=lambda: alive)
+    with vmm.lend("vm_counter", dying) as lost:
+        alive = False
+        with vmm.lend("vm_counter", VisionClient("heir")) as lease:
+            assert module.work(lease) == 1
+        with pytest.raises(StateError):
+            module.work(lost)
+    cancelled = VisionClient("cancelled")
+    cancelled.cancel()
+    with pytest.raises(StateError, match="cancelled gave up waiting"), vmm.lend("vm_counter", cancelled):
+        pass
+
+
+def test_other_modules_and_other_leases_are_refused(module):
+    vmm = VisionModuleManager("both", ["vm_counter", "vm_other"], 1.0, 1.0)
+    with pytest.raises(NotFoundError, match="'vm_countr'; did you mean 'vm_counter'"), vmm.lend(
+        "vm_countr", VisionClient("a")
+    ):
+        pass
+    with vmm.lend("vm_other", VisionClient("b")) as lease, pytest.raises(StateError, match="of vm_other, not of"):
+        module.work(lease)

@@ -1,0 +1,19 @@
+#!/usr/bin/env bash
+# Starts the machine of this ROS domain and returns when every task is ready; else says which is not, and why.
+#
+#   scripts/start.sh                             the default deployment, in real time
+#   scripts/start.sh my_deployment.yaml          another one
+#   scripts/start.sh --factor 0 --seed 7         simulated time as fast as it goes, another seed
+#   scripts/start.sh --port 8081                 another port for the display (a web page)
+#   scripts/start.sh --timeout 120               a longer wait (default 60 s)
+#
+# A second machine on this host needs another ROS_DOMAIN_ID, and another --port:
+#   ROS_DOMAIN_ID=7 scripts/start.sh --port 8081
+#
+# Logs: .run/im<domain>/log/<task>.log. Stop it with scripts/stop.sh.
+# Exit codes: 0 ready, 1 not started (said why; nothing is left running), 2 bad usage or deployment, 130 interrupted.
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+if wants_help "$@"; then help; exit 0; fi
+im_env
+exec "$IM_WS/install/im_bringup/lib/im_bringup/start" "$@"

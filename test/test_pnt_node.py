@@ -1,0 +1,165 @@
+"""Nets in several processes: requests, results, failures, cancellation, and the death of a coordinator."""
+
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+import rclpy
+
+from im_core import clock
+from im_core.errors import DataError
+from im_core.ros import qos
+from im_core.ros.run import main, spin_in_thread
+from im_msgs.msg import Firing
+from im_pnt.ros.node import PntNode
+
+NETS = {
+    "front": """
+net: front
+places: {idle: 1, asked: , happy: , sad: }
+transitions:
+  begin: {in: idle, out: asked, symbol: serve}
+  ask: {in: asked, out: happy, request: middle.fetch, on_failure: sad}
+  finish: {in: happy, out: idle, emit: serve_done}
+  give_up: {in: sad, out: idle, emit: serve_failed}
+""",
+    "middle": """
+net: middle
+places: {wanted: , fetched: , missing: }
+services: {fetch: {entry: wanted, done: fetched, failed: missing}}
+transitions:
+  plan: {in: wanted, out: fetched, request: back.plan, on_failure: missing}
+""",
+    "back": """
+net: back
+places: {wanted: , planned: , impossible: }
+services: {plan: {entry: wanted, done: planned, failed: impossible}}
+transitions:
+  think: {in: wanted, out: planned, action: think, on_failure: impossible}
+""",
+}
+
+
+def think(ctx):
+    """The only action of these nets: succeeds, fails or waits, as the command's arguments say."""
+    how = ctx.command.arguments["how"]
+    if how == "fail":
+        raise DataError("there is no way through", obstacle="table")
+    ctx.result["answer"] = 42
+    return wait_for_cancel(ctx) if how == "wait" else None
+
+
+async def wait_for_cancel(ctx):
+    promise = NODES["back"].promise()
+    ctx.on_cancel(lambda: promise.set_result(None))
+    await promise
+    raise DataError("stopped thinking")
+
+
+NODES = {}
+
+
+def make_node(name: str, folder: Path) -> PntNode:
+    node = PntNode(
+        name,
+        [folder / f"{name}.yaml"],
+        {"think": think},
+        parameter_overrides=[rclpy.parameter.Parameter("standalone", value=True)],
+    )
+    NODES[name] = node
+    return node
+
+
+def start(name: str, folder: Path) -> subprocess.Popen:
+    return subprocess.Popen([sys.executable, __file__, name, str(folder)])
+
+
+def run(node: PntNode, how: str, seconds: float = 20.0, cancel_after: float | None = None):
+    """Runs one command from a thread that does not spin."""
+    ended = threading.Event()
+    outcome = []
+    numbers = []
+
+    async def work():
+        outcome.append(await node.command("serve", {"how": how}, started=numbers.append))
+        ended.set()
+
+    node.executor.create_task(work())
+    node.wake()
+    if cancel_after is not None:
+        clock.sleep(cancel_after)
+        node.cancel(numbers[0])
+    assert ended.wait(seconds), f"command serve({how}) did not end in {seconds} s"
+    return outcome[0]
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("nets")
+    for name, text in NETS.items():
+        (folder / f"{name}.yaml").write_text(text)
+    processes = {name: start(name, folder) for name in ("middle", "back")}
+    rclpy.init()
+    node = make_node("front", folder)
+    firings = []
+    node.create_subscription(Firing, "/pnt/firings", firings.append, qos.EVENTS)
+    with spin_in_thread(node):
+        deadline = clock.monotonic() + 10.0
+        while {"middle", "back"} - node.heartbeats._last.keys() and clock.monotonic() < deadline:
+            clock.sleep(0.05)
+        yield node, firings, processes, folder
+    rclpy.try_shutdown()
+    for process in processes.values():
+        process.send_signal(signal.SIGINT)
+    for process in processes.values():
+        process.wait(10.0)
+
+
+def test_a_request_passes_through_three_processes_and_its_result_is_success(machine):
+    node, firings, _, _ = machine
+    outcome = run(node, "succeed")
+    assert outcome.success
+    clock.sleep(0.3)
+    fired = [(f.net, f.transition, f.phase) for f in firings]
+    assert ("back", "think", Firing.START) in fired
+    assert fired.index(("back", "think", Firing.END)) < fired.index(("middle", "plan", Firing.END))
+    assert fired.index(("middle", "plan", Firing.END)) < fired.index(("front", "ask", Firing.END))
+    for net in NETS:
+        sequences = [f.sequence for f in firings if f.net == net]
+        assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
+
+
+def test_a_failure_travels_back_with_its_code_message_and_facts(machine):
+    outcome = run(machine[0], "fail")
+    assert not outcome.success
+    assert outcome.status.code == "data"
+    assert outcome.status.message == "there is no way through"
+    assert {fact.key: fact.value for fact in outcome.status.facts} == {"obstacle": '"table"'}
+
+
+def test_cancelling_reaches_the_process_where_the_action_runs(machine):
+    outcome = run(machine[0], "wait", cancel_after=0.5)
+    assert outcome.status.message == "stopped thinking"
+    assert run(machine[0], "succeed").success
+
+
+def test_a_command_ends_with_who_is_missing_when_a_coordinator_is_killed(machine):
+    node, _, processes, folder = machine
+    threading.Timer(0.5, processes["back"].kill).start()
+    before = clock.monotonic()
+    outcome = run(node, "wait")
+    assert clock.monotonic() - before < 10.0
+    assert "back is missing (last heard" in outcome.status.message
+    processes["back"] = start("back", folder)
+    deadline = clock.monotonic() + 15.0
+    while not (outcome := run(node, "succeed")).success and clock.monotonic() < deadline:
+        clock.sleep(0.2)
+    assert outcome.success
+
+
+if __name__ == "__main__":
+    name, folder = sys.argv[1:]
+    sys.exit(main(lambda: make_node(name, Path(folder))))

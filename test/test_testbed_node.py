@@ -1,0 +1,119 @@
+"""Node ``/testbed`` as ROS users meet it."""
+
+import json
+import os
+import signal
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from im_core import clock, names
+from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+from im_core.ros.run import spin_in_thread
+from im_core.testbed_link import TestbedLink
+from im_msgs.msg import TaskStatus
+from im_msgs.srv import Advance, GetTruth, SetLight
+from im_sim.ros.node import TestbedNode
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+
+
+def start(parameters):
+    """Initialise ROS with parameters of /testbed, and make the node."""
+    arguments = ["--ros-args"]
+    for name, value in {"standalone": "true", **parameters}.items():
+        arguments += ["-p", f"{name}:={value}"]
+    rclpy.init(args=arguments)
+    return TestbedNode()
+
+
+def until(condition, seconds=20.0):
+    deadline = clock.monotonic() + seconds
+    while not condition():
+        assert clock.monotonic() < deadline, "waited in vain"
+        clock.sleep(0.01)
+
+
+@pytest.fixture
+def run_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    yield tmp_path
+    rclpy.try_shutdown()
+
+
+def test_a_session(run_folder):
+    node = start({"factor": 0.0, "seed": 4})
+    listener = rclpy.create_node("listener")
+    clocks, lights, diagnostics = [], [], []
+    listener.create_subscription(Clock, "/clock", lambda m: clocks.append(m.clock), 10)
+    listener.create_subscription(String, "/testbed/lights", lambda m: lights.append(json.loads(m.data)), qos.LATCHED)
+    listener.create_subscription(DiagnosticArray, "/diagnostics", diagnostics.append, 10)
+    set_light = listener.create_client(SetLight, "/testbed/set_light")
+    get_truth = listener.create_client(GetTruth, "/testbed/get_truth")
+    advance = listener.create_client(Advance, "/testbed/advance")
+    with spin_in_thread(node, listener):
+        until(lambda: node.ready or node.failed)
+        assert node.ready, node.failed
+
+        answer = call_blocking(set_light, SetLight.Request(name="left_led", on=True), 5.0, "light")
+        assert (answer.success, answer.message) == (True, "left_led is on")
+        until(lambda: lights and lights[-1] == {"left_led": True, "right_led": False})
+        answer = call_blocking(set_light, SetLight.Request(name="left_lamp", on=True), 5.0, "light")
+        assert not answer.success
+        assert "there is no light 'left_lamp'; did you mean 'left_led'?" in answer.message
+
+        link = TestbedLink.attach(names.instance(), timeout_s=1.0)
+        exposure = link.expose(2, blank_light=False, timeout_s=2.0)
+        assert exposure.light_fraction == {"left_led": 1.0, "right_led": 0.0}
+        link.close()
+
+        answer = call_blocking(advance, Advance.Request(duration=0.45), 5.0, "time")
+        assert answer.success, answer.message
+        assert answer.stamp.nanosec == 102 * 4_500_000
+        until(lambda: clocks and clocks[-1] == answer.stamp)
+        answer = call_blocking(advance, Advance.Request(duration=-1.0), 5.0, "time")
+        assert (answer.success, answer.message) == (False, "duration -1.0 of /testbed is not between 0 and 3600")
+
+        answer = call_blocking(get_truth, GetTruth.Request(), 5.0, "truth")
+        truth = json.loads(answer.json)
+        assert truth["seed"] == 4
+        assert set(truth["cameras"]) == {"ceiling_left", "ceiling_right", "wall", "table", "wrist_left"}
+        assert truth == json.loads((run_folder / "truth.json").read_text())
+        until(lambda: any(status.message == "running" for array in diagnostics for status in array.status))
+    assert not [name for name in os.listdir("/dev/shm") if f"{names.instance()}_testbed" in name]
+
+
+def test_a_dead_physics_process_is_a_failed_task(run_folder):
+    node = start({"factor": 1.0})
+    statuses = []
+    node.create_subscription(TaskStatus, "/im/task_status", statuses.append, qos.STATUS)
+    with spin_in_thread(node):
+        until(lambda: node.ready or node.failed)
+        os.kill(node._child.pid, signal.SIGKILL)
+        until(lambda: node.failed)
+        assert "im_sim.physics ended with code -9" in node.failed
+        until(lambda: any(status.phase == TaskStatus.FAILED for status in statuses))
+    assert not [name for name in os.listdir("/dev/shm") if f"{names.instance()}_testbed" in name]
+
+
+@pytest.mark.parametrize(("parameters", "message"), [
+    ({"factor": -1.0}, "factor -1.0 of /testbed is not between 0 and inf"),
+    ({"factor": "fast"}, "parameter factor of /testbed is 'fast', not a number"),
+    ({"cell": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
+])  # fmt: skip
+def test_wrong_parameters_are_one_sentence(run_folder, parameters, message):
+    node = start(parameters)
+    with spin_in_thread(node):
+        until(lambda: node.ready or node.failed)
+        assert message in node.failed
+
+
+def test_services_of_an_unconfigured_testbed_answer(run_folder):
+    node = start({"standalone": "false"})
+    assert node.get_parameter("standalone").type_ == Parameter.Type.BOOL
+    client = node.create_client(SetLight, "/testbed/set_light")
+    with spin_in_thread(node):
+        answer = call_blocking(client, SetLight.Request(name="left_led", on=True), 5.0, "light")
+    assert (answer.success, answer.message) == (False, "the testbed is not configured yet")

@@ -1,0 +1,265 @@
+"""Node ``/vss`` with the testbed, as ROS users meet it."""
+
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+import rclpy
+import yaml
+from im_core import clock, names
+from im_core.camera_model import CameraModel
+from im_core.robot import load_cell
+from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+from im_core.ros.run import spin_in_thread
+from im_msgs.msg import Observation, Spot
+from im_msgs.srv import Calibrate, SetLight, Snap, SpotFind
+from im_sim.ros.node import TestbedNode
+from im_vss.ros.messages import quaternion
+from im_vss.ros.node import VssNode
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.srv import SetCameraInfo
+from tf2_msgs.msg import TFMessage
+
+CEILING = ["ceiling_left", "ceiling_right"]
+
+
+def until(condition, seconds=30.0):
+    deadline = clock.monotonic() + seconds
+    while not condition():
+        assert clock.monotonic() < deadline, "waited in vain"
+        clock.sleep(0.01)
+
+
+class Machine:
+    """Testbed, vision services and a client of theirs."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        rclpy.init(args=["--ros-args", "-p", "standalone:=true", "-p", "factor:=0.0", "-p", "seed:=4"])
+        self.testbed, self.vss = TestbedNode(), VssNode()
+        self.client = rclpy.create_node("client")
+        self.clients = {}
+        self.spinner = spin_in_thread(self.testbed, self.vss, self.client)
+        until(lambda: self.vss.ready or self.vss.failed or self.testbed.failed)
+        assert self.vss.ready, self.vss.failed or self.testbed.failed
+
+    def call(self, kind, service, **fields):
+        if service not in self.clients:
+            self.clients[service] = self.client.create_client(kind, service)
+        return call_blocking(self.clients[service], kind.Request(**fields), 30.0, service)
+
+    def light(self, on):
+        assert self.call(SetLight, "/testbed/set_light", name="left_led", on=on).success
+
+    def listen(self, kind, topic, profile):
+        received = []
+        self.client.create_subscription(kind, topic, received.append, profile)
+        until(lambda: self.client.count_publishers(topic) > 0)
+        return received
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("vss")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IM_RUN_DIR", str(folder))
+        made = Machine(folder)
+        yield made
+        made.spinner.stop()
+        rclpy.try_shutdown()
+    assert not [name for name in os.listdir("/dev/shm") if f"{names.instance()}_vss" in name]
+
+
+def test_spots_are_where_the_light_is(machine):
+    machine.light(on=True)
+    answer = machine.call(SpotFind, "/vss/spot_find", cameras=CEILING)
+    assert answer.success, answer.status.message
+    truth = json.loads((machine.folder / "truth.json").read_text())
+    assert [spot.camera for spot in answer.spots] == CEILING
+    light = light_at_home(truth)
+    for spot in answer.spots:
+        assert spot.found, spot.cause
+        true = truth["cameras"][spot.camera]
+        camera = CameraModel(640, 480, true["K"], true["D"], true["R_cam_base"], true["t_cam_base_m"])
+        covariance = np.array(spot.covariance).reshape(2, 2)
+        error = camera.project(light) - (spot.u, spot.v)
+        assert error @ np.linalg.solve(covariance, error) < 25.0
+        assert 0.01 < np.sqrt(covariance[0, 0]) < 0.06
+    assert answer.spots[0].stamp == answer.spots[1].stamp
+    assert json.loads(answer.timing_json)["total_s"] < 2.0
+
+
+def light_at_home(truth):
+    """True place of the left light at the home position, by the Denavit-Hartenberg rows of the cell."""
+    cell = load_cell()
+    side, arm, cart = cell.sides["left"], cell.arm_models["puma_560"], cell.cart
+    track, rotation, tilt, *joints = side.home
+    pose = np.eye(4)
+
+    def then(rotvec=(0.0, 0.0, 0.0), xyz=(0.0, 0.0, 0.0)):
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = Rotation.from_rotvec(rotvec).as_matrix(), xyz
+        pose[:] = pose @ step
+
+    then(xyz=(track, 0.0, cart.track.height))
+    then(xyz=(0.0, 0.0, cart.rotation.height))
+    then(rotvec=(0.0, 0.0, rotation), xyz=(0.0, 0.0, cart.tilt.height))
+    then(rotvec=(0.0, tilt, 0.0))
+    then(xyz=(0.0, 0.0, arm.mount_height))
+    for theta, row in zip(joints, arm.links, strict=True):
+        then(rotvec=(0.0, 0.0, theta))
+        then(xyz=(row.a, 0.0, row.d))
+        then(rotvec=(row.alpha, 0.0, 0.0))
+    then(xyz=truth["leds"]["left_led"]["offset_m"])
+    return pose[:3, 3]
+
+
+def test_light_off_is_not_found_with_its_cause(machine):
+    machine.light(on=False)
+    answer = machine.call(SpotFind, "/vss/spot_find", cameras=CEILING)
+    assert answer.success
+    assert [(spot.found, spot.cause) for spot in answer.spots] == [
+        (False, "no light seen: it is off, blocked or out of view")
+    ] * 2
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"cameras": ["ceiling_lift"]}, "there is no camera 'ceiling_lift'; did you mean 'ceiling_left'? (known: ceil"),
+        ({"cameras": []}, "no camera is given (known: ceiling_left"),
+        ({"cameras": ["wall", "wall"]}, "a camera is given twice: wall, wall"),
+        ({"cameras": ["wall"], "exposure": 3.0}, "an exposure of 3 s is not between 0.0045 and 0.45 s"),
+        ({"cameras": ["wall"], "exposure": float("nan")}, "an exposure of nan s is not between"),
+    ],
+)
+def test_wrong_requests_are_one_sentence(machine, fields, sentence):
+    answer = machine.call(SpotFind, "/vss/spot_find", **fields)
+    assert not answer.success
+    assert sentence in answer.status.message
+
+
+def test_images_infos_and_marker(machine):
+    machine.light(on=True)
+    raw = machine.listen(Image, "/ceiling_left/image_raw", qos.SENSOR)
+    info = machine.listen(CameraInfo, "/ceiling_left/camera_info", qos.SENSOR)
+    shown = machine.listen(Image, "/ceiling_left/image_display", qos.SENSOR)
+    clock.sleep(0.5)
+    answer = machine.call(SpotFind, "/vss/spot_find", cameras=["ceiling_left"])
+    until(lambda: len(raw) == 2 and len(info) == 2 and len(shown) == 1)
+    assert [image.header for image in raw] == [camera.header for camera in info]
+    assert raw[1].header.frame_id == "ceiling_left_optical_frame"
+    assert raw[1].header.stamp == shown[0].header.stamp == answer.spots[0].stamp
+    assert (raw[1].encoding, shown[0].encoding) == ("mono8", "rgb8")
+    colours = np.frombuffer(shown[0].data, np.uint8).reshape(480, 640, 3).astype(int)
+    rows, columns = np.nonzero(colours[..., 1] > colours[..., 0] + 100)
+    near = np.hypot(columns - answer.spots[0].u, rows - answer.spots[0].v) < 20.0
+    assert near.sum() > 20
+
+
+def test_snap(machine):
+    answer = machine.call(Snap, "/vss/snap", cameras=["wall", "wrist_left", "table"])
+    assert answer.success, answer.status.message
+    assert [image.header.frame_id.removesuffix("_optical_frame") for image in answer.images] == [
+        "wall", "wrist_left", "table",
+    ]  # fmt: skip
+    assert [image.header for image in answer.images] == [info.header for info in answer.camera_infos]
+    assert all(len(image.data) == 640 * 480 and np.std(image.data) > 3.0 for image in answer.images)
+
+
+def test_camera_infos_are_set_checked_and_kept(machine):
+    info = machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0]
+    assert (info.k[0], list(info.d)) == (600.0, [0.0] * 5)
+    info.k[0], info.d = 611.5, [-0.2, 0.03, 1e-4, 0.0, 0.0]
+    answer = machine.call(SetCameraInfo, "/table/set_camera_info", camera_info=info)
+    assert answer.success, answer.status_message
+    assert machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0].k[0] == 611.5
+    stored = yaml.safe_load((machine.folder / "camera_info" / "table.yaml").read_text())
+    assert (stored["camera_name"], stored["distortion_model"]) == ("table", "plumb_bob")
+    assert stored["camera_matrix"]["data"][0] == 611.5
+    assert stored["projection_matrix"]["rows"] == 3
+    for change, sentence in (
+        ({"width": 1280}, "table takes images of 640 x 480 px, the calibration is for 1280 x 480 px"),
+        ({"d": [float("nan")] * 5}, "not finite"),
+        ({"d": [0.0] * 8}, "4 or 5 coefficients"),
+        ({"distortion_model": "equidistant"}, "'equidistant' is not 'plumb_bob'"),
+    ):
+        wrong = machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0]
+        for field, value in change.items():
+            setattr(wrong, field, value)
+        answer = machine.call(SetCameraInfo, "/table/set_camera_info", camera_info=wrong)
+        assert not answer.success
+        assert sentence in answer.status_message
+    assert machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0].k[0] == 611.5
+
+
+def observations_of(truth, poses):
+    """What a perfect robot and cameras with 0.03 px of noise would report."""
+    rng = np.random.default_rng(7)
+    result = []
+    for number in range(poses):
+        position = rng.uniform([-0.8, -0.4, 0.7], [0.8, 0.4, 1.5])
+        rotation = Rotation.random(random_state=rng).as_matrix()
+        light = position + rotation @ truth["leds"]["left_led"]["offset_m"]
+        message = Observation(pose=f"p{number}", position_covariance=(np.eye(3) * 1e-8).ravel())
+        target = message.wrist
+        target.position.x, target.position.y, target.position.z = position
+        q = target.orientation
+        q.x, q.y, q.z, q.w = quaternion(rotation)
+        for name in CEILING:
+            true = truth["cameras"][name]
+            camera = CameraModel(640, 480, true["K"], true["D"], true["R_cam_base"], true["t_cam_base_m"])
+            u, v = camera.project(light) + rng.normal(0.0, 0.03, 2)
+            covariance = (np.eye(2) * 0.03**2).ravel()
+            found = bool(camera.contains([u, v]))
+            message.spots.append(Spot(camera=name, found=found, u=u, v=v, covariance=covariance))
+        result.append(message)
+    return result
+
+
+def test_calibrate_applies_and_writes(machine, tmp_path):
+    truth = json.loads((machine.folder / "truth.json").read_text())
+    transforms = machine.listen(TFMessage, "/tf_static", qos.LATCHED)
+    answer = machine.call(
+        Calibrate, "/vss/calibrate", cameras=CEILING, observations=observations_of(truth, 40),
+        directory=str(tmp_path / "result"), apply=True,
+    )  # fmt: skip
+    assert answer.success, answer.status.message
+    report = answer.report
+    assert report.success, report.message
+    assert np.allclose(report.led_offset, truth["leds"]["left_led"]["offset_m"], atol=1e-3)
+    assert json.loads(report.json)["success"]
+    assert {"report.json", "ceiling_left.yaml"} <= set(os.listdir(tmp_path / "result"))
+    info = machine.call(Snap, "/vss/snap", cameras=["ceiling_left"]).camera_infos[0]
+    assert np.array_equal(info.k, report.cameras[0].k)
+    assert abs(info.k[0] - truth["cameras"]["ceiling_left"]["K"][0][0]) < 3.0
+
+    def placed():
+        if not transforms:
+            return False
+        found = {t.child_frame_id: t for t in transforms[-1].transforms}["ceiling_right_optical_frame"]
+        true = truth["cameras"]["ceiling_right"]
+        position = -np.array(true["R_cam_base"]).T @ true["t_cam_base_m"]
+        seen = found.transform.translation
+        return found.header.frame_id == "world" and np.allclose([seen.x, seen.y, seen.z], position, atol=0.02)
+
+    until(placed, 5.0)
+    answer = machine.call(
+        Calibrate, "/vss/calibrate", cameras=CEILING, observations=observations_of(truth, 4), apply=True
+    )
+    assert not answer.success
+    assert "spots" in answer.status.message
+    answer = machine.call(Calibrate, "/vss/calibrate", cameras=["wrist_left"], observations=observations_of(truth, 9))
+    assert "wrist_left moves with left_wrist" in answer.status.message
+
+
+def test_a_dead_camera_process_is_named_and_replaced(machine):
+    os.kill(machine.vss._host._child.pid, signal.SIGKILL)
+    first = machine.call(Snap, "/vss/snap", cameras=["wall"])
+    assert first.success or "the camera process is missing" in first.status.message
+    second = machine.call(Snap, "/vss/snap", cameras=["wall"])
+    assert second.success, second.status.message
