@@ -41,6 +41,7 @@ im_defaults() {
   export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"
   export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
   export IM_RUN_DIR="${IM_RUN_DIR:-$IM_ROOT/.run/im$ROS_DOMAIN_ID}"
+  export IM_RESULTS_DIR="${IM_RESULTS_DIR:-$IM_ROOT/results}"
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$IM_RUN_DIR/ros}"
   export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$IM_WS/src/im_bringup/im_bringup/config/fastdds.xml}"
   export PYTHONUNBUFFERED=1
@@ -61,5 +62,5 @@ im_env() {
   export PATH="$IM_VENV/bin:$PATH" VIRTUAL_ENV="$IM_VENV"
 }
 
-# im_python ARGS...: the python of the virtual environment.
-im_python() { "$IM_VENV/bin/python" "$@"; }
+# bringup EXECUTABLE ARGS...: runs an executable of im_bringup.
+bringup() { "$IM_WS/install/im_bringup/lib/im_bringup/$1" "${@:2}"; }

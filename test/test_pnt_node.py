@@ -108,7 +108,7 @@ def machine(tmp_path_factory):
     node.create_subscription(Firing, "/pnt/firings", firings.append, qos.EVENTS)
     with spin_in_thread(node):
         deadline = clock.monotonic() + 10.0
-        while {"middle", "back"} - node.heartbeats._last.keys() and clock.monotonic() < deadline:
+        while None in map(node.heartbeats.incarnation, ("middle", "back")) and clock.monotonic() < deadline:
             clock.sleep(0.05)
         yield node, firings, processes, folder
     rclpy.try_shutdown()

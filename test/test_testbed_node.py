@@ -7,6 +7,10 @@ import signal
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+
 from im_core import clock, names
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
@@ -15,9 +19,6 @@ from im_core.testbed_link import TestbedLink
 from im_msgs.msg import TaskStatus
 from im_msgs.srv import Advance, GetTruth, SetLight
 from im_sim.ros.node import TestbedNode
-from rclpy.parameter import Parameter
-from rosgraph_msgs.msg import Clock
-from std_msgs.msg import String
 
 
 def start(parameters):

@@ -3,9 +3,8 @@
 import os
 import sys
 
-from im_core.errors import NotFoundError
-
 from im_bringup.executables import executables, packages, path_of
+from im_core.errors import NotFoundError
 
 
 def main() -> int:

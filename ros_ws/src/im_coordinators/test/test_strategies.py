@@ -1,6 +1,9 @@
 """Strategies of the coordinators without ROS."""
 
+import itertools
+
 import pytest
+
 from im_coordinators.strategies import another_look_may_help, detour
 
 
@@ -22,6 +25,6 @@ def test_a_detour_moves_the_cart_only_while_the_arm_is_tucked() -> None:
     start, goal, tucked = [0.0, 1.0, 2.0, 3.0], [4.0, 5.0, 6.0, 7.0], [9.0, 9.0, 8.0, 8.5]
     points = [start, *detour(start, goal, tucked, arm=2)]
     assert points[-1] == goal
-    for before, after in zip(points, points[1:], strict=False):
+    for before, after in itertools.pairwise(points):
         if before[:2] != after[:2]:
             assert before[2:] == after[2:] == tucked[2:]

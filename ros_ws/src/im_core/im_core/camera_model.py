@@ -80,22 +80,24 @@ def undistort(xd: ArrayLike, D: ArrayLike) -> Array:
     """
     target = np.asarray(xd, dtype=float)
     guess = target.copy()
-    for _ in range(_UNDISTORT_ITERATIONS):
-        residual = distort(guess, D) - target
-        if np.all(np.abs(residual) < _UNDISTORT_TOLERANCE):
+    with np.errstate(all="ignore"):
+        for _ in range(_UNDISTORT_ITERATIONS):
+            residual = distort(guess, D) - target
+            if np.all(np.abs(residual) < _UNDISTORT_TOLERANCE):
+                break
+            guess = guess - np.linalg.solve(distort_jacobian(guess, D), residual[..., None])[..., 0]
+        solved = np.all(np.abs(distort(guess, D) - target) < 1e-9, axis=-1)
+        if np.all(solved & _before_the_fold(guess, D)):
             return guess
-        jacobian = distort_jacobian(guess, D)
-        with np.errstate(all="ignore"):
-            a, b, c, d = jacobian[..., 0, 0], jacobian[..., 0, 1], jacobian[..., 1, 0], jacobian[..., 1, 1]
-            det = a * d - b * c
-            step = np.stack(
-                (d * residual[..., 0] - b * residual[..., 1], a * residual[..., 1] - c * residual[..., 0]), axis=-1
-            )
-            guess = guess - step / det[..., None]
-    worst = float(np.nanmax(np.abs(distort(guess, D) - target), initial=0.0))
-    if np.all(np.isfinite(guess)) and worst < 1e-9:
-        return guess
     raise DataError(f"the lens model D = {np.asarray(D).tolist()} cannot be inverted at some of the given pixels")
+
+
+def _before_the_fold(xn: Array, D: ArrayLike) -> NDArray[np.bool_]:
+    """Whether ideal points, shape (..., 2), lie where the image of the lens does not run backwards."""
+    k1, k2, _, _, k3 = np.asarray(D, dtype=float)
+    r2 = (xn**2).sum(axis=-1)
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.asarray((radial > 0.0) & (np.linalg.det(distort_jacobian(xn, D)) > 0.0))
 
 
 @dataclass(frozen=True)

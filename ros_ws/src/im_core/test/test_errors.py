@@ -4,6 +4,7 @@ import os
 from unittest.mock import patch
 
 import pytest
+
 from im_core.errors import ImError, LimitError, NotFoundError, StateError, WaitTimeoutError
 from im_core.names import instance, results_dir, run_dir
 

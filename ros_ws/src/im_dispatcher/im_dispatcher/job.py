@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from im_core.errors import DataError, NotFoundError
-
 from im_dispatcher.poses_file import WristPose
 
 #: Fewer poses cannot determine two cameras with eight intrinsics each and say how well.

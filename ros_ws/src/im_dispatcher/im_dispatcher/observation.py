@@ -1,8 +1,9 @@
 """What one pose tells: where the light was, how surely, and whether the images fit to it."""
 
 import numpy as np
-from im_core.errors import DataError
 from numpy.typing import NDArray
+
+from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 

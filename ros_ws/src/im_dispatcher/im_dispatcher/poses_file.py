@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
+
 from im_core.config import Model, load_model, package_file
 
 #: The cell's own poses, for the two ceiling cameras.

@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from im_core.errors import DataError, NotFoundError
 from im_dispatcher.job import FEWEST_POSES, CalibrationJob
 from im_dispatcher.poses_file import WristPose
@@ -12,8 +13,7 @@ CAMERAS = ("ceiling_left", "ceiling_right")
 
 def make_job(count: int = 20, cameras: tuple[str, ...] = CAMERAS) -> CalibrationJob[str]:
     poses = [
-        WristPose(name=f"p{i}", position_m=(0.0, 0.0, 1.0), orientation_xyzw=(0.0, 0.0, 0.0, 1.0))
-        for i in range(count)
+        WristPose(name=f"p{i}", position_m=(0.0, 0.0, 1.0), orientation_xyzw=(0.0, 0.0, 0.0, 1.0)) for i in range(count)
     ]
     return CalibrationJob(cameras=cameras, poses=poses, known_cameras=(*CAMERAS, "wall"))
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from im_core.errors import DataError
 from im_dispatcher.observation import check_same_rest, light_covariance, rotation_of
 
@@ -44,5 +45,5 @@ def test_wrong_sizes_and_infinities_are_refused() -> None:
 
 def test_an_exposure_before_the_rest_is_refused() -> None:
     check_same_rest(10, 10, "p1")
-    with pytest.raises(DataError, match="pose p1: the image was exposed 0.0005 s before"):
+    with pytest.raises(DataError, match=r"pose p1: the image was exposed 0\.0005 s before"):
         check_same_rest(1_000_000, 1_500_000, "p1")

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from im_core.errors import ConfigError
 from im_dispatcher.poses_file import load_poses
 
@@ -30,10 +31,18 @@ def test_poses_are_read_in_order(tmp_path: Path) -> None:
     [
         ("", r"poses\.yaml:1: the file is empty"),
         ("[1, 2", r"poses\.yaml:1: not YAML"),
-        (HEAD + "  - {name: a, position_m: [0, 0], orientation_xyzw: [0, 0, 0, 1]}\n", r"yaml:4: poses\[0\].position_m"),
-        (HEAD + POSE.format(name="a") + "  - {name: b, position_m: [0, .nan, 0], orientation_xyzw: [0, 0, 0, 1]}\n",
-         r"yaml:5: poses\[1\].position_m\[1\]"),
-        (HEAD + "  - {name: a, position_m: [0, 0, 1], orientation_xyzw: [0, 0, 0, 2]}\n", "length 2.0000; it must be 1"),
+        (
+            HEAD + "  - {name: a, position_m: [0, 0], orientation_xyzw: [0, 0, 0, 1]}\n",
+            r"yaml:4: poses\[0\].position_m",
+        ),
+        (
+            HEAD + POSE.format(name="a") + "  - {name: b, position_m: [0, .nan, 0], orientation_xyzw: [0, 0, 0, 1]}\n",
+            r"yaml:5: poses\[1\].position_m\[1\]",
+        ),
+        (
+            HEAD + "  - {name: a, position_m: [0, 0, 1], orientation_xyzw: [0, 0, 0, 2]}\n",
+            "length 2.0000; it must be 1",
+        ),
         (HEAD + POSE.format(name="a") * 2, "two poses are named 'a'"),
         ("group: right\nframe: world\nposes: []\n", r"yaml:1: group"),
     ],

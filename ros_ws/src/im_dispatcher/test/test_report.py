@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+
 from im_dispatcher.report import StepTimes, make_directory, write_report
 
 

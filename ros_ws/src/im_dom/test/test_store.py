@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dom.store import ObjectStore
 
@@ -30,7 +31,7 @@ def test_invalid_object_is_not_given_out_until_put_again() -> None:
     store = ObjectStore()
     put(store)
     store.invalidate("path", "someone", 9)
-    with pytest.raises(StateError, match="'path' .* is not valid; someone"):
+    with pytest.raises(StateError, match=r"'path' .* is not valid; someone"):
         store.get("path")
     assert [record.valid for record in store.records()] == [False]
     put(store)

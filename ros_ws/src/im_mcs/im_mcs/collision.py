@@ -93,9 +93,7 @@ class CollisionChecker:
             clearance_m=self._clearance,
         )
 
-    def check_path(
-        self, q_all: NDArray[np.float64], index: NDArray[np.intp], points: NDArray[np.float64]
-    ) -> float:
+    def check_path(self, q_all: NDArray[np.float64], index: NDArray[np.intp], points: NDArray[np.float64]) -> float:
         """Check the straight lines in joint space through ``points``.
 
         Args:
@@ -120,9 +118,7 @@ class CollisionChecker:
                 clearance = min(clearance, self.require_free(whole, where))
         return clearance
 
-    def _add_capsule(
-        self, name: str, link: str, p0: tuple[float, ...], p1: tuple[float, ...], radius: float
-    ) -> None:
+    def _add_capsule(self, name: str, link: str, p0: tuple[float, ...], p1: tuple[float, ...], radius: float) -> None:
         start, end = np.array(p0), np.array(p1)
         length = float(np.linalg.norm(end - start))
         axis = (end - start) / length

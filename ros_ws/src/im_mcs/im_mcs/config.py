@@ -133,7 +133,9 @@ class McsConfig(Model):
             for group, description in groups.items():
                 for joint in description.joints:
                     if joint not in joints:
-                        raise ValueError(f"group '{group}' of preset '{preset}' names '{joint}', which is no joint slot")
+                        raise ValueError(
+                            f"group '{group}' of preset '{preset}' names '{joint}', which is no joint slot"
+                        )
         return self
 
 

@@ -60,7 +60,9 @@ class JointLimits:
             )
         for i, value in zip(index, values, strict=True):
             if not math.isfinite(value):
-                raise DataError(f"{prefix}{self.names[i]}: position {value} is not a finite number", joint=self.names[i])
+                raise DataError(
+                    f"{prefix}{self.names[i]}: position {value} is not a finite number", joint=self.names[i]
+                )
             if not self.lower[i] <= value <= self.upper[i]:
                 limit = float(self.lower[i] if value < self.lower[i] else self.upper[i])
                 what = f"position of {where}" if where else "position"
@@ -79,7 +81,11 @@ class JointLimits:
             return None
         i = int(np.argmax(beyond))
         return LimitError(
-            joint=self.names[i], value=float(v[i]), limit=float(self._speed[i]), unit=f"{self.units[i]}/s", what="velocity"
+            joint=self.names[i],
+            value=float(v[i]),
+            limit=float(self._speed[i]),
+            unit=f"{self.units[i]}/s",
+            what="velocity",
         )
 
     def following(

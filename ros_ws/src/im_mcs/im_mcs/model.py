@@ -84,9 +84,7 @@ class Model:
         """Pose of every body and frame in ``world`` at ``q``."""
         pin.framesForwardKinematics(self.pin, self._data, q)
         return {
-            frame.name: self._data.oMf[i]
-            for i, frame in enumerate(self.pin.frames)
-            if frame.type == pin.FrameType.BODY
+            frame.name: self._data.oMf[i] for i, frame in enumerate(self.pin.frames) if frame.type == pin.FrameType.BODY
         }
 
     def jacobian(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from html import escape
 
-from im_pnt.expand import expand
+from im_pnt.expand import expand, input_place
 from im_pnt.layout import Layout, Point, layered
-from im_pnt.net import Net, Place, Role, Transition
+from im_pnt.net import Net, Place, RequestAction, Role, Transition
 
 _RADIUS = 11.0
 _HEIGHT = 22.0
@@ -15,7 +15,7 @@ _MARGIN = 30.0
 
 @dataclass(frozen=True, slots=True)
 class DrawnNode:
-    """A place or transition of a drawing."""
+    """A place or transition of a drawing; ``link`` is the ``net.place`` of another net that it leads to."""
 
     name: str
     kind: str
@@ -23,6 +23,7 @@ class DrawnNode:
     note: str
     tokens: int
     width: float
+    link: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +54,7 @@ class Drawing:
                 "kind": node.kind,
                 "label": node.label,
                 "note": node.note,
+                "link": node.link,
                 "width": node.width,
                 "x": round(layout.positions[node.name][0] + _MARGIN, 1),
                 "y": round(layout.positions[node.name][1] + _MARGIN, 1),
@@ -167,12 +169,14 @@ def _nodes(net: Net) -> Iterator[DrawnNode]:
             yield place_node(place)
     for transition in net.transitions.values():
         label = transition.name
-        yield DrawnNode(label, "transition", label, _note(transition), 0, max(40.0, 6.6 * len(label) + 12))
+        action = transition.action
+        link = f"{action.net}.{input_place(action.service)}" if isinstance(action, RequestAction) else ""
+        yield DrawnNode(label, "transition", label, _note(transition), 0, max(40.0, 6.6 * len(label) + 12), link)
     for place in net.places.values():
         if not place.tokens:
             yield place_node(place)
     for name in sorted({str(remote) for t in net.transitions.values() for remote in t.remote_outputs}):
-        yield DrawnNode(name, "remote", name, "place of another net", 0, 2 * _RADIUS + 2 * 6.2 * len(name))
+        yield DrawnNode(name, "remote", name, "place of another net", 0, 2 * _RADIUS + 2 * 6.2 * len(name), name)
 
 
 def _note(transition: Transition) -> str:

@@ -19,11 +19,11 @@ class Exposures:
         self._start = 0
         self._q_sum = np.zeros(link.n_joints)
         self._light_sum = np.zeros(len(link.light_names))
-        self._lights = np.zeros(len(link.light_names))
+        self._lights = link.lights()
 
     def begin_tick(self, tick: int) -> None:
         """Open the shutter if somebody asked for it."""
-        self._lights[:] = self._link.lights()
+        self._lights = self._link.lights()
         request = self._link.pending_exposure()
         if request is None or (self._request is not None and request.request == self._request.request):
             return

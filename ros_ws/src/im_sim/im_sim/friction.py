@@ -21,16 +21,14 @@ class DryFriction:
 
     Args:
         n: Number of joints.
+
+    Attributes:
+        stuck: Whether every joint stuck in the last step.
     """
 
     def __init__(self, n: int) -> None:
-        self._sign = np.zeros(n)
         self._identity = np.eye(n)
-
-    @property
-    def stuck(self) -> bool:
-        """Whether every joint stuck in the last step."""
-        return not self._sign.any()
+        self._pivot(np.zeros(n))
 
     def solve(
         self,
@@ -50,30 +48,34 @@ class DryFriction:
         Returns:
             v, shape (n,) [rad/s or m/s]; exactly 0 where a joint sticks.
         """
-        sign, best, one_by_one = self._sign, len(momentum) + 1, False
+        best, one_by_one = len(momentum) + 1, False
         for _ in range(_MAX_PIVOTS):
-            sticks = sign == 0.0
-            if sticks.all():
+            sign, sticks = self._sign, self._sticks
+            if self.stuck:
                 v = np.zeros_like(momentum)
                 needed = -momentum
-            elif sticks.any():
-                known = np.where(sticks, 0.0, momentum - np.where(sign > 0.0, p_positive, -p_negative))
-                v = _solve(np.where(sticks[:, None] | sticks, self._identity, inertia), known)
-                needed = inertia @ v - momentum
             else:
-                v = _solve(inertia, momentum - np.where(sign > 0.0, p_positive, -p_negative))
-                needed = momentum
-            wrong = (sticks & ((needed > p_negative) | (needed < -p_positive))) | (v * sign < 0.0)
+                slipping = momentum - np.where(sign > 0.0, p_positive, -p_negative)
+                v = _solve(np.where(self._fixed, self._identity, inertia), np.where(sticks, 0.0, slipping))
+                needed = inertia @ v - momentum
+            wrong = (v * sign < 0.0) | (sticks & ((needed > p_negative) | (needed < -p_positive)))
+            if not wrong.any():
+                return v
             count = int(np.count_nonzero(wrong))
-            if not count:
-                break
             one_by_one = one_by_one or count >= best + 3
             best = min(best, count)
             changed = np.flatnonzero(wrong)[-1:] if one_by_one else wrong
             sign = sign.copy()
             sign[changed] = np.where(sticks[changed], -np.sign(needed[changed]), 0.0)
-        self._sign = sign
+            self._pivot(sign)
         return v
+
+    def _pivot(self, sign: NDArray[np.float64]) -> None:
+        """Assume which joints move forwards (1), backwards (-1) or stick (0)."""
+        self._sign = sign
+        self._sticks = sign == 0.0
+        self._fixed = self._sticks[:, None] | self._sticks
+        self.stuck = bool(self._sticks.all())
 
 
 def _solve(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:

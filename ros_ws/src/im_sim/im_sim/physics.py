@@ -51,8 +51,7 @@ def simulate(instance: str, config: Path | None, factor: float, seed: int) -> No
         loop = TickLoop(plant, link)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: loop.stop())
-        if factor > 0.0:
-            _ask_for_real_time()
+        _ask_for_real_time()
         gc.collect()
         gc.freeze()
         loop.run()
@@ -60,6 +59,7 @@ def simulate(instance: str, config: Path | None, factor: float, seed: int) -> No
 
 
 def _ask_for_real_time() -> None:
+    """Ask for SCHED_FIFO, at clock factor 0 too: a tick is too short to wait for a time slice of somebody else."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
     except PermissionError:

@@ -5,17 +5,16 @@ from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from im_coordinators.strategies import DETOUR_FAILURES, detour
 from im_core.config import package_file
 from im_core.robot import load_cell
 from im_core.ros import run
-from im_core.ros.calls import call
 from im_core.ros.status import status_to_error
 from im_msgs.msg import GroupState
 from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
 from im_pnt.ros.node import PntNode
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
-from im_coordinators.strategies import DETOUR_FAILURES, detour
 
 GROUP = "left"
 CART_JOINTS = 3
@@ -49,9 +48,7 @@ class PathPlanningCoordinator(PntNode):
         request = InverseKinematics.Request(
             group=GROUP, wrist=destination.pose, seed=_position(here), avoid_collisions=True
         )
-        answer = await call(self, self._kinematics, request, ANSWER_S, "inverse kinematics")
-        if not answer.success:
-            raise status_to_error(answer.status)
+        answer = await self._ask(self._kinematics, request, "inverse kinematics")
         goal = _trajectory(here.joints, [answer.q])
         await self.dom.put("goal_configuration", goal, place="path_planning_coordinator.goal_valid")
 
@@ -74,10 +71,7 @@ class PathPlanningCoordinator(PntNode):
 
     async def _here(self) -> GroupState:
         request = GetGroupState.Request(group=GROUP)
-        answer = await call(self, self._state, request, ANSWER_S, f"the position of {GROUP}")
-        if not answer.success:
-            raise status_to_error(answer.status)
-        return answer.state
+        return (await self._ask(self._state, request, f"the position of {GROUP}")).state
 
     async def _goal(self) -> list[float]:
         goal = await self.dom.get("goal_configuration", JointTrajectory)
@@ -85,12 +79,14 @@ class PathPlanningCoordinator(PntNode):
 
     async def _store(self, here: GroupState, points: Sequence[Sequence[float]]) -> None:
         whole = _trajectory(here.joints, [_position(here), *points])
-        answer = await call(
-            self, self._check, CheckPath.Request(group=GROUP, path=whole), ANSWER_S, "a path to be checked"
-        )
+        await self._ask(self._check, CheckPath.Request(group=GROUP, path=whole), "a path to be checked")
+        await self.dom.put("path", _trajectory(here.joints, points), place="motion_coordinator.path_valid")
+
+    async def _ask(self, client: Any, request: Any, what: str) -> Any:
+        answer = await self.heartbeats.wait(client.call_async(request), "mcs", ANSWER_S, what)
         if not answer.success:
             raise status_to_error(answer.status)
-        await self.dom.put("path", _trajectory(here.joints, points), place="motion_coordinator.path_valid")
+        return answer
 
 
 def _position(state: GroupState) -> list[float]:

@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from im_msgs.srv import GetObject, InvalidateObject, PutObject
 from rclpy.serialization import deserialize_message, serialize_message
 
 from im_core.ros.calls import call
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import status_to_error
+from im_msgs.srv import GetObject, InvalidateObject, PutObject
 
 TIMEOUT_S = 6.0
 

@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 from typing import Any
 
-from im_msgs.msg import TaskStatus
-
 from im_core import clock
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.node import STATUS_TOPIC, ManagedNode
+from im_msgs.msg import TaskStatus
 
 #: A task that has not been heard for this long is missing [s] of wall time.
 SILENCE_S = 6.0

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 import rclpy
-from im_msgs.msg import TaskStatus
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -21,6 +20,7 @@ from std_msgs.msg import UInt8
 from im_core import clock
 from im_core.errors import ImError, NotFoundError
 from im_core.ros import qos
+from im_msgs.msg import TaskStatus
 
 PHASE_LOAD, PHASE_CONFIGURE, PHASE_START, PHASE_SHUTDOWN = range(4)
 
@@ -64,7 +64,8 @@ class ManagedNode(Node):
     The bootstrap announces the phases LOAD, CONFIGURE, START and SHUTDOWN on ``/im/phase``; the node follows,
     and tells where it is on ``/im/task_status``. With the parameter ``standalone:=true`` it passes through
     the phases alone; with ``introspection:=metadata`` or ``contents`` all its services and clients publish what
-    they carry on ``<service>/_service_event``. Subclasses override :meth:`phase_configure`, :meth:`phase_start`, :meth:`phase_shutdown`.
+    they carry on ``<service>/_service_event``. Subclasses override :meth:`phase_configure`,
+    :meth:`phase_start` and :meth:`phase_shutdown`.
     """
 
     _introspection = ServiceIntrospectionState.OFF

@@ -1,5 +1,6 @@
 """Running nodes with the events executor: the one place that spins."""
 
+import contextlib
 import signal
 import sys
 import threading
@@ -33,10 +34,8 @@ class Spinner:
 
     def spin(self) -> None:
         """Spin until :meth:`stop`, or until ROS is shut down."""
-        try:
+        with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
             self.executor.spin_until_future_complete(self._end, FOREVER_S)
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
 
     def start(self) -> "Spinner":
         """Spin in a thread; harmless when it spins already."""
@@ -61,10 +60,8 @@ class Spinner:
                 node.shut_down_once()
         self.executor.shutdown(1.0)
         for node in self.nodes:
-            try:
+            with contextlib.suppress(InvalidHandle, rclpy_implementation.RCLError):
                 node.destroy_node()
-            except (InvalidHandle, rclpy_implementation.RCLError):
-                pass
 
     def __enter__(self) -> "Spinner":
         return self.start()

@@ -3,9 +3,9 @@
 import json
 
 from diagnostic_msgs.msg import KeyValue
-from im_msgs.msg import Status
 
 from im_core.errors import ImError
+from im_msgs.msg import Status
 
 OK = "ok"
 

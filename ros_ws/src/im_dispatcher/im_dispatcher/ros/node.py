@@ -2,227 +2,137 @@
 
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-from geometry_msgs.msg import Pose, PoseStamped
-from im_core import clock
+from rclpy.action import ActionServer, CancelResponse
+
 from im_core.config import package_file
 from im_core.errors import DataError, ImError, StateError
-from im_core.names import results_dir
-from im_core.robot import load_cell
-from im_core.ros import qos, run
-from im_core.ros.status import ok_status, to_status
-from im_msgs.msg import CalibrationReport, CameraNames, Firing, GroupState, Observation, ObservationSet, Rejection
-from im_msgs.msg import SpotSet
-from im_msgs.srv import CalibrateCamera
-from im_pnt.ros.node import PntNode
+from im_core.ros import run
+from im_core.ros.status import to_status
+from im_dispatcher.ros.calibrate_camera import CEILING, SYMBOL, CalibrateCamera
+from im_msgs.action import ExecuteCommand
+from im_msgs.msg import CalibrationReport
+from im_msgs.srv import CalibrateCamera as CalibrateCameraSrv
+from im_msgs.srv import LoadNet
+from im_pnt.netfile import load_net, parse_net
+from im_pnt.ros.node import CommandOutcome, PntNode
 
-from im_dispatcher.job import CalibrationJob
-from im_dispatcher.observation import check_same_rest, light_covariance, rotation_of
-from im_dispatcher.poses_file import WristPose, load_poses
-from im_dispatcher.report import StepTimes, make_directory, write_report
-
-CEILING = ("ceiling_left", "ceiling_right")
+NETS = ("calibrate_camera", "grip")
+CANCEL_CHECK_S = 0.1
 
 
 class Dispatcher(PntNode):
-    """Functions and enabling functions of the Dispatcher's nets, and the services that feed its input tape."""
+    """Root of the Coordination Level: its services and its action write commands to the input tape of its nets."""
 
     def __init__(self) -> None:
+        self._calibration = CalibrateCamera()
+        self._running: set[str] = set()
         super().__init__(
             "dispatcher",
-            [package_file("im_dispatcher", f"nets/{name}.yaml") for name in ("calibrate_camera", "grip")],
-            functions={
-                "init_calib": self.init_calib,
-                "read_next_pos": self.read_next_pos,
-                "keep_observation": self.keep_observation,
-                "skip_pose": self.skip_pose,
-                "write_report": self.write_report,
-                "note_failure": self.note_failure,
-                "report_failure": self.report_failure,
-            },
-            guards={
-                "more_poses": lambda _: self._job is not None and self._job.more_poses(),
-                "pose_dispensable": lambda ctx: self._dispensable(ctx.failure),
-            },
+            [package_file("im_dispatcher", f"nets/{name}.yaml") for name in NETS],
+            functions=self._calibration.functions,
+            guards=self._calibration.guards,
         )
-        self._cell = load_cell()
-        self._seed = self.declare_parameter("seed", 0).value
-        self._job: CalibrationJob[Observation] | None = None
-        self._directory: Path | None = None
-        self._reason = ""
-        self._times = StepTimes()
-        self._begun = (0.0, 0.0)
-        self.create_subscription(Firing, "/pnt/firings", self._note_firing, qos.EVENTS)
+        self._calibration.attach(self)
 
     def phase_start(self) -> None:
         """Start the nets, then take commands."""
         super().phase_start()
-        self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._calibrate_camera)
+        self.create_service(CalibrateCameraSrv, "/dispatcher/calibrate_camera", self._calibrate_camera)
+        self.create_service(LoadNet, "/dispatcher/load_net", self._load_net)
+        self._execute_server = ActionServer(
+            self,
+            ExecuteCommand,
+            "/dispatcher/execute",
+            self._execute,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
 
-    # Functions of calibrate_camera.yaml, in its order.
-
-    async def init_calib(self, ctx: Any) -> None:
-        """Reads the poses and sets the loop variable."""
-        self._job, self._directory, self._reason = None, None, ""
-        self._times = StepTimes()
-        self._begun = (clock.monotonic(), self._now_s())
-        arguments = ctx.command.arguments
-        poses = load_poses(arguments.get("poses_file", "")).poses
-        cameras = list(arguments.get("cameras") or CEILING)
-        self._job = CalibrationJob(cameras=cameras, poses=poses, known_cameras=list(self._cell.cameras))
-        self._directory = make_directory(results_dir(), clock.stamp_name())
-        await self.dom.put("calibration_cameras", CameraNames(cameras=cameras, light=self._cell.light_names[0]))
-        ctx.progress(f"{len(poses)} poses for {', '.join(cameras)}", 0.0)
-
-    async def read_next_pos(self, ctx: Any) -> None:
-        """Counts the loop variable down and stores the next destination."""
-        job = self._present_job()
-        pose = job.take()
-        await self.dom.put("destination", _stamped(pose), place="calibrate_camera.destination_valid")
-        ctx.progress(f"pose {job.taken} of {len(job.poses)} ({pose.name})", job.progress)
-
-    async def keep_observation(self, ctx: Any) -> None:
-        """Adds spot and position of this pose to the observations."""
-        job = self._present_job()
-        spots = await self.dom.get("spots", SpotSet)
-        position = await self.dom.get("current_position", GroupState)
+    async def _run(self, symbol: str, arguments: dict[str, object], **following: Any) -> CommandOutcome:
+        """Runs a command; refuses a second one of the same symbol."""
+        if symbol in self._running:
+            standing = f" ({self._calibration.standing()})" if symbol == SYMBOL else ""
+            raise StateError(f"{symbol} is already running{standing}; ask again when it has ended", command=symbol)
+        self._running.add(symbol)
         try:
-            job.keep(self._observation(job.current.name, spots, position))
-        except DataError as error:
-            job.skip(error.message)
-        await self._publish_observations(job)
-        ctx.progress(f"{len(job.observations)} observations", job.progress)
-
-    async def skip_pose(self, ctx: Any) -> None:
-        """Leaves out this pose and says why."""
-        job = self._present_job()
-        reason = ctx.failure.message
-        job.skip(reason)
-        await self._publish_observations(job)
-        ctx.progress(f"pose {job.current.name} skipped: {reason}", job.progress)
-
-    async def write_report(self, ctx: Any) -> None:
-        """Writes the report of a calibration that succeeded."""
-        calibration = await self.dom.get("calibration", CalibrationReport)
-        report = json.loads(calibration.json)
-        job = self._present_job()
-        skipped = [{"pose": skip.pose, "camera": "", "reason": skip.reason} for skip in job.skipped]
-        report["points_rejected"] = [*report.get("points_rejected", []), *skipped]
-        report["poses"] = len(job.poses)
-        ctx.result.update(self._finish(report))
-
-    async def note_failure(self, ctx: Any) -> None:
-        """Keeps the reason for which the command ends, before what is done to end it can fail too."""
-        self._reason = "the command was cancelled" if ctx.cancelled else ctx.failure.message
-        ctx.progress(f"giving up: {self._reason}")
-
-    async def report_failure(self, ctx: Any) -> None:
-        """Writes the report of a command that failed."""
-        reason = self._reason or ctx.failure.message
-        ctx.result["message"] = reason
-        report: dict[str, Any] = {"success": False, "message": reason}
-        if self._job is not None:
-            report["points_used"] = 0
-            report["points_rejected"] = [{"pose": s.pose, "camera": "", "reason": s.reason} for s in self._job.skipped]
-        if self._directory is not None:
-            self._finish(report)
-        self._job = None
-
-    # Services.
+            return await self.command(symbol, arguments, **following)
+        finally:
+            self._running.discard(symbol)
 
     async def _calibrate_camera(self, request: Any, response: Any) -> Any:
+        arguments = {"cameras": list(request.cameras) or list(CEILING), "poses_file": request.poses_file}
         try:
-            self._refuse_while_busy()
-            arguments = {"cameras": list(request.cameras) or list(CEILING), "poses_file": request.poses_file}
-            result = await self.command("calibrate_camera", arguments)
+            outcome = await self._run(SYMBOL, arguments)
+            response.success = outcome.success
+            response.message = str(outcome.results.get("message", outcome.status.message))
+            if outcome.success:
+                response.report = await self.dom.get("calibration", CalibrationReport)
+                response.report.json = json.dumps(outcome.results["report"])
+                response.report.directory = str(outcome.results["directory"])
+                response.message = response.report.message
         except ImError as error:
             response.success, response.message = False, error.message
-            return response
-        response.success = result.success
-        if result.success:
-            response.report = await self.dom.get("calibration", CalibrationReport)
-            response.report.json = json.dumps(result.results["report"])
-            response.report.directory = result.results["directory"]
-            response.message = response.report.message
-        else:
-            response.message = result.status.message
         return response
 
-    def _refuse_while_busy(self) -> None:
-        if self._job is not None and self._job_running:
-            done = len(self._job.observations) + len(self._job.skipped)
-            raise StateError(
-                f"calibrate_camera is running (pose {done} of {len(self._job.poses)} done); ask again when it has ended",
-            )
+    async def _execute(self, goal: Any) -> Any:
+        result, feedback = ExecuteCommand.Result(), ExecuteCommand.Feedback()
+        command_ids: list[int] = []
 
-    # What the functions share.
+        def tell(step: str, message: str, progress: float) -> None:
+            feedback.step, feedback.message = step or feedback.step, message
+            feedback.progress = max(feedback.progress, progress)
+            goal.publish_feedback(feedback)
 
-    def _present_job(self) -> CalibrationJob[Observation]:
-        if self._job is None:
-            raise StateError("no calibrate_camera command is running")
-        return self._job
+        def check_cancel() -> None:
+            if goal.is_cancel_requested and command_ids:
+                self.cancel(command_ids.pop())
 
-    def _dispensable(self, failure: ImError | None) -> bool:
-        return self._job is not None and failure is not None and self._job.dispensable(failure.code)
-
-    def _observation(self, pose: str, spots: SpotSet, position: GroupState) -> Observation:
-        rest_ns = position.rest_since.sec * 10**9 + position.rest_since.nanosec
-        for spot in spots.spots:
-            check_same_rest(spot.stamp.sec * 10**9 + spot.stamp.nanosec, rest_ns, pose)
-        n = len(position.q_rest)
-        quaternion = position.wrist.orientation
-        covariance = light_covariance(
-            np.array(position.jacobian).reshape(6, -1),
-            np.array(position.q_rest_covariance).reshape(n, -1),
-            rotation_of(quaternion.x, quaternion.y, quaternion.z, quaternion.w),
-            np.array(self._cell.led.offset),
-        )
-        return Observation(
-            pose=pose,
-            wrist=position.wrist,
-            position_covariance=covariance.ravel(),
-            spots=spots.spots,
-            rest_since=position.rest_since,
-        )
-
-    async def _publish_observations(self, job: CalibrationJob[Observation]) -> None:
-        collected = ObservationSet(
-            cameras=list(job.cameras),
-            observations=job.observations,
-            rejected=[Rejection(pose=skip.pose, reason=skip.reason) for skip in job.skipped],
-            directory=str(self._directory),
-        )
-        await self.dom.put("observations", collected)
-
-    def _finish(self, report: dict[str, Any]) -> dict[str, Any]:
-        wall, simulated = clock.monotonic() - self._begun[0], self._now_s() - self._begun[1]
-        report["timing"] = self._times.summary(wall, simulated)
-        report["seed"] = self._seed
-        write_report(self._directory, report)
-        return {"report": report, "directory": str(self._directory)}
-
-    def _note_firing(self, message: Firing) -> None:
-        name = f"{message.net}.{message.transition}"
-        stamp = message.stamp.sec + message.stamp.nanosec * 1e-9
-        if message.phase == Firing.START:
-            self._times.start(name, stamp)
+        timer = self.create_timer(CANCEL_CHECK_S, check_cancel, clock=self.steady_clock)
+        try:
+            arguments = _arguments(goal.request.arguments)
+            outcome = await self._run(goal.request.symbol, arguments, listener=tell, started=command_ids.append)
+        except ImError as error:
+            result.status = to_status(error)
+            goal.abort()
+            return result
+        finally:
+            self.destroy_timer(timer)
+        result.success, result.status, result.results = outcome.success, outcome.status, json.dumps(outcome.results)
+        if outcome.success:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
         else:
-            self._times.end(name, stamp, message.duration)
+            goal.abort()
+        return result
 
-    def _now_s(self) -> float:
-        return float(self.get_clock().now().nanoseconds) * 1e-9
+    def _load_net(self, request: Any, response: Any) -> Any:
+        try:
+            net = parse_net(request.net_yaml) if request.net_yaml else load_net(request.net_file)
+            report = self.load_net(net)
+        except ImError as error:
+            response.success, response.message = False, error.message
+            response.counterexample = [str(step) for step in getattr(error, "sequence", ())]
+            return response
+        response.success = True
+        response.message = f"net {net.name} is live: {report.states} markings, bounded, never stuck"
+        return response
 
 
-def _stamped(pose: WristPose) -> PoseStamped:
-    message = PoseStamped(pose=Pose())
-    message.header.frame_id = "world"
-    position, orientation = message.pose.position, message.pose.orientation
-    position.x, position.y, position.z = pose.position_m
-    orientation.x, orientation.y, orientation.z, orientation.w = pose.orientation_xyzw
-    return message
+def _arguments(text: str) -> dict[str, object]:
+    """Arguments of a command, a JSON object or nothing.
+
+    Raises:
+        DataError: They are something else.
+    """
+    try:
+        arguments = json.loads(text or "{}")
+    except json.JSONDecodeError as error:
+        raise DataError(f"the arguments of the command are not JSON: {error}") from error
+    if not isinstance(arguments, dict):
+        raise DataError(f"the arguments of the command must be a JSON object, not {text!r}")
+    return arguments
 
 
 def main() -> None:

@@ -8,10 +8,9 @@ from im_core.names import run_dir
 from im_core.ros import qos, run
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import ok_status, to_status
+from im_dom.store import ObjectRecord, ObjectStore
 from im_msgs.msg import ObjectChange, ObjectInfo
 from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
-
-from im_dom.store import ObjectRecord, ObjectStore
 
 
 class DomNode(ManagedNode):

@@ -47,7 +47,9 @@ class ServoClient:
         on_state: Told of every change of state, and why.
     """
 
-    def __init__(self, channel: ServoChannel, link: TestbedLink, on_state: OnState = lambda state, reason: None) -> None:
+    def __init__(
+        self, channel: ServoChannel, link: TestbedLink, on_state: OnState = lambda state, reason: None
+    ) -> None:
         self._channel = channel
         self._link = link
         self._on_state = on_state

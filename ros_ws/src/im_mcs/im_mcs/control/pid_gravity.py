@@ -17,7 +17,9 @@ class Feedforward(ConfigModel):
     gravity: float = pydantic.Field(default=1.0, ge=0, le=1)
     friction: float = pydantic.Field(default=0.0, ge=0, le=1)
     inertia: float = pydantic.Field(default=0.0, ge=0, le=1)
-    stiction: float = pydantic.Field(default=0.0, ge=0, lt=1, description="of dry friction, towards the setpoint at rest")
+    stiction: float = pydantic.Field(
+        default=0.0, ge=0, lt=1, description="of dry friction, towards the setpoint at rest"
+    )
     friction_speed: float = pydantic.Field(default=0.005, gt=0, description="Coulomb friction is full above [rad/s]")
 
 

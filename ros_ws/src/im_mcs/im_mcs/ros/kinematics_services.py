@@ -40,9 +40,7 @@ class KinematicsServices:
         groups = node.config.groups
         if group not in groups:
             raise NotFoundError(kind="group", name=group, known=groups)
-        return messages.group_state(
-            group_state(group, groups[group], node.model, snapshot, node.config.servo.period_s)
-        )
+        return messages.group_state(group_state(group, groups[group], node.model, snapshot, node.config.servo.period_s))
 
     def _get_group_state(
         self, request: GetGroupState.Request, response: GetGroupState.Response

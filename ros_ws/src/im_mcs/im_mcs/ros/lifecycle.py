@@ -1,6 +1,9 @@
 """Lifecycle interface of a node whose transitions take time."""
 
+import inspect
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
+from typing import Any
 
 import lifecycle_msgs.srv
 from lifecycle_msgs.msg import State, Transition, TransitionDescription
@@ -92,13 +95,21 @@ class Lifecycle:
             )
         return int(known[transition])
 
-    def _serve(self, implementation: object, service_type: type, callback: Callable[..., object]) -> None:
+    def _serve(self, implementation: Any, service_type: type, callback: Callable[..., object]) -> None:
         group = self._node.default_callback_group
-        service = Service(
-            implementation, service_type, implementation.name, callback, group, QoSProfile(**implementation.qos)
-        )
+        profile = QoSProfile(**implementation.qos)
+        service = Service(implementation, service_type, implementation.name, callback, group, profile)
+        service.send_response = partial(self._send_when_done, service.send_response)
         group.add_entity(service)
-        self._node._services.append(service)
+        self._node._services.append(service)  # as rclpy's own lifecycle node does: the executor finds it there
+
+    def _send_when_done(self, send: Callable[..., None], response: object, header: object) -> None:
+        """Send a response; that of a coroutine when it has ended (the events executor does not wait for it)."""
+        if inspect.iscoroutine(response):
+            task = self._node.executor.create_task(response)
+            task.add_done_callback(lambda done: send(done.result(), header))
+        else:
+            send(response, header)
 
     async def _change_state(self, request: object, response: object) -> object:
         labels = {number: label for number, label, *_ in self._machine.available_transitions}

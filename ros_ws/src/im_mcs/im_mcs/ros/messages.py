@@ -60,7 +60,9 @@ def joint_state(names: tuple[str, ...], sample: dict[str, Any]) -> JointState:
 
 def mcs_state(config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None) -> McsState:
     """``im_msgs/McsState``."""
-    message = McsState(state=state.value, reason=reason, brakes=True, preset=config.preset, period=config.servo.period_s)
+    message = McsState(
+        state=state.value, reason=reason, brakes=True, preset=config.preset, period=config.servo.period_s
+    )
     if snapshot is not None and state is not State.UNCONFIGURED:
         reserved = dict(zip([slot.name for slot in config.joint_slots], snapshot["reserved"].tolist(), strict=True))
         held = snapshot["brakes"][snapshot["reserved"]]
@@ -104,9 +106,7 @@ class Frames:
         self._model = model
         self._moving = [(joint.parent, joint.child) for joint in cell.joints]
         names = {parent for parent, _ in self._moving} | {child for _, child in self._moving}
-        self._fixed = [
-            (_parent_frame(model, name), name) for name in model.poses(cell.home) if name not in names
-        ]
+        self._fixed = [(_parent_frame(model, name), name) for name in model.poses(cell.home) if name not in names]
         self._home = cell.home
 
     def moving(self, q: NDArray[np.float64], stamp_ns: int) -> list[TransformStamped]:

@@ -143,7 +143,7 @@ class McsNode(ManagedNode):
         if started is not None:
             started(number)
         reply: Reply = await promise
-        self._follow()
+        self._follow_servo()
         if reply.error is not None:
             raise reply.error
         return reply.results
@@ -158,7 +158,7 @@ class McsNode(ManagedNode):
         if event in _LIFECYCLE:
             next_state(self.state, event)
             await self.lifecycle.change(_LIFECYCLE[event])
-            self._follow()
+            self._follow_servo()
         else:
             await self.request(event, {"reason": "request on /mcs/estop"} if event is Event.ESTOP else None)
 
@@ -199,7 +199,7 @@ class McsNode(ManagedNode):
         self.wake()
 
     def _poll(self) -> None:
-        self._follow()
+        self._follow_servo()
         owner = self._owner
         if owner is None:
             return
@@ -210,7 +210,7 @@ class McsNode(ManagedNode):
             self.get_logger().error(error.message)
             owner.client.give_up(error)
             self._close_servo()
-            self._follow()
+            self._follow_servo()
             self._publish_state()
             return
         samples = owner.client.samples()
@@ -220,7 +220,7 @@ class McsNode(ManagedNode):
             last = samples[-1]
             self._tf_publisher.publish(TFMessage(transforms=self._frames.moving(np.array(last["q"]), last["stamp_ns"])))
 
-    def _follow(self) -> None:
+    def _follow_servo(self) -> None:
         """Let the lifecycle and ``/mcs/state`` follow what has happened in the servo."""
         wanted, present = lifecycle_of(self.state), self.lifecycle.state
         if present == "active" and wanted != "active":

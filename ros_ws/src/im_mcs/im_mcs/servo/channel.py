@@ -102,6 +102,8 @@ class ServoChannel:
             part.close()
 
 
-def sample_message(stamp_ns: int, q: NDArray[np.float64], v: NDArray[np.float64], tau: NDArray[np.float64]) -> dict[str, Any]:
+def sample_message(
+    stamp_ns: int, q: NDArray[np.float64], v: NDArray[np.float64], tau: NDArray[np.float64]
+) -> dict[str, Any]:
     """A joint state as JSON data."""
     return {"stamp_ns": stamp_ns, "q": q.tolist(), "v": v.tolist(), "tau": tau.tolist()}

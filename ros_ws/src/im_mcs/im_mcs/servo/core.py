@@ -153,9 +153,7 @@ class Mcs:
         return ControlledGroup(
             name=name,
             index=index,
-            planner=GroupPlanner(
-                self.measured.q[index], config.servo.period_s, config.servo.planning_divisor, motion
-            ),
+            planner=GroupPlanner(self.measured.q[index], config.servo.period_s, config.servo.planning_divisor, motion),
             controller=load_controller(control.controller, setup),
             monitor=RestMonitor(
                 model.cell.per_joint("resolution")[index], model.cell.per_joint("noise")[index], config.servo
@@ -216,7 +214,9 @@ class Mcs:
             raise NotFoundError(kind="gripper", name=name, known=names)
         stroke = self.model.cell.gripper.stroke
         if not 0.0 <= opening <= stroke:
-            raise LimitError(joint=name, value=opening, limit=stroke if opening > 0.0 else 0.0, unit="m", what="opening")
+            raise LimitError(
+                joint=name, value=opening, limit=stroke if opening > 0.0 else 0.0, unit="m", what="opening"
+            )
         slot = names.index(name)
         if slot in self._grippers:
             raise StateError(f"{name} is moving; wait for its end", gripper=name)
@@ -267,7 +267,12 @@ class Mcs:
                 self._result(group, *ended)
             elif group.goal is not None and (m.tick - group.goal.since_tick) % self._progress_ticks == 0:
                 self._emit(
-                    {"event": "progress", "id": group.goal.id, "progress": group.planner.progress, "point": group.planner.point}
+                    {
+                        "event": "progress",
+                        "id": group.goal.id,
+                        "progress": group.planner.progress,
+                        "point": group.planner.point,
+                    }
                 )
 
     def _finish_grippers(self, m: Measured) -> None:
@@ -284,4 +289,3 @@ class Mcs:
         if error is not None:
             message["error"] = {"code": error.code, "message": error.message, "facts": error.facts}
         self._emit(message)
-

@@ -37,17 +37,13 @@ class ServoProcess:
         model = Model(load_cell())
         channels = [slot.channel for slot in config.joint_slots]
         gripper_channels = [slot.channel for slot in config.gripper_slots]
-        self._driver = load_driver(
-            config.testbed.driver, instance=instance, timeout_s=config.testbed.attach_timeout_s
-        )
+        self._driver = load_driver(config.testbed.driver, instance=instance, timeout_s=config.testbed.attach_timeout_s)
         if abs(self._driver.period_s - config.servo.period_s) > 1e-9:
             raise LinkError(
                 f"the testbed ticks every {self._driver.period_s:g} s, the servo every {config.servo.period_s:g} s;"
                 " make them equal"
             )
-        self._channel = ServoChannel.attach(
-            instance, model.n, len(gripper_channels), config.testbed.attach_timeout_s
-        )
+        self._channel = ServoChannel.attach(instance, model.n, len(gripper_channels), config.testbed.attach_timeout_s)
         self._pending: list[dict[str, Any]] = []
         self._told_state = State.COLD
         testbed = TestbedInterface(self._driver, channels, gripper_channels)
@@ -102,7 +98,9 @@ class ServoProcess:
         began = clock.monotonic()
         if self._pacer.missed_in_row >= self._config.servo.max_overruns:
             self._mcs.stop_all(
-                ImError(f"protective stop: {self._pacer.missed_in_row} servo deadlines in a row were missed", code="overrun")
+                ImError(
+                    f"protective stop: {self._pacer.missed_in_row} servo deadlines in a row were missed", code="overrun"
+                )
             )
         self._mcs.tick(self._channel.requests.receive_all())
         self._compute_s += 0.01 * (clock.monotonic() - began - self._compute_s)
@@ -177,4 +175,3 @@ def run(instance: str, config: McsConfig) -> int:
         signal.signal(number, process.stop)
     process.run()
     return 0
-

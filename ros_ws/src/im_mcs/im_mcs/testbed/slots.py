@@ -32,7 +32,9 @@ class TestbedInterface:
     def read(self) -> Measured:
         """The newest measured state, in the order of the slots."""
         m = self.driver.read()
-        return Measured(m.tick, m.stamp_ns, m.q[self._joints], m.power, m.brakes[self._joints], m.gripper[self._grippers])
+        return Measured(
+            m.tick, m.stamp_ns, m.q[self._joints], m.power, m.brakes[self._joints], m.gripper[self._grippers]
+        )
 
     def write(self, drive: Drive) -> None:
         """Answer the tick; channels without a slot get no torque and keep their brakes."""
@@ -50,4 +52,6 @@ def _check(channels: Sequence[int], count: int, kind: str) -> None:
         if not 0 <= channel < count:
             raise ConfigError(f"{kind} channel {channel} does not exist; the driver has 0 to {count - 1}")
         if list(channels).count(channel) > 1:
-            raise ConfigError(f"{kind} channel {channel} serves {list(channels).count(channel)} slots; it can serve one")
+            raise ConfigError(
+                f"{kind} channel {channel} serves {list(channels).count(channel)} slots; it can serve one"
+            )

@@ -73,7 +73,8 @@ class PntNode(ManagedNode):
         self._ros_actions = RosActions(self, self.functions, self.heartbeats)
         others = {ServiceAction: self._ros_actions.perform_service, GoalAction: self._ros_actions.perform_goal}
         self._runner = FunctionRunner(self.functions, self.exchange, self._spawn, others)
-        self._dom: DomClient | None = None
+        self.dom = DomClient(self)
+        self.create_subscription(ObjectChange, "/dom/changes", self._object_changed, qos.EVENTS)
         self._commands = 0
         self._listeners: dict[int, ProgressListener] = {}
         self._changed: dict[str, Executive] = {}
@@ -135,9 +136,6 @@ class PntNode(ManagedNode):
             executive.sequence = previous.sequence
         for partner in net.partners() - self.exchange.nets.keys():
             self._transport.prepare(partner)
-        if self._dom is None and any(place.data_object for place in net.places.values()):
-            self._dom = DomClient(self)
-            self.create_subscription(ObjectChange, "/dom/changes", self._object_changed, qos.EVENTS)
         self._publisher.description(executive)
         self._publisher.marking(executive)
         self.get_logger().info(f"net {net.name} verified: {report.states} markings in {report.time_s:.3f} s")
@@ -257,7 +255,7 @@ class PntNode(ManagedNode):
     async def _look_at(self, names: tuple[str, ...], done: Callable[[ImError | None], None]) -> None:
         try:
             for name in names:
-                if not await self._dom.is_valid(name):
+                if not await self.dom.is_valid(name):
                     raise DataError(f"data object {name} is not valid although its place is to be marked", object=name)
         except ImError as error:
             done(error)

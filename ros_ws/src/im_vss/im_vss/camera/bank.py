@@ -75,6 +75,12 @@ class CameraBank:
                 add_spot(mean, spot, strength * fraction)
         return mean
 
+    def warm_up(self) -> None:
+        """Render each camera once at the home position: a renderer's first images take long."""
+        for unit in self._cameras.values():
+            self._scene.set_joints(self._cell.home)
+            self._scene_of(unit, self._placed(unit), self._cell.home)
+
     def read_out(self, camera: str, mean: FloatImage, start_tick: int, frame: int, out: NDArray[np.uint8]) -> None:
         """Write the noisy 8-bit image of expected values, shape (h, w) [DN], to `out`; see :func:`noise_stream`."""
         read_out(mean, self._settings.sensor, noise_stream(self._seed, camera, start_tick, frame), out)

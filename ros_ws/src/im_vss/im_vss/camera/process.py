@@ -51,6 +51,7 @@ class CameraProcess:
         self._cell, self._settings = cell, settings
         self._link = TestbedLink.attach(options.instance, _ATTACH_TIMEOUT_S)
         self._bank = self._new_bank()
+        self._bank.warm_up()
 
     def run(self) -> None:
         """Serve until the host is gone."""

@@ -1,0 +1,246 @@
+"""Bags of ROS messages: MCAP through ``rosbags``; messages pass as the bytes the middleware delivers."""
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rosbags.interfaces import (
+    Connection,
+    Nodetype,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer, WriterError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from im_bringup.executables import prefixes
+from im_core.errors import DataError
+
+_FOREVER = QosTime(9223372036, 854775807)
+
+#: Topics that start and end machines; they are recorded, but replayed only when they are asked for by name.
+CONTROL_TOPICS = frozenset({"/im/phase", "/im/task_status"})
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """How the messages of a topic are delivered.
+
+    Attributes:
+        reliable: Sent again when lost.
+        latched: The last ones reach whoever comes later.
+        depth: How many are kept.
+    """
+
+    reliable: bool
+    latched: bool
+    depth: int
+
+    def to_qos(self) -> Qos:
+        """For the bag."""
+        return Qos(
+            QosHistory.KEEP_LAST,
+            self.depth,
+            QosReliability.RELIABLE if self.reliable else QosReliability.BEST_EFFORT,
+            QosDurability.TRANSIENT_LOCAL if self.latched else QosDurability.VOLATILE,
+            _FOREVER,
+            _FOREVER,
+            QosLiveliness.AUTOMATIC,
+            _FOREVER,
+            False,
+        )
+
+    @classmethod
+    def of(cls, connection: Connection) -> Self:
+        """As recorded; reliable and volatile if the bag does not say."""
+        profiles = getattr(connection.ext, "offered_qos_profiles", [])
+        if not profiles:
+            return cls(reliable=True, latched=False, depth=100)
+        reliable = all(profile.reliability is not QosReliability.BEST_EFFORT for profile in profiles)
+        latched = all(profile.durability is QosDurability.TRANSIENT_LOCAL for profile in profiles)
+        return cls(reliable, latched, max(1, *(profile.depth for profile in profiles)))
+
+
+class Types:
+    """Definitions of message types: those of Jazzy, and those of the sourced workspaces."""
+
+    def __init__(self) -> None:
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+
+    def know(self, name: str) -> None:
+        """Make sure that a type and all it contains are known.
+
+        Args:
+            name: E.g. ``im_msgs/msg/Firing``.
+
+        Raises:
+            DataError: No sourced workspace defines it.
+        """
+        if name in self.store.fielddefs:
+            return
+        found = get_types_from_msg(definition_of(name), name)
+        for _, fields in found.values():
+            for _, description in fields:
+                for part in _named_types(description):
+                    if part not in found:
+                        self.know(part)
+        self.store.register(found)
+
+
+def definition_of(name: str) -> str:
+    """Text of the ``.msg`` file of a type.
+
+    Raises:
+        DataError: No sourced workspace defines it.
+    """
+    package, _, rest = name.partition("/")
+    for prefix in prefixes():
+        path = prefix / "share" / package / f"{rest}.msg"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise DataError(f"the type {name} is not defined in any sourced workspace", type=name)
+
+
+def _named_types(description: Any) -> Iterator[str]:
+    kind, argument = description
+    if kind == Nodetype.NAME:
+        yield argument
+    elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        yield from _named_types(argument[0])
+
+
+class BagWriter:
+    """Writes a bag; what was written can be read only after :meth:`close`.
+
+    Args:
+        path: Folder of the bag; it must not exist.
+
+    Raises:
+        DataError: It exists, or cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.counts: dict[str, int] = {}
+        self._types = Types()
+        self._connections: dict[str, Connection] = {}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+            self._writer.open()
+        except (WriterError, OSError) as error:
+            raise DataError(f"the bag {path} cannot be made: {error}", path=str(path)) from error
+
+    def add_topic(self, topic: str, type_name: str, delivery: Delivery) -> None:
+        """Announce a topic.
+
+        Raises:
+            DataError: Its type is not defined in any sourced workspace.
+        """
+        self._types.know(type_name)
+        self._connections[topic] = self._writer.add_connection(
+            topic, type_name, typestore=self._types.store, offered_qos_profiles=[delivery.to_qos()]
+        )
+        self.counts[topic] = 0
+
+    def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Append a message.
+
+        Args:
+            topic: An announced topic.
+            stamp_ns: When it came, wall time [ns].
+            data: The message, serialised (CDR).
+        """
+        self._writer.write(self._connections[topic], stamp_ns, data)
+        self.counts[topic] += 1
+
+    def close(self) -> None:
+        """Finish the bag."""
+        self._writer.close()
+
+
+class BagReader:
+    """Reads a bag, MCAP or SQLite.
+
+    Args:
+        path: Folder of the bag, or a file in it.
+
+    Raises:
+        DataError: It is not a bag that was closed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        folder = path.parent if path.is_file() else path
+        try:
+            self._reader = Reader(folder)
+            self._reader.open()
+        except (ReaderError, OSError) as error:
+            raise DataError(f"{path} is not a bag that can be read: {error}", path=str(path)) from error
+
+    def __enter__(self) -> Self:
+        """Nothing to do; the bag is open."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self._reader.close()
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last message [s]."""
+        return self._reader.duration * 1e-9
+
+    @property
+    def types(self) -> Mapping[str, str]:
+        """Type of each topic."""
+        return {connection.topic: connection.msgtype for connection in self._reader.connections}
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Number of messages of each topic."""
+        return {connection.topic: connection.msgcount for connection in self._reader.connections}
+
+    @property
+    def deliveries(self) -> Mapping[str, Delivery]:
+        """Delivery of each topic."""
+        return {connection.topic: Delivery.of(connection) for connection in self._reader.connections}
+
+    def messages(self, topics: Iterable[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Topic, time of arrival [ns] and bytes of the messages of some topics, in order of time."""
+        wanted = set(topics)
+        connections = [connection for connection in self._reader.connections if connection.topic in wanted]
+        if not connections:
+            return
+        for connection, stamp_ns, data in self._reader.messages(connections):
+            yield connection.topic, stamp_ns, bytes(data)
+
+
+def chosen_topics(known: Iterable[str], asked: Iterable[str]) -> list[str]:
+    """The topics of a bag to replay.
+
+    Args:
+        known: Those in the bag.
+        asked: Those asked for; empty: all but :data:`CONTROL_TOPICS`.
+
+    Raises:
+        DataError: One that was asked for is not in the bag.
+    """
+    have, wanted = sorted(known), list(asked)
+    for topic in wanted:
+        if topic not in have:
+            raise DataError(f"the bag has no topic {topic}; it has {', '.join(have)}", topic=topic)
+    return wanted or [topic for topic in have if topic not in CONTROL_TOPICS]
+
+
+def default_folder(stamp: str) -> Path:
+    """Where a bag goes when no folder is named: ``bags/<stamp>`` in $IM_ROOT, or where one stands."""
+    return Path(os.environ.get("IM_ROOT") or ".") / "bags" / stamp

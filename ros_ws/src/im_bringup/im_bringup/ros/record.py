@@ -1,0 +1,130 @@
+"""``record``: every topic of the ROS domain into a bag, also those that appear later, until SIGINT or SIGTERM."""
+
+import argparse
+import importlib
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from im_bringup.bag import BagWriter, Delivery, default_folder
+from im_core import clock
+from im_core.errors import DataError, ImError
+from im_core.ros.run import Spinner
+
+DISCOVERY_PERIOD_S = 0.5
+QUEUE_DEPTH = 1000
+
+
+class Recorder(Node):
+    """Subscribes to what is published and writes the bytes as they come.
+
+    Args:
+        bag: Where to.
+        only: Topics to record; empty: all that are not hidden.
+    """
+
+    def __init__(self, bag: BagWriter, only: list[str]) -> None:
+        super().__init__("recorder")
+        self._bag = bag
+        self._only = set(only)
+        self._refused: set[str] = set()
+        self.create_timer(DISCOVERY_PERIOD_S, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def discover(self) -> None:
+        """Subscribe to topics that were not there before."""
+        for topic, types in self.get_topic_names_and_types():
+            if topic in self._bag.counts or topic in self._refused or not self._wanted(topic):
+                continue
+            publishers = self.get_publishers_info_by_topic(topic)
+            if publishers:
+                self._subscribe(topic, types[0], delivery_of(publishers))
+
+    def _wanted(self, topic: str) -> bool:
+        return topic in self._only if self._only else "/_" not in topic
+
+    def _subscribe(self, topic: str, type_name: str, delivery: Delivery) -> None:
+        try:
+            message_class = message_class_of(type_name)
+            self._bag.add_topic(topic, type_name, delivery)
+        except DataError as error:
+            self._refused.add(topic)
+            print(f"record: {topic} is left out: {error.message}", file=sys.stderr)
+            return
+        self.create_subscription(
+            message_class, topic, lambda data: self._write(topic, data), to_profile(delivery), raw=True
+        )
+
+    def _write(self, topic: str, data: bytes) -> None:
+        self._bag.write(topic, int(clock.wall() * 1e9), data)
+
+
+def delivery_of(publishers: Any) -> Delivery:
+    """What all publishers of a topic offer."""
+    profiles = [publisher.qos_profile for publisher in publishers]
+    return Delivery(
+        reliable=all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles),
+        latched=all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles),
+        depth=max(1, *(profile.depth for profile in profiles), 1),
+    )
+
+
+def to_profile(delivery: Delivery) -> QoSProfile:
+    """The profile to subscribe or publish with."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=max(delivery.depth, QUEUE_DEPTH),
+        reliability=ReliabilityPolicy.RELIABLE if delivery.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if delivery.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def message_class_of(type_name: str) -> Any:
+    """Class of a message type such as ``std_msgs/msg/String``.
+
+    Raises:
+        DataError: It is not installed.
+    """
+    package, kind, name = type_name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.{kind}"), name)
+    except (ImportError, AttributeError) as error:
+        raise DataError(f"the type {type_name} is not installed: {error}", type=type_name) from error
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="record", description="Record topics into a bag (MCAP) until Ctrl-C.")
+    parser.add_argument("-o", "--output", type=Path, help="folder of the bag (default: bags/<date>-<time>)")
+    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all)")
+    arguments = parser.parse_args()
+    path = (arguments.output or default_folder(clock.stamp_name())).resolve()
+    try:
+        bag = BagWriter(path)
+    except ImError as error:
+        print(f"record: {error.message}", file=sys.stderr)
+        return 2
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    recorder = Recorder(bag, arguments.topics)
+    spinner = Spinner([recorder])
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: spinner.request_stop())
+    print(f"record: into {path}; Ctrl-C ends it", flush=True)
+    try:
+        spinner.spin()
+    finally:
+        spinner.stop()
+        rclpy.try_shutdown()
+        bag.close()
+    print(f"record: {sum(bag.counts.values())} messages of {len(bag.counts)} topics in {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""The web server of the display: one page, one websocket, any number of viewers."""
+
+import asyncio
+import errno
+import json
+import threading
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from aiohttp import WSMsgType, web
+
+from im_core.errors import ImError, LinkError, WaitTimeoutError
+from im_pnt.display.state import Change, DisplayState
+
+STATIC = Path(__file__).parent / "static"
+VIEWER_BACKLOG = 500
+PORTS_TRIED = 20
+START_TIMEOUT_S = 10.0
+
+
+class DisplayServer:
+    """Serves a display from a thread of its own.
+
+    Args:
+        host: Address to listen on.
+        port: Port; the next free one is taken where it is in use, any free one for 0.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
+        self.state = DisplayState()
+        self._host, self._port = host, port
+        self._viewers: dict[asyncio.Queue[str], None] = {}
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._ready = threading.Event()
+        self._failure: ImError | None = None
+        self._thread = threading.Thread(target=self._run, name="display", daemon=True)
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://{self._host}:{self._port}/"
+
+    def start(self) -> None:
+        """Begins to serve.
+
+        Raises:
+            LinkError: No port is free.
+            WaitTimeoutError: The server does not come up.
+        """
+        self._thread.start()
+        if not self._ready.wait(START_TIMEOUT_S):
+            raise WaitTimeoutError(what="the display server", seconds=START_TIMEOUT_S)
+        if self._failure is not None:
+            raise self._failure
+
+    def stop(self) -> None:
+        """Ends all connections."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join(timeout=5.0)
+
+    def show(self, change: Change) -> None:
+        """Passes a change of the state on to all viewers; from any thread."""
+        text = json.dumps(change)
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._broadcast, text)
+
+    def _broadcast(self, text: str) -> None:
+        for backlog in self._viewers:
+            if backlog.full():
+                while not backlog.empty():
+                    backlog.get_nowait()
+                backlog.put_nowait(json.dumps(self.state.snapshot()))
+            else:
+                backlog.put_nowait(text)
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._serve())
+        finally:
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        app = web.Application()
+        app.router.add_get("/", _page)
+        app.router.add_get("/state.json", self._give_state)
+        app.router.add_get("/ws", self._view)
+        app.router.add_static("/static", STATIC)
+        runner = web.AppRunner(app, shutdown_timeout=1.0)
+        await runner.setup()
+        try:
+            await self._listen(runner)
+        except ImError as error:
+            self._failure = error
+            return
+        finally:
+            self._ready.set()
+        await self._stop.wait()
+        await runner.cleanup()
+
+    async def _listen(self, runner: web.AppRunner) -> None:
+        first = self._port
+        for port in range(first, first + PORTS_TRIED if first else 1):
+            site = web.TCPSite(runner, self._host, port)
+            try:
+                await site.start()
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    raise LinkError(f"cannot serve the display on {self._host}:{port}: {error.strerror}") from error
+                await site.stop()
+                continue
+            self._port = int(runner.addresses[0][1])
+            return
+        raise LinkError(f"cannot serve the display on {self._host}: ports {first} to {port} are all in use", port=first)
+
+    async def _give_state(self, request: web.Request) -> web.Response:
+        return web.json_response(self.state.snapshot())
+
+    async def _view(self, request: web.Request) -> web.WebSocketResponse:
+        origin = request.headers.get("Origin")
+        if origin and urlsplit(origin).netloc != request.host:
+            raise web.HTTPForbidden(text=f"pages of {origin} may not look at this display")
+        socket = web.WebSocketResponse(heartbeat=20.0)
+        await socket.prepare(request)
+        backlog: asyncio.Queue[str] = asyncio.Queue(VIEWER_BACKLOG)
+        backlog.put_nowait(json.dumps(self.state.snapshot()))
+        self._viewers[backlog] = None
+        sender = asyncio.create_task(_pass_on(backlog, socket))
+        stopper = asyncio.create_task(self._stop.wait())
+        listener = asyncio.create_task(_until_closed(socket))
+        try:
+            await asyncio.wait({sender, stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            del self._viewers[backlog]
+            for task in (sender, stopper, listener):
+                task.cancel()
+            await asyncio.gather(sender, stopper, listener, return_exceptions=True)
+            await socket.close()
+        return socket
+
+
+async def _page(request: web.Request) -> web.FileResponse:
+    return web.FileResponse(STATIC / "index.html")
+
+
+async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -> None:
+    while True:
+        await socket.send_str(await backlog.get())
+
+
+async def _until_closed(socket: web.WebSocketResponse) -> None:
+    async for message in socket:
+        if message.type in (WSMsgType.CLOSE, WSMsgType.ERROR):
+            return

@@ -1,0 +1,133 @@
+"""The simulated cameras: light where the lens puts it, hidden by the arm, noise as stated and repeatable."""
+
+import numpy as np
+import pytest
+
+from im_core.camera_model import CameraModel
+from im_core.robot import load_cell
+from im_core.robot.truth import CameraTruth, CellTruth, LedTruth
+from im_core.testbed_link import Exposure
+from im_vss.camera.bank import CameraBank
+from im_vss.camera.lens import Lens
+from im_vss.camera.scene import SceneMirror
+from im_vss.camera.sensor import noise_stream, read_out
+from im_vss.camera_book import nominal
+from im_vss.settings import load_settings
+from im_vss.spot import find_spot
+
+CELL = load_cell()
+SETTINGS = load_settings(CELL)
+DISTORTION = (-0.22, 0.04, 7e-4, -5e-4, 0.0)
+
+
+def truth():
+    """The nominal cell with lenses that distort."""
+    cameras = {}
+    for name, camera in CELL.cameras.items():
+        model = nominal(camera)
+        cameras[name] = CameraTruth(
+            parent=camera.parent,
+            width=640,
+            height=480,
+            K=model.K.tolist(),
+            D=DISTORTION,
+            R_cam_base=model.R_cam_base.tolist(),
+            t_cam_base_m=model.t_cam_base.tolist(),
+        )
+    led = LedTruth(offset_m=CELL.led.offset, axis=CELL.led.axis, diameter_m=CELL.led.diameter)
+    return CellTruth(seed=1, cameras=cameras, leds=dict.fromkeys(CELL.light_names, led))
+
+
+@pytest.fixture(scope="module")
+def bank():
+    scene = SceneMirror(CELL, "tiny")
+    yield CameraBank(CELL, truth(), SETTINGS, scene, seed=1)
+    scene.close()
+
+
+def exposure(q, on=1.0):
+    return Exposure(start_tick=10, end_tick=14, stamp_ns=0, q_true=q, light_fraction={"left_led": on, "right_led": 0.0})
+
+
+def images(bank, camera, q):
+    pair = []
+    for frame, on in enumerate((0.0, 1.0)):
+        pair.append(np.zeros((480, 640), np.uint8))
+        bank.read_out(camera, bank.expected(camera, exposure(q, on), 0.018), 10, frame, pair[-1])
+    return pair
+
+
+def test_spot_is_found_where_it_was_drawn(bank):
+    off, on = images(bank, "ceiling_left", CELL.home)
+    finding = find_spot(on, off, SETTINGS.sensor, SETTINGS.spot)
+    spot = bank.spot("ceiling_left", "left_led")
+    assert finding.spot is not None, finding.cause
+    error = np.array([finding.spot.u, finding.spot.v]) - spot.uv
+    assert error @ np.linalg.solve(finding.spot.covariance, error) < 25.0
+    assert 60.0 < finding.spot.amplitude < 255.0
+
+
+def test_arm_hides_the_light(bank):
+    q = CELL.home.copy()
+    bank.expected("ceiling_left", exposure(q), 0.018)
+    assert bank.spot("ceiling_left", "left_led") is not None
+    q[CELL.joint_names.index("left_j6")] += np.pi  # the light to the other side, and below the wrist
+    q[CELL.joint_names.index("left_j4")] += np.pi / 2
+    hidden = []
+    for turn in np.linspace(0.0, 2.0 * np.pi, 12):
+        q[CELL.joint_names.index("left_j6")] = turn - np.pi
+        bank.expected("ceiling_left", exposure(q), 0.018)
+        hidden.append(bank.spot("ceiling_left", "left_led") is None)
+    assert any(hidden)
+    assert not all(hidden)
+
+
+def test_scene_moves_with_the_joints_and_is_rendered_once_while_they_rest(bank):
+    first = bank.expected("wall", exposure(CELL.home), 0.018)
+    again = bank.expected("wall", exposure(CELL.home + 1e-9), 0.018)
+    moved = bank.expected("wall", exposure(CELL.home + 0.05), 0.018)
+    assert np.array_equal(first, again)
+    assert np.abs(moved - first).max() > 10.0
+
+
+def test_longer_exposures_are_brighter(bank):
+    black = SETTINGS.sensor.black_level
+    short = bank.expected("wall", exposure(CELL.home), 0.009) - black
+    long = bank.expected("wall", exposure(CELL.home), 0.018) - black
+    np.testing.assert_allclose(long, 2.0 * short, rtol=1e-4)
+
+
+def test_noise_is_repeatable_and_of_its_own_stream():
+    mean = np.full((60, 80), 50.0, np.float32)
+
+    def image(*key):
+        out = np.zeros(mean.shape, np.uint8)
+        read_out(mean, SETTINGS.sensor, noise_stream(*key), out)
+        return out
+
+    assert np.array_equal(image(1, "wall", 10, 0), image(1, "wall", 10, 0))
+    for other in ((2, "wall", 10, 0), (1, "table", 10, 0), (1, "wall", 11, 0), (1, "wall", 10, 1)):
+        assert not np.array_equal(image(1, "wall", 10, 0), image(*other))
+
+
+def test_noise_has_the_variance_of_the_data_sheet():
+    mean = np.repeat(np.linspace(20.0, 200.0, 10, dtype=np.float32)[:, None], 20000, axis=1)
+    out = np.zeros(mean.shape, np.uint8)
+    read_out(mean, SETTINGS.sensor, noise_stream(1, "wall", 0, 0), out)
+    np.testing.assert_allclose(out.var(axis=1), SETTINGS.sensor.variance(mean[:, 0]), rtol=0.06)
+    np.testing.assert_allclose(out.mean(axis=1), mean[:, 0], atol=0.2)
+
+
+def test_lens_warps_as_the_camera_model_projects():
+    camera = CameraModel(640, 480, nominal(CELL.cameras["wall"]).K, np.array(DISTORTION))
+    lens = Lens(camera)
+    K = lens.pinhole.K
+    for u, v in ((60, 70), (320, 240), (590, 400)):
+        image = np.zeros((480, 640), np.float32)
+        image[v - 1 : v + 2, u - 1 : u + 2] = 1.0
+        ideal = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], 1.0])
+        warped = lens.warp(image)
+        rows, columns = np.nonzero(warped > 0.1)
+        weights = warped[rows, columns]
+        centre = np.array([weights @ columns, weights @ rows]) / weights.sum()
+        np.testing.assert_allclose(centre, camera.project(ideal), atol=0.1)

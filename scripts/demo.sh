@@ -1,0 +1,69 @@
+#!/usr/bin/env bash
+# The whole machine at work, from a clean clone: sets up what is missing, starts the machine, calibrates the two ceiling
+# cameras with the light on the arm, compares the result with the truth that only the testbed knows, and stops it all.
+#
+#   scripts/demo.sh                     simulated time as fast as it goes
+#   scripts/demo.sh --factor 1          in real time
+#   scripts/demo.sh --seed 7            another seed: other cameras, other noise
+#   scripts/demo.sh --poses FILE        other poses
+#   scripts/demo.sh --record            and a bag of it, into bags/
+#
+# Results: results/latest (report.json, summary.txt, pictures). The machine is stopped in any case, also after Ctrl-C.
+# Exit codes: 0 calibrated, 1 something failed (said what), 2 bad usage, 4 the computer lacks something, 130 interrupted.
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+if wants_help "$@"; then help; exit 0; fi
+
+factor=0 seed=1 port="" poses="" record=0
+while (($#)); do
+  case "$1" in
+    --factor | --seed | --port | --poses)
+      (($# > 1)) || die 2 "$1 needs a value; --help tells more"
+      declare "${1#--}=$2"
+      shift 2
+      ;;
+    --record) record=1; shift ;;
+    *) die 2 "unknown argument $1; --help tells what there is" ;;
+  esac
+done
+[[ -z "$poses" || -r "$poses" ]] || die 2 "there is no poses file $poses"
+
+"$IM_ROOT/scripts/setup.sh"
+im_env
+
+recorder="" started=0
+finish() {
+  local code=$?
+  trap '' INT TERM
+  trap - EXIT
+  if [[ -n "$recorder" ]]; then
+    kill -INT "$recorder" 2>/dev/null || true
+    wait "$recorder" || true
+  fi
+  if ((started)); then bringup stop || code=1; fi
+  exit "$code"
+}
+trap finish EXIT
+trap 'exit 130' INT TERM
+
+bringup start --factor "$factor" --seed "$seed" ${port:+--port "$port"}
+started=1
+if ((record)); then
+  bringup record &
+  recorder=$!
+fi
+# Children of this script run in the background, so that a signal is acted on at once and not after the child's end.
+bringup calibrate_camera ${poses:+--poses "$poses"} &
+child=$!
+trap 'kill -INT "$child" 2>/dev/null; exit 130' INT TERM
+code=0
+wait "$child" || code=$?
+((code == 0)) || exit "$code"
+say ""
+say "against the truth of the testbed:"
+bringup truth_error
+say ""
+say "report    results/$(readlink "$IM_RESULTS_DIR/latest")/report.json"
+for picture in "$IM_RESULTS_DIR"/latest/*.png; do
+  [[ -e "$picture" ]] && say "picture   results/$(readlink "$IM_RESULTS_DIR/latest")/$(basename "$picture")"
+done

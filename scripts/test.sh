@@ -1,0 +1,75 @@
+#!/usr/bin/env bash
+# Everything that is checked, from a clean clone: ruff, mypy --strict on the cores, the tests of the packages (no ROS),
+# the tests with nodes and processes, and the case study from end to end.
+#
+#   scripts/test.sh                     all of it
+#   scripts/test.sh --quick             without nodes and without the case study
+#   scripts/test.sh -k spot             what pytest selects; arguments that are not ours go to pytest
+#
+# The last line is "N passed, N failed"; ruff and mypy count as one each. Exit codes: 0 all passed, 1 not.
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+if wants_help "$@"; then help; exit 0; fi
+
+quick=0
+selection=()
+for argument in "$@"; do
+  if [[ "$argument" == --quick ]]; then quick=1; else selection+=("$argument"); fi
+done
+
+"$IM_ROOT/scripts/setup.sh"
+im_env
+cd "$IM_ROOT"
+results="$(mktemp -d)"
+trap 'rm -rf "$results"' EXIT
+trap 'exit 130' INT TERM
+passed=0 failed=0
+
+# check NAME COMMAND...: one check, one result.
+check() {
+  local name="$1" began=$SECONDS
+  shift
+  say "== $name"
+  if "$@"; then
+    passed=$((passed + 1))
+    say "== $name: passed ($((SECONDS - began)) s)"
+  else
+    failed=$((failed + 1))
+    say "== $name: FAILED ($((SECONDS - began)) s)"
+  fi
+}
+
+# tests NAME ARGS...: pytest, one result a test. Exit code 5 says that nothing was selected.
+tests() {
+  local name="$1" began=$SECONDS file="$results/$1.xml" code=0 counts
+  shift
+  say "== $name tests"
+  "$IM_VENV/bin/python" -m pytest -q --junitxml="$file" "$@" ${selection[@]+"${selection[@]}"} || code=$?
+  if [[ ! -s "$file" ]]; then
+    failed=$((failed + 1))
+    say "== $name tests: pytest did not run"
+    return
+  fi
+  read -r -a counts < <("$IM_VENV/bin/python" "$IM_ROOT/scripts/count_tests.py" "$file")
+  passed=$((passed + counts[0]))
+  failed=$((failed + counts[1]))
+  if ((code != 0 && code != 5 && counts[1] == 0)); then failed=$((failed + 1)); fi
+  say "== $name tests: ${counts[0]} passed, ${counts[1]} failed ($((SECONDS - began)) s)"
+}
+
+check ruff "$IM_VENV/bin/ruff" check --no-cache ros_ws/src test scripts
+cores=()
+for core in ros_ws/src/*/; do
+  name="$(basename "$core")"
+  [[ -f "$core$name/__init__.py" ]] && cores+=("$core$name")
+done
+check mypy "$IM_VENV/bin/python" -m mypy "${cores[@]}"
+tests unit ros_ws/src
+if ((!quick)); then
+  tests node test -m "not end_to_end"
+  tests end-to-end test -m end_to_end
+fi
+
+say ""
+say "$passed passed, $failed failed"
+((failed == 0))

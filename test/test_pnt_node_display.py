@@ -1,0 +1,109 @@
+"""The display server shows what nets do, to any number of viewers."""
+
+import asyncio
+import threading
+
+import aiohttp
+import pytest
+import rclpy
+from rclpy.parameter import Parameter
+
+from im_core import clock
+from im_core.ros.run import spin_in_thread
+from im_pnt.display.server import DisplayServer
+from im_pnt.ros.display_node import DisplayNode
+from im_pnt.ros.node import PntNode
+
+NET = """
+net: shown
+places: {idle: 1, here: , there: , lost: }
+transitions:
+  go: {in: idle, out: here, symbol: go}
+  walk: {in: here, out: there, action: walk, on_failure: lost}
+  back: {in: there, out: idle, emit: go_done}
+  give_up: {in: lost, out: idle, emit: go_failed}
+"""
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    (tmp_path / "shown.yaml").write_text(NET)
+    rclpy.init()
+    alone = [Parameter("standalone", value=True)]
+    display = DisplayNode(parameter_overrides=[*alone, Parameter("port", value=0)])
+    walker = PntNode("walker", [tmp_path / "shown.yaml"], {"walk": lambda ctx: None}, parameter_overrides=alone)
+    with spin_in_thread(display, walker):
+        deadline = clock.monotonic() + 10.0
+        while not display.server.state.snapshot()["markings"] and clock.monotonic() < deadline:
+            clock.sleep(0.05)
+        yield display, walker
+    rclpy.try_shutdown()
+
+
+def go(walker):
+    ended = threading.Event()
+
+    async def work():
+        await walker.command("go")
+        ended.set()
+
+    walker.executor.create_task(work())
+    walker.wake()
+    assert ended.wait(10.0)
+
+
+async def watch(url, started, until):
+    changes = []
+    async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws") as socket:
+        started.release()
+        while not until(changes):
+            changes.append(await socket.receive_json(timeout=10.0))
+    return changes
+
+
+def ended(changes):
+    return any(c["kind"] == "firing" and c["transition"] == "back" for c in changes)
+
+
+def test_two_viewers_see_the_same_firings_and_the_page_is_there(machine):
+    display, walker = machine
+    started = threading.Semaphore(0)
+
+    async def look():
+        viewers = [asyncio.create_task(watch(display.server.url, started, ended)) for _ in range(2)]
+        async with aiohttp.ClientSession() as session:
+            for path in ("", "static/display.js", "static/display.css"):
+                async with session.get(display.server.url + path) as answer:
+                    assert answer.status == 200
+            async with session.get(display.server.url + "ws", headers={"Origin": "http://elsewhere"}) as answer:
+                assert answer.status == 403
+        return await asyncio.gather(*viewers)
+
+    def command_when_watched():
+        for _ in range(2):
+            assert started.acquire(timeout=10.0)
+        clock.sleep(0.1)
+        go(walker)
+
+    threading.Thread(target=command_when_watched).start()
+    first, second = asyncio.run(look())
+    for changes in (first, second):
+        snapshot = changes[0]
+        assert [net["net"] for net in snapshot["nets"]] == ["shown"]
+        assert snapshot["markings"][0]["tokens"] == {"idle": 1}
+        nodes = {node["name"] for node in snapshot["nets"][0]["drawing"]["nodes"]}
+        assert {"idle", "here", "there", "lost", "go", "walk", "back", "give_up"} == nodes
+        fired = [(c["transition"], c["phase"]) for c in changes if c["kind"] == "firing"]
+        assert fired == [("go", "END"), ("walk", "START"), ("walk", "END"), ("back", "END")]
+
+
+def test_a_second_display_takes_the_next_port(machine):
+    display, _ = machine
+    port = int(display.server.url.rsplit(":", 1)[1].strip("/"))
+    other = DisplayServer(port=port)
+    other.start()
+    try:
+        assert other.url != display.server.url
+    finally:
+        other.stop()
