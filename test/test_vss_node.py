@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -258,6 +259,17 @@ def test_calibrate_applies_and_writes(machine, tmp_path):
     assert "in 4 poses, at least 7 are needed" in answer.status.message
     answer = machine.call(Calibrate, "/vss/calibrate", cameras=["wrist_left"], observations=observations_of(truth, 9))
     assert "wrist_left moves with left_wrist" in answer.status.message
+
+
+def test_many_clients_at_once_are_all_answered(machine):
+    clients = [machine.client.create_client(SpotFind, "/vss/spot_find") for _ in range(30)]
+    until(lambda: all(client.service_is_ready() for client in clients))
+    request = SpotFind.Request(cameras=CEILING)
+    with ThreadPoolExecutor(len(clients)) as pool:
+        answers = list(pool.map(lambda client: call_blocking(client, request, 20.0, "spot_find"), clients))
+    assert all(answer.success for answer in answers), {answer.status.message for answer in answers}
+    stamps = sorted(answer.spots[0].stamp.sec * 10**9 + answer.spots[0].stamp.nanosec for answer in answers)
+    assert len(set(stamps)) == len(clients)
 
 
 def test_a_dead_camera_process_is_named_and_replaced(machine):

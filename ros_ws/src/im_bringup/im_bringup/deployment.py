@@ -10,7 +10,7 @@ import pydantic
 
 from im_core import config
 from im_core.config import Model
-from im_core.errors import NotFoundError
+from im_core.errors import ConfigError, NotFoundError
 
 Scalar = bool | int | float | str
 ParameterValue = Scalar | list[Scalar]
@@ -130,10 +130,19 @@ class Deployment(Model):
         return _REFERENCE.sub(lambda match: str(variables[match.group(1)]), text)
 
     def with_values(self, factor: float | None, seed: int | None, port: int | None) -> "Deployment":
-        """The same deployment with some of its values replaced; None leaves a value as it is."""
+        """The same deployment with some of its values replaced; None leaves a value as it is.
+
+        Raises:
+            ConfigError: A value is out of range.
+        """
         given = {"clock_factor": factor, "seed": seed, "port": port}
         changed = {name: value for name, value in given.items() if value is not None}
-        return Deployment.model_validate({**self.model_dump(), **changed})
+        try:
+            return Deployment.model_validate({**self.model_dump(), **changed})
+        except pydantic.ValidationError as error:
+            fault = error.errors()[0]
+            name = str(fault["loc"][0])
+            raise ConfigError(f"{name}: {changed[name]:g}: {fault['msg']}", field=name) from error
 
 
 def default_path() -> Path:

@@ -44,9 +44,6 @@ def main() -> int:
     except ImError as error:
         print(f"start: {error.message}", file=sys.stderr)
         return 2
-    except ValueError as error:
-        print(f"start: {error}", file=sys.stderr)
-        return 2
     try:
         return start(deployment, path, arguments.timeout)
     except KeyboardInterrupt:

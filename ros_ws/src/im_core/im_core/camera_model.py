@@ -85,7 +85,10 @@ def undistort(xd: ArrayLike, D: ArrayLike) -> Array:
             residual = distort(guess, D) - target
             if np.all(np.abs(residual) < _UNDISTORT_TOLERANCE):
                 break
-            guess = guess - np.linalg.solve(distort_jacobian(guess, D), residual[..., None])[..., 0]
+            try:
+                guess = guess - np.linalg.solve(distort_jacobian(guess, D), residual[..., None])[..., 0]
+            except np.linalg.LinAlgError:
+                break  # on the fold: refused below
         solved = np.all(np.abs(distort(guess, D) - target) < 1e-9, axis=-1)
         if np.all(solved & _before_the_fold(guess, D)):
             return guess

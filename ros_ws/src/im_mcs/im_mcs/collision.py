@@ -1,6 +1,7 @@
 """Collision detector (paper, section 4: integrated "with no modification to the existent MCS core functions")."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import coal
 import numpy as np
@@ -110,7 +111,7 @@ class CollisionChecker:
         whole = q_all.copy()
         whole[index] = points[0]
         clearance = self.require_free(whole, "at the start")
-        for number, (a, b) in enumerate(zip(points[:-1], points[1:], strict=True), start=1):
+        for number, (a, b) in enumerate(pairwise(points), start=1):
             steps = max(1, int(np.ceil(np.max(np.abs(b - a) / self._step[index]))))
             for k in range(1, steps + 1):
                 whole[index] = a + (b - a) * (k / steps)
@@ -118,14 +119,33 @@ class CollisionChecker:
                 clearance = min(clearance, self.require_free(whole, where))
         return clearance
 
+    def blocking(
+        self, q: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64], radius: float
+    ) -> str | None:
+        """Link or obstacle in the way of a thick straight line, if there is one.
+
+        Args:
+            q: Positions of all joints, shape (18,).
+            start: In ``world``, shape (3,) [m].
+            end: In ``world``, shape (3,) [m].
+            radius: Of the line [m].
+        """
+        line, placement = _capsule(start, end, radius)
+        at = coal.Transform3s(placement.rotation, placement.translation)
+        pin.updateGeometryPlacements(self._model.pin, self._data, self._geometry, self._results, q)
+        for k, body in enumerate(self._geometry.geometryObjects):
+            there = self._results.oMg[k]
+            request, result = coal.CollisionRequest(), coal.CollisionResult()
+            if coal.collide(
+                line, at, body.geometry, coal.Transform3s(there.rotation, there.translation), request, result
+            ):
+                return self._links[k]
+        return None
+
     def _add_capsule(self, name: str, link: str, p0: tuple[float, ...], p1: tuple[float, ...], radius: float) -> None:
-        start, end = np.array(p0), np.array(p1)
-        length = float(np.linalg.norm(end - start))
-        axis = (end - start) / length
-        rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
+        shape, local = _capsule(np.array(p0), np.array(p1), radius)
         frame = self._model.pin.frames[self._model.frame_id(link)]
-        placement = frame.placement * pin.SE3(rotation, (start + end) / 2.0)
-        self._add(name, link, frame.parentJoint, placement, coal.Capsule(radius, length))
+        self._add(name, link, frame.parentJoint, frame.placement * local, shape)
 
     def _add(self, name: str, link: str, joint: int, placement: pin.SE3, shape: coal.CollisionGeometry) -> None:
         self._geometry.addGeometryObject(pin.GeometryObject(name, joint, placement, shape))
@@ -155,3 +175,10 @@ class CollisionChecker:
         while chain[-1] != 0:
             chain.append(int(self._model.pin.parents[chain[-1]]))
         return chain
+
+
+def _capsule(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> tuple[coal.Capsule, pin.SE3]:
+    """A capsule around the line from ``start`` to ``end`` and its placement."""
+    length = float(np.linalg.norm(end - start))
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length).matrix()
+    return coal.Capsule(radius, length), pin.SE3(rotation, (start + end) / 2.0)

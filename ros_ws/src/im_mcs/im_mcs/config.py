@@ -72,7 +72,7 @@ class Control(Model):
     """A control law and its parameters."""
 
     controller: str = Field(pattern=r"^[\w.]+:\w+$")
-    parameters: dict[str, Any] = {}
+    parameters: dict[str, Any] = Field(default_factory=dict)
 
 
 class Planning(Model):
@@ -90,7 +90,7 @@ class McsConfig(Model):
     slots: tuple[Slot, ...]
     limits: Limits
     control: Control
-    group_control: dict[str, Control] = {}
+    group_control: dict[str, Control] = Field(default_factory=dict)
     planning: Planning
     presets: dict[str, dict[str, Group]]
     preset: str

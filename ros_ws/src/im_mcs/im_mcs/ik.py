@@ -46,8 +46,8 @@ class InverseKinematics:
     """Joint positions of one group for a pose of its wrist.
 
     Each step solves ``dq = J^T (J J^T + d^2 I)^-1 e`` (Y. Nakamura, H. Hanafusa, 1986) over the joints that are not
-    against a limit; what remains of the redundancy pulls towards the preferred position (the cell's home: carts at their
-    nominal place, joints off their limits). Several starts are tried, always the same ones in the same order.
+    against a limit; what remains of the redundancy pulls towards the preferred position (the cell's home: carts at
+    their nominal place, joints off their limits). Several starts are tried, always the same ones in the same order.
 
     Args:
         model: Kinematics.

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from html import escape
 
-from im_pnt.expand import expand, input_place
+from im_pnt.expand import OUTPUT_SEMAPHORE, expand, input_place
 from im_pnt.layout import Layout, Point, layered
 from im_pnt.net import Net, Place, RequestAction, Role, Transition
 
@@ -99,7 +99,8 @@ def draw(net: Net, *, phases: bool = False) -> Drawing:
     shown = whole if phases else _folded(net, whole)
     nodes = tuple(_nodes(shown))
     arcs = tuple(_arcs(shown))
-    layout = layered({node.name: node.width for node in nodes}, [_flow(arc) for arc in arcs])
+    top = [node.name for node in nodes if node.tokens and node.name != OUTPUT_SEMAPHORE]
+    layout = layered({node.name: node.width for node in nodes}, [(arc.source, arc.target) for arc in arcs], top)
     return Drawing(net.name, nodes, arcs, layout)
 
 
@@ -200,10 +201,6 @@ def _arcs(net: Net) -> Iterator[DrawnArc]:
         failure = t.on_failure or ({net.escalate: 1} if t.action is not None and net.escalate else {})
         for place, weight in failure.items():
             yield DrawnArc(t.name, place, weight, "failure")
-
-
-def _flow(arc: DrawnArc) -> tuple[str, str]:
-    return (arc.source, arc.target)
 
 
 def _rim(node: DrawnNode, centre: Point, toward: Point) -> Point:

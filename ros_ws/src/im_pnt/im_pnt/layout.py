@@ -4,7 +4,7 @@ The method is Sugiyama's (1981): cycles are broken along a depth-first search, l
 layer is found by barycentres, and the horizontal places by an isotonic fit to the neighbours' means.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -38,18 +38,25 @@ class _Layered:
     chains: dict[Edge, list[_Node]] = field(default_factory=dict)
 
 
-def layered(widths: Mapping[str, float], edges: Sequence[Edge], row: float = 56.0, gap: float = 18.0) -> Layout:
+def layered(
+    widths: Mapping[str, float],
+    edges: Sequence[Edge],
+    top: Collection[str] = (),
+    row: float = 56.0,
+    gap: float = 18.0,
+) -> Layout:
     """Lays out a graph from top to bottom.
 
     Args:
         widths: Width of each node, in the order in which a reader should meet them.
         edges: Pairs of nodes; repeated pairs share a route.
+        top: Nodes where the reader begins; edges into them run upward.
         row: Distance between layers.
         gap: Least distance between nodes of a layer.
     """
     if not widths:
         return Layout({}, {}, 0.0, 0.0)
-    backward = _backward_edges(list(widths), edges)
+    backward = _backward_edges(list(widths), edges, top)
     graph = _with_dummies(_depths(list(widths), edges, backward), edges, backward)
     _reduce_crossings(graph)
     x = _horizontal(graph, widths, gap)
@@ -63,11 +70,12 @@ def layered(widths: Mapping[str, float], edges: Sequence[Edge], row: float = 56.
     return Layout(positions, routes, right - left, (len(graph.layers) - 1) * row)
 
 
-def _backward_edges(nodes: list[str], edges: Sequence[Edge]) -> set[Edge]:
+def _backward_edges(nodes: list[str], edges: Sequence[Edge], top: Collection[str]) -> set[Edge]:
     follows: dict[str, list[str]] = {node: [] for node in nodes}
+    backward = {(a, b) for a, b in edges if b in top}
     for a, b in edges:
-        follows[a].append(b)
-    backward: set[Edge] = set()
+        if b not in top:
+            follows[a].append(b)
     state: dict[str, int] = {}
     for root in nodes:
         stack = [(root, iter(follows[root]))] if root not in state else []

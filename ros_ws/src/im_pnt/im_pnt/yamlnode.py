@@ -156,16 +156,13 @@ def read_yaml(text: str, file: str) -> YamlNode:
     Raises:
         NetFileError: Not YAML, empty, more than one document, or with aliases that contain themselves.
     """
-    loader = yaml.SafeLoader(text)
     try:
-        node = loader.get_single_node()
+        node = yaml.compose(text, yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise NetFileError(file, mark.line + 1 if mark else 1, f"not YAML: {error.problem}") from error
     except (yaml.YAMLError, RecursionError) as error:
-        raise NetFileError(file, 1, f"not YAML: {error}") from error
-    finally:
-        loader.dispose()
+        raise NetFileError(file, 1, f"not YAML: {' '.join(str(error).split())}") from error
     if node is None:
         raise NetFileError(file, 1, "the file is empty")
     return YamlNode(node, file)

@@ -69,9 +69,7 @@ class Catalogue(Model):
         modules = {name: module for name, module in self.modules.items() if name in used_modules}
         used_managers = {module.manager for module in modules.values()}
         managers = {name: purpose for name, purpose in self.managers.items() if name in used_managers}
-        return self.model_copy(
-            update={"services": chosen, "tools": tools, "modules": modules, "managers": managers}
-        )
+        return self.model_copy(update={"services": chosen, "tools": tools, "modules": modules, "managers": managers})
 
 
 def load_catalogue(path: Path | None = None) -> Catalogue:

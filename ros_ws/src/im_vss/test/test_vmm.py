@@ -79,9 +79,11 @@ def test_first_come_first_served():
 
 def test_wait_is_bounded_and_names_the_holder():
     vmm = manager(wait_s=0.05)
-    with vmm.lend("vm_counter", VisionClient("spot_find #1")), pytest.raises(
-        WaitTimeoutError, match=r"vm_counter, held by spot_find #1, 0 before snap #2"
-    ), vmm.lend("vm_counter", VisionClient("snap #2")):
+    with (
+        vmm.lend("vm_counter", VisionClient("spot_find #1")),
+        pytest.raises(WaitTimeoutError, match=r"vm_counter, held by spot_find #1, 0 before snap #2"),
+        vmm.lend("vm_counter", VisionClient("snap #2")),
+    ):
         pass
 
 
@@ -121,8 +123,9 @@ def test_cancelled_and_dead_clients_lose_lease_and_place(module):
 
 def test_other_modules_and_other_leases_are_refused(module):
     vmm = VisionModuleManager("both", ["vm_counter", "vm_other"], 1.0, 1.0)
-    with pytest.raises(NotFoundError, match="'vm_countr'; did you mean 'vm_counter'"), vmm.lend(
-        "vm_countr", VisionClient("a")
+    with (
+        pytest.raises(NotFoundError, match="'vm_countr'; did you mean 'vm_counter'"),
+        vmm.lend("vm_countr", VisionClient("a")),
     ):
         pass
     with vmm.lend("vm_other", VisionClient("b")) as lease, pytest.raises(StateError, match="of vm_other, not of"):

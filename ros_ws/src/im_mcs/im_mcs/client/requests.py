@@ -56,9 +56,8 @@ def parse_request(message: dict[str, Any]) -> Request:
     arguments = dict(message.get("arguments", {}))
     expected = _FIELDS.get(event, set())
     if set(arguments) != expected:
-        raise DataError(
-            f"{name} takes {', '.join(sorted(expected)) or 'no arguments'}, not {', '.join(sorted(arguments)) or 'none'}"
-        )
+        needed, given = ", ".join(sorted(expected)), ", ".join(sorted(arguments))
+        raise DataError(f"{name} takes {needed or 'no arguments'}, not {given or 'none'}")
     return Request(int(message["id"]), event, arguments)
 
 

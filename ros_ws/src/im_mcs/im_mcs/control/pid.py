@@ -31,8 +31,8 @@ class PidParameters(ConfigModel):
 class Pid:
     """Independent joint PID; the derivative acts on the error, through a low pass.
 
-    At rest (:meth:`hold_integral`) the integral is frozen and errors that are encoder noise are ignored: torque does not
-    change, friction holds the joint, and it stands exactly still. A disturbance meets the full PID.
+    At rest (:meth:`hold_integral`) the integral is frozen and errors that are encoder noise are ignored: torque does
+    not change, friction holds the joint, and it stands exactly still. A disturbance meets the full PID.
 
     Args:
         setup: Joints, model and parameters (:class:`PidParameters`).

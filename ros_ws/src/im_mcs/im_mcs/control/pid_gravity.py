@@ -49,12 +49,13 @@ class PidGravity(Pid):
         v, a = given.setpoint.v, given.setpoint.a
         direction = np.where(v != 0.0, self._friction * np.tanh(v / self._friction_speed), self._push())
         coulomb = np.where(direction > 0.0, self._coulomb_positive, self._coulomb_negative)
-        return self._gravity * given.gravity + coulomb * direction + self._viscous * v + self._inertia * a
+        known = self._gravity * given.gravity + coulomb * direction + self._viscous * v + self._inertia * a
+        return np.asarray(known)
 
     def _push(self) -> NDArray[np.float64]:
-        """Share of dry friction that brings a joint, stuck beside its setpoint, to the verge of breaking loose.
+        """Share of dry friction that brings a joint stuck beside its setpoint to the verge of breaking loose.
 
-        The integral does the rest. At rest there is no push, so that friction alone holds the joint, far from the verge.
+        The integral does the rest. At rest there is no push: friction alone holds the joint, far from the verge.
         """
         if self.holding:
             return np.zeros_like(self.smooth_error)

@@ -3,7 +3,7 @@
 import bisect
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import Self
 
 import numpy as np
@@ -74,7 +74,7 @@ class JointPath:
     ) -> None:
         corners = [start, *points]
         self._end = Setpoint.at_rest(np.asarray(corners[-1], dtype=np.float64))
-        self._segments = [_segment(a, b, limits, synchrony) for a, b in zip(corners[:-1], corners[1:], strict=True)]
+        self._segments = [_segment(a, b, limits, synchrony) for a, b in pairwise(corners)]
         self._starts = list(accumulate((s.duration for s in self._segments), initial=0.0))
         self.duration: float = self._starts.pop()
 

@@ -26,7 +26,11 @@ class GroupPlanner:
         self._period = period_s
         self._divisor = divisor
         self._limits = limits
-        self.hold(q)
+        self._trajectory: Trajectory = Hold(q)
+        self._tick = 0
+        self._ended = False
+        self._knots: tuple[Setpoint, Setpoint] | None = None
+        self.setpoint = Setpoint.at_rest(q)
 
     def hold(self, q: NDArray[np.float64]) -> None:
         """Stand still at ``q`` from now on, whatever was before."""
@@ -79,19 +83,18 @@ class GroupPlanner:
         if phase == 1 or self._knots is None:
             start = (self._tick - phase) * self._period
             self._knots = (self._trajectory.at(start), self._trajectory.at(start + self._divisor * self._period))
-        self.setpoint = self._knots[1] if phase == 0 else self._between(phase / self._divisor)
+        a, b = self._knots
+        self.setpoint = b if phase == 0 else self._between(a, b, phase / self._divisor)
         return self.setpoint
 
     def _follow(self, trajectory: Trajectory) -> None:
         self._trajectory = trajectory
         self._tick = 0
         self._ended = False
-        self._knots: tuple[Setpoint, Setpoint] | None = None
+        self._knots = None
 
-    def _between(self, s: float) -> Setpoint:
-        """Cubic Hermite between the knots at fraction ``s``."""
-        assert self._knots is not None
-        a, b = self._knots
+    def _between(self, a: Setpoint, b: Setpoint, s: float) -> Setpoint:
+        """Cubic Hermite between knots at fraction ``s``."""
         h = self._divisor * self._period
         step = b.q - a.q
         # p(s) = a.q + c1 s + c2 s^2 + c3 s^3

@@ -17,8 +17,7 @@ from im_core.errors import ImError, LinkError, StateError
 from im_core.robot import load_cell, urdf
 from im_core.ros import qos
 from im_core.ros import run as ros_run
-from im_core.ros.calls import pause
-from im_core.ros.node import ManagedNode
+from im_core.ros.node import ManagedNode, Promise
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, Reply, ServoClient
 from im_mcs.config import McsConfig, load_config
@@ -58,6 +57,7 @@ class McsNode(ManagedNode):
         self.kinematics = Kinematics(self.config, Model(cell))
         self._frames = messages.Frames(cell, Model(cell))
         self._owner: ServoOwner | None = None
+        self._starting: tuple[ServoOwner, Promise] | None = None
         self._reason = ""
         self._changes: deque[tuple[State, str]] = deque()
         self.lifecycle = Lifecycle(
@@ -168,12 +168,14 @@ class McsNode(ManagedNode):
     async def _configure(self) -> None:
         next_state(self.state, Event.CONFIGURE)
         owner = self._start_servo()
+        self._starting = owner, self.promise()
         try:
-            while not owner.ready():
-                await pause(self, _POLL_S)
+            await self._starting[1]
         except ImError:
             owner.close()
             raise
+        finally:
+            self._starting = None
         self._owner = owner
         self._publish_state()
 
@@ -200,6 +202,7 @@ class McsNode(ManagedNode):
 
     def _poll(self) -> None:
         self._follow_servo()
+        self._await_servo()
         owner = self._owner
         if owner is None:
             return
@@ -219,6 +222,16 @@ class McsNode(ManagedNode):
         if samples:
             last = samples[-1]
             self._tf_publisher.publish(TFMessage(transforms=self._frames.moving(np.array(last["q"]), last["stamp_ns"])))
+
+    def _await_servo(self) -> None:
+        if self._starting is None or self._starting[1].done():
+            return
+        owner, promise = self._starting
+        try:
+            if owner.ready():
+                promise.set_result(None)
+        except LinkError as error:
+            promise.set_exception(error)
 
     def _follow_servo(self) -> None:
         """Let the lifecycle and ``/mcs/state`` follow what has happened in the servo."""

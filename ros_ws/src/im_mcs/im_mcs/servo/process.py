@@ -1,6 +1,7 @@
 """The servo process: the loop around :class:`im_mcs.servo.core.Mcs`."""
 
 import signal
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from im_mcs.config import McsConfig
 from im_mcs.model import Model
 from im_mcs.servo.channel import STATES, ServoChannel, sample_message
 from im_mcs.servo.core import Mcs
-from im_mcs.servo.realtime import Pacer, schedule
+from im_mcs.servo.realtime import Pacer, schedule, unschedule
 from im_mcs.state import State
 from im_mcs.testbed import TestbedInterface, load_driver
 
@@ -68,6 +69,7 @@ class ServoProcess:
         finally:
             self._driver.close()
             self._channel.close()
+            unschedule()
 
     def stop(self, *_: object) -> None:
         """End :meth:`run` soon; fit for a signal handler."""
@@ -109,7 +111,7 @@ class ServoProcess:
     def _report(self) -> None:
         """Tell the owner what the tick brought.
 
-        An answer after which time stands still is given only when the testbed has completed the tick: whatever the owner
+        An answer after which time stands still is given only when the testbed has completed the tick: what the owner
         asks for next then falls into the next tick, whoever is faster.
         """
         m = self._mcs.measured
@@ -124,10 +126,8 @@ class ServoProcess:
             self._write_snapshot()
         if m.stamp_ns >= self._next_sample_ns:
             self._next_sample_ns = (m.stamp_ns // _SAMPLE_PERIOD_NS + 1) * _SAMPLE_PERIOD_NS
-            try:
+            with suppress(LinkError):  # the owner is slow: joint states are a stream of which the newest counts
                 self._channel.samples.send(sample_message(m.stamp_ns, m.q, self._mcs.v, self._mcs.tau))
-            except LinkError:
-                pass  # the owner is slow: joint states are a stream of which the newest counts
         self._send_events()
 
     def _tell_state(self) -> None:
@@ -171,7 +171,10 @@ class ServoProcess:
 def run(instance: str, config: McsConfig) -> int:
     """Run the servo until SIGTERM or SIGINT; exit code."""
     process = ServoProcess(instance, config)
-    for number in (signal.SIGTERM, signal.SIGINT):
+    numbers = (signal.SIGTERM, signal.SIGINT)
+    for number in numbers:
         signal.signal(number, process.stop)
     process.run()
+    for number in numbers:
+        signal.signal(number, signal.SIG_IGN)
     return 0

@@ -31,10 +31,15 @@ def schedule(priority: int) -> bool:
     return True
 
 
+def unschedule() -> None:
+    """Let the garbage collector take everything again, so that libraries are torn down in order."""
+    gc.unfreeze()
+
+
 class Pacer:
     """Keeps absolute deadlines and counts those that were missed.
 
-    A deadline is missed if it has already passed when the loop asks for it; the ticks it covers are skipped, so that the
+    A deadline is missed if the loop comes to it more than a period late; the ticks in between are skipped, so that the
     loop does not run behind the clock for ever.
 
     Args:

@@ -121,8 +121,8 @@ class RestMonitor:
 def _quantisation_variance(resolution: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
     """Variance of what quantisation leaves in the mean of many readings of an arm that stands still.
 
-    Noise before a quantiser acts as dither; of the error's Fourier series over one step the first harmonic remains, with
-    amplitude ``step / pi * exp(-2 pi^2 sd^2 / step^2)`` (B. Widrow, I. Kollar, "Quantization Noise", 2008, chapter 19);
+    Noise before a quantiser acts as dither; of the error's Fourier series over one step the first harmonic remains,
+    with amplitude ``step / pi * exp(-2 pi^2 sd^2 / step^2)`` (B. Widrow, I. Kollar, "Quantization Noise", 2008, 19);
     without noise the error is uniform over a step.
     """
     dithered = resolution**2 / (2.0 * np.pi**2) * np.exp(-((2.0 * np.pi * noise / resolution) ** 2))

@@ -97,7 +97,7 @@ class StateManager:
         target = next_state(self.state, event)
         if self._running is not None and event is not Event.ESTOP:
             raise StateError(
-                f"{event.value} is refused while {self._running.event.value} is under way; wait for its answer, or estop",
+                f"{event.value} is refused while {self._running.event.value} is under way; wait for it, or estop",
                 state=self.state.value,
                 request=event.value,
             )

@@ -28,6 +28,7 @@ class Composition:
         at_rest_only: Those of the environment that fire only while everything is at rest.
         entries: Transitions that begin something for a client, and must not become impossible for ever.
         rest: Places that may hold tokens at rest.
+        may_end: Whether a net declares where it rests, and may therefore come to an end there.
         assumptions: What the verdicts take for granted.
     """
 
@@ -36,6 +37,7 @@ class Composition:
     at_rest_only: frozenset[str]
     entries: frozenset[str]
     rest: frozenset[str]
+    may_end: bool
     assumptions: tuple[str, ...]
 
 
@@ -79,6 +81,7 @@ def compose(nets: Sequence[Net]) -> Composition:
         frozenset(parts.at_rest_only),
         frozenset(parts.entries),
         frozenset(parts.rest),
+        any(net.rest is not None for net in nets),
         tuple(parts.assumptions),
     )
 

@@ -182,7 +182,7 @@ def _deadlock(report: Report, graph: Graph, composition: Composition) -> None:
         if any(transition not in external for transition, _ in arcs):
             continue
         waits = any(transition not in withdrawn for transition, _ in arcs)
-        if at_rest(graph.states[state]) and (waits or external <= withdrawn):
+        if at_rest(graph.states[state]) and (waits or (composition.may_end and external <= withdrawn)):
             continue
         marking = graph.marking(state)
         held = ", ".join(f"{place}={count}" for place, count in marking.items()) or "no token at all"

@@ -1,7 +1,7 @@
 """Camera calibration: where cameras are and how they image, from a wrist LED moved by the robot. No ROS in here."""
 
 from im_vss.calibration.calibration import Calibration, CameraEstimate, Rejection, Verdict
-from im_vss.calibration.errors import DegenerateDataError
+from im_vss.calibration.errors import DegenerateDataError, InconsistentDataError
 from im_vss.calibration.pipeline import calibrate
 from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.report import report_of, summary
@@ -12,6 +12,7 @@ __all__ = [
     "CalibrationProblem",
     "CameraEstimate",
     "DegenerateDataError",
+    "InconsistentDataError",
     "Rejection",
     "Verdict",
     "calibrate",

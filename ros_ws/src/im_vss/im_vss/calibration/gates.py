@@ -85,10 +85,11 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Layout, u
 
 
 def _iterate(first: Fit, problem: CalibrationProblem, layout: Layout, *, widen: bool) -> Gated:
-    """Iterate to a stable set; should sets recur in a cycle, what two of them share is used."""
+    """Iterate to a stable set; once sets recur, spots may only leave, so that it ends."""
     detected = problem.detected
     fit, used, scale = first, _first_gate(first, problem, layout), 1.0
     history: set[bytes] = set()
+    recurring = False
     while True:
         fit = maximise_likelihood(fit.unknowns, problem, layout, used)
         prediction = predict_from_others(fit, problem, layout, used)
@@ -98,10 +99,13 @@ def _iterate(first: Fit, problem: CalibrationProblem, layout: Layout, *, widen: 
         chosen = np.zeros_like(used)
         for pose in np.flatnonzero(detected.any(axis=0)):
             chosen[agreement.cameras(int(pose)), pose] = True
-        if np.array_equal(chosen, used) or len(history) >= _ROUNDS or not _enough(chosen, layout):
+        recurring = recurring or chosen.tobytes() in history or len(history) >= _ROUNDS
+        if recurring:
+            chosen &= used
+        if np.array_equal(chosen, used) or not _enough(chosen, layout):
             return Gated(fit, used, np.where(detected, _own_distances(prediction), np.nan), scale)
         history.add(used.tobytes())
-        used = chosen & used if chosen.tobytes() in history else chosen
+        used = chosen
 
 
 def _noise_scale(prediction: Prediction, used: Mask) -> float:
@@ -129,7 +133,7 @@ def _first_gate(fit: Fit, problem: CalibrationProblem, layout: Layout) -> Mask:
 def _own_distances(prediction: Prediction) -> Array:
     spots = np.swapaxes(prediction.errors.reshape(len(prediction.errors), -1, 2), 0, 1)
     solved = np.linalg.solve(camera_blocks(prediction.covariances), spots[..., None])[..., 0]
-    return np.asarray((spots * solved).sum(axis=2))
+    return np.maximum((spots * solved).sum(axis=2), 0.0)
 
 
 def _enough(chosen: Mask, layout: Layout) -> bool:

@@ -9,10 +9,12 @@ from scipy.stats import chi2 as chi2_distribution
 from im_core.camera_model import CameraModel
 from im_vss.calibration.calibration import Calibration, CameraEstimate, Rejection
 from im_vss.calibration.covariance import covariance_of
+from im_vss.calibration.errors import InconsistentDataError
 from im_vss.calibration.expected import expected_error
 from im_vss.calibration.gates import Gated, fit_with_gates
-from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
 from im_vss.calibration.projection import project
+from im_vss.calibration.residuals import projectable
 from im_vss.calibration.solve import Fit, robust_cost, robust_fit
 from im_vss.calibration.start import start
 from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
@@ -36,13 +38,15 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
         The estimate with everything known about it; look at ``success`` and ``verdicts`` before using it.
 
     Raises:
-        DegenerateDataError: There is no estimate at all: a camera with fewer than 7 spots, positions on a line, or spots
-            that fit no camera.
+        DegenerateDataError: There is no estimate at all: a camera with fewer than 7 spots, or positions on a line.
+        InconsistentDataError: There is no estimate at all: spots that fit no camera.
     """
     order = _canonical_order(problem)
     sorted_problem = _reordered(problem, order)
     layout = Layout.of(problem)
     gated = fit_with_gates(_robust_start(sorted_problem, layout), sorted_problem, layout)
+    if not np.isfinite(gated.fit.chi2):
+        raise InconsistentDataError("No set of cameras explains the spots; check that they belong to these poses.")
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
     return _describe(problem, layout, gated)
@@ -55,7 +59,14 @@ def _robust_start(problem: CalibrationProblem, layout: Layout) -> Fit:
         for _ in range(_RESTARTS):
             again = start(problem, layout, fits[-1].unknowns)
             fits.append(robust_fit(again, problem, layout, problem.detected))
-    return min(fits, key=lambda fit: robust_cost(fit.unknowns, problem, layout))
+    best = min(fits, key=lambda fit: robust_cost(fit.unknowns, problem, layout))
+    seen = problem.detected & projectable(best.unknowns, problem)
+    for camera, spots in zip(problem.camera_names, seen.sum(axis=1), strict=True):
+        if spots < MINIMUM_SPOTS:
+            raise InconsistentDataError(
+                f"No camera explains where {camera} saw the LED; check that the spots belong to these poses.", camera=camera
+            )
+    return best
 
 
 def _describe(problem: CalibrationProblem, layout: Layout, gated: Gated) -> Calibration:

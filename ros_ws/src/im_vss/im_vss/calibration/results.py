@@ -11,6 +11,7 @@ from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.report import report_of, summary
 from im_vss.camera_info import camera_info_yaml
 
+
 def write_results(directory: Path | str, calibration: Calibration, problem: CalibrationProblem) -> tuple[Path, ...]:
     """Write ``report.json``, ``summary.txt``, three plots and ``<camera>.yaml`` (`camera_info_manager`).
 

@@ -18,6 +18,7 @@ _ROBUST_SCALE_FLOOR = 9.0
 _MAX_STEPS = 100
 _CONVERGED = 1e-7
 _DAMPING_LIMIT = 1e10
+_FOCAL_RANGE = (0.02, 100.0)  # in image widths: beyond is no camera
 
 
 @dataclass(frozen=True)
@@ -68,14 +69,15 @@ def maximise_likelihood(
         line = linearise(unknowns, problem, layout, used, cost.image_covariances)
         weights = np.linalg.inv(line.covariances)
         information, gradient = _normal_equations(line, weights, unknowns, layout)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        diagonal = np.diag(information)
+        scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
         scaled = information * scale[:, None] * scale[None, :]
         improved = False
         while not improved and damping < _DAMPING_LIMIT and steps < max_steps:
             step = scale * np.linalg.solve(scaled + damping * np.eye(layout.size), scale * gradient)
             candidate = unknowns.moved(step, layout, _displacements(line, weights, step, problem))
             candidate_chi2 = cost(candidate)
-            improved = candidate_chi2 <= chi2 * (1.0 + 1e-12)
+            improved = np.isfinite(candidate_chi2) and candidate_chi2 <= chi2 * (1.0 + 1e-12)
             if not improved:
                 damping = max(damping, 1e-6) * 10.0
         if not improved:
@@ -136,6 +138,7 @@ class _Cost:
 
     def __init__(self, problem: CalibrationProblem, layout: Layout, used: Mask, inflation: Array | None) -> None:
         self._problem, self._layout, self._used = problem, layout, used
+        self._widths = np.array([[size[0]] for size in problem.image_sizes], dtype=float)
         factors = np.ones(used.shape) if inflation is None else np.where(used, inflation, 1.0)
         noise = np.where(used[..., None, None], problem.spot_covariances, np.eye(2))
         self.image_covariances: Array = noise * factors[..., None, None]
@@ -143,6 +146,9 @@ class _Cost:
         self._position_weights = np.linalg.pinv(problem.position_covariances, hermitian=True)
 
     def __call__(self, unknowns: Unknowns) -> float:
+        focal = unknowns.intrinsics[:, :2] / self._widths
+        if not np.all((focal > _FOCAL_RANGE[0]) & (focal < _FOCAL_RANGE[1])):
+            return float("inf")
         residuals = image_residuals(unknowns, self._problem, self._used)
         if residuals is None:
             return float("inf")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.calibration.errors import DegenerateDataError
+from im_vss.calibration.errors import DegenerateDataError, InconsistentDataError
 from im_vss.calibration.planar_start import planar_start
 from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
 from im_vss.calibration.unknowns import Layout, Unknowns
@@ -47,7 +47,8 @@ def start(problem: CalibrationProblem, layout: Layout, offsets: Unknowns | None 
         offsets: Where to take LED and joint offsets from; None: their prior means.
 
     Raises:
-        DegenerateDataError: A camera has too few spots, or they lie on a line, or no camera explains them.
+        DegenerateDataError: A camera has too few spots, or the positions lie on a line.
+        InconsistentDataError: No camera explains the spots.
     """
     points = problem.positions if offsets is None else offsets.robot_positions(problem)
     known = 0.0 if offsets is None else 0.8
@@ -86,10 +87,8 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
     if found is None:
         found = planar_start(points, pixels, (width, height), tolerance)
     if found is None:
-        raise DegenerateDataError(
-            f"No camera explains where {name} saw the LED; check that the spots belong to these poses.",
-            parameters=everything,
-            camera=name,
+        raise InconsistentDataError(
+            f"No camera explains where {name} saw the LED; check that the spots belong to these poses.", camera=name
         )
     return PinholeStart(*found)
 

@@ -2,14 +2,155 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
 
 from im_vss.calibration.calibration import Calibration, Verdict
 from im_vss.calibration.covariance import Covariance
+from im_vss.calibration.gates import TRUSTED_SHARE
 from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.unknowns import Layout
+from im_vss.calibration.start import robust_extent
+from im_vss.calibration.unknowns import CAMERA_PARAMETERS, PER_CAMERA, Layout
+
+Array = NDArray[np.float64]
+
+UNOBSERVABLE, MISFIT = "UNOBSERVABLE", "MISFIT"
+
+_FEWEST_SPOTS = 10
+_FLAT = 0.02
+_SAME_WRIST = 0.05
+_FALSE_ALARM = 1e-3
+_FOCAL_LIMIT = 0.08
+_CENTRE_LIMIT = 0.15
+_LIMITS = {"k1": 1.0, "k2": 10.0, "p1": 0.1, "p2": 0.1, "rx": 0.25, "ry": 0.25, "rz": 0.25}
 
 
 def judge(
     calibration: Calibration, problem: CalibrationProblem, layout: Layout, covariance: Covariance
 ) -> tuple[Verdict, ...]:
-    return ()
+    """Reasons not to trust an estimate; none for a good one.
+
+    Args:
+        calibration: The estimate, without verdicts.
+        problem: What it was made from.
+        layout: Places of the unknowns.
+        covariance: Covariance of the unknowns.
+    """
+    verdicts = []
+    for c in range(layout.cameras):
+        verdict = _few_spots(calibration, c) or _flat(calibration, c) or _unknown(calibration, covariance, c)
+        if verdict:
+            verdicts.append(verdict)
+    if layout.led and (verdict := _led_offset(calibration, problem, layout)):
+        verdicts.append(verdict)
+    if verdict := _misfit(calibration, problem):
+        verdicts.append(verdict)
+    return tuple(verdicts)
+
+
+def _few_spots(calibration: Calibration, c: int) -> Verdict | None:
+    camera = calibration.cameras[c]
+    if camera.spots_used >= _FEWEST_SPOTS:
+        return None
+    return Verdict(
+        UNOBSERVABLE,
+        _camera_names(camera.name, CAMERA_PARAMETERS),
+        f"{camera.name} has {camera.spots_used} spots that agree, too few to check {PER_CAMERA} parameters.",
+        f"Give at least {_FEWEST_SPOTS}, better 30, poses in its view.",
+    )
+
+
+def _flat(calibration: Calibration, c: int) -> Verdict | None:
+    """LED positions in a plane: focal length and distance, principal point and tilt cannot be told apart."""
+    camera = calibration.cameras[c]
+    extent = robust_extent(calibration.led_positions[calibration.used[c]])
+    if extent[2] >= _FLAT * extent[0]:
+        return None
+    return Verdict(
+        UNOBSERVABLE,
+        _camera_names(camera.name, ("fx", "fy", "cx", "cy", "rx", "ry", "tx", "ty", "tz")),
+        f"The LED positions seen by {camera.name} lie in a plane (within {1e3 * extent[2]:.1f} mm, over "
+        f"{1e3 * extent[0]:.0f} mm), so that focal length and distance cannot be told apart.",
+        "Vary the height of the poses by at least a fifth of the width of the workspace.",
+    )
+
+
+def _unknown(calibration: Calibration, covariance: Covariance, c: int) -> Verdict | None:
+    """Parameters whose standard deviation is beyond what any use of a camera bears."""
+    camera = calibration.cameras[c]
+    limits = dict.fromkeys(("fx", "fy"), _FOCAL_LIMIT * float(camera.model.K[0, 0]))
+    limits |= dict.fromkeys(("cx", "cy"), _CENTRE_LIMIT * camera.model.width) | _LIMITS
+    null = covariance.null[PER_CAMERA * c : PER_CAMERA * (c + 1)]
+    deviations = dict(zip(CAMERA_PARAMETERS, camera.standard_deviations, strict=True))
+    lost = dict(zip(CAMERA_PARAMETERS, null, strict=True))
+    names = tuple(name for name in CAMERA_PARAMETERS if lost[name] or deviations[name] > limits.get(name, np.inf))
+    if not names:
+        return None
+    figures = ", ".join(f"{name} ± {deviations[name]:.2g}" for name in names)
+    return Verdict(
+        UNOBSERVABLE,
+        _camera_names(camera.name, names),
+        f"The poses hardly determine {figures} of {camera.name}.",
+        "Spread the poses over the whole view of the camera, near and far, or reduce the noise.",
+    )
+
+
+def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: Layout) -> Verdict | None:
+    """LED offset that shifts all positions alike because the wrist hardly turns."""
+    used = calibration.used.any(axis=0)
+    rotations = problem.wrist_rotations[used]
+    turned = rotations - rotations.mean(axis=0)
+    variation = np.linalg.eigvalsh((np.swapaxes(turned, 1, 2) @ turned).mean(axis=0))
+    precision = problem.led_offset_prior_sd**-2
+    block = calibration.covariance[layout.led_slice, layout.led_slice]
+    values, vectors = np.linalg.eigh(np.linalg.inv(block) - precision * np.eye(3))
+    if variation[0] >= _SAME_WRIST or values[0] >= precision:
+        return None
+    poor = vectors[:, values < precision]
+    axes = tuple(f"led_offset.{axis}" for axis, share in zip("xyz", np.linalg.norm(poor, axis=1), strict=True) if share > 0.3)
+    cameras = tuple(name for c in problem.camera_names for name in _camera_names(c, ("tx", "ty", "tz")))
+    return Verdict(
+        UNOBSERVABLE,
+        axes + cameras,
+        "The wrist hardly turns between the poses, so that an error of the LED's offset cannot be told from a shift of the "
+        f"cameras ({', '.join(axes)} known by the prior of {1e3 * problem.led_offset_prior_sd:.1f} mm only).",
+        "Vary the wrist's orientation about at least two axes by 30 degrees or more, or measure the offset.",
+    )
+
+
+def _misfit(calibration: Calibration, problem: CalibrationProblem) -> Verdict | None:
+    """Residuals that the stated noise cannot explain."""
+    detected, used = int(problem.detected.sum()), int(calibration.used.sum())
+    contradiction = used < TRUSTED_SHARE * detected
+    if not contradiction and not calibration.p_value < _FALSE_ALARM:
+        return None
+    reasons = []
+    if calibration.p_value < _FALSE_ALARM:
+        reasons.append(
+            f"The residuals are {np.sqrt(calibration.chi2_per_dof):.1f} times as large as the stated noise explains "
+            f"(chi2/dof {calibration.chi2_per_dof:.2f}, p {calibration.p_value:.1g}); {_worst_camera(calibration)}."
+        )
+    if contradiction:
+        reasons.append(f"Only {used} of {detected} spots agree with each other.")
+    return Verdict(
+        MISFIT,
+        (),
+        " ".join(reasons),
+        "Check that cameras and robot base did not move, that joint readings belong to the exposures, the robot's kinematic "
+        "parameters and the stated noise.",
+    )
+
+
+def _worst_camera(calibration: Calibration) -> str:
+    """The camera whose own residuals are least likely."""
+    chances = []
+    for c, camera in enumerate(calibration.cameras):
+        used = calibration.used[c]
+        residuals, spread = calibration.residuals[c][used], calibration.residual_covariances[c][used]
+        chi2 = float((residuals * np.linalg.solve(spread, residuals[..., None])[..., 0]).sum())
+        dof = max(1, 2 * camera.spots_used - PER_CAMERA)
+        chances.append((float(chi2_distribution.logsf(chi2, dof)), f"{camera.name} is worst with chi2/dof {chi2 / dof:.2f}"))
+    return min(chances)[1]
+
+
+def _camera_names(camera: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{camera}.{name}" for name in names)

@@ -35,7 +35,7 @@ class CameraHost:
         instance: Name of the machine's instance.
         cell: Cameras and their image sizes.
         spawn: Starts the camera process with the given renderer (``auto``, ``egl`` or ``tiny``).
-        renderer: Renderer to start with; ``auto`` turns into ``tiny`` when the process died before it was ready.
+        renderer: Renderer to start with; ``auto`` turns into ``tiny`` when the process crashed before it was ready.
         start_timeout_s: How long it may take until ready [s].
     """
 
@@ -100,9 +100,7 @@ class CameraHost:
             begin = clock.monotonic()
             self._await_ready()
             self._number += 1
-            request = Request(
-                self._number, order.cameras, order.blank_light, order.exposure_s, order.timeout_s
-            )
+            request = Request(self._number, order.cameras, order.blank_light, order.exposure_s, order.timeout_s)
             self._requests.send(request.to_json())
             self._requested.post()
             timeout_s = len(order.blank_light) * order.timeout_s + _RENDER_BUDGET_S
@@ -145,8 +143,9 @@ class CameraHost:
         self._child = self._spawn(self._renderer)
 
     def _restart(self) -> None:
-        if not self._ready and self._renderer == "auto":
-            self._renderer = "tiny"
+        code = self._child.poll() if self._child is not None else None
+        if not self._ready and self._renderer == "auto" and code is not None and code < 0:
+            self._renderer = "tiny"  # a graphics driver that crashes does so at the start
         self._release()
         self._start()
 

@@ -1,5 +1,6 @@
 """Base of all Services."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -10,7 +11,7 @@ if TYPE_CHECKING:
     from im_vss.rig import Rig
 
 
-class Service:
+class Service(ABC):
     """A vision operation; stateless, so that any number of clients may be in it at once."""
 
     name: ClassVar[str]
@@ -24,6 +25,7 @@ class Service:
         """The Tool of that name, callable."""
         return self._tools[name]
 
+    @abstractmethod
     def serve(self, client: VisionClient, request: Any) -> Any:
         """Carry out a request.
 
@@ -37,4 +39,3 @@ class Service:
         Raises:
             ImError: It cannot be done; the message says why.
         """
-        raise NotImplementedError

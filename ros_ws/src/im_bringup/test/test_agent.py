@@ -1,0 +1,135 @@
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from im_bringup.agent import RESPAWN_LIMIT, Agent, Command, Died, Started, last_words
+from im_core import clock
+
+OBEDIENT = "import signal; print('up', flush=True); signal.sigwait({signal.SIGINT}); print('{name} ends', flush=True)"
+STUBBORN = """\
+import signal
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, signal.SIG_IGN)
+print("up", flush=True)
+while True:
+    signal.pause()
+"""
+
+
+def python(tmp_path, name, code):
+    code = code.replace("{name}", name)
+    if "sigwait" in code:
+        code = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})\n" + code
+    return Command(name, [sys.executable, "-S", "-E", "-c", code], tmp_path / f"{name}.log")
+
+
+def environment():
+    return {"LD_LIBRARY_PATH": os.environ.get("LD_LIBRARY_PATH", "")}
+
+
+def wait_for(condition, seconds=5.0):
+    deadline = clock.monotonic() + seconds
+    while not condition():
+        assert clock.monotonic() < deadline
+        clock.sleep(0.01)
+
+
+def up(tmp_path, names):
+    wait_for(
+        lambda: all((tmp_path / f"{name}.log").exists() and last_words(tmp_path / f"{name}.log") for name in names)
+    )
+
+
+def test_shutdown_is_in_reverse_order(tmp_path):
+    names = ["one", "two", "three"]
+    agent = Agent([python(tmp_path, name, OBEDIENT) for name in names], environment())
+    events = agent.start()
+    assert [event.name for event in events] == names
+    up(tmp_path, names)
+    assert agent.running() == names
+    assert agent.shut_down() == []
+    assert agent.running() == []
+    ended = [(tmp_path / f"{name}.log").stat().st_mtime_ns for name in names]
+    assert ended == sorted(ended, reverse=True)
+    assert last_words(tmp_path / "two.log") == "two ends"
+
+
+def test_who_does_not_listen_is_killed_in_time(tmp_path):
+    agent = Agent([python(tmp_path, "deaf", STUBBORN), python(tmp_path, "good", OBEDIENT)], environment())
+    agent.start()
+    up(tmp_path, ["deaf", "good"])
+    began = clock.monotonic()
+    assert agent.shut_down() == ["deaf"]
+    assert clock.monotonic() - began < 4.0
+    assert agent.running() == []
+
+
+class Crasher:
+    """A process that has ended by itself."""
+
+    pid = 5
+
+    def poll(self):
+        return 3
+
+    def send_signal(self, number):
+        raise AssertionError(f"signal {number} for a process that has ended")
+
+
+def test_a_task_that_keeps_dying_is_given_up(tmp_path):
+    agent = Agent([Command("x", ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
+    agent.respawn = True
+    agent.start()
+    events = [event for now in range(60) for event in agent.poll(now * 0.5)]
+    starts = [event for event in events if isinstance(event, Started)]
+    assert [event.restarts for event in starts] == list(range(1, RESPAWN_LIMIT + 1))
+    assert isinstance(events[-1], Died)
+    assert "given up" in events[-1].sentence
+    assert agent.shut_down() == []
+
+
+def test_without_respawn_the_dead_stay_dead(tmp_path):
+    agent = Agent([Command("x", ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
+    agent.start()
+    assert [event for now in range(10) for event in agent.poll(now)] == [
+        Died("x", f"it ended with exit code 3 (log: {tmp_path / 'x.log'})")
+    ]
+
+
+def test_children_end_when_the_agent_is_killed(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from im_bringup.agent import Agent, Command\n"
+        f"argv, log = [sys.executable, '-S', '-E', '-c', {OBEDIENT!r}], Path({str(tmp_path / 'x.log')!r})\n"
+        "agent = Agent([Command('x', argv, log)], {})\n"
+        "print(agent.start()[0].pid, flush=True); sys.stdin.read()"
+    )
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    pid = int(parent.stdout.readline())
+    os.kill(pid, 0)
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+
+    def gone():
+        try:
+            with open(f"/proc/{pid}/stat", encoding="ascii") as file:
+                return file.read().split()[2] == "Z"
+        except FileNotFoundError:
+            return True
+
+    wait_for(gone)
+
+
+@pytest.mark.parametrize(("text", "words"), [("a\nb\n\n", "b"), ("", ""), ("only", "only")])
+def test_last_words(tmp_path, text, words):
+    (tmp_path / "log").write_text(text)
+    assert last_words(tmp_path / "log") == words
+    assert last_words(tmp_path / "none") == ""

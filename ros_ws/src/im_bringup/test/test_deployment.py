@@ -1,0 +1,106 @@
+import re
+
+import pytest
+
+from im_bringup import deployment
+from im_core.config import parse_model
+from im_core.errors import ConfigError, NotFoundError
+
+TASK = "{package: im_dom, executable: dom, node: /%s, parameters: %s}"
+
+
+def machine(hosts):
+    """A deployment from ``{host: {process: {task: parameters}}}``, as YAML text."""
+    lines = ["seed: 3", "hosts:"]
+    for host, processes in hosts.items():
+        lines.append(f"  {host}:")
+        for process, tasks in processes.items():
+            lines.append(f"    {process}:")
+            lines += [f"      {name}: {TASK % (name, parameters)}" for name, parameters in tasks.items()]
+    return "\n".join(lines)
+
+
+def parsed(text):
+    return parse_model(text, deployment.Deployment, name="d.yaml")
+
+
+def test_the_default_deployment_holds_the_nodes_of_the_architecture():
+    nodes = {placed.task.node for placed in deployment.load(deployment.default_path()).tasks()}
+    assert nodes == {
+        "/dispatcher",
+        "/motion_coordinator",
+        "/gripper_coordinator",
+        "/vision_coordinator",
+        "/path_planning_coordinator",
+        "/dom",
+        "/mcs",
+        "/vss",
+        "/testbed",
+        "/pnt_display",
+    }
+
+
+def test_ids_are_unique_and_count_in_starting_order():
+    placed = list(parsed(machine({"localhost": {"a": {"one": "{}"}}, "far": {"b": {"two": "{}"}}})).tasks())
+    assert [(task.id, task.name, task.host, task.process) for task in placed] == [
+        (1, "one", "localhost", "a"),
+        (2, "two", "far", "b"),
+    ]
+
+
+def test_moving_a_task_is_moving_its_line():
+    here = parsed(machine({"localhost": {"a": {"one": "{}"}, "b": {"two": "{}"}}}))
+    there = parsed(machine({"localhost": {"a": {"one": "{}"}}, "far": {"b": {"two": "{}"}}}))
+    assert [task.name for task in here.on_host("localhost")] == ["one", "two"]
+    assert [task.name for task in there.on_host("far")] == ["two"]
+    with pytest.raises(NotFoundError, match="no host of the deployment 'fat'; did you mean 'far'"):
+        there.on_host("fat")
+
+
+def test_references_become_values_and_keep_their_type():
+    text = machine({"localhost": {"a": {"one": '{factor: "${clock_factor}", seed: "${seed}", name: "run ${seed}"}'}}})
+    changed = parsed(text).with_values(0.0, None, None)
+    (placed,) = changed.tasks()
+    assert changed.parameters_of(placed.task) == {"use_sim_time": True, "factor": 0.0, "seed": 3, "name": "run 3"}
+
+
+def test_a_task_may_refuse_simulated_time():
+    value = parsed(machine({"localhost": {"a": {"one": "{use_sim_time: false}"}}}))
+    assert value.parameters_of(next(value.tasks()).task) == {"use_sim_time": False}
+
+
+@pytest.mark.parametrize(
+    ("hosts", "sentence"),
+    [
+        (
+            {"localhost": {"a": {"one": "{}"}, "b": {"one": "{}"}}},
+            "task 'one' is in process 'a' of host 'localhost' and",
+        ),
+        (
+            {"localhost": {"a": {"one": "{}", "two": "{}"}}},
+            "process 'a' of host 'localhost' has 2 tasks, it must have 1",
+        ),
+        ({"localhost": {"a": {"one": '{x: "${sed}"}'}}}, "refers to '${sed}'; known are clock_factor, port, seed"),
+    ],
+)
+def test_contradictions_are_refused(hosts, sentence):
+    with pytest.raises(ConfigError, match=re.escape(sentence)):
+        parsed(machine(hosts))
+
+
+def test_errors_name_file_line_and_field():
+    text = machine({"localhost": {"a": {"one": "{}"}}}).replace("executable: dom", "executable: Dom!")
+    with pytest.raises(ConfigError, match=r"^d\.yaml:5: hosts\.localhost\.a\.one\.executable: 'Dom!'"):
+        parsed(text)
+
+
+def test_a_node_must_be_named_as_its_task():
+    text = machine({"localhost": {"a": {"one": "{}"}}}).replace("node: /one", "node: /other")
+    with pytest.raises(ConfigError, match="task 'one' has the node /other, which must end in the task's name"):
+        parsed(text)
+
+
+def test_values_out_of_range_are_refused():
+    value = parsed(machine({"localhost": {"a": {"one": "{}"}}}))
+    with pytest.raises(ConfigError, match="clock_factor: -1"):
+        value.with_values(-1.0, None, None)

@@ -1,0 +1,53 @@
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from im_bringup import leftovers
+from im_core import clock
+
+SHM = Path("/dev/shm")
+
+
+@pytest.fixture
+def instance(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(20_000 + os.getpid()))
+    return f"im{20_000 + os.getpid()}"
+
+
+def test_processes_are_found_by_their_machine_and_killed(instance):
+    code = [sys.executable, "-S", "-c", "import time; time.sleep(30)"]
+    mine = subprocess.Popen(code, env={**os.environ, leftovers.MARKER: instance})
+    other = subprocess.Popen(code, env={**os.environ, leftovers.MARKER: instance + "0"})
+    try:
+        deadline = clock.monotonic() + 5.0
+        while [process.pid for process in leftovers.processes()] != [mine.pid]:
+            assert clock.monotonic() < deadline
+            clock.sleep(0.01)
+        assert leftovers.kill(leftovers.processes(), timeout_s=3.0) == []
+        assert mine.wait(3.0) == -9
+        assert other.poll() is None
+    finally:
+        for process in (mine, other):
+            process.kill()
+            process.wait()
+
+
+def test_shared_memory_of_the_dead_is_removed_and_that_of_the_living_stays(instance):
+    dead, alive = f"fastrtps_{os.getpid():016x}", f"fastrtps_{os.getpid() + 1:016x}"
+    foreign = f"{instance}0_testbed"
+    names = [dead, f"{dead}_el", alive, f"{alive}_el", f"{instance}_testbed", f"sem.{instance}_state", foreign]
+    for name in names:
+        (SHM / name).touch()
+    try:
+        with (SHM / f"{alive}_el").open() as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            removed = leftovers.remove_shared_memory()
+            assert {dead, f"{dead}_el", f"{instance}_testbed", f"sem.{instance}_state"} <= set(removed)
+            assert [name for name in names if (SHM / name).exists()] == [alive, f"{alive}_el", foreign]
+    finally:
+        for name in names:
+            (SHM / name).unlink(missing_ok=True)

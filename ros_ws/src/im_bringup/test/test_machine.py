@@ -1,0 +1,45 @@
+import json
+import os
+
+import pytest
+
+from im_bringup import machine
+from im_bringup.machine import MachineRecord
+from im_core.errors import DataError, StateError
+from im_core.shm import ProcessId
+
+
+@pytest.fixture(autouse=True)
+def domain(monkeypatch):
+    """A ROS domain of the test's own; its record is removed."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(10_000 + os.getpid()))
+    yield
+    machine.remove()
+
+
+def record(process):
+    return MachineRecord(process.pid, process.start, machine.READY, "START", 3, "/run", "d.yaml", 0.0, 1, 8080, ["x"])
+
+
+def test_a_record_comes_back_as_it_was_written():
+    assert machine.read() is None
+    written = record(ProcessId.current())
+    machine.write(written)
+    assert machine.read() == written
+    assert machine.read_running().alive
+    machine.remove()
+    assert machine.read() is None
+
+
+def test_the_record_of_a_dead_bootstrap_is_not_a_running_machine():
+    current = ProcessId.current()
+    machine.write(record(ProcessId(current.pid, current.start - 1)))  # the same pid, used by an earlier process
+    with pytest.raises(StateError, match=f"no machine runs in ROS domain {machine.domain()}"):
+        machine.read_running()
+
+
+@pytest.mark.parametrize("text", ["", "[]", json.dumps({"pid": 1}), "{"])
+def test_a_damaged_record_is_an_error_with_its_name(text):
+    machine.record_path().write_text(text, encoding="utf-8")
+    with pytest.raises(DataError, match="is not the record of a machine"):
+        machine.read()

@@ -1,0 +1,147 @@
+from hypothesis import given
+from hypothesis import strategies as st
+
+from im_bringup import machine, phases
+from im_bringup.agent import Agent, Command
+from im_bringup.bootstrap import Bootstrap
+from im_bringup.deployment import Placed, Task
+from im_bringup.phases import Phase
+from im_bringup.registry import Progress, Registry
+
+NAMES = ("one", "two", "three")
+ORDER = [Progress.LOADED, Progress.CONFIGURED, Progress.READY]
+
+
+def placed(names=NAMES, host="localhost"):
+    return [
+        Placed(number, name, host, name, Task(package="p", executable="e", node=f"/{name}"))
+        for number, name in enumerate(names, start=1)
+    ]
+
+
+class Process:
+    """Stands for a process of the operating system."""
+
+    pid = 7
+
+    def __init__(self):
+        self.code = None
+
+    def poll(self):
+        return self.code
+
+    def send_signal(self, number):
+        self.code = -number
+
+
+def bootstrap(tmp_path, children=None):
+    children = {} if children is None else children
+
+    def spawn(command, _):
+        children[command.name] = Process()
+        return children[command.name]
+
+    agent = Agent([Command(name, ["x"], tmp_path / name) for name in NAMES], {}, spawn)
+    value = Bootstrap(placed(), agent, "localhost")
+    value.start()
+    return value
+
+
+@given(st.lists(st.tuples(st.sampled_from(NAMES), st.sampled_from(ORDER)), max_size=40))
+def test_no_task_is_told_to_go_on_before_all_have_arrived(tmp_path_factory, reports):
+    value = bootstrap(tmp_path_factory.getbasetemp())
+    reached = dict.fromkeys(NAMES, Progress.STARTING)
+    for name, progress in reports:
+        value.heard(name, 7, 1, progress, "", now=0.0)
+        reached[name] = progress
+        before = value.phase
+        value.poll(0.0)
+        if value.phase is not before:
+            assert value.phase == before + 1
+            assert all(progress >= ORDER[before] for progress in reached.values())
+        if value.state == machine.READY:
+            assert value.phase is Phase.START
+
+
+def test_all_ready_is_ready(tmp_path):
+    value = bootstrap(tmp_path)
+    for progress in ORDER:
+        assert value.state == machine.STARTING
+        for name in NAMES:
+            value.heard(name, 7, 1, progress, "", now=0.0)
+        value.poll(0.0)
+        value.poll(0.0)
+    assert value.state == machine.READY
+    assert value.missing() == []
+
+
+def test_who_is_missing_is_named_with_the_reason(tmp_path):
+    value = bootstrap(tmp_path)
+    value.heard("one", 7, 1, Progress.LOADED, "", now=0.0)
+    assert value.missing() == [
+        "one is loaded, not ready",
+        "two is starting, not ready",
+        "three is starting, not ready",
+    ]
+    value.heard("two", 7, 1, Progress.FAILED, "mcs.yaml:3: slots: missing", now=0.0)
+    value.poll(0.0)
+    assert value.state == machine.FAILED
+    assert value.missing() == ["two failed: mcs.yaml:3: slots: missing"]
+
+
+def test_a_task_that_dies_before_the_machine_was_ready_makes_the_start_fail(tmp_path):
+    children = {}
+    value = bootstrap(tmp_path, children)
+    (tmp_path / "two").write_text("line\nno such module\n\n")
+    children["two"].code = 1
+    value.poll(0.0)
+    assert value.state == machine.FAILED
+    (sentence,) = value.missing()
+    assert sentence.startswith("two died: it ended with exit code 1: no such module (log: ")
+
+
+def test_a_task_that_dies_later_is_started_again_and_catches_up(tmp_path):
+    children = {}
+    value = bootstrap(tmp_path, children)
+    for progress in ORDER:
+        for name in NAMES:
+            value.heard(name, 7, 1, progress, "", now=0.0)
+        value.poll(0.0)
+    value.poll(0.0)
+    children["two"].code = -9
+    value.poll(10.0)
+    assert value.registry.find("two").progress is Progress.DEAD
+    assert "was killed by SIGKILL" in value.registry.find("two").detail
+    value.heard("two", 7, 1, Progress.READY, "", now=10.1)  # a late heartbeat of the dead process
+    assert value.registry.find("two").progress is Progress.DEAD
+    value.poll(10.5)
+    assert value.registry.find("two").restarts == 0
+    value.poll(11.1)
+    record = value.registry.find("two")
+    assert (record.progress, record.restarts) == (Progress.STARTING, 1)
+    value.heard("two", 7, 2, Progress.READY, "", now=11.5)
+    assert value.registry.find("two").progress is Progress.READY
+    assert (value.phase, value.state) == (Phase.START, machine.READY)
+
+
+def test_tasks_of_other_hosts_are_known_by_their_heartbeats():
+    registry = Registry(placed(host="far"), local_host="localhost")
+    assert registry.heard("one", 4, 1, Progress.READY, "", now=0.0)
+    assert not registry.heard("one", 4, 1, Progress.READY, "", now=5.0)
+    assert registry.silence(10.0) == []
+    (record,) = registry.silence(12.0)
+    assert record.detail == "nothing was heard of it for 7.0 s"
+    assert registry.heard("one", 5, 2, Progress.READY, "", now=13.0)
+    assert registry.find("one").restarts == 1
+    assert not registry.heard("stranger", 5, 2, Progress.READY, "", now=13.0)
+
+
+def test_phases_pass_one_by_one():
+    registry = Registry(placed(), local_host="localhost")
+    for name in NAMES:
+        registry.started(name, 7, 0)
+        registry.heard(name, 7, 1, Progress.READY, "", now=0.0)
+    phase = Phase.LOAD
+    for expected in (Phase.CONFIGURE, Phase.START, Phase.START):
+        phase = phases.next_phase(phase, registry.records())
+        assert phase is expected

@@ -1,0 +1,209 @@
+"""The machine comes up in step, is known by name, mends what died, and goes down in order, leaving nothing."""
+
+import json
+import os
+import re
+import signal
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+from std_msgs.msg import UInt8
+
+from im_bringup import leftovers, machine
+from im_core import clock
+from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+from im_msgs.msg import TaskRegistry, TaskStatus
+from im_msgs.srv import QueryTask
+
+
+@pytest.fixture
+def small_machine(script, small_deployment):
+    """The small deployment, running."""
+    done = script("start", small_deployment)
+    assert done.returncode == 0, done.stderr
+    yield done
+    script("stop")
+
+
+@pytest.fixture
+def observer(ros):
+    """A node that keeps what the bootstrap announces and what tasks report."""
+    node = Node("observer")
+    node.phases, node.registries, node.statuses = [], [], []
+    node.create_subscription(UInt8, "/im/phase", lambda message: node.phases.append(message.data), qos.LATCHED)
+    node.create_subscription(TaskRegistry, "/bootstrap/tasks", node.registries.append, qos.LATCHED)
+    node.create_subscription(TaskStatus, "/im/task_status", node.statuses.append, qos.STATUS)
+    return ros(node)
+
+
+def shared_memory():
+    """Files of /dev/shm that the processes of the machine use."""
+    files = set()
+    for running in leftovers.processes():
+        for line in Path(f"/proc/{running.pid}/maps").read_text().splitlines():
+            name = line.split(maxsplit=5)[-1]
+            if name.startswith("/dev/shm/") and "lttng" not in name:
+                files.add(Path(name))
+    return files
+
+
+def test_up_known_mended_down(small_machine, observer, wait_until, script):
+    assert re.search(r"start: ready after \d+\.\d s: 2 tasks, ROS domain \d+, clock factor 1\n", small_machine.stdout)
+    assert [line for line in small_machine.stdout.splitlines() if line.endswith("2 tasks")] == [
+        "start: load 2 tasks",
+        "start: configure 2 tasks",
+        "start: start 2 tasks",
+    ]
+
+    # Whoever comes later learns the phase and the registry.
+    wait_until(lambda: observer.phases and observer.registries, "the latched phase and registry")
+    assert observer.phases[-1] == 2
+    tasks = {task.name: task for task in observer.registries[-1].tasks}
+    assert [(task.id, task.phase, task.node) for task in tasks.values()] == [
+        (1, "ready", "/dom"),
+        (2, "ready", "/gripper_coordinator"),
+    ]
+
+    # By symbolic name.
+    query = observer.create_client(QueryTask, "/bootstrap/query_task")
+    answer = call_blocking(query, QueryTask.Request(name="dom"), 10.0, "dom")
+    assert answer.success
+    assert (answer.task.host, answer.task.package, answer.task.executable) == ("localhost", "im_dom", "dom")
+    assert answer.task.pid == tasks["dom"].pid
+    assert answer.task.incarnation != 0
+    unknown = call_blocking(query, QueryTask.Request(name="dm"), 10.0, "dm")
+    assert (unknown.success, unknown.message) == (
+        False,
+        "there is no task 'dm'; did you mean 'dom'? (known: dom, gripper_coordinator)",
+    )
+
+    # A task that is killed comes back, with another incarnation, and becomes ready alone.
+    os.kill(answer.task.pid, signal.SIGKILL)
+
+    def back():
+        task = observer.registries[-1].tasks[0]
+        return task if task.restarts == 1 and task.phase == "ready" else None
+
+    task = wait_until(back, "dom to be ready again")
+    assert task.incarnation != answer.task.incarnation
+    assert any("was killed by SIGKILL" in registry.tasks[0].detail for registry in observer.registries)
+
+    # A second start of the same ROS domain.
+    second = script("start")
+    assert second.returncode == 1
+    assert f"a machine of ROS domain {machine.domain()} runs already (ready, process" in second.stderr
+
+    # Down in order.
+    began = clock.monotonic()
+    down = script("stop")
+    assert (down.returncode, clock.monotonic() - began < 5.0) == (0, True)
+    assert down.stdout.startswith("stop: all tasks ended in order")
+    assert leftovers.processes() == []
+    assert machine.read() is None
+
+
+def test_after_kill_of_the_bootstrap_stop_leaves_nothing(small_machine, script):
+    used = shared_memory()
+    assert used
+    os.kill(machine.read().pid, signal.SIGKILL)
+    began = clock.monotonic()
+    done = script("stop")
+    assert (done.returncode, clock.monotonic() - began < 5.0) == (0, True), done.stderr
+    assert leftovers.processes() == []
+    assert [path for path in used if path.exists()] == []
+    again = script("stop")
+    assert (again.returncode, again.stdout) == (0, f"stop: no machine runs in ROS domain {machine.domain()}\n")
+
+
+def test_a_start_after_a_killed_machine_works(small_machine, small_deployment, script):
+    os.kill(machine.read().pid, signal.SIGKILL)
+    done = script("start", small_deployment)
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_cannot_start_is_named_and_nothing_is_left(script, tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text(
+        """\
+hosts:
+  localhost:
+    dom:
+      dom: {package: im_dom, executable: dom, node: /dom}
+    testbed:
+      testbed: {package: im_sim, executable: testbed, node: /testbed, parameters: {cell: none.yaml}}
+"""
+    )
+    done = script("start", path)
+    assert done.returncode == 1
+    assert "start: not every task could be started:\n  testbed failed: none.yaml: cannot be read" in done.stderr
+    assert leftovers.processes() == []
+    assert machine.read() is None
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "sentence"),
+    [
+        (("executable: dom", "executable: dm"), 1, "there is no executable of im_dom 'dm'; did you mean 'dom'?"),
+        (("package: im_dom", "package: im_don"), 1, "there is no package with executables 'im_don'; did you mean"),
+        (("hosts", "host"), 2, "small.yaml:1: host: "),
+        (("localhost", "elsewhere"), 1, "there is no host of the deployment 'localhost' (known: elsewhere)"),
+    ],
+)
+def test_wrong_deployments(script, small_deployment, change, code, sentence):
+    small_deployment.write_text(small_deployment.read_text().replace(*change))
+    done = script("start", small_deployment)
+    assert (done.returncode, sentence in done.stderr) == (code, True), done.stderr
+    assert machine.read() is None
+
+
+def test_a_task_on_another_host_takes_part(script, process, small_deployment, observer, wait_until):
+    """The gripper coordinator moves to a host of its own by one line of the file."""
+    text = small_deployment.read_text()
+    small_deployment.write_text(text.replace("    gripper_coordinator:\n", "  far:\n    gripper_coordinator:\n", 1))
+    agent = process(*run("im_bringup", "agent", "far", small_deployment))
+    try:
+        done = script("start", small_deployment)
+        assert done.returncode == 0, done.stderr + agent.out.read_text()
+        wait_until(lambda: observer.registries, "the registry")
+        assert [(task.name, task.host, task.phase) for task in observer.registries[-1].tasks] == [
+            ("dom", "localhost", "ready"),
+            ("gripper_coordinator", "far", "ready"),
+        ]
+    finally:
+        script("stop")
+    wait_until(lambda: agent.poll() is not None, "the end of the other host's agent")
+    assert agent.returncode == 0, agent.out.read_text()
+
+
+def run(*arguments):
+    return ["bash", Path(__file__).resolve().parent.parent / "scripts" / "run.sh", *arguments]
+
+
+def test_ctrl_c_while_starting_leaves_nothing(process, wait_until, tmp_path):
+    path = tmp_path / "waits.yaml"
+    path.write_text(
+        """\
+hosts:
+  localhost:
+    dom:
+      dom: {package: im_dom, executable: dom, node: /dom}
+  never:
+    gripper_coordinator:
+      gripper_coordinator: {package: im_coordinators, executable: gripper_coordinator, node: /gripper_coordinator}
+"""
+    )
+    child = process(*run("im_bringup", "start", path))
+    wait_until(lambda: machine.read(), "the bootstrap")
+    os.kill(child.pid, signal.SIGINT)
+    wait_until(lambda: child.poll() is not None, "the end of start")
+    assert child.returncode == 130, child.out.read_text()
+    assert "interrupted" in child.out.read_text()
+    assert leftovers.processes() == []
+    assert machine.read() is None
+
+
+def test_the_record_is_for_scripts(small_machine):
+    data = json.loads(machine.record_path().read_text())
+    assert {"pid", "state", "phase", "run_dir", "port", "seed", "clock_factor"} <= data.keys()
