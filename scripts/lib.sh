@@ -32,7 +32,7 @@ wants_help() {
 # True where a ROS 2 Jazzy installation is sourced; it is then the underlay, and the virtual environment adds the rest.
 ros_is_sourced() { [[ "${ROS_DISTRO:-}" == jazzy && -n "${AMENT_PREFIX_PATH:-}" && "${IM_WHEELS:-}" != 1 ]]; }
 
-# The Fast DDS profile (16 MB shared-memory segments, so that images pass whole) and the defaults of every process.
+# The Fast DDS profile (quick discovery, images that pass whole) and the defaults of every process.
 im_defaults() {
   if [[ -z "${HOME:-}" ]]; then
     export HOME="$IM_ROOT/.run"

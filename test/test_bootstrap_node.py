@@ -39,12 +39,12 @@ def observer(ros):
 
 
 def shared_memory():
-    """Files of /dev/shm that the processes of the machine use."""
+    """Files of /dev/shm that the processes of the machine use; without the ports that domains share."""
     files = set()
     for running in leftovers.processes():
         for line in Path(f"/proc/{running.pid}/maps").read_text().splitlines():
             name = line.split(maxsplit=5)[-1]
-            if name.startswith("/dev/shm/") and "lttng" not in name:
+            if name.startswith("/dev/shm/") and "lttng" not in name and "_port70" not in name:
                 files.add(Path(name))
     return files
 
@@ -147,7 +147,7 @@ hosts:
     [
         (("executable: dom", "executable: dm"), 1, "there is no executable of im_dom 'dm'; did you mean 'dom'?"),
         (("package: im_dom", "package: im_don"), 1, "there is no package with executables 'im_don'; did you mean"),
-        (("hosts", "host"), 2, "small.yaml:1: host: "),
+        (("hosts", "host"), 2, "small.yaml:2: host: Extra inputs are not permitted"),
         (("localhost", "elsewhere"), 1, "there is no host of the deployment 'localhost' (known: elsewhere)"),
     ],
 )

@@ -18,5 +18,10 @@ setup(
     maintainer_email="maintainers@example.org",
     description="The Vision Services System: cameras, spot finding and camera calibration as vision services.",
     license="MIT",
-    entry_points={"console_scripts": ["vss = im_vss.ros.node:main"]},
+    entry_points={
+        "console_scripts": [
+            "vss = im_vss.ros.node:main",
+            "calibrate_dataset = im_vss.calibration.dataset:main",
+        ]
+    },
 )

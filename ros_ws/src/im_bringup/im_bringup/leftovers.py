@@ -13,7 +13,8 @@ from im_core.shm import ProcessId
 MARKER = "IM_MACHINE"
 
 _SHM = Path("/dev/shm")
-_DDS_LOCK = re.compile(r"^(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))_[es]l$")
+_DDS_FILE = re.compile(r"^(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))(?:_[es]l)?$")
+_LOCK = re.compile(r"_[es]l$")
 
 
 def processes() -> list[ProcessId]:
@@ -65,18 +66,39 @@ def remove_shared_memory() -> list[str]:
 
 
 def _remove_dds_segments() -> list[str]:
-    """Fast DDS holds a lock on the lock file of every segment in use; the kernel gives it back when the owner dies."""
+    """Remove segments whose owner is dead.
+
+    Fast DDS holds a lock on the lock file of every segment in use; the kernel gives it back when the owner dies.
+    A segment without a lock file is in use only if a process has it in its memory.
+    """
+    files: dict[str, list[Path]] = {}
+    for path in sorted(_SHM.glob("fastrtps_*")):
+        match = _DDS_FILE.match(path.name)
+        if match is not None:
+            files.setdefault(match.group(1), []).append(path)
     removed = []
-    for lock in sorted(_SHM.glob("fastrtps_*")):
-        match = _DDS_LOCK.match(lock.name)
-        if match is None or not _unlocked(lock):
+    mapped = _mapped_names()
+    for name, paths in files.items():
+        locks = [path for path in paths if _LOCK.search(path.name)]
+        in_use = any(not _unlocked(path) for path in locks) if locks else name in mapped
+        if in_use:
             continue
-        for name in (match.group(1), f"sem.{match.group(1)}_mutex", lock.name):
-            path = _SHM / name
+        for path in (*paths, _SHM / f"sem.{name}_mutex"):
             if path.exists():
                 path.unlink(missing_ok=True)
-                removed.append(name)
+                removed.append(path.name)
     return removed
+
+
+def _mapped_names() -> set[str]:
+    """Names of the files of /dev/shm that processes have in their memory."""
+    names: set[str] = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        try:
+            names.update(re.findall(r"/dev/shm/(\S+)", maps.read_text(encoding="utf-8", errors="replace")))
+        except OSError:
+            continue
+    return names
 
 
 def _unlocked(path: Path) -> bool:

@@ -38,16 +38,16 @@ def test_processes_are_found_by_their_machine_and_killed(instance):
 
 def test_shared_memory_of_the_dead_is_removed_and_that_of_the_living_stays(instance):
     dead, alive = f"fastrtps_{os.getpid():016x}", f"fastrtps_{os.getpid() + 1:016x}"
-    foreign = f"{instance}0_testbed"
-    names = [dead, f"{dead}_el", alive, f"{alive}_el", f"{instance}_testbed", f"sem.{instance}_state", foreign]
-    for name in names:
+    orphan = f"fastrtps_port{30_000 + os.getpid() % 9999}"
+    gone = [dead, f"{dead}_el", orphan, f"sem.{orphan}_mutex", f"{instance}_testbed", f"sem.{instance}_state"]
+    kept = [alive, f"{alive}_el", f"{instance}0_testbed"]
+    for name in gone + kept:
         (SHM / name).touch()
     try:
         with (SHM / f"{alive}_el").open() as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            removed = leftovers.remove_shared_memory()
-            assert {dead, f"{dead}_el", f"{instance}_testbed", f"sem.{instance}_state"} <= set(removed)
-            assert [name for name in names if (SHM / name).exists()] == [alive, f"{alive}_el", foreign]
+            assert set(gone) <= set(leftovers.remove_shared_memory())
+            assert [name for name in gone + kept if (SHM / name).exists()] == kept
     finally:
-        for name in names:
+        for name in gone + kept:
             (SHM / name).unlink(missing_ok=True)

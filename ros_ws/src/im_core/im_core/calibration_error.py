@@ -21,10 +21,10 @@ class CalibrationError:
 
     Attributes:
         points: The points, shape (m, 3) [m].
-        reprojection_px: RMS over the cameras that truly see a point of the length of the error of its projection, NaN where
-            none does, shape (m,).
-        triangulation_mm: Length of the error of the point triangulated from its true, noise-free images, NaN where fewer
-            than two cameras see it, shape (m,).
+        reprojection_px: RMS over the cameras that truly see a point of the length of the error of its projection, NaN
+            where none does, shape (m,).
+        triangulation_mm: Length of the error of the point triangulated from its true, noise-free images, NaN where
+            fewer than two cameras see it, shape (m,).
     """
 
     points: Array

@@ -155,6 +155,7 @@ class Exchange:
             self.book.answer(request_id, LinkError(why, node=node), {})
         for request in list(self._in_work.values()):
             if request.caller_node == node:
+                del self._in_work[request.id]
                 self.nets[request.net].post(RequestCancelled(request.id, LinkError(why, node=node)))
 
     def partners(self) -> frozenset[str]:

@@ -143,10 +143,19 @@ class Activity:
     checked: bool = False
     on_cancel: list[Callable[[], None]] = field(default_factory=list)
 
-    def cancel(self) -> None:
-        """Asks the action to end early, once; how it ends still decides what is marked."""
+    def cancel(self) -> list[Exception]:
+        """Asks the action to end early, once; how it ends still decides what is marked.
+
+        Returns:
+            What its callbacks raised.
+        """
         if self.cancelled:
-            return
+            return []
         self.cancelled = True
+        raised: list[Exception] = []
         for callback in self.on_cancel:
-            callback()
+            try:
+                callback()
+            except Exception as error:  # foreign code must not keep the others from being told
+                raised.append(error)
+        return raised

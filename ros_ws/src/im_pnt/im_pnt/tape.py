@@ -22,6 +22,14 @@ class InputTape:
         """Whether a symbol is on the tape."""
         return bool(self._waiting.get(symbol))
 
+    def first(self, symbol: str) -> Job:
+        """Returns the oldest command of a symbol, and leaves it on the tape.
+
+        Raises:
+            LookupError: The symbol is not there.
+        """
+        return self._waiting[symbol][0]
+
     def read(self, symbol: str) -> Job:
         """Takes the oldest command of a symbol from the tape.
 

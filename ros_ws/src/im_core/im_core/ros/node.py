@@ -94,7 +94,8 @@ class ManagedNode(Node):
         self._publish_status()
 
     def create_service(self, *args: object, **kwargs: object) -> Service:
-        """As in rclpy, with introspection as the node's parameter says."""
+        """As in rclpy, with queues for many clients, and introspection as the node's parameter says."""
+        kwargs.setdefault("qos_profile", qos.SERVICES)
         service = super().create_service(*args, **kwargs)
         service.configure_introspection(self.get_clock(), qos.EVENTS, self._introspection)
         service.send_response = partial(self._send_when_done, service, service.send_response)

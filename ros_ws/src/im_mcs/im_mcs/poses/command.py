@@ -89,9 +89,7 @@ def to_yaml(group: str, cameras: Sequence[str], placed: Sequence[Placed]) -> str
         wrist = one.candidate.wrist
         position = ", ".join(f"{value:.4f}" for value in wrist.translation)
         quaternion = ", ".join(f"{value:.6f}" for value in pin.Quaternion(wrist.rotation).coeffs())
-        lines.append(
-            f"  - {{name: p{number:0{width}d}, position_m: [{position}], orientation_xyzw: [{quaternion}]}}"
-        )
+        lines.append(f"  - {{name: p{number:0{width}d}, position_m: [{position}], orientation_xyzw: [{quaternion}]}}")
     return "\n".join(lines) + "\n"
 
 

@@ -6,30 +6,22 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-from tf2_msgs.msg import TFMessage
-
 from im_core import clock
 from im_core.errors import ImError, LinkError, StateError
-from im_core.robot import load_cell, urdf
-from im_core.ros import qos
+from im_core.robot import load_cell
 from im_core.ros import run as ros_run
 from im_core.ros.node import ManagedNode, Promise
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, Reply, ServoClient
 from im_mcs.config import McsConfig, load_config
 from im_mcs.model import Model
-from im_mcs.ros import messages
 from im_mcs.ros.kinematics_services import KinematicsServices
 from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.ros.motion_server import MotionServer
+from im_mcs.ros.publishers import Publishers
 from im_mcs.ros.servo_owner import ServoOwner
 from im_mcs.ros.state_services import StateServices
 from im_mcs.state import UNCONFIGURED_MESSAGE, Event, State, lifecycle_of, next_state
-from im_msgs.msg import McsState
 
 Started = Callable[[int], None]
 _POLL_S = 0.02
@@ -55,7 +47,6 @@ class McsNode(ManagedNode):
         cell = load_cell()
         self.model = Model(cell)
         self.kinematics = Kinematics(self.config, Model(cell))
-        self._frames = messages.Frames(cell, Model(cell))
         self._owner: ServoOwner | None = None
         self._starting: tuple[ServoOwner, Promise] | None = None
         self._reason = ""
@@ -70,14 +61,7 @@ class McsNode(ManagedNode):
                 "shutdown": self._shutdown,
             },
         )
-        self._state_publisher = self.create_publisher(McsState, "/mcs/state", qos.LATCHED)
-        self._joint_publisher = self.create_publisher(JointState, "/joint_states", qos.EVENTS)
-        self._tf_publisher = self.create_publisher(TFMessage, "/tf", qos.EVENTS)
-        self._static_publisher = self.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", qos.EVENTS)
-        self._description_publisher = self.create_publisher(String, "/robot_description", qos.LATCHED)
-        self._description_publisher.publish(String(data=urdf(cell)))
-        self._static_publisher.publish(TFMessage(transforms=self._frames.fixed()))
+        self._topics = Publishers(self, self.config, Model(cell))
         self._servers = (StateServices(self), KinematicsServices(self), MotionServer(self))
         self._publish_state()
 
@@ -216,12 +200,7 @@ class McsNode(ManagedNode):
             self._follow_servo()
             self._publish_state()
             return
-        samples = owner.client.samples()
-        for sample in samples:
-            self._joint_publisher.publish(messages.joint_state(self.model.names, sample))
-        if samples:
-            last = samples[-1]
-            self._tf_publisher.publish(TFMessage(transforms=self._frames.moving(np.array(last["q"]), last["stamp_ns"])))
+        self._topics.joints(owner.client.samples())
 
     def _await_servo(self) -> None:
         if self._starting is None or self._starting[1].done():
@@ -248,11 +227,11 @@ class McsNode(ManagedNode):
 
     def _publish_state(self) -> None:
         snapshot = None if self._owner is None else self._owner.client.snapshot()
-        self._state_publisher.publish(messages.mcs_state(self.config, self.state, self._reason, snapshot))
+        self._topics.state(self.state, self._reason, snapshot)
 
     def _publish_diagnostics(self) -> None:
         if self._owner is not None:
-            self._diagnostics_publisher.publish(messages.diagnostics(self.state, self._owner.client.snapshot()))
+            self._topics.diagnostics(self.state, self._owner.client.snapshot())
 
 
 def main() -> int:

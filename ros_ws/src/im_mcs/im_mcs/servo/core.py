@@ -8,14 +8,12 @@ import numpy as np
 from im_core.errors import ImError, LimitError, LinkError, NotFoundError, StateError
 from im_mcs.client.requests import Request, check_path, check_speed_scale, parse_request
 from im_mcs.config import McsConfig
-from im_mcs.control import ControllerSetup, load_controller
 from im_mcs.control.velocity import VelocityEstimator
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
-from im_mcs.planning import GroupPlanner, JointPath
+from im_mcs.planning import JointPath
 from im_mcs.servo.gripper import GripperMotion
-from im_mcs.servo.group import ControlledGroup, Goal
-from im_mcs.servo.rest import RestMonitor
+from im_mcs.servo.group import ControlledGroup, Goal, make_group
 from im_mcs.state import Event, State
 from im_mcs.state.manager import StateManager
 from im_mcs.testbed import Drive, Measured, TestbedInterface
@@ -54,7 +52,7 @@ class Mcs:
         self.wants_time = False
         self._emit = emit
         self._velocity = VelocityEstimator(model.n, config.servo.period_s, config.servo.velocity_bandwidth_rad_s)
-        self.groups = {name: self._group(name) for name in config.groups}
+        self.groups = {name: make_group(name, config, model, self.limits, self.measured.q) for name in config.groups}
         self.manager = StateManager(
             groups={name: group.joints for name, group in config.groups.items()},
             index={name: group.index for name, group in self.groups.items()},
@@ -137,30 +135,6 @@ class Mcs:
         """Whether every engaged group is at rest or given up on."""
         return all(group.settled for group in self.groups.values() if group.engaged)
 
-    def _group(self, name: str) -> ControlledGroup:
-        config, model = self.config, self.model
-        index = np.array([model.index(joint) for joint in config.groups[name].joints], dtype=np.intp)
-        control = config.group_control.get(name, config.control)
-        setup = ControllerSetup(
-            joints=index,
-            period_s=config.servo.period_s,
-            model=model,
-            torque_limit=self.limits.torque[index],
-            q_nominal=model.cell.home,
-            parameters=control.parameters,
-        )
-        motion = self.limits.motion.of(index)
-        return ControlledGroup(
-            name=name,
-            index=index,
-            planner=GroupPlanner(self.measured.q[index], config.servo.period_s, config.servo.planning_divisor, motion),
-            controller=load_controller(control.controller, setup),
-            monitor=RestMonitor(
-                model.cell.per_joint("resolution")[index], model.cell.per_joint("noise")[index], config.servo
-            ),
-            limits=self.limits,
-        )
-
     def _obey(self, request: Request) -> None:
         event, arguments = request.event, request.arguments
         match event:
@@ -234,15 +208,15 @@ class Mcs:
             joint = self.model.names[int(np.argmin(np.isfinite(m.q)))]
             self._protect(f"{joint} gave no reading at tick {m.tick}")
         elif (fault := self.limits.overspeed(self.v)) is not None:
-            self._protect(fault.message)
+            self._protect(fault.message, **fault.facts)
         else:
             for group in self.groups.values():
                 if group.engaged and (excess := group.following_fault(m.tick, m.q)) is not None:
-                    self._protect(excess.message)
+                    self._protect(excess.message, **excess.facts)
 
-    def _protect(self, reason: str) -> None:
+    def _protect(self, reason: str, **facts: object) -> None:
         if self.manager.state in (State.RESERVED, State.ACTIVE, State.MOTION):
-            self.manager.estop(reason)
+            self.manager.estop(reason, **facts)
 
     def _control(self, m: Measured) -> None:
         tau = np.zeros(self.model.n)

@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, StateError
-from im_mcs.control import ControlInput, Controller
+from im_mcs.config import McsConfig
+from im_mcs.control import ControlInput, Controller, ControllerSetup, load_controller
 from im_mcs.limits import JointLimits
+from im_mcs.model import Model
 from im_mcs.planning import GroupPlanner, JointPath
 from im_mcs.servo.rest import RestMonitor, RestPhase
 
@@ -158,3 +160,39 @@ class ControlledGroup:
             value=error,
             unit=unit,
         )
+
+
+def make_group(
+    name: str, config: McsConfig, model: Model, limits: JointLimits, q_all: NDArray[np.float64]
+) -> ControlledGroup:
+    """A group as the configuration describes it.
+
+    Args:
+        name: Name of the group.
+        config: Configuration.
+        model: Kinematics and dynamics.
+        limits: Limits of all joints.
+        q_all: Where all joints are, shape (18,) [rad or m].
+
+    Raises:
+        ConfigError: Its control law cannot be loaded.
+    """
+    index = np.array([model.index(joint) for joint in config.groups[name].joints], dtype=np.intp)
+    control = config.group_control.get(name, config.control)
+    setup = ControllerSetup(
+        joints=index,
+        period_s=config.servo.period_s,
+        model=model,
+        torque_limit=limits.torque[index],
+        q_nominal=model.cell.home,
+        parameters=control.parameters,
+    )
+    cell, servo = model.cell, config.servo
+    return ControlledGroup(
+        name=name,
+        index=index,
+        planner=GroupPlanner(q_all[index], servo.period_s, servo.planning_divisor, limits.motion.of(index)),
+        controller=load_controller(control.controller, setup),
+        monitor=RestMonitor(cell.per_joint("resolution")[index], cell.per_joint("noise")[index], servo),
+        limits=limits,
+    )

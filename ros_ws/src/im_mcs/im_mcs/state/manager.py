@@ -129,7 +129,7 @@ class StateManager:
         self.state = next_state(self.state, Event.RELEASE if self.reservations.groups else Event.RELEASE_LAST)
 
     def begin(self, event: Event, reply: Reply) -> None:
-        """Start a transition that takes several ticks; ``reply`` is called at its end.
+        """Start a transition that goes on in :meth:`tick`; ``reply`` is called at its end.
 
         Raises:
             StateError: Not allowed now.
@@ -150,7 +150,6 @@ class StateManager:
             Event.RESET: self._reset,
         }[event]
         self._running = _Running(event, steps(target), reply)
-        self.tick()
 
     def tick(self) -> None:
         """Go on with the transition that is under way."""
@@ -166,14 +165,19 @@ class StateManager:
             self._running = None
             running.reply(error)
 
-    def estop(self, reason: str) -> None:
+    def estop(self, reason: str, **facts: object) -> None:
         """Stop at once: setpoints dropped, goals ended, brakes on, power off; latched.
+
+        Args:
+            reason: Why.
+            **facts: Named values the reason speaks of.
 
         Raises:
             StateError: There is nothing to stop: power is off already.
         """
         target = self.check(Event.ESTOP)
         error = StateError(f"emergency stop: {reason}", reason=reason)
+        error.facts.update(facts)
         running, self._running = self._running, None
         self.state = target
         self.cause = reason

@@ -39,6 +39,7 @@ def fill(message: Any, fields: Mapping[str, object], where: str) -> Any:
         NetError: No such field, or a value that does not fit.
     """
     types = message.get_fields_and_field_types()
+    message._check_fields = True  # otherwise a wrong type is met first by the serialiser, which aborts the process
     for name, value in fields.items():
         if name not in types:
             raise NetError(f"{where} has no field '{name}'{nearest(name, types)}", field=name)
@@ -61,7 +62,11 @@ def _fitted(present: Any, type_name: str, value: Any, where: str) -> Any:
                 fill(make(), entry, f"{where}[{index}]") if isinstance(entry, Mapping) else entry
                 for index, entry in enumerate(value)
             ]
-        return list(value)
-    if isinstance(value, int) and not isinstance(value, bool) and type_name in ("double", "float"):
-        return float(value)
-    return value
+        return [_number(entry, element) for entry in value]
+    return _number(value, type_name)
+
+
+def _number(value: Any, type_name: str) -> Any:
+    """YAML writes 1 where a message wants 1.0."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return float(value) if whole and type_name in ("double", "float") else value

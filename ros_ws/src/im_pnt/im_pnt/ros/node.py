@@ -46,6 +46,8 @@ class CommandOutcome:
 class PntNode(ManagedNode):
     """ROS shell of nets in execution.
 
+    ``dom`` is the client of the Data Object Manager, ``heartbeats`` tells who is alive.
+
     Args:
         name: Name of the node.
         net_files: Net files to load, verify and run.
@@ -130,10 +132,7 @@ class PntNode(ManagedNode):
         for transition in net.transitions.values():
             if isinstance(transition.action, ServiceAction | GoalAction):
                 self._ros_actions.prepare(transition.action)
-        previous = self.exchange.nets.get(net.name)
         self.exchange.add(executive)
-        if previous is not None:
-            executive.sequence = previous.sequence
         for partner in net.partners() - self.exchange.nets.keys():
             self._transport.prepare(partner)
         self._publisher.description(executive)

@@ -17,8 +17,8 @@ class Verdict:
     """A reason not to trust a calibration.
 
     Attributes:
-        kind: ``UNOBSERVABLE`` (the data cannot determine some parameters) or ``MISFIT`` (the stated noise cannot explain
-            the residuals).
+        kind: ``UNOBSERVABLE`` (the data cannot determine some parameters) or ``MISFIT`` (the stated noise cannot
+            explain the residuals).
         parameters: The parameters concerned.
         reason: What is wrong, a sentence.
         advice: What to do about it, a sentence.
@@ -139,6 +139,7 @@ class Calibration:
         if self.verdicts:
             return " ".join(str(verdict) for verdict in self.verdicts)
         names = ", ".join(camera.name for camera in self.cameras)
-        text = f"Calibrated {names} from {self.points_used} poses; expect {self.expected.reprojection_rms_px:.3f} px"
-        triangulation = self.expected.triangulation_rms_mm
-        return f"{text} and {triangulation:.2f} mm RMS in the workspace." if triangulation == triangulation else f"{text} RMS."
+        text = f"Calibrated {names} from {self.points_used} poses"
+        errors = [f"{self.expected.reprojection_rms_px:.3f} px", f"{self.expected.triangulation_rms_mm:.2f} mm"]
+        known = " and ".join(error for error in errors if not error.startswith("nan"))
+        return f"{text}; expect {known} RMS in the workspace." if known else f"{text}; none of them sees the workspace."

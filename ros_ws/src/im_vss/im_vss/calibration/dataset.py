@@ -64,7 +64,7 @@ def problem_of_trial(dataset: dict[str, Any], trial: dict[str, Any]) -> Calibrat
 
 
 def answer_to_trial(dataset: dict[str, Any], trial: dict[str, Any]) -> dict[str, Any]:
-    """What the calibrator writes for one trial; where no estimate is possible, no cameras and the flag that says why."""
+    """What the calibrator writes for one trial; where no estimate is possible, no cameras, and the flag says why."""
     problem = problem_of_trial(dataset, trial)
     try:
         result = calibrate(problem)

@@ -15,7 +15,7 @@ class DegenerateDataError(DataError):
     default_code = "unobservable"
 
     def __init__(self, message: str, *, parameters: tuple[str, ...] = (), **facts: object) -> None:
-        super().__init__(message, parameters=list(parameters), **facts)
+        super().__init__(message, code=self.default_code, **{"parameters": list(parameters), **facts})
         self.parameters = parameters
 
 

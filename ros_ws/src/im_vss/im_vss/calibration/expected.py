@@ -48,8 +48,8 @@ def expected_error(
 ) -> ExpectedError:
     """Propagate the covariance of the cameras to points of the workspace, to first order.
 
-    Triangulation is from noise-free images, least squares in all cameras that see the point: with A the derivatives of the
-    images by the point and B by the parameters, the point moves by ``-(A^T A)^-1 A^T B d(parameters)``.
+    Triangulation is from noise-free images, least squares in all cameras that see the point: with A the derivatives of
+    the images by the point and B by the parameters, the point moves by ``-(A^T A)^-1 A^T B d(parameters)``.
 
     Args:
         unknowns: The estimate.

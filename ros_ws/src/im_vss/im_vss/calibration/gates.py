@@ -42,8 +42,9 @@ class Gated:
 def fit_with_gates(first: Fit, problem: CalibrationProblem, layout: Layout) -> Gated:
     """Alternate between gates and maximum likelihood until the set of spots no longer changes.
 
-    Where gates at the stated noise would leave out more than outliers explain, the noise is larger than stated (or the model
-    is wrong): the gates then widen with the scatter of the typical pose, so that the misfit is seen and not sorted away.
+    Where gates at the stated noise would leave out more than outliers explain, the noise is larger than stated (or the
+    model is wrong): the gates then widen with the scatter of the typical pose, so that the misfit is seen and not
+    sorted away.
 
     Args:
         first: A robust fit.
@@ -61,7 +62,7 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Layout, u
 
     Leaving a pose out takes its share from the information; the parameters then have covariance P', move by
     ``-P' J^T S^-1 r``, and the pose's spots deviate with covariance ``S + J P' J^T``. A spot may thus return once what
-    spoiled the estimate is gone. Source: Cook and Weisberg, "Residuals and Influence in Regression" (1982), section 2.2.
+    spoiled the estimate is gone. Source: Cook and Weisberg, "Residuals and Influence in Regression" (1982), chapter 2.
 
     Args:
         fit: A fit to `used`.
@@ -133,7 +134,7 @@ def _first_gate(fit: Fit, problem: CalibrationProblem, layout: Layout) -> Mask:
 def _own_distances(prediction: Prediction) -> Array:
     spots = np.swapaxes(prediction.errors.reshape(len(prediction.errors), -1, 2), 0, 1)
     solved = np.linalg.solve(camera_blocks(prediction.covariances), spots[..., None])[..., 0]
-    return np.maximum((spots * solved).sum(axis=2), 0.0)
+    return np.asarray(np.maximum((spots * solved).sum(axis=2), 0.0))
 
 
 def _enough(chosen: Mask, layout: Layout) -> bool:

@@ -28,8 +28,8 @@ _RESTARTS = 1
 def calibrate(problem: CalibrationProblem) -> Calibration:
     """Calibrate all cameras of a problem together.
 
-    DLT and RANSAC start, robust fit, chi-square gates and maximum likelihood until stable, covariance, verdicts. The result
-    does not depend on the order of the poses, and the same problem gives the same bits.
+    DLT and RANSAC start, robust fit, chi-square gates and maximum likelihood until stable, covariance, verdicts. The
+    result does not depend on the order of the poses, and the same problem gives the same bits.
 
     Args:
         problem: The observations.
@@ -64,7 +64,8 @@ def _robust_start(problem: CalibrationProblem, layout: Layout) -> Fit:
     for camera, spots in zip(problem.camera_names, seen.sum(axis=1), strict=True):
         if spots < MINIMUM_SPOTS:
             raise InconsistentDataError(
-                f"No camera explains where {camera} saw the LED; check that the spots belong to these poses.", camera=camera
+                f"No camera explains where {camera} saw the LED; check that the spots belong to these poses.",
+                camera=camera,
             )
     return best
 
@@ -124,11 +125,11 @@ def _rejections(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, .
         sigmas = np.sqrt(gated.distances[:, i])
         if len(out) > 1 and len(out) == problem.detected[:, i].sum():
             worst = float(sigmas[out].max())
-            reason = f"No camera agrees with the robot's position (up to {worst:.1f} sigma): stale or wrong joint reading?"
+            reason = f"The robot's position disagrees with all cameras by {worst:.1f} sigma: stale joint reading?"
             rejections.append(Rejection(pose, "", reason, worst))
             continue
         for c in out:
-            reason = f"The spot is {sigmas[c]:.1f} sigma from where all other poses predict it: wrong or disturbed light?"
+            reason = f"The spot is {sigmas[c]:.1f} sigma from where the other poses predict it: wrong light?"
             rejections.append(Rejection(pose, problem.camera_names[c], reason, float(sigmas[c])))
     return tuple(rejections)
 

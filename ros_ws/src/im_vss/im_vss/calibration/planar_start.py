@@ -47,7 +47,7 @@ def planar_start(
 
 def _homography(flat: Array, image: Array, tolerance: float) -> Array:
     """Homography plane -> image by reweighted direct linear transformation, shape (3, 3)."""
-    weights = np.ones(len(flat))
+    weights, homography = np.ones(len(flat)), np.eye(3)
     plane = np.column_stack((flat, np.ones(len(flat))))
     for _ in range(_ROUNDS):
         rows = np.zeros((len(flat), 2, 9))
@@ -60,7 +60,7 @@ def _homography(flat: Array, image: Array, tolerance: float) -> Array:
         squared = ((mapped[:, :2] / depth[:, None] - image) ** 2).sum(axis=1)
         scale = max(tolerance**2, 4.0 * float(np.median(squared)))
         weights = (1.0 + squared / scale) ** -2
-    return homography
+    return np.asarray(homography)
 
 
 def _focal_length(homography: Array) -> float:

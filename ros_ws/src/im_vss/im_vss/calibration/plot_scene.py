@@ -38,7 +38,8 @@ def draw_scene(axes: Axes3D, calibration: Calibration, problem: CalibrationProbl
     for camera, colour in zip(calibration.cameras, _COLOURS * len(calibration.cameras), strict=False):
         axes.add_collection3d(Line3DCollection(_frustum(camera.model), colors=colour, linewidths=1.4))
         axes.scatter(*camera.model.position, s=20, color=colour, depthshade=False, label=camera.name)
-    everything = np.vstack((points, [problem.workspace.low, problem.workspace.high], [c.model.position for c in calibration.cameras]))
+    stands = [camera.model.position for camera in calibration.cameras]
+    everything = np.vstack((points, problem.workspace.low, problem.workspace.high, stands))
     low, high = everything.min(axis=0) - 0.1, everything.max(axis=0) + 0.1
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=1.1)

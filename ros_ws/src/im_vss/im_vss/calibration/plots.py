@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
@@ -45,9 +46,9 @@ def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target
         )  # fmt: skip
         axes.add_collection(ellipses)
         axes.plot(*residuals.T, "o", color=USED, markersize=3.5, zorder=3)
-        outside = int(np.sum(np.any(np.abs(calibration.residuals[c][_left_out(calibration, problem, c)]) > limit, axis=1)))
-        inside = calibration.residuals[c][_left_out(calibration, problem, c)]
-        axes.plot(*inside.T, "x", color=REJECTED, markersize=5, zorder=3)
+        left_out = calibration.residuals[c][_left_out(calibration, problem, c)]
+        outside = int(np.sum(np.any(np.abs(left_out) > limit, axis=1)))
+        axes.plot(*left_out.T, "x", color=REJECTED, markersize=5, zorder=3)
         axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="du [px]", ylabel="dv [px]")
         note = f", {outside} rejected beyond the frame" if outside else ""
         axes.set_title(f"{camera.name}\n{camera.spots_used} spots, {camera.rms_px:.3f} px RMS{note}", fontsize=9)
@@ -83,12 +84,11 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
     used = calibration.used.any(axis=0)
     for column, (i, j) in enumerate(((0, 1), (0, 2))):
         axes = figure.add_subplot(grid[1, column])
-        low, high = problem.workspace.low, problem.workspace.high
-        axes.add_patch(
-            Rectangle((low[i], low[j]), high[i] - low[i], high[j] - low[j], fill=False, edgecolor=NOISE, label="workspace")
-        )
-        axes.plot(calibration.led_positions[used, i], calibration.led_positions[used, j], "o", color=USED, markersize=4)
-        axes.plot(calibration.led_positions[~used, i], calibration.led_positions[~used, j], "x", color=REJECTED, markersize=6)
+        low, high = np.array(problem.workspace.low)[[i, j]], np.array(problem.workspace.high)[[i, j]]
+        axes.add_patch(Rectangle((low[0], low[1]), *(high - low), fill=False, edgecolor=NOISE, label="workspace"))
+        points = calibration.led_positions[:, [i, j]]
+        axes.plot(*points[used].T, "o", color=USED, markersize=4)
+        axes.plot(*points[~used].T, "x", color=REJECTED, markersize=6)
         axes.set(aspect="equal", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
         axes.margins(0.08)
         axes.set_title("LED positions " + ("from above" if j == 1 else "from the side"), fontsize=9)
@@ -107,7 +107,7 @@ def plot_geometry(calibration: Calibration, problem: CalibrationProblem, target:
         problem: What it was made from.
         target: Where the PNG goes.
     """
-    figure = _figure(12.0, 6.6)
+    figure = _figure(12.0, 7.0, gap=0.12)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15))
     draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), calibration, problem)
     expected = calibration.expected
@@ -116,10 +116,8 @@ def plot_geometry(calibration: Calibration, problem: CalibrationProblem, target:
     for row, third in enumerate((2, 1)):
         axes = figure.add_subplot(grid[row, 1])
         _plot_expected(figure, axes, expected.points, values, third, "mm" if triangulated else "px")
-    figure.suptitle(
-        f"Geometry, and the {'triangulation' if triangulated else 'reprojection'} error to expect (one standard deviation)",
-        fontsize=11,
-    )
+    kind = "triangulation" if triangulated else "reprojection"
+    figure.suptitle(f"Geometry, and the {kind} error to expect (one standard deviation)", fontsize=11)
     _save(figure, target)
 
 
@@ -131,13 +129,13 @@ def _plot_chi2(axes: Axes, calibration: Calibration) -> None:
     share = (np.arange(len(lengths)) + 0.5) / max(len(lengths), 1)
     curve = np.linspace(0.0, max(12.0, float(lengths[-1])), 300)
     kept = max(calibration.dof, 1) / max(2 * len(lengths), 1)
-    axes.plot(curve, 1.0 - np.exp(-curve / 2.0 / kept), "-", color=NOISE, linewidth=1.5, label="stated noise, less the fit")
+    stated = 1.0 - np.exp(-curve / 2.0 / kept)
+    axes.plot(curve, stated, "-", color=NOISE, linewidth=1.5, label="stated noise, less the fit")
     axes.step(lengths, share, where="mid", color=USED, linewidth=1.2, label="spots used")
     axes.set(xlabel="squared length of a residual [sigma²]", ylabel="share of the spots below", ylim=(0.0, 1.02))
     axes.set_xlim(left=0.0)
-    axes.set_title(
-        f"chi2/dof {calibration.chi2_per_dof:.3f}, p {calibration.p_value:.2g}\n{calibration.points_used} poses", fontsize=9
-    )
+    figures = f"chi2/dof {calibration.chi2_per_dof:.3f}, p {calibration.p_value:.2g}"
+    axes.set_title(f"{figures}\n{calibration.points_used} poses", fontsize=9)
     axes.legend(fontsize=8, loc="lower right")
     _grid(axes)
 
@@ -162,8 +160,8 @@ def _left_out(calibration: Calibration, problem: CalibrationProblem, c: int) -> 
     return np.asarray(problem.detected[c] & ~calibration.used[c])
 
 
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+def _figure(width: float, height: float, gap: float = 0.04) -> Figure:
+    figure = Figure(figsize=(width, height), dpi=110, layout=ConstrainedLayoutEngine(h_pad=gap))
     FigureCanvasAgg(figure)
     return figure
 

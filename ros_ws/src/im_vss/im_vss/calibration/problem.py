@@ -19,8 +19,8 @@ MINIMUM_SPOTS = 7
 class CalibrationProblem:
     """Observations of one wrist LED by one or more cameras over n poses of the arm.
 
-    The true LED position of pose i is ``positions[i] + wrist_rotations[i] @ e + joint_jacobians[i] @ dq + noise``, where
-    the noise has covariance ``position_covariances[i]``, is independent between poses and common to all cameras; `e`
+    The true LED position of pose i is ``positions[i] + wrist_rotations[i] @ e + joint_jacobians[i] @ dq + noise``; the
+    noise has covariance ``position_covariances[i]``, is independent between poses and common to all cameras; `e`
     and `dq` are constant unknowns with zero-mean priors.
 
     Attributes:

@@ -99,7 +99,8 @@ def summary(report: Mapping[str, Any]) -> str:
     lines += [
         f"poses used          {report['points_used']} of {report['points_given']}"
         f" ({len(report['points_not_seen'])} spots not found, {len(report['points_rejected'])} observations rejected)",
-        f"chi2 / dof          {_text(report['chi2_per_dof'], '.3f')} (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
+        f"chi2 / dof          {_text(report['chi2_per_dof'], '.3f')}"
+        f" (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
         f"expected error      {_text(report['expected_error']['reprojection_px'], '.3f')} px reprojection,"
         f" {_text(report['expected_error']['triangulation_mm'], '.2f')} mm triangulation, RMS over the workspace",
         "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
@@ -134,7 +135,8 @@ def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
         ("t_cam_base [mm]", camera["t_cam_base_m"], ("tx", "ty", "tz"), 1e3),
     ]
     lines = [f"{camera['name']} ({camera['spots_used']} spots, residuals {_text(camera['rms_px'], '.3f')} px RMS)"]
-    lines += [f"  {label:<17} {_vector(values, [sd[name] for name in names], scale)}" for label, values, names, scale in rows]
+    for label, values, names, scale in rows:
+        lines.append(f"  {label:<17} {_vector(values, [sd[name] for name in names], scale)}")
     spread = ", ".join(_text(sd[name] and 1e3 * sd[name], ".2f") for name in ("rx", "ry", "rz"))
     lines.append(f"  rotation [mrad]   known to {spread}")
     lines.append(f"  stands at [m]     {', '.join(f'{value:.3f}' for value in centre)}")

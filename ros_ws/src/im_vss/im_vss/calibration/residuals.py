@@ -1,10 +1,10 @@
 """Residuals of all spots, their derivatives, and their covariance with the LED positions eliminated.
 
-The uncertain LED positions X_i are unknowns that the cameras share. The normal equations of everything have one 3x3 block for
-each; taking its Schur complement leaves equations in the parameters alone, whose residuals have the covariance
-``S_i = Sigma_u + A_i C_i A_i^T``: A_i are the derivatives of all spots of pose i by X_i, C_i is the covariance of the measured
-position, and the blocks off the diagonal carry what the cameras have in common. Source: Triggs et al., "Bundle adjustment -
-a modern synthesis" (2000), section 6; the identity is the matrix inversion lemma.
+The uncertain LED positions X_i are unknowns that the cameras share. The normal equations of everything have one 3x3
+block for each; taking its Schur complement leaves equations in the parameters alone, whose residuals have the
+covariance ``S_i = Sigma_u + A_i C_i A_i^T``: A_i are the derivatives of all spots of pose i by X_i, C_i is the
+covariance of the measured position, and the blocks off the diagonal carry what the cameras have in common. Source:
+Triggs et al., "Bundle adjustment - a modern synthesis" (2000), section 6; the identity is the matrix inversion lemma.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.projection import project
-from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
+from im_vss.calibration.unknowns import Layout, Unknowns
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,8 +25,8 @@ class Linearisation:
     """The problem around a value of the unknowns, n poses in c cameras; rows where no spot counts are zero.
 
     Attributes:
-        residuals: Measured spots minus those predicted from the robot's positions, linearised at the estimated positions,
-            shape (n, 2c) [px].
+        residuals: Measured spots minus those predicted from the robot's positions, linearised at the estimated
+            positions, shape (n, 2c) [px].
         by_point: Derivatives of the predictions by the LED position, shape (n, 2c, 3) [px/m].
         jacobians: Derivatives of the predictions by the unknowns, shape (n, 2c, size).
         covariances: Covariances S of the residuals, unit rows where no spot counts, shape (n, 2c, 2c) [px^2].
@@ -55,13 +55,14 @@ def linearise(
     )
     c, n = used.shape
     residuals = by_pose(np.where(used[..., None], problem.spots - pixels, 0.0))
-    stacked = np.ascontiguousarray(np.swapaxes(np.where(used[..., None, None], by_point, 0.0), 0, 1)).reshape(n, 2 * c, 3)
+    stacked = np.ascontiguousarray(np.swapaxes(np.where(used[..., None, None], by_point, 0.0), 0, 1)).reshape(
+        n, 2 * c, 3
+    )
     by_camera = np.where(used[..., None, None], by_camera, 0.0)
 
-    jacobians = np.zeros((n, c, 2, layout.size))
+    jacobians = np.zeros((n, 2 * c, layout.size))
     for camera in range(c):
-        jacobians[:, camera, :, PER_CAMERA * camera : PER_CAMERA * (camera + 1)] = by_camera[camera]
-    jacobians = jacobians.reshape(n, 2 * c, layout.size)
+        jacobians[:, 2 * camera : 2 * camera + 2, layout.camera_slice(camera)] = by_camera[camera]
     if layout.led:
         jacobians[:, :, layout.led_slice] = stacked @ problem.wrist_rotations
     if layout.joints and problem.joint_jacobians is not None:
@@ -78,7 +79,7 @@ def linearise(
 
 
 def image_residuals(unknowns: Unknowns, problem: CalibrationProblem, used: Mask) -> Array | None:
-    """Spots minus the images of the estimated positions, shape (n, 2c) [px]; None if a used spot is behind its camera."""
+    """Spots minus images of the estimated positions, shape (n, 2c) [px]; None if a used spot is behind its camera."""
     pixels = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, unknowns.led_positions(problem))[0]
     if not np.all(np.isfinite(pixels[used])):
         return None

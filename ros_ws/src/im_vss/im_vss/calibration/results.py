@@ -46,7 +46,7 @@ def write_results(directory: Path | str, calibration: Calibration, problem: Cali
 
 
 def _pictures(calibration: Calibration, problem: CalibrationProblem) -> dict[str, bytes]:
-    """The plots by file name; matplotlib is loaded with the first picture, not with the node that may never draw one."""
+    """The plots by file name; matplotlib is loaded with the first picture, not with a node that may never draw."""
     from im_vss.calibration.plots import plot_coverage, plot_geometry, plot_residuals
 
     pictures = {}

@@ -67,7 +67,7 @@ def maximise_likelihood(
     damping, steps = 1e-4, 0
     while True:
         line = linearise(unknowns, problem, layout, used, cost.image_covariances)
-        weights = np.linalg.inv(line.covariances)
+        weights: Array = np.asarray(np.linalg.inv(line.covariances), dtype=np.float64)
         information, gradient = _normal_equations(line, weights, unknowns, layout)
         diagonal = np.diag(information)
         scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
@@ -163,13 +163,14 @@ class _Cost:
         """The same cameras with the LED positions that suit them best, to first order."""
         line = linearise(unknowns, self._problem, self._layout, self._used, self.image_covariances)
         still = np.zeros(self._layout.size)
-        moved = _displacements(line, np.linalg.inv(line.covariances), still, self._problem)
+        weights: Array = np.asarray(np.linalg.inv(line.covariances), dtype=np.float64)
+        moved = _displacements(line, weights, still, self._problem)
         candidate = replace(unknowns, displacements=moved)
         return candidate if self(candidate) < self(unknowns) else unknowns
 
 
 def _displacements(line: Linearisation, weights: Array, step: Array, problem: CalibrationProblem) -> Array:
-    """LED displacements that go with a step of the parameters: back-substitution of the Schur complement, shape (n, 3)."""
+    """LED displacements that go with a step: back-substitution of the Schur complement, shape (n, 3) [m]."""
     remaining = line.residuals - line.jacobians @ step
     force = np.swapaxes(line.by_point, 1, 2) @ (weights @ remaining[..., None])
     return np.asarray((problem.position_covariances @ force)[..., 0])

@@ -1,6 +1,6 @@
 """A start for each camera from nothing: direct linear transformation, made robust by RANSAC.
 
-Source: Hartley and Zisserman, "Multiple View Geometry", 2nd ed., sections 7.1 (DLT), 6.2.4 (decomposition), 8.5 (plane).
+Source: Hartley and Zisserman, "Multiple View Geometry", 2nd ed., sections 7.1 (DLT) and 6.2.4 (decomposition).
 """
 
 from dataclasses import dataclass
@@ -69,7 +69,8 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
     everything = tuple(f"{name}.{group}" for group in ("intrinsics", "distortion", "pose"))
     if seen.sum() < MINIMUM_SPOTS:
         raise DegenerateDataError(
-            f"Camera {name} saw the LED in {int(seen.sum())} poses, at least {MINIMUM_SPOTS} are needed; add poses in its view.",
+            f"Camera {name} saw the LED in {int(seen.sum())} poses, at least {MINIMUM_SPOTS} are needed; "
+            "add poses in its view.",
             parameters=everything,
             camera=name,
             spots=int(seen.sum()),
@@ -94,7 +95,7 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
 
 
 def robust_extent(points: Array) -> Array:
-    """Standard deviations along the principal axes of a cloud without its farthest fifth, largest first, shape (3,) [m]."""
+    """Standard deviations of a cloud without its farthest fifth, by principal axis, largest first, shape (3,) [m]."""
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     core = points[distance <= np.quantile(distance, 0.8)]
     values = np.linalg.eigvalsh(np.cov((core - core.mean(axis=0)).T, ddof=0))
@@ -112,7 +113,8 @@ def _pixel_tolerance(problem: CalibrationProblem, c: int, points: Array, pixels:
     position = np.sqrt(np.trace(problem.position_covariances, axis1=1, axis2=2).mean() / 3.0)
     image = np.sqrt(np.nanmedian(np.trace(problem.spot_covariances[c], axis1=1, axis2=2)) / 2.0)
     lens = 0.008 * problem.image_sizes[c][0]
-    return float(np.sqrt(lens**2 + 2.0 * (2.0 * pixels_per_metre) ** 2 * ((unknown * offset) ** 2 + position**2) + 2.0 * image**2))
+    spread = (2.0 * pixels_per_metre) ** 2 * ((unknown * offset) ** 2 + position**2)
+    return float(np.sqrt(lens**2 + 2.0 * spread + 2.0 * image**2))
 
 
 def _ransac(points: Array, pixels: Array, tolerance: float, width: int) -> tuple[Array, Array, Array] | None:
@@ -136,7 +138,7 @@ def _ransac(points: Array, pixels: Array, tolerance: float, width: int) -> tuple
 
 
 def _dlt(points: Array, pixels: Array, weights: Array) -> Array:
-    """Projection matrices, shape (b, 3, 4), of b weighted sets of correspondences, shapes (b, m, 3), (b, m, 2), (b, m)."""
+    """Projection matrices (b, 3, 4) of b weighted sets of points (b, m, 3), pixels (b, m, 2) and weights (b, m)."""
     point_mean, pixel_mean = points.mean(axis=1, keepdims=True), pixels.mean(axis=1, keepdims=True)
     point_scale = np.sqrt(3.0) / np.maximum(np.linalg.norm(points - point_mean, axis=2).mean(axis=1), 1e-9)
     pixel_scale = np.sqrt(2.0) / np.maximum(np.linalg.norm(pixels - pixel_mean, axis=2).mean(axis=1), 1e-9)

@@ -1,6 +1,6 @@
 """Seeded synthetic calibration problems with their truth: for tests, and to see what a design of poses would give."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 OUTLIER_KINDS = ("blob", "bias", "stale")
-"""A wrong blob anywhere in the image; a spot displaced by 2 to 10 px; a joint reading of another moment, 3 to 10 cm off."""
+"""A blob anywhere in the image; a spot displaced by 2 to 10 px; a joint reading of another moment, 3 to 10 cm off."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Design:
     missing_share: float = 0.0
     led_offset_prior_sd: float = 5e-3
     joint_offset_prior_sd: float = 0.0
-    workspace: Workspace = Workspace()
+    workspace: Workspace = field(default_factory=Workspace)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,9 @@ class SyntheticScene:
     outliers: Mask
 
 
-def make_scene(design: Design, seed: int, positions: Array | None = None, wrists: Array | None = None) -> SyntheticScene:
+def make_scene(
+    design: Design, seed: int, positions: Array | None = None, wrists: Array | None = None
+) -> SyntheticScene:
     """Simulate the observations of a design.
 
     Args:
@@ -139,7 +141,8 @@ def _draw_camera(rng: np.random.Generator, index: int, count: int, target: Array
     x_axis /= np.linalg.norm(x_axis)
     rotation = rotation_exp(rng.normal(0.0, np.deg2rad(2.0), (1, 3)))[0] @ np.stack((x_axis, np.cross(z, x_axis), z))
     f = 600.0 * (1.0 + rng.normal(0.0, 0.01))
-    K = np.array([[f, 0.0, 319.5 + rng.normal(0.0, 6.0)], [0.0, f * 1.0005, 239.5 + rng.normal(0.0, 6.0)], [0.0, 0.0, 1.0]])
+    cx, cy = rng.normal((319.5, 239.5), 6.0)
+    K = np.array([[f, 0.0, cx], [0.0, f * 1.0005, cy], [0.0, 0.0, 1.0]])
     D = np.array([-0.22 + rng.normal(0.0, 0.01), 0.04 + rng.normal(0.0, 0.01), *rng.normal(0.0, 7e-4, 2), 0.0])
     return CameraModel(640, 480, K, D, rotation, -rotation @ centre)
 

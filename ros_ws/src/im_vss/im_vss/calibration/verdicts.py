@@ -106,13 +106,14 @@ def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: L
     if variation[0] >= _SAME_WRIST or values[0] >= precision:
         return None
     poor = vectors[:, values < precision]
-    axes = tuple(f"led_offset.{axis}" for axis, share in zip("xyz", np.linalg.norm(poor, axis=1), strict=True) if share > 0.3)
+    shares = np.linalg.norm(poor, axis=1)
+    axes = tuple(f"led_offset.{axis}" for axis, share in zip("xyz", shares, strict=True) if share > 0.3)
     cameras = tuple(name for c in problem.camera_names for name in _camera_names(c, ("tx", "ty", "tz")))
     return Verdict(
         UNOBSERVABLE,
         axes + cameras,
-        "The wrist hardly turns between the poses, so that an error of the LED's offset cannot be told from a shift of the "
-        f"cameras ({', '.join(axes)} known by the prior of {1e3 * problem.led_offset_prior_sd:.1f} mm only).",
+        "The wrist hardly turns between the poses, so that an error of the LED's offset cannot be told from a shift of "
+        f"the cameras ({', '.join(axes)} known by the prior of {1e3 * problem.led_offset_prior_sd:.1f} mm only).",
         "Vary the wrist's orientation about at least two axes by 30 degrees or more, or measure the offset.",
     )
 
@@ -135,8 +136,8 @@ def _misfit(calibration: Calibration, problem: CalibrationProblem) -> Verdict | 
         MISFIT,
         (),
         " ".join(reasons),
-        "Check that cameras and robot base did not move, that joint readings belong to the exposures, the robot's kinematic "
-        "parameters and the stated noise.",
+        "Check that cameras and robot base did not move, that joint readings belong to the exposures, the robot's "
+        "kinematic parameters and the stated noise.",
     )
 
 
@@ -148,7 +149,8 @@ def _worst_camera(calibration: Calibration) -> str:
         residuals, spread = calibration.residuals[c][used], calibration.residual_covariances[c][used]
         chi2 = float((residuals * np.linalg.solve(spread, residuals[..., None])[..., 0]).sum())
         dof = max(1, 2 * camera.spots_used - PER_CAMERA)
-        chances.append((float(chi2_distribution.logsf(chi2, dof)), f"{camera.name} is worst with chi2/dof {chi2 / dof:.2f}"))
+        reason = f"{camera.name} is worst with chi2/dof {chi2 / dof:.2f}"
+        chances.append((float(chi2_distribution.logsf(chi2, dof)), reason))
     return min(chances)[1]
 
 

@@ -14,7 +14,6 @@ from im_core import names
 from im_core.errors import ImError
 from im_core.robot import load_cell
 from im_core.robot.truth import FILE_NAME
-from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
@@ -81,7 +80,7 @@ class VssNode(ManagedNode):
         }
         for name in self._vsm.services:
             kind, callback = offered[name]
-            self.create_service(kind, f"/vss/{name}", callback, qos_profile=qos.SERVICES)
+            self.create_service(kind, f"/vss/{name}", callback)
         for entry in self._book.entries():
             self.create_service(
                 SetCameraInfo, f"/{entry.name}/set_camera_info", partial(self._set_camera_info, entry.name)

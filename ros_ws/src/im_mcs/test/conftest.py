@@ -1,0 +1,163 @@
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from im_core.robot import Cell, load_cell, urdf
+from im_mcs.config import McsConfig, load_config
+from im_mcs.model import Model
+from im_mcs.servo.core import Mcs
+from im_mcs.testbed import Drive, Measured, TestbedInterface
+from im_mcs.testbed.loopback import LoopbackDriver
+
+
+@pytest.fixture(scope="session")
+def cell() -> Cell:
+    return load_cell()
+
+
+@pytest.fixture(scope="session")
+def config() -> McsConfig:
+    return load_config()
+
+
+@pytest.fixture(scope="session")
+def model(cell: Cell) -> Model:
+    return Model(cell)
+
+
+class Bench:
+    """MCS over a driver, with the requests and answers of a client."""
+
+    def __init__(self, config: McsConfig, model: Model, driver: Any) -> None:
+        self.events: list[dict[str, Any]] = []
+        self.driver = driver
+        self.mcs = Mcs(config, model, TestbedInterface(driver, range(18), range(2)), self.events.append)
+        self._number = 0
+
+    def send(self, request: str, **arguments: Any) -> int:
+        """Send a request in a tick of its own; its number."""
+        self._number += 1
+        self.mcs.tick([{"id": self._number, "request": request, "arguments": arguments}])
+        return self._number
+
+    def reply(self, number: int) -> dict[str, Any] | None:
+        return next((e for e in self.events if e["event"] == "reply" and e["id"] == number), None)
+
+    def ask(self, request: str, on_tick: Callable[[], None] = lambda: None, **arguments: Any) -> dict[str, Any]:
+        """Send a request and let time pass until time is no longer wanted."""
+        number = self.send(request, **arguments)
+        on_tick()
+        for _ in range(5000):
+            if not self.mcs.wants_time:
+                break
+            self.mcs.tick([])
+            on_tick()
+        reply = self.reply(number)
+        assert reply is not None
+        return reply
+
+    def move(self, group: str, point: NDArray[np.float64], **kwargs: Any) -> dict[str, Any]:
+        return self.ask("move", group=group, points=[point.tolist()], speed_scale=0.0, **kwargs)
+
+    def to_motion(self, *groups: str) -> None:
+        for group in groups:
+            assert self.ask("reserve", group=group)["success"]
+        for request in ("power_on", "enable_motion"):
+            reply = self.ask(request)
+            assert reply["success"], reply
+
+
+@pytest.fixture
+def frictionless(config: McsConfig) -> McsConfig:
+    """For the loopback driver, which has no friction to be compensated."""
+    parameters = {**config.control.parameters, "feedforward": {"gravity": 1.0, "inertia": 1.0}}
+    return config.model_copy(update={"control": config.control.model_copy(update={"parameters": parameters})})
+
+
+@pytest.fixture
+def bench(frictionless: McsConfig, model: Model, cell: Cell) -> Bench:
+    driver = LoopbackDriver(model.inertia_diagonal(cell.home), cell.home, bias=Model(cell).gravity)
+    return Bench(frictionless, model, driver)
+
+
+class LeftArm:
+    """The left cart and arm with rotors, dry friction, encoders and brakes; the right side stands still.
+
+    Time stepping with the friction impulses of all joints found by projected Gauss-Seidel.
+    """
+
+    n_joints, n_grippers, wall_period_s = 18, 2, 0.0
+
+    def __init__(self, cell: Cell, seed: int) -> None:
+        self.period_s = cell.period
+        self._substeps = cell.substeps
+        self._pin = pin.buildModelFromXML(urdf(cell, shapes=False))
+        self._pin.gravity.linear = np.array([0.0, 0.0, -cell.gravity])
+        self._pin.armature = cell.per_joint("rotor_inertia")
+        self._data = self._pin.createData()
+        self._cell = cell
+        self._random = np.random.default_rng(seed)
+        self.q, self.v = cell.home.copy(), np.zeros(18)
+        self._drive = Drive(np.zeros(18), False, np.ones(18, dtype=np.bool_), np.zeros(2), False)
+        self._friction = np.maximum(cell.per_joint("coulomb_positive"), cell.per_joint("coulomb_negative"))[:9]
+        self._viscous = cell.per_joint("viscous")[:9]
+        self._resolution, self._noise = cell.per_joint("resolution"), cell.per_joint("noise")
+        self._tick = 0
+
+    def connect(self) -> None: ...
+
+    def after_tick(self, tick: int) -> None: ...
+
+    def close(self) -> None: ...
+
+    def wait(self, timeout_s: float) -> bool:
+        return True
+
+    def read(self) -> Measured:
+        noisy = self.q + self._random.standard_normal(18) * self._noise
+        reading = np.rint(noisy / self._resolution) * self._resolution
+        braked = self._drive.brakes | (not self._drive.power)
+        return Measured(self._tick, self._tick * 4_500_000, reading, self._drive.power, braked, np.zeros(2))
+
+    def write(self, drive: Drive) -> None:
+        self._drive = drive
+        self._tick += 1
+        if drive.brakes[:9].any() or not drive.power:
+            self.v[:] = 0.0
+            return
+        dt = self.period_s / self._substeps
+        for _ in range(self._substeps):
+            mass = np.triu(pin.crba(self._pin, self._data, self.q))[:9, :9]
+            mass = mass + np.triu(mass, 1).T
+            bias = pin.nonLinearEffects(self._pin, self._data, self.q, self.v)[:9]
+            momentum = mass @ self.v[:9] + dt * (drive.tau[:9] - bias - self._viscous * self.v[:9])
+            self.v[:9] = _slide(mass, momentum, dt * self._friction)
+            self.q = self.q + dt * self.v
+
+
+def _slide(mass: NDArray[np.float64], momentum: NDArray[np.float64], bound: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Velocities v with mass v = momentum + p, where |p| <= bound opposes v: projected Gauss-Seidel in p."""
+    inverse = np.linalg.inv(mass)
+    p = np.zeros(len(bound))
+    v = inverse @ momentum
+    for _ in range(60):
+        change = 0.0
+        for i in range(len(p)):
+            new = min(max(p[i] - v[i] / inverse[i, i], -bound[i]), bound[i])
+            if not math.isclose(new, p[i], abs_tol=1e-12):
+                v = v + inverse[:, i] * (new - p[i])
+                change = max(change, abs(new - p[i]) / bound[i])
+                p[i] = new
+        if change < 1e-6:
+            break
+    return v
+
+
+@pytest.fixture
+def arm_bench(config: McsConfig, model: Model, cell: Cell) -> Bench:
+    return Bench(config, model, LeftArm(cell, seed=5))

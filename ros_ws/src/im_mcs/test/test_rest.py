@@ -1,0 +1,75 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from im_mcs.config import load_config
+from im_mcs.servo.rest import RestMonitor, RestPhase
+
+SERVO = load_config().servo
+RESOLUTION, NOISE = np.full(3, 2e-5), np.full(3, 1e-5)
+TARGET = np.array([0.1, -0.2, 0.3])
+
+
+def readings(truth, seed):
+    random = np.random.default_rng(seed)
+    while True:
+        yield np.rint((truth + random.standard_normal(3) * NOISE) / RESOLUTION) * RESOLUTION
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_mean_is_the_truth_within_its_variance(seed):
+    truth = TARGET + np.array([7e-6, -2e-5, 3e-5])
+    monitor = RestMonitor(RESOLUTION, NOISE, SERVO)
+    for tick, q in zip(range(200), readings(truth, seed), strict=False):
+        monitor.update(tick, q, TARGET)
+        if monitor.at_rest:
+            break
+    assert monitor.at_rest
+    assert tick < 120
+    np.testing.assert_array_less(np.abs(monitor.q - truth), 5.0 * np.sqrt(monitor.variance))
+    assert (np.sqrt(monitor.variance) < RESOLUTION / 4).all()
+
+
+def test_a_moving_arm_is_not_at_rest_and_a_late_slip_starts_anew():
+    monitor = RestMonitor(RESOLUTION, NOISE, SERVO)
+    source = readings(TARGET, 1)
+    for tick in range(100):
+        monitor.update(tick, TARGET + 1e-5 * (100 - tick), TARGET)
+    assert monitor.phase is RestPhase.SETTLING
+    tick = 100
+    while monitor.phase is not RestPhase.MEASURING:
+        monitor.update(tick, next(source), TARGET)
+        tick += 1
+    for _ in range(SERVO.rest_window_ticks):
+        monitor.update(tick, next(source) + 4e-5 * (tick % 44 > 20), TARGET)
+        tick += 1
+    assert monitor.phase is not RestPhase.AT_REST
+
+
+def test_the_same_readings_give_the_same_tick():
+    ends = []
+    for _ in range(2):
+        monitor = RestMonitor(RESOLUTION, NOISE, SERVO)
+        for tick, q in zip(range(300), readings(TARGET, 9), strict=False):
+            monitor.update(tick, q, TARGET)
+            if monitor.at_rest:
+                ends.append((tick, monitor.since_tick, monitor.q.tolist(), monitor.variance.tolist()))
+                break
+    assert ends[0] == ends[1]
+
+
+def test_an_arm_off_its_setpoint_times_out():
+    monitor = RestMonitor(RESOLUTION, NOISE, SERVO)
+    for tick, q in zip(range(800), readings(TARGET + 1e-3, 2), strict=False):
+        monitor.update(tick, q, TARGET)
+    assert not monitor.at_rest
+    assert monitor.timed_out
+    assert abs(monitor.last_error[monitor.worst()]) > 9e-4
+
+
+def test_braked_joints_need_no_setpoint():
+    monitor = RestMonitor(RESOLUTION, NOISE, SERVO)
+    for tick, q in zip(range(200), readings(TARGET, 4), strict=False):
+        monitor.update(tick, q, None)
+    assert monitor.at_rest

@@ -1,0 +1,128 @@
+"""Verdicts: what cannot be known is said, what does not fit is said, what is good passes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from im_vss.calibration import DegenerateDataError, InconsistentDataError, calibrate
+from im_vss.calibration.synthetic import Design, make_scene, random_rotations, with_stated_noise
+from im_vss.calibration.unknowns import rotation_exp
+
+
+def kinds(calibration):
+    return {verdict.kind for verdict in calibration.verdicts}
+
+
+def parameters(calibration):
+    return {name for verdict in calibration.verdicts for name in verdict.parameters}
+
+
+def flat_positions(seed, tilt=0.0, thickness=0.0):
+    points = np.random.default_rng(seed).uniform((-1.0, -0.5, -0.5), (1.0, 0.5, 0.5), (40, 3))
+    points[:, 2] = 1.1 + tilt * points[:, 0] + thickness * points[:, 2]
+    return points
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.4])
+@pytest.mark.parametrize("design", [Design(), Design(sigma_px=0.02, sigma_m=5e-5), Design(sigma_px=0.4, sigma_m=2e-3)])
+def test_coplanar_positions_are_unobservable(design, tilt):
+    calibration = calibrate(make_scene(design, 1, positions=flat_positions(1, tilt)).problem)
+    assert kinds(calibration) == {"UNOBSERVABLE"}
+    assert {"camera_0.fx", "camera_1.fx"} <= parameters(calibration)
+    assert "plane" in calibration.message
+    assert "height" in calibration.verdicts[0].advice
+
+
+def test_poses_in_a_flat_but_thick_slab_are_not_called_coplanar():
+    calibration = calibrate(make_scene(Design(), 2, positions=flat_positions(2, thickness=0.4)).problem)
+    assert calibration.success, calibration.message
+
+
+@pytest.mark.parametrize("prior", [0.005, 0.05])
+def test_a_wrist_that_does_not_turn_hides_the_led_offset(prior):
+    wrists = np.tile(random_rotations(np.random.default_rng(3), 1), (40, 1, 1))
+    calibration = calibrate(make_scene(Design(led_offset_prior_sd=prior), 3, wrists=wrists).problem)
+    assert kinds(calibration) == {"UNOBSERVABLE"}
+    assert {"led_offset.x", "led_offset.y", "led_offset.z", "camera_0.tx"} <= parameters(calibration)
+    assert "wrist" in calibration.message
+
+
+def test_a_wrist_that_turns_about_one_axis_hides_the_offset_along_it():
+    angles = np.random.default_rng(4).uniform(-2.0, 2.0, 40)
+    wrists = rotation_exp(np.column_stack((0.0 * angles, 0.0 * angles, angles)))
+    calibration = calibrate(make_scene(Design(), 4, wrists=wrists).problem)
+    assert kinds(calibration) == {"UNOBSERVABLE"}
+    assert {name for name in parameters(calibration) if name.startswith("led")} == {"led_offset.z"}
+
+
+def test_a_wrist_that_does_not_turn_is_fine_with_a_known_offset():
+    wrists = np.tile(np.eye(3), (40, 1, 1))
+    calibration = calibrate(make_scene(Design(led_offset_prior_sd=0.0), 5, wrists=wrists).problem)
+    assert calibration.success, calibration.message
+
+
+def test_eight_poses_are_too_few_to_trust():
+    calibration = calibrate(make_scene(Design(poses=8), 6).problem)
+    assert kinds(calibration) == {"UNOBSERVABLE"}
+    assert "too few" in calibration.message
+
+
+def test_a_handful_of_poses_is_refused():
+    with pytest.raises(DegenerateDataError, match="at least 7 are needed"):
+        calibrate(make_scene(Design(poses=5), 7).problem)
+
+
+def test_poses_in_a_corner_do_not_determine_the_lens():
+    near = np.random.default_rng(8).uniform((-0.1, -0.1, 1.0), (0.1, 0.1, 1.2), (40, 3))
+    calibration = calibrate(make_scene(Design(), 8, positions=near).problem)
+    assert kinds(calibration) == {"UNOBSERVABLE"}
+    assert "camera_0.k2" in parameters(calibration)
+
+
+@pytest.mark.parametrize("factor", [2.0, 5.0])
+def test_noise_larger_than_stated_is_a_misfit(factor):
+    scene = make_scene(Design(), 9)
+    calibration = calibrate(with_stated_noise(scene.problem, 1.0 / factor))
+    assert kinds(calibration) == {"MISFIT"}
+    assert calibration.p_value < 1e-3
+    assert "stated noise" in calibration.message
+
+
+def test_a_camera_that_moved_is_a_misfit_and_named():
+    problem = make_scene(Design(), 10).problem
+    spots = problem.spots.copy()
+    spots[1, 20:] += [3.0, 1.0]
+    calibration = calibrate(replace(problem, spots=spots))
+    assert kinds(calibration) == {"MISFIT"}
+    assert "did not move" in calibration.verdicts[0].advice
+
+
+def test_an_led_offset_that_is_not_as_stated_is_a_misfit():
+    scene = make_scene(Design(), 11)
+    assert kinds(calibrate(replace(scene.problem, led_offset_prior_sd=0.0))) == {"MISFIT"}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_spots_of_other_poses_are_a_misfit_or_refused(seed):
+    problem = make_scene(Design(), seed).problem
+    shuffled = replace(problem, spots=problem.spots[:, np.random.default_rng(seed).permutation(40)])
+    try:
+        assert "MISFIT" in kinds(calibrate(shuffled))
+    except InconsistentDataError as error:
+        assert "check that" in error.message
+        assert error.code == "misfit"
+
+
+@pytest.mark.parametrize("seed", range(300, 312))
+def test_good_data_get_no_verdict(seed):
+    rng = np.random.default_rng(seed)
+    design = Design(
+        poses=int(rng.integers(25, 50)),
+        sigma_px=10.0 ** rng.uniform(-1.5, -0.3),
+        sigma_m=10.0 ** rng.uniform(-4.0, -2.8),
+        outlier_share=rng.choice([0.0, 0.2]),
+        led_offset_prior_sd=rng.choice([0.0, 0.005, 0.05]),
+    )
+    calibration = calibrate(make_scene(design, seed).problem)
+    assert calibration.success, calibration.message
