@@ -16,10 +16,11 @@ RESPAWN_DELAY_S = 1.0
 RESPAWN_LIMIT = 5
 RESPAWN_WINDOW_S = 60.0
 
-#: Shutdown: how long one process may hold up the next, and when the signals get harder [s].
+#: Shutdown: how long one process may hold up the next, and all of them together; when the signals get harder [s].
 _TURN_S = 0.5
-_TERM_AFTER_S = 2.5
-_KILL_AFTER_S = 3.3
+_ALL_TURNS_S = 1.8
+_TERM_AFTER_S = 2.6
+_KILL_AFTER_S = 3.5
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -154,8 +155,8 @@ class Agent:
     def shut_down(self) -> list[str]:
         """Stop all processes, the last started first; takes less than 4 s.
 
-        Each gets SIGINT when its turn comes, which is when the one before it has ended or has had half a second.
-        Who has not ended after 2.5 s gets SIGTERM, after 3.3 s SIGKILL.
+        Each gets SIGINT when its turn comes, which is when the one before it has ended or has had its share of 1.8 s.
+        Who has not ended after 2.6 s gets SIGTERM, after 3.5 s SIGKILL.
 
         Returns:
             Names of the tasks that had to be killed.
@@ -165,10 +166,10 @@ class Agent:
             slot.respawn_at = None
         began = clock.monotonic()
         children = [(name, slot.child) for name, slot in self._slots.items() if slot.child is not None]
+        turn = min(_TURN_S, _ALL_TURNS_S / max(1, len(children)))
         for _, child in reversed(children):
             _signal(child, signal.SIGINT)
-            turn_ends = min(clock.monotonic() + _TURN_S, began + _TERM_AFTER_S)
-            _wait([child], turn_ends)
+            _wait([child], clock.monotonic() + turn)
         everyone = [child for _, child in children]
         _wait(everyone, began + _TERM_AFTER_S)
         for child in everyone:
@@ -177,7 +178,7 @@ class Agent:
         killed = [name for name, child in children if child.poll() is None]
         for child in everyone:
             _signal(child, signal.SIGKILL)
-        _wait(everyone, began + _KILL_AFTER_S + 0.5)
+        _wait(everyone, began + _KILL_AFTER_S + 0.4)
         return killed
 
     def _start(self, slot: _Slot) -> Started:

@@ -12,6 +12,8 @@ from im_mcs.limits import JointLimits
 from im_mcs.model import Model
 
 _ITERATIONS = 80
+# Solutions keep clear of the limits, so that a measured position is never beyond them [rad or m].
+_LIMIT_MARGIN = 0.02
 _POSITION_TOLERANCE_M = 1e-7
 _ROTATION_TOLERANCE_RAD = 1e-7
 _DAMPING = 1e-3
@@ -60,7 +62,8 @@ class InverseKinematics:
         self._model = model
         self._index = index
         self._frame = frame
-        self._lower, self._upper = limits.lower[index], limits.upper[index]
+        self._lower = limits.lower[index] + _LIMIT_MARGIN
+        self._upper = limits.upper[index] - _LIMIT_MARGIN
         self._preferred = np.clip(model.cell.home[index], self._lower, self._upper)
 
     def solve(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from im_core.camera_model import CameraModel
-from im_vss.calibration.projection import project
+from im_vss.calibration.projection import image, project
 from im_vss.calibration.synthetic import random_rotations
 from im_vss.calibration.unknowns import rotation_exp, skew
 
@@ -18,12 +18,13 @@ def cameras():
         (rng.uniform(400, 800, (3, 2)), rng.uniform(200, 400, (3, 2)), rng.normal(0.0, (0.2, 0.1, 0.01, 0.01), (3, 4)))
     )
     rotations = random_rotations(rng, 3)
-    return intrinsics, rotations, rng.normal(0.0, 0.3, (3, 3)) + [0.0, 0.0, 4.0], rng.uniform(-1.0, 1.0, (7, 3))
+    return intrinsics, rotations, rng.normal((0.0, 0.0, 4.0), 0.3, (3, 3)), rng.uniform(-1.0, 1.0, (7, 3))
 
 
 def test_it_is_the_projection_of_the_camera_model(cameras):
     intrinsics, rotations, translations, points = cameras
     pixels, by_point, _ = project(intrinsics, rotations, translations, points)
+    np.testing.assert_array_equal(image(intrinsics, rotations, translations, points), pixels)
     for c, (fx, fy, cx, cy, *lens) in enumerate(intrinsics):
         K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         model = CameraModel(640, 480, K, np.array([*lens, 0.0]), rotations[c], translations[c])

@@ -1,6 +1,7 @@
 """What is written about a calibration: complete, readable, whole."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,8 +47,6 @@ def test_the_report_holds_what_users_ask_for(solved):
 
 
 def test_the_led_offset_is_the_nominal_one_corrected(solved):
-    from dataclasses import replace
-
     calibration, problem = solved
     report = report_of(calibration, replace(problem, led_offset_nominal=(0.0, 0.06, 0.05)))
     np.testing.assert_allclose(report["led_offset_m"], np.array([0.0, 0.06, 0.05]) + report["led_offset_error_m"])
@@ -91,5 +90,5 @@ def test_a_failed_calibration_leaves_no_camera_files(failed, tmp_path):
 def test_a_directory_that_cannot_be_written_is_named(solved, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("here")
-    with pytest.raises(DataError, match="cannot be written to .*file"):
+    with pytest.raises(DataError, match=r"cannot be written to .*file"):
         write_results(blocked, *solved)

@@ -60,7 +60,7 @@ class ChildProcess:
         """
         code = self.poll()
         if code is not None:
-            raise LinkError(f"the process {self.module} ended with code {code}: {self.last_words()}", code=code)
+            raise LinkError(f"the process {self.module} ended with code {code}: {self.last_words()}", exit_code=code)
 
     def last_words(self) -> str:
         """The last line of its log."""

@@ -60,7 +60,7 @@ class ServoProcess:
 
     def run(self) -> None:
         """Loop until :meth:`stop` or until the owner is gone."""
-        self._real_time = self._driver.wall_period_s > 0.0 and schedule(self._config.servo.priority)
+        self._real_time = schedule(self._config.servo.priority)
         self._driver.connect()
         self._write_snapshot()
         try:

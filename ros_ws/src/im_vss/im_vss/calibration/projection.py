@@ -23,14 +23,11 @@ def project(intrinsics: Array, rotations: Array, translations: Array, points: Ar
         parameters in the order of :data:`im_vss.calibration.unknowns.CAMERA_PARAMETERS` (c, n, 2, 14).
     """
     rotated = points @ np.swapaxes(rotations, 1, 2)
-    in_camera = rotated + translations[:, None, :]
-    depth = np.where(in_camera[..., 2] > NEAREST_DEPTH, in_camera[..., 2], np.nan)
-    x, y = in_camera[..., 0] / depth, in_camera[..., 1] / depth
+    x, y, depth = _ideal(rotated + translations[:, None, :])
     fx, fy, cx, cy, k1, k2, p1, p2 = (intrinsics[:, i, None] for i in range(8))
     r2, xy = x * x + y * y, x * y
     radial = 1.0 + r2 * (k1 + r2 * k2)
-    xd = x * radial + 2.0 * p1 * xy + p2 * (r2 + 2.0 * x * x)
-    yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * xy
+    xd, yd = _distorted(x, y, intrinsics)
 
     lens = np.empty((*x.shape, 2, 2))
     slope = 2.0 * (k1 + 2.0 * k2 * r2)
@@ -55,3 +52,25 @@ def project(intrinsics: Array, rotations: Array, translations: Array, points: Ar
 
     pixels = np.stack((fx * xd + cx, fy * yd + cy), axis=-1)
     return pixels, np.asarray(by_camera_frame @ rotations[:, None]), by_parameters
+
+
+def image(intrinsics: Array, rotations: Array, translations: Array, points: Array) -> Array:
+    """Pixels as of :func:`project`, without the derivatives, shape (c, n, 2)."""
+    x, y, _ = _ideal(points @ np.swapaxes(rotations, 1, 2) + translations[:, None, :])
+    xd, yd = _distorted(x, y, intrinsics)
+    return np.stack((xd, yd), axis=-1) * intrinsics[:, None, 0:2] + intrinsics[:, None, 2:4]
+
+
+def _ideal(in_camera: Array) -> tuple[Array, Array, Array]:
+    """Ideal image coordinates x, y and depth, NaN behind the camera, each of shape (c, n)."""
+    depth = np.where(in_camera[..., 2] > NEAREST_DEPTH, in_camera[..., 2], np.nan)
+    return in_camera[..., 0] / depth, in_camera[..., 1] / depth, depth
+
+
+def _distorted(x: Array, y: Array, intrinsics: Array) -> tuple[Array, Array]:
+    """Ideal coordinates after the lens, each of shape (c, n)."""
+    k1, k2, p1, p2 = (intrinsics[:, i, None] for i in range(4, 8))
+    r2, xy = x * x + y * y, x * y
+    radial = 1.0 + r2 * (k1 + r2 * k2)
+    xd = x * radial + 2.0 * p1 * xy + p2 * (r2 + 2.0 * x * x)
+    return xd, y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * xy

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.projection import project
+from im_vss.calibration.projection import image, project
 from im_vss.calibration.unknowns import Layout, Unknowns
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ def linearise(
 
 def image_residuals(unknowns: Unknowns, problem: CalibrationProblem, used: Mask) -> Array | None:
     """Spots minus images of the estimated positions, shape (n, 2c) [px]; None if a used spot is behind its camera."""
-    pixels = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, unknowns.led_positions(problem))[0]
+    pixels = image(unknowns.intrinsics, unknowns.rotations, unknowns.translations, unknowns.led_positions(problem))
     if not np.all(np.isfinite(pixels[used])):
         return None
     return by_pose(np.where(used[..., None], problem.spots - pixels, 0.0))
