@@ -60,7 +60,7 @@ code=0
 wait "$child" || code=$?
 ((code == 0)) || exit "$code"
 say ""
-say "against the truth of the testbed:"
+say "against the truth, which only the testbed knows:"
 bringup truth_error
 say ""
 say "report    results/$(readlink "$IM_RESULTS_DIR/latest")/report.json"

@@ -6,7 +6,7 @@
 #   scripts/replay.sh my_bag --rate 4                     four times as fast
 #   scripts/replay.sh my_bag --topics /joint_states /tf   only these
 #
-# Topics that start and stop machines (/im/phase, /im/task_status) are published only if named.
+# Topics that steer a machine (/im/phase, /im/task_status, tokens between nets) are published only if named.
 # Exit codes: 0 replayed (Ctrl-C ends it early), 2 bad usage, no such bag or topic.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"

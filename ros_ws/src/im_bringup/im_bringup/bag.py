@@ -25,8 +25,9 @@ from im_core.errors import DataError
 
 _FOREVER = QosTime(9223372036, 854775807)
 
-#: Topics that start and end machines; they are recorded, but replayed only when they are asked for by name.
-CONTROL_TOPICS = frozenset({"/im/phase", "/im/task_status"})
+#: Topics that start and end machines, and that carry tokens between nets: recorded, but replayed only by name.
+CONTROL_TOPICS = ("/im/phase", "/im/task_status")
+CONTROL_SUFFIXES = ("/tokens", "/token_acks")
 
 
 @dataclass(frozen=True)
@@ -229,7 +230,7 @@ def chosen_topics(known: Iterable[str], asked: Iterable[str]) -> list[str]:
 
     Args:
         known: Those in the bag.
-        asked: Those asked for; empty: all but :data:`CONTROL_TOPICS`.
+        asked: Those asked for; empty: all but those that steer a machine.
 
     Raises:
         DataError: One that was asked for is not in the bag.
@@ -238,7 +239,7 @@ def chosen_topics(known: Iterable[str], asked: Iterable[str]) -> list[str]:
     for topic in wanted:
         if topic not in have:
             raise DataError(f"the bag has no topic {topic}; it has {', '.join(have)}", topic=topic)
-    return wanted or [topic for topic in have if topic not in CONTROL_TOPICS]
+    return wanted or [topic for topic in have if topic not in CONTROL_TOPICS and not topic.endswith(CONTROL_SUFFIXES)]
 
 
 def default_folder(stamp: str) -> Path:

@@ -17,16 +17,22 @@ def summary(report: Mapping[str, Any]) -> str:
         f"points           {report['points_used']} used, {len(report['points_rejected'])} rejected; "
         f"chi2/dof {_number(report['chi2_per_dof'], '.3f')}",
         f"light            {_millimetres(report['led_offset_m'])} mm from the wrist",
-        f"expected error   {_errors(report['expected_error'])}",
+        error_lines(report),
     ]
-    if "truth_error" in report:
-        lines.append(f"true error       {_errors(report['truth_error'])}")
     timing = report.get("timing", {})
     if timing.get("wall_s"):
         lines.append(
             f"time             {timing['wall_s']:.1f} s for {timing['simulated_s']:.1f} s of the cell "
             f"({timing['simulated_s'] / timing['wall_s']:.1f} times real time)"
         )
+    return "\n".join(lines)
+
+
+def error_lines(report: Mapping[str, Any]) -> str:
+    """The expected error, and the true one where it was added."""
+    lines = [f"expected error   {_errors(report['expected_error'])}"]
+    if "truth_error" in report:
+        lines.append(f"true error       {_errors(report['truth_error'])}")
     return "\n".join(lines)
 
 

@@ -85,7 +85,7 @@ class InverseKinematics:
             Positions of the group, shape (n,) [rad or m].
 
         Raises:
-            DataError: The pose is out of reach; the message says how near one comes.
+            DataError: The pose is out of reach (code ``unreachable``); the message says how near one comes.
             ImError: It is within reach, but only in collision (code ``collision``).
         """
         best: IkAttempt | None = None
@@ -109,6 +109,7 @@ class InverseKinematics:
         raise DataError(
             f"{self._frame} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach: the nearest solution is "
             f"{best.position_error * 1e3:.1f} mm and {np.degrees(best.rotation_error):.2f} deg off",
+            code="unreachable",
             frame=self._frame,
             position_m=[float(x), float(y), float(z)],
         )

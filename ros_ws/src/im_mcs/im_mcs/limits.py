@@ -39,8 +39,8 @@ class JointLimits:
         )
         self._speed = cell.per_joint("limits.velocity") * _OVERSPEED
 
-    def check_positions(self, index: NDArray[np.intp], values: Sequence[float], where: str = "") -> NDArray[np.float64]:
-        """Positions for the joints ``index`` as an array, if they may be commanded.
+    def check_finite(self, index: NDArray[np.intp], values: Sequence[float], where: str) -> NDArray[np.float64]:
+        """Positions for the joints ``index`` as an array, if they are as many and finite.
 
         Args:
             index: Joints, shape (n,).
@@ -49,25 +49,35 @@ class JointLimits:
 
         Raises:
             DataError: Wrong number, or a value is not finite.
-            LimitError: A position is out of its joint's range; names joint, value, limit and unit.
         """
-        prefix = f"{where}: " if where else ""
         if len(values) != len(index):
             raise DataError(
-                f"{prefix}{len(values)} positions for {len(index)} joints ({', '.join(self.names[i] for i in index)})",
+                f"{where}: {len(values)} positions for {len(index)} joints ({', '.join(self.names[i] for i in index)})",
                 given=len(values),
                 needed=len(index),
             )
         for i, value in zip(index, values, strict=True):
             if not math.isfinite(value):
-                raise DataError(
-                    f"{prefix}{self.names[i]}: position {value} is not a finite number", joint=self.names[i]
-                )
-            if not self.lower[i] <= value <= self.upper[i]:
-                limit = float(self.lower[i] if value < self.lower[i] else self.upper[i])
-                what = f"position of {where}" if where else "position"
-                raise LimitError(joint=self.names[i], value=float(value), limit=limit, unit=self.units[i], what=what)
+                joint = self.names[i]
+                raise DataError(f"{where}: {joint}: position {value} is not a finite number", joint=joint)
         return np.array(values, dtype=np.float64)
+
+    def check_positions(self, index: NDArray[np.intp], values: Sequence[float], where: str) -> NDArray[np.float64]:
+        """Positions for the joints ``index`` as an array, if they may be commanded.
+
+        Raises:
+            DataError: Wrong number, or a value is not finite.
+            LimitError: A position is out of its joint's range; names joint, value, limit and unit.
+        """
+        positions = self.check_finite(index, values, where)
+        outside = (positions < self.lower[index]) | (positions > self.upper[index])
+        if outside.any():
+            k = int(np.argmax(outside))
+            i, value = index[k], float(positions[k])
+            limit = float(self.lower[i] if value < self.lower[i] else self.upper[i])
+            what = f"position of {where}"
+            raise LimitError(joint=self.names[i], value=value, limit=limit, unit=self.units[i], what=what)
+        return positions
 
     def clip_torque(self, tau: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Torques within their limits, shape (18,), and how many were cut."""

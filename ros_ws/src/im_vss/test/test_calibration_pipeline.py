@@ -1,12 +1,12 @@
 """The whole calibration: at the statistical limit, robust, honest about its errors, independent of order."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from im_core.calibration_error import evaluate
-from im_core.clock import monotonic
 from im_vss.calibration import calibrate
 from im_vss.calibration.covariance import covariance_of
 from im_vss.calibration.expected import expected_error
@@ -131,12 +131,12 @@ def test_the_same_problem_gives_the_same_bits():
 def test_forty_poses_take_less_than_a_second():
     problem = make_scene(HARD, 9).problem
     calibrate(problem)
-    times = []
+    begin = os.times()
     for _ in range(3):
-        begin = monotonic()
         calibrate(problem)
-        times.append(monotonic() - begin)
-    assert min(times) < 1.0
+    end = os.times()
+    # Processor time, so that it does not matter what else runs on the machine.
+    assert (end.user + end.system - begin.user - begin.system) / 3.0 < 1.0
 
 
 def test_one_camera_alone_is_calibrated_too():

@@ -89,12 +89,14 @@ def test_noise_larger_than_stated_is_a_misfit(factor):
     assert "stated noise" in calibration.message
 
 
-def test_a_camera_that_moved_is_a_misfit_and_named():
+@pytest.mark.parametrize("shift", [1.0, 3.0, 40.0])
+def test_a_camera_that_moved_is_a_misfit(shift):
     problem = make_scene(Design(), 10).problem
     spots = problem.spots.copy()
-    spots[1, 20:] += [3.0, 1.0]
+    spots[1, 20:] += [shift, shift / 3.0]
     calibration = calibrate(replace(problem, spots=spots))
     assert kinds(calibration) == {"MISFIT"}
+    assert "camera_1" in calibration.message
     assert "did not move" in calibration.verdicts[0].advice
 
 

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from im_bringup import machine
+from im_bringup.progress import FiringPhase, ProgressLines
 from im_bringup.summary import summary
 from im_core import clock
 from im_core.errors import ImError, LinkError, WaitTimeoutError
@@ -42,6 +43,7 @@ class Client(Node):
     def __init__(self, progress: TextIO) -> None:
         super().__init__(f"calibrate_camera_{os.getpid()}")
         self._progress = progress
+        self._lines = ProgressLines()
         self._heard = clock.monotonic()
         self._incarnation = 0
         self._interrupted = threading.Event()
@@ -87,10 +89,13 @@ class Client(Node):
             self._heard, self._incarnation = clock.monotonic(), message.incarnation
 
     def _show(self, message: Firing) -> None:
-        if message.net != NET or not message.message:
+        if message.net != NET:
             return
-        part = f"[{100 * message.progress:3.0f} %]" if message.progress >= 0 else "       "
-        print(f"{part} {message.transition}: {message.message}", file=self._progress, flush=True)
+        line = self._lines.line(
+            message.transition, FiringPhase(message.phase), message.message, message.progress, message.duration
+        )
+        if line is not None:
+            print(line, file=self._progress, flush=True)
 
 
 def main() -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 import rclpy
 from rclpy.node import Node
 
-from im_bringup.summary import summary
+from im_bringup.summary import error_lines
 from im_bringup.truth import add_to_report
 from im_core.errors import ImError, StateError
 from im_core.names import results_dir
@@ -49,7 +49,7 @@ def main() -> int:
         return 1
     finally:
         rclpy.try_shutdown()
-    print(summary(report))
+    print(error_lines(report))
     return 0
 
 

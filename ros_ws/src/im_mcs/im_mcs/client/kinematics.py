@@ -9,7 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_core.errors import DataError, NotFoundError, StateError
-from im_mcs.client.requests import check_path
+from im_mcs.client.requests import check_measured_path
 from im_mcs.collision import CollisionChecker
 from im_mcs.config import Group, McsConfig
 from im_mcs.ik import InverseKinematics
@@ -79,7 +79,7 @@ class Kinematics:
         """
         self._group(group)
         index = self.index(group)
-        path = check_path(self._limits, index, points, self._config.planning.max_points)
+        path = check_measured_path(self._limits, index, points, self._config.planning.max_points)
         with self._lock:
             return self._collision.check_path(q_all, index, path)
 

@@ -62,7 +62,7 @@ def parse_request(message: dict[str, Any]) -> Request:
 
 
 def check_path(
-    limits: JointLimits, index: NDArray[np.intp], points: list[list[float]], max_points: int
+    limits: JointLimits, index: NDArray[np.intp], points: list[list[float]], max_points: int, first: int = 1
 ) -> NDArray[np.float64]:
     """Points of a path as an array, shape (m, n), if every one may be commanded.
 
@@ -72,7 +72,25 @@ def check_path(
     """
     if not 1 <= len(points) <= max_points:
         raise DataError(f"a path of {len(points)} points is not one of 1 to {max_points}", points=len(points))
-    return np.array([limits.check_positions(index, point, f"point {i}") for i, point in enumerate(points, start=1)])
+    numbered = enumerate(points, start=first)
+    return np.array([limits.check_positions(index, point, f"point {number}") for number, point in numbered])
+
+
+def check_measured_path(
+    limits: JointLimits, index: NDArray[np.intp], points: list[list[float]], max_points: int
+) -> NDArray[np.float64]:
+    """As :func:`check_path`, for a path that begins where the group is: that may be anywhere.
+
+    Raises:
+        DataError: None or too many points, a wrong size, or a value that is not finite.
+        LimitError: A position after the first is out of its joint's range.
+    """
+    if not points:
+        raise DataError("a path of 0 points: the first is where the group is", points=0)
+    start = limits.check_finite(index, points[0], "point 1")[None, :]
+    if len(points) == 1:
+        return start
+    return np.vstack([start, check_path(limits, index, points[1:], max_points, first=2)])
 
 
 def check_speed_scale(value: float) -> float:

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,7 +44,7 @@ class ServoClient:
 
     Args:
         channel: Created by the caller, who owns it.
-        link: The testbed's clock, asked for time when a request must be heard.
+        link: The testbed's clock, asked for time when a request must be heard; closed with the client.
         on_state: Told of every change of state, and why.
     """
 
@@ -111,18 +112,29 @@ class ServoClient:
         """End the thread and answer what still waits."""
         self._running = False
         self._thread.join()
+        self._link.close()
         self.give_up(LinkError("MCS is being shut down"))
 
     def _listen(self) -> None:
         while self._running:
+            tick = self._link.tick
             rung = self._channel.bell.wait(_BELL_S)
             for message in self._channel.events.receive_all():
                 self._hand_out(message)
-            if not rung and not self._channel.requests.empty():
+            if not rung and not self._channel.requests.empty() and self._link.tick == tick:
+                self._renew_link()
                 self._ask_for_time()  # time stood still before the servo could hear the request
 
     def _ask_for_time(self) -> None:
         self._link.request_time(Slot.MCS, 1)
+
+    def _renew_link(self) -> None:
+        """Turn to a new testbed, if the one before is gone and there is one."""
+        if not self._link.physics_alive():
+            with suppress(LinkError):
+                link = TestbedLink.attach(self._link.instance, 0.0)
+                self._link.close()
+                self._link = link
 
     def _hand_out(self, message: dict[str, Any]) -> None:
         if message["event"] == "state":

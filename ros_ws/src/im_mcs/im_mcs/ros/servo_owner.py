@@ -30,7 +30,6 @@ class ServoOwner:
         self._channel = ServoChannel.create(instance, len(config.joint_slots), len(config.gripper_slots))
         arguments = [instance, str(config_file or ""), config.preset]
         self.process = ChildProcess("im_mcs.servo", arguments, names.run_dir() / "servo.log")
-        self._link: TestbedLink | None = None
         self._client: ServoClient | None = None
 
     @property
@@ -53,8 +52,8 @@ class ServoOwner:
             if clock.monotonic() > self._deadline:
                 raise LinkError(f"the servo process was not ready within {self._timeout_s:g} s")
             return False
-        self._link = TestbedLink.attach(names.instance(), 1.0)
-        self._client = ServoClient(self._channel, self._link, self._on_state)
+        link = TestbedLink.attach(names.instance(), 1.0)
+        self._client = ServoClient(self._channel, link, self._on_state)
         return True
 
     def close(self) -> None:
@@ -62,6 +61,4 @@ class ServoOwner:
         if self._client is not None:
             self._client.close()
         self.process.terminate()
-        if self._link is not None:
-            self._link.close()
         self._channel.close()

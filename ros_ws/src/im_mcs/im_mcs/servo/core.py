@@ -85,6 +85,10 @@ class Mcs:
         self.wants_time = self.manager.busy or settling or bool(self._grippers)
         self.testbed.write(Drive(self.tau, self.manager.power, self.manager.brakes, self.gripper, self.wants_time))
 
+    def refuse(self, message: dict[str, Any], error: ImError) -> None:
+        """Answer a request that cannot even be looked at."""
+        self._answer(int(message.get("id", 0)), error)
+
     def obey(self, message: dict[str, Any]) -> None:
         """Obey one request; refusals are answered, never raised."""
         number = int(message.get("id", 0))
@@ -99,8 +103,11 @@ class Mcs:
             group.stop(fault)
 
     def lose_testbed(self, error: LinkError) -> None:
-        """The testbed has stopped listening; whatever was powered is estopped."""
+        """The testbed has stopped listening; whatever was powered is estopped, and what was measured is forgotten."""
         self._protect(error.message)
+        self._velocity.reset()
+        for group in self.groups.values():
+            group.monitor.restart()
 
     # what the state manager asks for (im_mcs.state.manager.Arms)
 

@@ -81,6 +81,7 @@ class ServoProcess:
             if not self._linked:
                 self._driver.connect()
                 self._linked = True
+                self._pacer.restart()
             while not self._driver.wait(_WAIT_S):
                 if not self._running or not self._channel.requests.owner_alive():
                     return
@@ -89,7 +90,7 @@ class ServoProcess:
             self._linked = False
             self._mcs.lose_testbed(error)
             for message in self._channel.requests.receive_all():
-                self._mcs.obey(message)
+                self._mcs.refuse(message, LinkError(f"the testbed does not answer: {error.message}"))
             self._tell_state()
             self._write_snapshot()
             self._send_events()
@@ -124,7 +125,7 @@ class ServoProcess:
             self._driver.after_tick(m.tick)
         if self._pending or not self._mcs.wants_time or m.tick % _SNAPSHOT_TICKS == 0:
             self._write_snapshot()
-        if m.stamp_ns >= self._next_sample_ns:
+        if not self._next_sample_ns - _SAMPLE_PERIOD_NS <= m.stamp_ns < self._next_sample_ns:
             self._next_sample_ns = (m.stamp_ns // _SAMPLE_PERIOD_NS + 1) * _SAMPLE_PERIOD_NS
             with suppress(LinkError):  # the owner is slow: joint states are a stream of which the newest counts
                 self._channel.samples.send(sample_message(m.stamp_ns, m.q, self._mcs.v, self._mcs.tau))

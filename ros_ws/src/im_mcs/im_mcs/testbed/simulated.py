@@ -3,6 +3,7 @@
 import os
 
 from im_core import clock
+from im_core.errors import LinkError
 from im_core.testbed_link import TestbedLink
 from im_mcs.testbed.driver import Drive, Measured
 
@@ -26,11 +27,19 @@ class SimulatedDriver:
         self.wall_period_s = self._link.wall_period_s
 
     def connect(self) -> None:
-        """Take part in the handshake.
+        """Take part in the handshake; with a new testbed, if the one before is gone.
 
         Raises:
-            LinkError: Another servo does.
+            LinkError: There is no testbed, another servo takes part, or the new testbed ticks at another rate.
         """
+        if not self._link.physics_alive():
+            link = TestbedLink.attach(self._link.instance, 0.0)
+            if link.period_s != self.period_s:
+                link.close()
+                raise LinkError(f"the new testbed ticks every {link.period_s:g} s, the servo every {self.period_s:g} s")
+            self._link.close()
+            self._link = link
+            self.wall_period_s = link.wall_period_s
         self._link.attach_servo(os.getpid())
 
     def wait(self, timeout_s: float) -> bool:

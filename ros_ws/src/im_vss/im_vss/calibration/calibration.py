@@ -29,10 +29,6 @@ class Verdict:
     reason: str
     advice: str
 
-    def __str__(self) -> str:
-        """The verdict as text."""
-        return f"{self.kind}: {self.reason} {self.advice}"
-
 
 @dataclass(frozen=True)
 class Rejection:
@@ -137,9 +133,15 @@ class Calibration:
     def message(self) -> str:
         """The outcome in a sentence or two."""
         if self.verdicts:
-            return " ".join(str(verdict) for verdict in self.verdicts)
+            return " ".join(_told(kind, self.verdicts) for kind in dict.fromkeys(v.kind for v in self.verdicts))
         names = ", ".join(camera.name for camera in self.cameras)
         text = f"Calibrated {names} from {self.points_used} poses"
         errors = [f"{self.expected.reprojection_rms_px:.3f} px", f"{self.expected.triangulation_rms_mm:.2f} mm"]
         known = " and ".join(error for error in errors if not error.startswith("nan"))
         return f"{text}; expect {known} RMS in the workspace." if known else f"{text}; none of them sees the workspace."
+
+
+def _told(kind: str, verdicts: tuple[Verdict, ...]) -> str:
+    """All verdicts of a kind as one text; advice that repeats is given once."""
+    these = [verdict for verdict in verdicts if verdict.kind == kind]
+    return f"{kind}: {' '.join(dict.fromkeys([v.reason for v in these] + [v.advice for v in these]))}"

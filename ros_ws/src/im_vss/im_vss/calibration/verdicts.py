@@ -19,6 +19,7 @@ _FEWEST_SPOTS = 10
 _FLAT = 0.02
 _SAME_WRIST = 0.05
 _FALSE_ALARM = 1e-3
+_DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejections together are a misfit as well
 _FOCAL_LIMIT = 0.08
 _CENTRE_LIMIT = 0.15
 _LIMITS = {"k1": 1.0, "k2": 10.0, "p1": 0.1, "p2": 0.1, "rx": 0.25, "ry": 0.25, "rz": 0.25}
@@ -36,14 +37,17 @@ def judge(
         covariance: Covariance of the unknowns.
     """
     verdicts = []
+    misfit = _misfit(calibration, problem)
     for c in range(layout.cameras):
-        verdict = _few_spots(calibration, c) or _flat(calibration, c) or _unknown(calibration, covariance, c)
+        verdict = _few_spots(calibration, c) or _flat(calibration, c)
+        if verdict is None and misfit is None:  # the standard deviations of a misfit mean nothing
+            verdict = _unknown(calibration, covariance, c)
         if verdict:
             verdicts.append(verdict)
     if layout.led and (verdict := _led_offset(calibration, problem, layout)):
         verdicts.append(verdict)
-    if verdict := _misfit(calibration, problem):
-        verdicts.append(verdict)
+    if misfit:
+        verdicts.append(misfit)
     return tuple(verdicts)
 
 
@@ -120,18 +124,22 @@ def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: L
 
 def _misfit(calibration: Calibration, problem: CalibrationProblem) -> Verdict | None:
     """Residuals that the stated noise cannot explain."""
-    detected, used = int(problem.detected.sum()), int(calibration.used.sum())
-    contradiction = used < TRUSTED_SHARE * detected
-    if not contradiction and not calibration.p_value < _FALSE_ALARM:
+    detected, used = problem.detected.sum(axis=1), calibration.used.sum(axis=1)
+    noisy = calibration.p_value < _FALSE_ALARM
+    trusted = _DOUBTED_SHARE if calibration.p_value < _DOUBTED_CHANCE else TRUSTED_SHARE
+    contradictory = np.flatnonzero(used < trusted * detected)
+    if not len(contradictory) and not noisy:
         return None
     reasons = []
-    if calibration.p_value < _FALSE_ALARM:
+    if noisy:
         reasons.append(
             f"The residuals are {np.sqrt(calibration.chi2_per_dof):.1f} times as large as the stated noise explains "
             f"(chi2/dof {calibration.chi2_per_dof:.2f}, p {calibration.p_value:.1g}); {_worst_camera(calibration)}."
         )
-    if contradiction:
-        reasons.append(f"Only {used} of {detected} spots agree with each other.")
+    reasons += [
+        f"Only {used[c]} of {detected[c]} spots of {problem.camera_names[c]} agree with each other."
+        for c in contradictory
+    ]
     return Verdict(
         MISFIT,
         (),

@@ -1,0 +1,66 @@
+"""The firings of a command's net as lines for the terminal: one for each pose of the loop, one for each other step."""
+
+from enum import IntEnum
+
+
+class FiringPhase(IntEnum):
+    """Phase of a firing, as in ``im_msgs/msg/Firing``."""
+
+    START = 0
+    END = 1
+    FAILED = 2
+
+
+#: The net ``calibrate_camera``: what takes the next pose, what ends one, and what needs no line of its own.
+FIRST = "read_next_pos"
+LAST = frozenset({"loop_again", "loop_done", "skip_unreached", "skip_unseen", "note_failure"})
+ABORTS = "abort_"
+QUIET = frozenset({"skip_again", "skip_done"})
+
+
+class ProgressLines:
+    """Turns firings of the net ``calibrate_camera`` into lines; the steps of a pose are told together."""
+
+    def __init__(self) -> None:
+        self._pose = 0
+        self._steps: list[str] | None = None
+
+    def line(self, transition: str, phase: FiringPhase, message: str, fraction: float, duration_s: float) -> str | None:
+        """The line that a firing completes, or None.
+
+        Args:
+            transition: What fired.
+            phase: Start, end or failure.
+            message: Reason of a failure.
+            fraction: Progress of the command 0..1, negative where unknown.
+            duration_s: Wall time between start and end [s].
+        """
+        if phase is FiringPhase.START:
+            return self._begun(transition, fraction)
+        step = f"{transition} failed: {message}" if phase is FiringPhase.FAILED else f"{transition} {duration_s:.2f} s"
+        if self._steps is None:
+            return _told(fraction, step) if phase is FiringPhase.FAILED else None
+        if transition in LAST or transition.startswith(ABORTS):
+            line = self._pose_line(fraction)
+            self._steps = None
+            return line
+        if transition != FIRST:
+            self._steps.append(step)
+        return None
+
+    def _begun(self, transition: str, fraction: float) -> str | None:
+        if transition == FIRST:
+            self._pose, self._steps = self._pose + 1, []
+            return None
+        if self._steps is not None or transition in LAST | QUIET:
+            return None
+        return _told(fraction, transition)
+
+    def _pose_line(self, fraction: float) -> str:
+        total = f" of {round(self._pose / fraction)}" if fraction > 0 else ""
+        return _told(fraction, f"pose {self._pose}{total}: {', '.join(self._steps or [])}")
+
+
+def _told(fraction: float, text: str) -> str:
+    share = f"[{100 * fraction:3.0f} %]" if fraction >= 0 else "[  - %]"
+    return f"{share} {text}"

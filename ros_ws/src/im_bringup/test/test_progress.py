@@ -1,0 +1,56 @@
+from im_bringup.progress import FiringPhase, ProgressLines
+
+START, END, FAILED = FiringPhase
+
+
+def told(*firings):
+    lines = ProgressLines()
+    return [line for firing in firings if (line := lines.line(*firing)) is not None]
+
+
+def both(transition, fraction, seconds):
+    return [(transition, START, "", fraction, 0.0), (transition, END, "", fraction, seconds)]
+
+
+def test_steps_outside_the_loop_have_a_line_each_and_a_pose_has_one():
+    assert told(
+        *both("light_on", -1.0, 0.1),
+        *both("read_next_pos", 0.0, 0.0),
+        *both("move_robot", 0.0, 0.5),
+        *both("find_spot", 0.0, 0.25),
+        *both("loop_again", 0.025, 0.0),
+        *both("read_next_pos", 0.025, 0.0),
+        *both("move_robot", 0.025, 0.5),
+        *both("loop_done", 0.05, 0.0),
+        *both("compute_calibration", 1.0, 2.0),
+    ) == [
+        "[  - %] light_on",
+        "[  2 %] pose 1 of 40: move_robot 0.50 s, find_spot 0.25 s",
+        "[  5 %] pose 2 of 40: move_robot 0.50 s",
+        "[100 %] compute_calibration",
+    ]
+
+
+def test_failures_are_told_with_their_reason():
+    assert told(
+        *both("read_next_pos", 0.0, 0.0),
+        ("move_robot", START, "", 0.0, 0.0),
+        ("move_robot", FAILED, "left_j3: out of reach", 0.0, 1.0),
+        *both("skip_unreached", 0.5, 0.0),
+        *both("skip_done", 0.5, 0.0),
+        ("compute_calibration", START, "", 1.0, 0.0),
+        ("compute_calibration", FAILED, "too few poses", 1.0, 1.0),
+    ) == [
+        "[ 50 %] pose 1 of 2: move_robot failed: left_j3: out of reach",
+        "[100 %] compute_calibration",
+        "[100 %] compute_calibration failed: too few poses",
+    ]
+
+
+def test_an_abort_ends_the_pose():
+    assert told(
+        *both("read_next_pos", 0.0, 0.0),
+        ("move_robot", FAILED, "e-stop", 0.0, 1.0),
+        *both("abort_unreached", 0.0, 0.0),
+        *both("abort_light_off", 0.0, 0.1),
+    ) == ["[  0 %] pose 1: move_robot failed: e-stop", "[  0 %] abort_light_off"]
