@@ -123,6 +123,8 @@ install_uv() { "$IM_VENV/bin/python" -m pip install --disable-pip-version-check 
 install_lock() {
   # Copies, not links: the next step edits files, and the package cache must not see that.
   lock >"$IM_VENV/.im-lock"
+  # Trust whom this computer trusts (a company's proxy has a certificate of its own), where it has certificates at all.
+  [[ -e /etc/ssl/certs/ca-certificates.crt || -e /etc/pki/tls/certs/ca-bundle.crt ]] && export UV_SYSTEM_CERTS=1
   "$IM_VENV/bin/uv" pip install --python "$IM_VENV/bin/python" --link-mode copy --compile-bytecode \
     --requirement "$IM_VENV/.im-lock"
 }

@@ -9,31 +9,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.sh") if path.stem != "lib")
-TOOLS = [
-    "awk",
-    "basename",
-    "bash",
-    "cat",
-    "cp",
-    "cut",
-    "df",
-    "dirname",
-    "env",
-    "find",
-    "flock",
-    "grep",
-    "mkdir",
-    "mktemp",
-    "mv",
-    "nproc",
-    "rm",
-    "sed",
-    "sha256sum",
-    "sort",
-    "uname",
-    "wc",
-    "xargs",
-]
+TOOLS = """
+awk basename bash cat cp cut df dirname env find flock grep mkdir mktemp mv nproc rm sed sha256sum sort uname wc xargs
+"""
 
 
 def test_every_script_is_here():
@@ -117,7 +95,7 @@ class Computer:
         shutil.copytree(ROOT / "scripts", self.root / "scripts")
         shutil.copy(ROOT / "requirements.lock", self.root)
         (self.root / "ros_ws" / "src").mkdir(parents=True)
-        for tool in TOOLS:
+        for tool in TOOLS.split():
             self.add(tool, Path(shutil.which(tool)))
 
     def add(self, name, target):

@@ -32,6 +32,8 @@ def test_coplanar_positions_are_unobservable(design, tilt):
     assert {"camera_0.fx", "camera_1.fx"} <= parameters(calibration)
     assert "plane" in calibration.message
     assert "height" in calibration.verdicts[0].advice
+    assert str(calibration.verdicts[0]).startswith("UNOBSERVABLE: The LED positions")
+    assert calibration.message.count("Vary the height") == 1
 
 
 def test_poses_in_a_flat_but_thick_slab_are_not_called_coplanar():

@@ -232,6 +232,7 @@ class McsNode(ManagedNode):
     def _publish_diagnostics(self) -> None:
         if self._owner is not None:
             self._topics.diagnostics(self.state, self._owner.client.snapshot())
+            self._topics.repeat()
 
 
 def main() -> int:

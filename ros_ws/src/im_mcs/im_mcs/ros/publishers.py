@@ -32,6 +32,8 @@ class Publishers:
         self._config = config
         self._names = model.names
         self._frames = messages.Frames(model.cell, model)
+        self._last: dict[str, Any] | None = None
+        self._fresh = False
         self._state = node.create_publisher(McsState, "/mcs/state", qos.LATCHED)
         self._joints = node.create_publisher(JointState, "/joint_states", qos.EVENTS)
         self._tf = node.create_publisher(TFMessage, "/tf", qos.EVENTS)
@@ -50,8 +52,15 @@ class Publishers:
         for sample in samples:
             self._joints.publish(messages.joint_state(self._names, sample))
         if samples:
+            self._last, self._fresh = samples[-1], True
             last = samples[-1]
             self._tf.publish(TFMessage(transforms=self._frames.moving(np.array(last["q"]), last["stamp_ns"])))
+
+    def repeat(self) -> None:
+        """The last sample once more if none has come since the last call: testbed time may stand still."""
+        if self._last is not None and not self._fresh:
+            self.joints([self._last])
+        self._fresh = False
 
     def diagnostics(self, state: State, snapshot: NDArray[np.void]) -> None:
         """``/diagnostics``."""

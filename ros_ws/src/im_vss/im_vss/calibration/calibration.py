@@ -29,6 +29,10 @@ class Verdict:
     reason: str
     advice: str
 
+    def __str__(self) -> str:
+        """The verdict as text."""
+        return f"{self.kind}: {self.reason} {self.advice}"
+
 
 @dataclass(frozen=True)
 class Rejection:
