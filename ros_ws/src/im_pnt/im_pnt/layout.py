@@ -1,30 +1,47 @@
 """Layered layout of a directed graph: layers, few crossings, long edges routed between the nodes.
 
 The method is Sugiyama's (1981): cycles are broken along a depth-first search, layers are longest paths, the order in a
-layer is found by barycentres, and the horizontal places by an isotonic fit to the neighbours' means.
+layer is found by barycentres, and the horizontal places by an isotonic fit to the neighbours' means. Parts of the graph
+that no edge connects are laid out by themselves and set side by side.
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 Point = tuple[float, float]
 Edge = tuple[str, str]
 _Node = str | tuple[int, int]
 
+_ROW_GAP = 24.0
+_PART_GAP = 34.0
+_ASPECT = 1.5
+_DUMMY_WIDTH = 6.0
+
+
+class Box(NamedTuple):
+    """Room that a node needs left and right of its anchor, and its height, centred on the anchor."""
+
+    left: float
+    right: float
+    height: float
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where things go, in the unit of the given widths; x to the right, y downward.
+    """Where things go, in the unit of the given boxes; x to the right, y downward.
 
     Attributes:
-        positions: Centre of each node.
-        routes: For each edge the points it passes between its two nodes.
+        positions: Anchor of each node.
+        rows: Upper and lower border of the row that each node is in; edges cross rows upright only.
+        routes: For each edge the points it passes between the rows of its two nodes.
         width: Width of the whole.
         height: Height of the whole.
     """
 
     positions: dict[str, Point]
+    rows: dict[str, tuple[float, float]]
     routes: dict[Edge, list[Point]]
     width: float
     height: float
@@ -38,36 +55,104 @@ class _Layered:
     chains: dict[Edge, list[_Node]] = field(default_factory=dict)
 
 
-def layered(
-    widths: Mapping[str, float],
-    edges: Sequence[Edge],
-    top: Collection[str] = (),
-    row: float = 56.0,
-    gap: float = 18.0,
-) -> Layout:
+def layered(boxes: Mapping[str, Box], edges: Sequence[Edge], top: Collection[str] = (), gap: float = 16.0) -> Layout:
     """Lays out a graph from top to bottom.
 
     Args:
-        widths: Width of each node, in the order in which a reader should meet them.
+        boxes: Room of each node, in the order in which a reader should meet them.
         edges: Pairs of nodes; repeated pairs share a route.
         top: Nodes where the reader begins; edges into them run upward.
-        row: Distance between layers.
         gap: Least distance between nodes of a layer.
     """
-    if not widths:
-        return Layout({}, {}, 0.0, 0.0)
-    backward = _backward_edges(list(widths), edges, top)
-    graph = _with_dummies(_depths(list(widths), edges, backward), edges, backward)
+    parts = [_connected({node: boxes[node] for node in part}, edges, top, gap) for part in _parts(boxes, edges)]
+    return _side_by_side(parts)
+
+
+def depths(nodes: Sequence[str], edges: Sequence[Edge], top: Collection[str] = ()) -> dict[str, int]:
+    """Returns the layer of each node, counted from the top."""
+    return _depths(list(nodes), edges, _backward_edges(list(nodes), edges, top))
+
+
+def _parts(nodes: Collection[str], edges: Sequence[Edge]) -> list[list[str]]:
+    """The nodes by connected part; the largest part first."""
+    near: dict[str, list[str]] = {node: [] for node in nodes}
+    for a, b in edges:
+        near[a].append(b)
+        near[b].append(a)
+    part_of: dict[str, int] = {}
+    for number, root in enumerate(nodes):
+        stack = [root]
+        while stack:
+            node = stack.pop()
+            if node not in part_of:
+                part_of[node] = number
+                stack.extend(near[node])
+    parts: dict[int, list[str]] = {}
+    for node in nodes:
+        parts.setdefault(part_of[node], []).append(node)
+    return sorted(parts.values(), key=len, reverse=True)
+
+
+def _side_by_side(parts: list[Layout]) -> Layout:
+    """Sets parts in shelves whose whole is near the aspect of a screen."""
+    area = sum((part.width + _PART_GAP) * (part.height + _PART_GAP) for part in parts)
+    limit = max([(area * _ASPECT) ** 0.5, *(part.width for part in parts)])
+    whole = Layout({}, {}, {}, 0.0, 0.0)
+    x = y = shelf = width = 0.0
+    for part in parts:
+        if x and x + part.width > limit:
+            x, y, shelf = 0.0, y + shelf + _PART_GAP, 0.0
+        whole.positions.update({node: (px + x, py + y) for node, (px, py) in part.positions.items()})
+        whole.rows.update({node: (upper + y, lower + y) for node, (upper, lower) in part.rows.items()})
+        whole.routes.update({edge: [(px + x, py + y) for px, py in route] for edge, route in part.routes.items()})
+        width, shelf = max(width, x + part.width), max(shelf, part.height)
+        x += part.width + _PART_GAP
+    return Layout(whole.positions, whole.rows, whole.routes, width, y + shelf)
+
+
+def _connected(boxes: Mapping[str, Box], every: Sequence[Edge], top: Collection[str], gap: float) -> Layout:
+    edges = [edge for edge in every if edge[0] in boxes]
+    backward = _backward_edges(list(boxes), edges, top)
+    graph = _with_dummies(_depths(list(boxes), edges, backward), edges, backward)
     _reduce_crossings(graph)
-    x = _horizontal(graph, widths, gap)
-    spot = {node: (x[node], depth * row) for depth, layer in enumerate(graph.layers) for node in layer}
-    left = min(x[node] - widths[node] / 2 for node in x if isinstance(node, str))
-    right = max(x[node] + widths[node] / 2 for node in x if isinstance(node, str))
-    left, right = min(left, *x.values()), max(right, *x.values())
-    spot = {node: (px - left, py) for node, (px, py) in spot.items()}
-    routes = {edge: [spot[node] for node in chain] for edge, chain in graph.chains.items()}
-    positions = {node: point for node, point in spot.items() if isinstance(node, str)}
-    return Layout(positions, routes, right - left, (len(graph.layers) - 1) * row)
+    x = _horizontal(graph, boxes, gap)
+    left = min(x[node] - _box(boxes, node).left for node in x)
+    width = max(x[node] + _box(boxes, node).right for node in x) - left
+    rows = _rows(graph, boxes, x)
+    positions: dict[str, Point] = {}
+    borders: dict[str, tuple[float, float]] = {}
+    for layer, (upper, lower) in zip(graph.layers, rows, strict=True):
+        for node in layer:
+            if isinstance(node, str):
+                positions[node] = (x[node] - left, (upper + lower) / 2)
+                borders[node] = (upper, lower)
+    routes: dict[Edge, list[Point]] = {}
+    for (a, b), chain in graph.chains.items():
+        upward = positions[a][1] > positions[b][1]
+        routes[a, b] = [
+            (x[node] - left, border)
+            for node in chain
+            if not isinstance(node, str)
+            for border in (rows[node[1]][::-1] if upward else rows[node[1]])
+        ]
+    return Layout(positions, borders, routes, width, rows[-1][1])
+
+
+def _rows(graph: _Layered, boxes: Mapping[str, Box], x: Mapping[_Node, float]) -> list[tuple[float, float]]:
+    """Borders of the layers; the steeper the edges between two of them would lie, the wider the gap."""
+    rows: list[tuple[float, float]] = []
+    at = 0.0
+    for layer in graph.layers:
+        height = max(_box(boxes, node).height for node in layer)
+        sideways = max((abs(x[node] - x[above]) for node in layer for above in graph.up.get(node, ())), default=0.0)
+        at += _ROW_GAP + min(24.0, 0.08 * sideways) if rows else 0.0
+        rows.append((at, at + height))
+        at += height
+    return rows
+
+
+def _box(boxes: Mapping[str, Box], node: _Node) -> Box:
+    return boxes[node] if isinstance(node, str) else Box(_DUMMY_WIDTH / 2, _DUMMY_WIDTH / 2, 0.0)
 
 
 def _backward_edges(nodes: list[str], edges: Sequence[Edge], top: Collection[str]) -> set[Edge]:
@@ -144,7 +229,8 @@ def _with_dummies(depth: dict[str, int], edges: Sequence[Edge], backward: set[Ed
     return graph
 
 
-def _reduce_crossings(graph: _Layered, sweeps: int = 12) -> None:
+def _reduce_crossings(graph: _Layered, sweeps: int = 16) -> None:
+    best, fewest = [list(layer) for layer in graph.layers], _crossings(graph)
     for sweep in range(sweeps):
         downward = sweep % 2 == 0
         neighbours = graph.up if downward else graph.down
@@ -157,33 +243,50 @@ def _reduce_crossings(graph: _Layered, sweeps: int = 12) -> None:
                 near = [place[neighbour] for neighbour in neighbours.get(node, ())]
                 centres[node] = sum(near) / len(near) if near else float(index)
             graph.layers[level].sort(key=centres.__getitem__)
+        crossings = _crossings(graph)
+        if crossings < fewest:
+            best, fewest = [list(layer) for layer in graph.layers], crossings
+    graph.layers[:] = best
 
 
-def _horizontal(graph: _Layered, widths: Mapping[str, float], gap: float, sweeps: int = 16) -> dict[_Node, float]:
-    def width(node: _Node) -> float:
-        return widths[node] if isinstance(node, str) else 4.0
+def _crossings(graph: _Layered) -> int:
+    count = 0
+    for upper, lower in pairwise(graph.layers):
+        place = {node: index for index, node in enumerate(lower)}
+        ends = [sorted(place[below] for below in graph.down.get(node, ())) for node in upper]
+        flat = [end for group in ends for end in group]
+        count += sum(left > right for index, left in enumerate(flat) for right in flat[index + 1 :])
+    return count
 
+
+def _horizontal(graph: _Layered, boxes: Mapping[str, Box], gap: float, sweeps: int = 24) -> dict[_Node, float]:
     x: dict[_Node, float] = {}
     offsets: list[list[float]] = []
     for layer in graph.layers:
         right = 0.0
         row: list[float] = []
         for index, node in enumerate(layer):
-            right += (width(layer[index - 1]) + width(node)) / 2 + gap if index else 0.0
+            right += _box(boxes, layer[index - 1]).right + _box(boxes, node).left + gap if index else 0.0
             row.append(right)
         offsets.append(row)
         for node, place in zip(layer, row, strict=True):
             x[node] = place - right / 2
-    for _ in range(sweeps):
-        for layer, row in zip(graph.layers, offsets, strict=True):
-            wanted: list[float] = []
-            for node in layer:
-                near = [x[other] for other in (*graph.up.get(node, ()), *graph.down.get(node, ()))]
-                wanted.append(sum(near) / len(near) if near else x[node])
+    for sweep in range(sweeps):
+        order = list(zip(graph.layers, offsets, strict=True))
+        for layer, row in order if sweep % 2 == 0 else order[::-1]:
+            wanted = [_wanted(graph, x, node) for node in layer]
             fitted = _isotonic([want - offset for want, offset in zip(wanted, row, strict=True)])
             for node, fit, offset in zip(layer, fitted, row, strict=True):
                 x[node] = fit + offset
     return x
+
+
+def _wanted(graph: _Layered, x: Mapping[_Node, float], node: _Node) -> float:
+    """Mean of the neighbours; the dummies of a long edge follow each other, which keeps it straight."""
+    near = [*graph.up.get(node, ()), *graph.down.get(node, ())]
+    if not isinstance(node, str):
+        near = [other for other in near if not isinstance(other, str)] or near
+    return sum(x[other] for other in near) / len(near) if near else x[node]
 
 
 def _isotonic(values: list[float]) -> list[float]:

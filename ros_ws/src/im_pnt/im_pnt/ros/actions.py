@@ -98,9 +98,10 @@ class RosActions:
 
     async def _until_ready(self, ready: Any, task: str | None, what: str) -> None:
         deadline = monotonic() + DISCOVERY_TIMEOUT_S
+        since = self._heartbeats.incarnation(task) if task else None
         while not ready():
-            if monotonic() > deadline:
-                missing = self._heartbeats.missing(task) if task else ""
+            missing = self._heartbeats.missing(task, since) if task else ""
+            if missing or monotonic() > deadline:
                 raise StateError(f"{what} is not there" + (f": {missing}" if missing else ""))
             await pause(self._node, 0.05)
 

@@ -233,6 +233,7 @@ class PntNode(ManagedNode):
                 self._known_incarnation.setdefault(node, incarnation)
             missing = self.heartbeats.missing(node, self._known_incarnation.get(node))
             if missing:
+                self._known_incarnation.pop(node, None)
                 self.exchange.node_lost(node, missing)
 
     # What arrives.
