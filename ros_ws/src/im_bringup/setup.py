@@ -21,6 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "agent=im_bringup.ros.agent:main",
+            "bench=im_bringup.ros.bench:main",
             "bootstrap=im_bringup.ros.bootstrap:main",
             "calibrate_camera=im_bringup.ros.calibrate_camera:main",
             "record=im_bringup.ros.record:main",

@@ -1,39 +1,17 @@
 """Drawings of nets: SVG to look at, DOT for other tools, positions for the live display."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 
-from im_pnt.expand import OUTPUT_SEMAPHORE, expand, input_place
+from im_pnt.expand import OUTPUT_SEMAPHORE
 from im_pnt.layout import Layout, Point, layered
-from im_pnt.net import Net, Place, RequestAction, Role, Transition
+from im_pnt.net import Net
+from im_pnt.parts import LINE, RADIUS, REFERENCE_RADIUS, DrawnArc, DrawnNode, parts
 
-_RADIUS = 11.0
-_HEIGHT = 22.0
-_MARGIN = 30.0
-
-
-@dataclass(frozen=True, slots=True)
-class DrawnNode:
-    """A place or transition of a drawing; ``link`` is the ``net.place`` of another net that it leads to."""
-
-    name: str
-    kind: str
-    label: str
-    note: str
-    tokens: int
-    width: float
-    link: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class DrawnArc:
-    """An arc of a drawing; ``kind`` is ``flow``, ``failure`` (dashed) or ``inhibitor`` (ends in a circle)."""
-
-    source: str
-    target: str
-    weight: int
-    kind: str
+_MARGIN = 24.0
+_PORT = 14.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +31,10 @@ class Drawing:
                 "name": node.name,
                 "kind": node.kind,
                 "label": node.label,
-                "note": node.note,
+                "notes": node.notes,
+                "place": node.place,
                 "link": node.link,
-                "width": node.width,
+                "box": [round(side, 1) for side in node.box],
                 "x": round(layout.positions[node.name][0] + _MARGIN, 1),
                 "y": round(layout.positions[node.name][1] + _MARGIN, 1),
             }
@@ -67,25 +46,39 @@ class Drawing:
                 "target": arc.target,
                 "weight": arc.weight,
                 "kind": arc.kind,
-                "points": [[round(x + _MARGIN, 1), round(y + _MARGIN, 1)] for x, y in self.points(arc)],
+                "path": path([(x + _MARGIN, y + _MARGIN) for x, y in points]),
+                "tip": [round(points[-1][0] + _MARGIN, 1), round(points[-1][1] + _MARGIN, 1)],
             }
-            for arc in self.arcs
+            for arc, points in zip(self.arcs, self.points(), strict=True)
         ]
         size = [round(layout.width + 2 * _MARGIN), round(layout.height + 2 * _MARGIN)]
         return {"net": self.net, "nodes": nodes, "arcs": arcs, "size": size}
 
-    def points(self, arc: DrawnArc) -> list[Point]:
-        """Returns the points of an arc, from rim to rim."""
-        by_name = {node.name: node for node in self.nodes}
-        positions = self.layout.positions
-        key = (arc.source, arc.target)
-        inner = self.layout.routes.get(key)
-        if inner is None:
-            inner = self.layout.routes[arc.target, arc.source][::-1]
-        path = [positions[arc.source], *inner, positions[arc.target]]
-        path[0] = _rim(by_name[arc.source], path[0], path[1])
-        path[-1] = _rim(by_name[arc.target], path[-1], path[-2])
-        return path
+    def points(self) -> list[list[Point]]:
+        """Returns the points of each arc from rim to rim; where two of them differ in x, it bends between them."""
+        positions, rows = self.layout.positions, self.layout.rows
+        inner = [self._inner(arc) for arc in self.arcs]
+        sides: dict[tuple[str, bool], list[tuple[float, int, bool]]] = {}
+        for index, (arc, route) in enumerate(zip(self.arcs, inner, strict=True)):
+            down = positions[arc.target][1] > positions[arc.source][1]
+            follows = route[0] if route else positions[arc.target]
+            precedes = route[-1] if route else positions[arc.source]
+            sides.setdefault((arc.source, down), []).append((follows[0], index, True))
+            sides.setdefault((arc.target, not down), []).append((precedes[0], index, False))
+        ends: dict[tuple[int, bool], list[Point]] = {}
+        nodes = {node.name: node for node in self.nodes}
+        for (name, below), arcs in sides.items():
+            (x, y), border = positions[name], rows[name][below]
+            offsets = _ports(nodes[name], len(arcs))
+            for (_, index, leaves), (dx, dy) in zip(sorted(arcs), offsets, strict=True):
+                rim = (x + dx, y + dy if below else y - dy)
+                ends[index, leaves] = [rim, (x + dx, border)] if leaves else [(x + dx, border), rim]
+        return [[*ends[index, True], *route, *ends[index, False]] for index, route in enumerate(inner)]
+
+    def _inner(self, arc: DrawnArc) -> list[Point]:
+        routes = self.layout.routes
+        route = routes.get((arc.source, arc.target))
+        return routes[arc.target, arc.source][::-1] if route is None else route
 
 
 def draw(net: Net, *, phases: bool = False) -> Drawing:
@@ -95,13 +88,22 @@ def draw(net: Net, *, phases: bool = False) -> Drawing:
         net: The net as written; its coordination structures are drawn with it.
         phases: Draw start, active, end and failed of timed transitions; otherwise one box each.
     """
-    whole = expand(net)
-    shown = whole if phases else _folded(net, whole)
-    nodes = tuple(_nodes(shown))
-    arcs = tuple(_arcs(shown))
-    top = [node.name for node in nodes if node.tokens and node.name != OUTPUT_SEMAPHORE]
-    layout = layered({node.name: node.width for node in nodes}, [(arc.source, arc.target) for arc in arcs], top)
+    nodes, arcs = parts(net, phases=phases)
+    top = [node.name for node in nodes if node.tokens and node.kind == "place" and node.name != OUTPUT_SEMAPHORE]
+    layout = layered({node.name: node.box for node in nodes}, [(arc.source, arc.target) for arc in arcs], top)
     return Drawing(net.name, nodes, arcs, layout)
+
+
+def path(points: list[Point]) -> str:
+    """Returns SVG path data: upright lines, and bends with upright ends between them."""
+    words = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
+    for (x, y), (u, v) in pairwise(points):
+        if abs(x - u) < 0.05:
+            words.append(f"V{v:.1f}")
+        else:
+            middle = (y + v) / 2
+            words.append(f"C{x:.1f} {middle:.1f} {u:.1f} {middle:.1f} {u:.1f} {v:.1f}")
+    return "".join(words)
 
 
 def svg(drawing: Drawing, tokens: Mapping[str, int] | None = None) -> str:
@@ -117,13 +119,14 @@ def svg(drawing: Drawing, tokens: Mapping[str, int] | None = None) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" '
         f'viewBox="{-_MARGIN:g} {-_MARGIN:g} {width:.0f} {height:.0f}" font-family="sans-serif" font-size="11">',
         f"<title>{escape(drawing.net)}</title>",
-        '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="8" markerHeight="8" '
-        'orient="auto-start-reverse"><path d="M0 0 8 4 0 8z"/></marker></defs>',
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" '
+        'orient="auto-start-reverse"><path d="M0 1 8 4 0 7z"/></marker></defs>',
         f'<rect x="{-_MARGIN:g}" y="{-_MARGIN:g}" width="{width:.0f}" height="{height:.0f}" fill="white"/>',
     ]
-    lines.extend(_svg_arc(drawing, arc) for arc in drawing.arcs)
+    for arc, points in zip(drawing.arcs, drawing.points(), strict=True):
+        lines.append(_svg_arc(arc, points))
     for node in drawing.nodes:
-        count = node.tokens if tokens is None else tokens.get(node.name, 0)
+        count = node.tokens if tokens is None else tokens.get(node.place, 0)
         lines.append(_svg_node(node, drawing.layout.positions[node.name], count))
     return "\n".join([*lines, "</svg>", ""])
 
@@ -132,11 +135,11 @@ def dot(drawing: Drawing) -> str:
     """Returns a drawing in the DOT language."""
     lines = [f'digraph "{drawing.net}" {{', "  rankdir=TB; node [fontsize=10];"]
     for node in drawing.nodes:
-        shape = "circle" if node.kind == "place" else "box"
-        mark = f"\\n{node.tokens}" if node.tokens else ""
-        note = f"\\n{_quoted(node.note)}" if node.note else ""
-        lines.append(f'  "{node.name}" [shape={shape} label="{node.label}{mark}{note}"];')
-    styles = {"flow": "", "failure": " style=dashed", "inhibitor": " arrowhead=odot"}
+        shape = "box" if node.kind == "transition" else "circle"
+        mark = [str(node.tokens)] if node.tokens else []
+        label = "\\n".join(_quoted(line) for line in (node.label, *mark, *node.notes))
+        lines.append(f'  "{node.name}" [shape={shape} label="{label}"];')
+    styles = {"flow": "", "failure": " style=dashed", "either": " style=bold", "inhibitor": " arrowhead=odot"}
     for arc in drawing.arcs:
         weight = f' label="{arc.weight}"' if arc.weight > 1 else ""
         lines.append(f'  "{arc.source}" -> "{arc.target}" [{(styles[arc.kind] + weight).strip()}];')
@@ -147,83 +150,26 @@ def _quoted(text: str) -> str:
     return text.replace("\\", "\\\\").replace('"', '\\"')
 
 
-def _folded(net: Net, whole: Net) -> Net:
-    """The net as written, with the coordination structures of the expanded one."""
-    structure = {
-        name: t
-        for name, t in whole.transitions.items()
-        if t.role not in (Role.PLAIN, Role.START, Role.END, Role.FAILED)
-    }
-    hidden = {f"{name}.active" for name, t in net.transitions.items() if t.action is not None}
-    places = {name: place for name, place in whole.places.items() if name not in hidden}
-    return Net(net.name, places, {**net.transitions, **structure}, escalate=net.escalate)
+def _ports(node: DrawnNode, count: int) -> list[Point]:
+    """Where arcs meet the rim of a node, from left to right: offsets from its anchor, downward."""
+    radius = {"transition": 0.0, "reference": REFERENCE_RADIUS}.get(node.kind, RADIUS)
+    room = 2 * node.box.left - 16 if node.kind == "transition" else 1.3 * radius
+    step = min(_PORT, room / (count - 1)) if count > 1 else 0.0
+    offsets = [(index - (count - 1) / 2) * step for index in range(count)]
+    return [(dx, (radius**2 - dx**2) ** 0.5 if radius else node.box.height / 2) for dx in offsets]
 
 
-def _nodes(net: Net) -> Iterator[DrawnNode]:
-    def place_node(place: Place) -> DrawnNode:
-        note = f"object {place.data_object}" if place.data_object else ""
-        width = 2 * _RADIUS + 2 * 6.2 * len(place.name)
-        return DrawnNode(place.name, "place", place.name, note, place.tokens, width)
-
-    for place in net.places.values():
-        if place.tokens:
-            yield place_node(place)
-    for transition in net.transitions.values():
-        label = transition.name
-        action = transition.action
-        link = f"{action.net}.{input_place(action.service)}" if isinstance(action, RequestAction) else ""
-        yield DrawnNode(label, "transition", label, _note(transition), 0, max(40.0, 6.6 * len(label) + 12), link)
-    for place in net.places.values():
-        if not place.tokens:
-            yield place_node(place)
-    for name in sorted({str(remote) for t in net.transitions.values() for remote in t.remote_outputs}):
-        yield DrawnNode(name, "remote", name, "place of another net", 0, 2 * _RADIUS + 2 * 6.2 * len(name), name)
-
-
-def _note(transition: Transition) -> str:
-    parts = [f"symbol {transition.symbol}"] if transition.symbol else []
-    parts += [f"guard {transition.guard}"] if transition.guard else []
-    parts += [str(transition.action)] if transition.action else []
-    parts += [f"emits {', '.join(transition.emit)}"] if transition.emit else []
-    return "; ".join(parts)
-
-
-def _arcs(net: Net) -> Iterator[DrawnArc]:
-    for t in net.transitions.values():
-        for place, weight in t.inputs.items():
-            yield DrawnArc(place, t.name, weight, "flow")
-        for place, weight in t.inhibitors.items():
-            yield DrawnArc(place, t.name, weight, "inhibitor")
-        for place, weight in t.outputs.items():
-            yield DrawnArc(t.name, place, weight, "flow")
-        for remote, weight in t.remote_outputs.items():
-            yield DrawnArc(t.name, str(remote), weight, "flow")
-        failure = t.on_failure or ({net.escalate: 1} if t.action is not None and net.escalate else {})
-        for place, weight in failure.items():
-            yield DrawnArc(t.name, place, weight, "failure")
-
-
-def _rim(node: DrawnNode, centre: Point, toward: Point) -> Point:
-    dx, dy = toward[0] - centre[0], toward[1] - centre[1]
-    length = (dx * dx + dy * dy) ** 0.5 or 1.0
-    if node.kind != "transition":
-        return centre[0] + dx / length * _RADIUS, centre[1] + dy / length * _RADIUS
-    half_width, half_height = node.width / 2, _HEIGHT / 2
-    scale = min(half_width / abs(dx) if dx else 1e9, half_height / abs(dy) if dy else 1e9)
-    return centre[0] + dx * scale, centre[1] + dy * scale
-
-
-def _svg_arc(drawing: Drawing, arc: DrawnArc) -> str:
-    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in drawing.points(arc))
+def _svg_arc(arc: DrawnArc, points: list[Point]) -> str:
     style = {
-        "flow": 'stroke="#333" marker-end="url(#tip)"',
+        "flow": 'stroke="#555" marker-end="url(#tip)"',
         "failure": 'stroke="#b33" stroke-dasharray="4 3" marker-end="url(#tip)"',
-        "inhibitor": 'stroke="#333" stroke-dasharray="1 3"',
+        "either": 'stroke="#b33" marker-end="url(#tip)"',
+        "inhibitor": 'stroke="#555" stroke-dasharray="1 3"',
     }[arc.kind]
-    line = f'<polyline fill="none" stroke-linejoin="round" {style} points="{points}"/>'
-    x, y = drawing.points(arc)[-1]
+    line = f'<path fill="none" {style} d="{path(points)}"/>'
+    x, y = points[-1]
     if arc.kind == "inhibitor":
-        line += f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="white" stroke="#333"/>'
+        line += f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="white" stroke="#555"/>'
     if arc.weight > 1:
         line += f'<text x="{x + 5:.1f}" y="{y - 6:.1f}">{arc.weight}</text>'
     return line
@@ -231,19 +177,29 @@ def _svg_arc(drawing: Drawing, arc: DrawnArc) -> str:
 
 def _svg_node(node: DrawnNode, at: Point, tokens: int) -> str:
     x, y = at
-    title = f"<title>{escape(node.note)}</title>" if node.note else ""
     if node.kind == "transition":
-        half = node.width / 2
-        return (
-            f'<g>{title}<rect x="{x - half:.1f}" y="{y - _HEIGHT / 2:.1f}" width="{node.width:.1f}" '
-            f'height="{_HEIGHT:g}" rx="2" fill="#dfe8f2" stroke="#245"/>'
-            f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{escape(node.label)}</text></g>'
+        upper = y - node.box.height / 2
+        notes = "".join(
+            f'<text x="{x:.1f}" y="{upper + 15 + LINE * line:.1f}" font-size="9" fill="#456" text-anchor="middle">'
+            f"{escape(note)}</text>"
+            for line, note in enumerate(node.notes, 1)
         )
-    dash = ' stroke-dasharray="3 2"' if node.kind == "remote" else ""
+        return (
+            f'<g><rect x="{x - node.box.left:.1f}" y="{upper:.1f}" width="{2 * node.box.left:.1f}" '
+            f'height="{node.box.height:g}" rx="2" fill="#dfe8f2" stroke="#245"/>'
+            f'<text x="{x:.1f}" y="{upper + 15:.1f}" text-anchor="middle">{escape(node.label)}</text>{notes}</g>'
+        )
+    radius = REFERENCE_RADIUS if node.kind == "reference" else RADIUS
+    dash = "" if node.kind == "place" else ' stroke-dasharray="3 2"'
     mark = "" if not tokens else f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{tokens}</text>'
     if tokens == 1:
-        mark = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="#111"/>'
+        mark = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{0.4 * radius:.1f}" fill="#111"/>'
+    size = ' font-size="9"' if node.kind == "reference" else ""
+    notes = "".join(
+        f'<text x="{x + radius + 5:.1f}" y="{y + 12:.1f}" font-size="9" fill="#456">{escape(note)}</text>'
+        for note in node.notes
+    )
     return (
-        f'<g>{title}<circle cx="{x:.1f}" cy="{y:.1f}" r="{_RADIUS:g}" fill="white" stroke="#245"{dash}/>{mark}'
-        f'<text x="{x + _RADIUS + 4:.1f}" y="{y + 4:.1f}">{escape(node.label)}</text></g>'
+        f'<g><circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="white" stroke="#245"{dash}/>{mark}'
+        f'<text x="{x + radius + 4:.1f}" y="{y + (1 if notes else 4):.1f}"{size}>{escape(node.label)}</text>{notes}</g>'
     )

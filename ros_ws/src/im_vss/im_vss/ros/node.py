@@ -2,9 +2,11 @@
 
 import json
 import sys
+import threading
 import traceback
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +88,8 @@ class VssNode(ManagedNode):
                 SetCameraInfo, f"/{entry.name}/set_camera_info", partial(self._set_camera_info, entry.name)
             )
         self.create_timer(WATCH_PERIOD_S, self._watch, clock=self.steady_clock)
+        # Loading the plotting library takes a second that the first calibration need not wait for.
+        threading.Thread(target=import_module, args=("im_vss.calibration.plots",), daemon=True).start()
 
     def phase_shutdown(self) -> None:
         """End the camera process."""

@@ -1,0 +1,165 @@
+"""``bench``: how fast the machine is, as ratios to baselines of the same run."""
+
+import argparse
+import json
+import signal
+import statistics
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from im_bringup import deployment as deployments
+from im_bringup import leftovers, stop
+from im_bringup.measure import Line, memory_mib, table
+from im_bringup.ros.calibrate_camera import Client
+from im_bringup.start import start
+from im_core import clock
+from im_core.errors import ImError, StateError
+from im_core.names import results_dir
+from im_core.ros import qos
+from im_core.ros.run import Spinner
+from im_msgs.msg import McsState
+
+START_S = 120.0
+NODE = "import rclpy; from rclpy.node import Node; rclpy.init(); Node('bare')"
+
+
+class Bench(Client):
+    """Commands the machine and listens to the servo."""
+
+    def __init__(self) -> None:
+        super().__init__(sys.stderr)
+        self.servo: McsState | None = None
+        self.create_subscription(McsState, "/mcs/state", self._keep, qos.LATCHED)
+
+    def _keep(self, message: McsState) -> None:
+        self.servo = message
+
+    def command(self) -> dict[str, Any]:
+        """Calibrate the ceiling cameras and return the report.
+
+        Raises:
+            StateError: The command failed.
+        """
+        answer = self.calibrate([], "")
+        if not answer.success:
+            raise StateError(f"calibrate_camera failed: {answer.message}")
+        report: dict[str, Any] = json.loads(answer.report.json)
+        return report
+
+
+def bare_node_s(times: int = 3) -> float:
+    """Wall time from nothing to a bare rclpy node, median [s]."""
+    return statistics.median(
+        seconds(lambda: subprocess.run([sys.executable, "-c", NODE], check=True)) for _ in range(times)
+    )
+
+
+def seconds(function: Callable[[], object]) -> float:
+    """Wall time of a call [s]."""
+    began = clock.monotonic()
+    function()
+    return clock.monotonic() - began
+
+
+def machine_lines(factor: float, seed: int, port: int, runs: int) -> list[Line]:
+    """Start the machine, command it, stop it.
+
+    Raises:
+        ImError: It does not start, or a command fails.
+    """
+    path = deployments.default_path()
+    deployment = deployments.load(path).with_values(factor, seed, port)
+    tasks = len(list(deployment.tasks()))
+    node_s = bare_node_s()
+    began = clock.monotonic()
+    if start(deployment, path, START_S) != 0:
+        raise StateError("the machine did not start")
+    ready_s = clock.monotonic() - began
+    lines = [
+        Line(f"start, {tasks} tasks ready", ready_s, "s", bar=15.0),
+        Line("  to bare nodes", ready_s, "s", node_s, "a node"),
+    ]
+    try:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        bench = Bench()
+        memory = []
+        with Spinner([bench]):
+            for number in range(runs):
+                timing = bench.command()["timing"]
+                memory.append(memory_mib(process.pid for process in leftovers.processes()))
+                lines += command_lines(number + 1, factor, timing)
+            servo = bench.servo
+        lines += [
+            Line("memory after the last command", memory[-1], "MiB", bar=2560.0),
+            Line("  growth since the first", memory[-1], "MiB", memory[0], "first"),
+        ]
+        if servo is not None and factor > 0:
+            lines += [
+                Line("servo, mean period", 1e3 * servo.mean_period, "ms", 4.5, "nominal", bar=1.005),
+                Line("servo, missed deadlines", servo.missed_deadlines, "", max(1, servo.tick), "ticks"),
+            ]
+    finally:
+        rclpy.try_shutdown()
+        stop_s = seconds(lambda: stop.stop(say=lambda _: None))
+    return [*lines, Line("stop", stop_s, "s", bar=5.0)]
+
+
+def command_lines(number: int, factor: float, timing: dict[str, Any]) -> list[Line]:
+    """Lines of one command: its duration, its speed, and the steps that took longest."""
+    wall, simulated = timing["wall_s"], timing["simulated_s"]
+    name = f"command {number} at clock factor {factor:g}"
+    fast = factor == 0
+    lines = [
+        Line(name, wall, "s", bar=60.0 if fast else None),
+        Line("  simulated time", simulated, "s", wall, "wall time", bar=5.0 if fast else None, at_least=True),
+    ]
+    steps = sorted(timing["steps"].items(), key=lambda item: -item[1]["wall_s"])
+    own = [(step, value) for step, value in steps if step.startswith("calibrate_camera.")]
+    return lines + [
+        Line(f"  {step.partition('.')[2]}", value["wall_s"], "s", wall, "command") for step, value in own[:5]
+    ]
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="bench", description="Measure the machine against baselines of the same run.")
+    parser.add_argument("--runs", type=int, default=2, help="commands at clock factor 0 (default: %(default)d)")
+    parser.add_argument("--real-time", action="store_true", help="also one command in real time, for the servo")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--port", type=int, default=8080)
+    arguments = parser.parse_args()
+    if arguments.runs < 1:
+        parser.error(f"--runs {arguments.runs} is not at least 1")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        lines = machine_lines(0.0, arguments.seed, arguments.port, arguments.runs)
+        if arguments.real_time:
+            lines += machine_lines(1.0, arguments.seed, arguments.port, 1)
+    except KeyboardInterrupt:
+        print("bench: interrupted", file=sys.stderr)
+        return 130
+    except ImError as error:
+        print(f"bench: {error.message}", file=sys.stderr)
+        return 1
+    print(table(lines))
+    path = results_dir() / f"bench-{clock.stamp_name()}.json"
+    write(path, lines)
+    print(f"bench: {path}")
+    return 1 if any(line.met is False for line in lines) else 0
+
+
+def write(path: Path, lines: list[Line]) -> None:
+    """Write the lines as JSON."""
+    content = [{**asdict(line), "measure": line.measure, "met": line.met} for line in lines]
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
