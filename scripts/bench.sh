@@ -5,6 +5,7 @@
 #   scripts/bench.sh                    simulated time as fast as it goes, two commands
 #   scripts/bench.sh --real-time        and one command in real time, for the servo's period and missed deadlines
 #   scripts/bench.sh --runs 5           five commands in a row: does memory grow?
+#   scripts/bench.sh --seeds 10         instead: true errors over expected ones, over ten seeds
 #
 # The figures are also in results/bench-<date>-<time>.json.
 # Exit codes: 0 all bars are met, 1 a bar is missed or the machine did not work, 2 bad usage, 130 interrupted.

@@ -30,7 +30,16 @@ wants_help() {
 }
 
 # True where a ROS 2 Jazzy installation is sourced; it is then the underlay, and the virtual environment adds the rest.
-ros_is_sourced() { [[ "${ROS_DISTRO:-}" == jazzy && -n "${AMENT_PREFIX_PATH:-}" && "${IM_WHEELS:-}" != 1 ]]; }
+# An environment made of wheels, this clone's or another's, is none.
+ros_is_sourced() {
+  [[ "${ROS_DISTRO:-}" == jazzy && "${IM_WHEELS:-}" != 1 ]] || return 1
+  local prefix prefixes
+  IFS=: read -r -a prefixes <<<"${AMENT_PREFIX_PATH:-}"
+  for prefix in ${prefixes[@]+"${prefixes[@]}"}; do
+    [[ -d "$prefix/share/rclpy" && ! -f "$prefix/pyvenv.cfg" ]] && return 0
+  done
+  return 1
+}
 
 # The Fast DDS profile (quick discovery, images that pass whole) and the defaults of every process.
 im_defaults() {

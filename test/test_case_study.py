@@ -236,6 +236,7 @@ def test_calibration_reaches_the_standard_interfaces(first_run, machine):
 def test_the_robot_speaks_standard_messages(machine):
     from sensor_msgs.msg import JointState
     from std_msgs.msg import String
+
     from im_core.ros import qos
 
     description = machine.message(String, "/robot_description", profile=qos.LATCHED).data
@@ -248,6 +249,12 @@ def test_the_robot_speaks_standard_messages(machine):
     assert services["/dispatcher/calibrate_camera"] == ["im_msgs/srv/CalibrateCamera"]
     assert services["/mcs/change_state"] == ["lifecycle_msgs/srv/ChangeState"]
     assert services["/wall/set_camera_info"] == ["sensor_msgs/srv/SetCameraInfo"]
+
+
+def test_the_page_of_interfaces_is_what_the_machine_offers(machine, run_script):
+    written = (Path(__file__).resolve().parent.parent / "docs" / "interfaces.md").read_text()
+    printed = run_script("run", "im_bringup", "interfaces").stdout
+    assert printed.partition("## Topics")[0] == written.partition("## Topics")[0]
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ setup(
             "bench=im_bringup.ros.bench:main",
             "bootstrap=im_bringup.ros.bootstrap:main",
             "calibrate_camera=im_bringup.ros.calibrate_camera:main",
+            "interfaces=im_bringup.ros.interfaces:main",
             "record=im_bringup.ros.record:main",
             "replay=im_bringup.ros.replay:main",
             "run=im_bringup.run_command:main",

@@ -117,7 +117,8 @@ def svg(drawing: Drawing, tokens: Mapping[str, int] | None = None) -> str:
     height = drawing.layout.height + 2 * _MARGIN
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" '
-        f'viewBox="{-_MARGIN:g} {-_MARGIN:g} {width:.0f} {height:.0f}" font-family="sans-serif" font-size="11">',
+        f'viewBox="{-_MARGIN:g} {-_MARGIN:g} {width:.0f} {height:.0f}" '
+        'font-family="Arial, Liberation Sans, Helvetica, sans-serif" font-size="11">',
         f"<title>{escape(drawing.net)}</title>",
         '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" '
         'orient="auto-start-reverse"><path d="M0 1 8 4 0 7z"/></marker></defs>',

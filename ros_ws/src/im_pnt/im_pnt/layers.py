@@ -40,14 +40,14 @@ def box_of(boxes: Mapping[str, Box], node: Node) -> Box:
 
 
 def connected(nodes: Collection[str], edges: Sequence[Edge]) -> list[list[str]]:
-    """Returns the nodes of each connected part, the largest part first."""
+    """Returns the nodes of each connected part, the largest part first; nodes without edges make one part."""
     near: dict[str, list[str]] = {node: [] for node in nodes}
     for a, b in edges:
         near[a].append(b)
         near[b].append(a)
     part_of: dict[str, int] = {}
     for number, root in enumerate(nodes):
-        stack = [root]
+        stack = [root] if near[root] else []
         while stack:
             node = stack.pop()
             if node not in part_of:
@@ -55,7 +55,7 @@ def connected(nodes: Collection[str], edges: Sequence[Edge]) -> list[list[str]]:
                 stack.extend(near[node])
     parts: dict[int, list[str]] = {}
     for node in nodes:
-        parts.setdefault(part_of[node], []).append(node)
+        parts.setdefault(part_of.get(node, -1), []).append(node)
     return sorted(parts.values(), key=len, reverse=True)
 
 

@@ -14,7 +14,7 @@ from im_pnt.net import FunctionAction, Net, Place, RequestAction, Role, Transiti
 RADIUS = 11.0
 REFERENCE_RADIUS = 6.5
 LINE = 12.0
-_WIDE, _NARROW = 6.7, 5.5
+_WIDE, _NARROW = 6.2, 5.1
 _FAILURE_SPAN, _RETURN_SPAN, _JUNCTION, _LAYERS = 3, 6, 4, 18
 
 

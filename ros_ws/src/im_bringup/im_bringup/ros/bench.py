@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import signal
 import statistics
 import subprocess
@@ -18,7 +19,9 @@ from im_bringup import deployment as deployments
 from im_bringup import leftovers, stop
 from im_bringup.measure import Line, memory_mib, table
 from im_bringup.ros.calibrate_camera import Client
+from im_bringup.ros.truth_error import get_truth
 from im_bringup.start import start
+from im_bringup.truth import truth_error
 from im_core import clock
 from im_core.errors import ImError, StateError
 from im_core.names import results_dir
@@ -84,7 +87,7 @@ def machine_lines(factor: float, seed: int, port: int, runs: int) -> list[Line]:
     ready_s = clock.monotonic() - began
     lines = [
         Line(f"start, {tasks} tasks ready", ready_s, "s", bar=15.0),
-        Line("  to bare nodes", ready_s, "s", node_s, "a node"),
+        Line("  against bare nodes", ready_s, "s", tasks * node_s, f"{tasks} bare nodes"),
     ]
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
@@ -111,6 +114,37 @@ def machine_lines(factor: float, seed: int, port: int, runs: int) -> list[Line]:
     return [*lines, Line("stop", stop_s, "s", bar=5.0)]
 
 
+def accuracy_lines(seeds: int, port: int) -> list[Line]:
+    """One command for each seed: true over expected errors, RMS over the seeds, and the mean of chi2/dof.
+
+    Raises:
+        ImError: The machine does not start, or a command fails.
+    """
+    path = deployments.default_path()
+    ratios: dict[str, list[float]] = {"triangulation_mm": [], "reprojection_px": []}
+    chi2 = []
+    for seed in range(1, seeds + 1):
+        if start(deployments.load(path).with_values(0.0, seed, port), path, START_S) != 0:
+            raise StateError(f"the machine did not start with seed {seed}")
+        try:
+            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+            bench = Bench()
+            with Spinner([bench]):
+                report = bench.command()
+                error = truth_error(report, get_truth(bench))
+        finally:
+            rclpy.try_shutdown()
+            stop.stop(say=lambda _: None)
+        chi2.append(report["chi2_per_dof"])
+        for name, values in ratios.items():
+            values.append(error[name] / report["expected_error"][name])
+    lines = [
+        Line(f"{name}, true/expected, {seeds} seeds", math.sqrt(statistics.fmean(v * v for v in values)), "", bar=1.3)
+        for name, values in ratios.items()
+    ]
+    return [*lines, Line(f"chi2/dof, mean of {seeds} seeds", statistics.fmean(chi2), "")]
+
+
 def command_lines(number: int, factor: float, timing: dict[str, Any]) -> list[Line]:
     """Lines of one command: its duration, its speed, and the steps that took longest."""
     wall, simulated = timing["wall_s"], timing["simulated_s"]
@@ -132,14 +166,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="bench", description="Measure the machine against baselines of the same run.")
     parser.add_argument("--runs", type=int, default=2, help="commands at clock factor 0 (default: %(default)d)")
     parser.add_argument("--real-time", action="store_true", help="also one command in real time, for the servo")
+    parser.add_argument("--seeds", type=int, default=0, help="instead: the accuracy over this many seeds")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--port", type=int, default=8080)
     arguments = parser.parse_args()
-    if arguments.runs < 1:
-        parser.error(f"--runs {arguments.runs} is not at least 1")
+    if arguments.runs < 1 or arguments.seeds < 0:
+        parser.error(f"--runs {arguments.runs} must be at least 1, --seeds {arguments.seeds} at least 0")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        lines = machine_lines(0.0, arguments.seed, arguments.port, arguments.runs)
+        if arguments.seeds:
+            lines = accuracy_lines(arguments.seeds, arguments.port)
+        else:
+            lines = machine_lines(0.0, arguments.seed, arguments.port, arguments.runs)
         if arguments.real_time:
             lines += machine_lines(1.0, arguments.seed, arguments.port, 1)
     except KeyboardInterrupt:

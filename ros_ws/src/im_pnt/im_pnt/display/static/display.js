@@ -1,15 +1,21 @@
-// Draws the nets that the server tells of. The page is its address: #nets=a,b&only=a.p1,b.t2&filter=spot
-const SVG = "http://www.w3.org/2000/svg";
-const GAP = 60, TITLE = 26, KEPT = 300;
-const byId = (id) => document.getElementById(id);
+// The page: what the server tells of, which nets are shown, and how. It is its address:
+// #nets=a,b (or nets=all) shows these nets, #overview=1&only=a.p1,b.t2 these parts, &filter=spot dims the others.
+import { Scene } from "/static/scene.js";
 
+const KEPT = 300, LISTED = 120;
+const byId = (id) => document.getElementById(id);
 const nets = new Map();      // name -> description with drawing
 const markings = new Map();  // name -> {tokens, active}
-const elements = new Map();  // "net.node" -> {group, token}
+const commands = new Map();  // name -> {progress, end} of its newest command
 const firings = [];
-const page = readPage();
-let view = { x: 0, y: 0, scale: 1 };
-let extent = { width: 1, height: 1 };
+let page = readPage();
+let followed = null;
+let view = { x: 0, y: 0, scale: 1 }, moved = false;
+const scene = new Scene(byId("scene"), (key) => {
+  if (dragged) return;
+  if (!page.only.delete(key)) page.only.add(key);
+  refresh(page.overview);
+});
 
 function readPage() {
   const query = new URLSearchParams(location.hash.slice(1));
@@ -26,184 +32,103 @@ function keepPage() {
   history.replaceState(null, "", "#" + query);
 }
 
-function make(name, attributes, parent) {
-  const element = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  if (parent) parent.append(element);
-  return element;
+// Unless told otherwise the page follows commands: it shows the net that reads the newest one from its tape.
+function follow() {
+  const readers = [...nets.values()].filter((net) => net.symbols.length);
+  const largest = (a, b) => (b.drawing.nodes.length > a.drawing.nodes.length ? b : a);
+  return [...commands.keys()].at(-1) ?? (readers.length ? readers.reduce(largest).net : [...nets.keys()].sort()[0]);
 }
 
-const shownNets = () => [...nets.keys()].sort().filter((name) =>
-  page.overview ? [...page.only].some((key) => key.startsWith(name + ".")) : !page.nets.size || page.nets.has(name));
+function shownNets() {
+  const names = [...nets.keys()].sort();
+  if (page.overview) return names.filter((name) => [...page.only].some((key) => key.startsWith(name + ".")));
+  if (page.nets.has("all")) return names;
+  return names.filter((name) => (page.nets.size ? page.nets.has(name) : name === followed));
+}
 
-function visible(net, node) { return !page.overview || page.only.has(`${net}.${node.name}`); }
+function show(change) {
+  Object.assign(page, change);
+  moved = false;
+  refresh(true);
+}
 
-// In an overview the parts keep their order but not the empty space between them.
-function compact(values, step) {
-  const levels = [...new Set(values.map((v) => Math.round(v / 8)))].sort((a, b) => a - b);
-  let at = 0, last = null;
-  const where = new Map();
-  for (const level of levels) {
-    at += last === null ? 0 : Math.min((level - last) * 8, step);
-    where.set(level, at);
-    last = level;
+function refresh(redraw) {
+  keepPage();
+  if (redraw) {
+    followed = follow();
+    const box = byId("canvas").getBoundingClientRect();
+    scene.draw(shownNets().map((name) => nets.get(name)), page.overview ? page.only : null, box.width / box.height);
+    for (const marking of markings.values()) scene.mark(marking);
+    scene.filter(page.filter);
+    if (!moved) fit();
   }
-  return (v) => where.get(Math.round(v / 8));
-}
-
-function placed(name) {
-  const drawing = nets.get(name).drawing;
-  const nodes = drawing.nodes.filter((node) => visible(name, node));
-  if (!page.overview) return { nodes: nodes.map((n) => ({ ...n })), arcs: drawing.arcs, size: drawing.size };
-  const mapX = compact(nodes.map((n) => n.x), 150), mapY = compact(nodes.map((n) => n.y), 56);
-  const moved = nodes.map((n) => ({ ...n, x: mapX(n.x) + n.width / 2 + 20, y: mapY(n.y) + 30 }));
-  const at = new Map(moved.map((n) => [n.name, n]));
-  const arcs = drawing.arcs.filter((a) => at.has(a.source) && at.has(a.target)).map((a) => ({
-    ...a, points: [rim(at.get(a.source), at.get(a.target)), rim(at.get(a.target), at.get(a.source))] }));
-  const width = Math.max(120, ...moved.map((n) => n.x + n.width / 2 + 20));
-  return { nodes: moved, arcs, size: [width, Math.max(60, ...moved.map((n) => n.y + 30))] };
-}
-
-function rim(node, other) {
-  const dx = other.x - node.x, dy = other.y - node.y, length = Math.hypot(dx, dy) || 1;
-  if (node.kind !== "transition") return [node.x + dx / length * 11, node.y + dy / length * 11];
-  const scale = Math.min(dx ? node.width / 2 / Math.abs(dx) : 1e9, dy ? 11 / Math.abs(dy) : 1e9);
-  return [node.x + dx * scale, node.y + dy * scale];
-}
-
-function drawAll() {
-  const scene = byId("scene");
-  scene.replaceChildren();
-  elements.clear();
-  const spots = new Map();
-  let x = 0, height = 0;
-  for (const name of shownNets()) {
-    const part = placed(name);
-    const group = make("g", { class: "net", transform: `translate(${x},0)` }, scene);
-    make("rect", { width: part.size[0], height: part.size[1] + TITLE, rx: 6 }, group);
-    make("text", { x: 10, y: 18 }, group).textContent = name;
-    const inner = make("g", { transform: `translate(0,${TITLE})` }, group);
-    for (const arc of part.arcs) drawArc(inner, name, arc);
-    for (const node of part.nodes) {
-      drawNode(inner, name, node);
-      spots.set(`${name}.${node.name}`, { ...node, x: node.x + x, y: node.y + TITLE });
-    }
-    x += part.size[0] + GAP;
-    height = Math.max(height, part.size[1] + TITLE);
-  }
-  for (const node of spots.values()) {
-    const target = node.link && spots.get(node.link);
-    if (!target) continue;
-    const points = [rim(node, target), rim(target, node)];
-    make("polyline", { class: "arc between", points: points.join(" "), "marker-end": "url(#tip)" }, scene);
-  }
-  extent = { width: Math.max(1, x - GAP), height: Math.max(1, height) };
-  for (const name of markings.keys()) showMarking(name);
-  applyFilter();
-  listNets();
+  scene.pick(page.only);
+  byId("follow").classList.toggle("on", !page.overview && !page.nets.size);
+  byId("all").classList.toggle("on", !page.overview && page.nets.has("all"));
   byId("overview").textContent = `overview of ${page.only.size}`;
   byId("overview").classList.toggle("on", page.overview);
-}
-
-function drawArc(parent, net, arc) {
-  const line = make("polyline", { class: `arc ${arc.kind}`, points: arc.points.join(" ") }, parent);
-  line.dataset.ends = `${arc.source} ${arc.target}`;
-  const [x, y] = arc.points[arc.points.length - 1];
-  if (arc.kind === "inhibitor") make("circle", { cx: x, cy: y, r: 3, fill: "white", stroke: "#7b8794" }, parent);
-  else line.setAttribute("marker-end", "url(#tip)");
-  if (arc.weight > 1) make("text", { x: x + 5, y: y - 6 }, parent).textContent = arc.weight;
-}
-
-function drawNode(parent, net, node) {
-  const key = `${net}.${node.name}`;
-  const group = make("g", { class: `node ${node.kind}` + (page.only.has(key) ? " chosen" : "") }, parent);
-  group.dataset.name = node.name;
-  make("title", {}, group).textContent = node.note ? `${node.name}: ${node.note}` : node.name;
-  let token = null;
-  if (node.kind === "transition") {
-    make("rect", { x: node.x - node.width / 2, y: node.y - 11, width: node.width, height: 22, rx: 2 }, group);
-    make("text", { x: node.x, y: node.y + 4, "text-anchor": "middle" }, group).textContent = node.label;
-  } else {
-    make("circle", { class: "rim", cx: node.x, cy: node.y, r: 11 }, group);
-    token = make("g", { class: "token" }, group);
-    make("text", { x: node.x + 15, y: node.y + 4 }, group).textContent = node.label;
-  }
-  group.addEventListener("click", () => {
-    if (!page.only.delete(key)) page.only.add(key);
-    group.classList.toggle("chosen", page.only.has(key));
-    byId("overview").textContent = `overview of ${page.only.size}`;
-    keepPage();
-    if (page.overview) drawAll();
-  });
-  elements.set(key, { group, token, x: node.x, y: node.y });
-}
-
-function showMarking(net) {
-  const { tokens, active } = markings.get(net);
-  const running = new Set(active);
-  for (const [key, element] of elements) {
-    if (!key.startsWith(net + ".")) continue;
-    const name = element.group.dataset.name;
-    if (`${net}.${name}` !== key) continue;
-    if (!element.token) { element.group.classList.toggle("active", running.has(name)); continue; }
-    const count = tokens[name] || 0;
-    element.group.classList.toggle("marked", count > 0);
-    element.token.replaceChildren();
-    if (count === 1) make("circle", { cx: element.x, cy: element.y, r: 4.5 }, element.token);
-    else if (count > 1) make("text", { x: element.x, y: element.y + 4, "text-anchor": "middle" }, element.token).textContent = count;
-  }
-}
-
-function flash(firing) {
-  const element = elements.get(`${firing.net}.${firing.transition}`);
-  if (!element) return;
-  const kind = firing.phase === "FAILED" ? "failed" : "fired";
-  element.group.classList.remove("fired", "failed");
-  element.group.getBoundingClientRect();
-  element.group.classList.add(kind);
-}
-
-function applyFilter() {
-  const wanted = page.filter.toLowerCase();
-  const hit = (name) => !wanted || name.toLowerCase().includes(wanted);
-  for (const { group } of elements.values()) group.classList.toggle("dim", !hit(group.dataset.name));
-  for (const line of document.querySelectorAll(".arc"))
-    line.classList.toggle("dim", Boolean(wanted) && !(line.dataset.ends || "").split(" ").every(hit));
+  listNets();
 }
 
 function listNets() {
   const shown = new Set(shownNets());
-  byId("nets").replaceChildren(...[...nets.values()].sort((a, b) => a.net.localeCompare(b.net)).map((net) => {
-    const label = document.createElement("label");
-    label.title = net.description || net.net;
-    const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: shown.has(net.net) });
+  byId("nets").replaceChildren(...[...nets.values()].sort((a, b) => a.net.localeCompare(b.net)).flatMap((net) => {
+    const name = net.net;
+    const box = Object.assign(document.createElement("input"), { type: "checkbox", checked: shown.has(name) });
+    box.setAttribute("aria-label", `show ${name}`);
     box.addEventListener("change", () => {
-      page.nets = new Set(shownNets());
-      if (box.checked) page.nets.add(net.net); else page.nets.delete(net.net);
-      if (page.nets.size === nets.size) page.nets.clear();
-      page.overview = false;
-      keepPage(); drawAll(); fit();
+      if (box.checked) shown.add(name); else shown.delete(name);
+      show({ nets: shown.size === nets.size ? new Set(["all"]) : shown, overview: false });
     });
-    const node = document.createElement("small");
-    node.textContent = net.node;
-    label.append(box, net.net, node);
-    return label;
+    const link = Object.assign(document.createElement("a"), { href: `#nets=${name}`, textContent: name });
+    link.title = `${net.description} (${net.node})`;
+    const running = Object.assign(document.createElement("small"), { id: `running-${name}` });
+    const bar = Object.assign(document.createElement("div"), { id: `bar-${name}`, className: "bar" });
+    return [box, link, running, bar];
   }));
+  for (const name of nets.keys()) { listRunning(name); listProgress(name); }
+}
+
+function listRunning(name) {
+  const running = byId(`running-${name}`);
+  if (running) running.textContent = (markings.get(name)?.active || []).join(", ");
+}
+
+function listProgress(name) {
+  const bar = byId(`bar-${name}`), command = commands.get(name);
+  if (!bar || !command) return;
+  bar.style.width = `${100 * (command.end ? 1 : command.progress)}%`;
+  bar.className = `bar ${command.end}`;
+}
+
+// What the commands of nets with a tape came to, the newest last; its beginning may lie before this viewer's.
+function noteCommand(firing) {
+  const net = nets.get(firing.net);
+  if (!net?.symbols.length) return;
+  const { progress, symbol } = firing;
+  if (net.symbols.includes(symbol)) commands.delete(firing.net);
+  if (!commands.has(firing.net)) commands.set(firing.net, { progress: 0, end: "" });
+  const command = commands.get(firing.net);
+  command.progress = Math.max(progress, 0);
+  if (symbol && !net.symbols.includes(symbol)) command.end = symbol.endsWith("_failed") ? "failed" : "done";
+  listProgress(firing.net);
 }
 
 function listFirings() {
-  const rows = firings.slice(-120).reverse().map((firing) => {
+  byId("clock").textContent = firings.length ? `t = ${firings.at(-1).time.toFixed(3)} s` : "";
+  byId("firings").replaceChildren(...firings.slice(-LISTED).reverse().map((firing) => {
     const row = document.createElement("li");
+    const add = (tag, text) => row.append(Object.assign(document.createElement(tag), { textContent: text }));
     row.className = firing.phase;
-    const time = document.createElement("time");
-    time.textContent = firing.time.toFixed(3);
-    const took = firing.duration > 0 ? ` ${firing.duration.toFixed(2)} s` : "";
-    const symbol = firing.symbol ? ` [${firing.symbol}]` : "";
-    const phase = firing.phase === "END" && !took ? "" : " " + firing.phase.toLowerCase();
-    row.append(time, `${firing.net}.${firing.transition}${phase}${symbol}${took} ${firing.message}`);
+    const symbol = firing.symbol && (nets.get(firing.net)?.symbols.includes(firing.symbol) ? "?" : "!") + firing.symbol;
+    const ends = firing.phase === "END" && firing.duration > 0;
+    add("time", firing.time.toFixed(3));
+    add("b", { START: "▸ ", FAILED: "✗ ", END: ends ? "✓ " : "· " }[firing.phase] + firing.transition);
+    add("em", [symbol, firing.message, firing.net].filter(Boolean).join("  "));
+    add("span", firing.duration > 0 ? firing.duration.toFixed(2) : "");
+    row.title = [`${firing.net}.${firing.transition}`, firing.phase.toLowerCase(), symbol, firing.message].join(" ");
     return row;
-  });
-  byId("firings").replaceChildren(...rows);
+  }));
 }
 
 let listing = false;
@@ -215,60 +140,74 @@ function soon() {
 
 function take(change) {
   switch (change.kind) {
-    case "snapshot": {
-      nets.clear(); markings.clear(); firings.length = 0;
+    case "snapshot":
+      nets.clear(); markings.clear(); commands.clear(); firings.length = 0;
       for (const net of change.nets) nets.set(net.net, net);
       for (const marking of change.markings) markings.set(marking.net, marking);
       firings.push(...change.firings);
-      drawAll(); fit(); soon();
+      firings.forEach(noteCommand);
+      refresh(true); soon();
       break;
-    }
-    case "net": nets.set(change.net, change); drawAll(); fit(); break;
-    case "marking": markings.set(change.net, change); showMarking(change.net); break;
+    case "net": nets.set(change.net, change); refresh(true); break;
+    case "marking": markings.set(change.net, change); scene.mark(change); listRunning(change.net); break;
     case "firing":
       firings.push(change);
       if (firings.length > KEPT) firings.shift();
-      flash(change); soon();
+      noteCommand(change);
+      if (!page.nets.size && !page.overview && followed !== change.net && follow() === change.net) show({});
+      scene.flash(change); soon();
   }
 }
 
 function connect() {
   const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
-  socket.onopen = () => byId("link").classList.remove("off");
+  const connected = (yes) => {
+    byId("link").classList.toggle("off", !yes);
+    byId("link").textContent = yes ? "connected" : "disconnected";
+    document.body.classList.toggle("lost", !yes);
+  };
+  socket.onopen = () => connected(true);
   socket.onmessage = (event) => take(JSON.parse(event.data));
-  socket.onclose = () => { byId("link").classList.add("off"); setTimeout(connect, 1000); };
+  socket.onclose = () => { connected(false); setTimeout(connect, 1000); };
 }
 
 function applyView() { byId("scene").setAttribute("transform", `translate(${view.x},${view.y}) scale(${view.scale})`); }
 
 function fit() {
-  const box = byId("canvas").getBoundingClientRect();
-  const scale = Math.min((box.width - 40) / extent.width, (box.height - 40) / extent.height, 1.4);
-  view = { scale, x: (box.width - extent.width * scale) / 2, y: 20 };
+  const box = byId("canvas").getBoundingClientRect(), { width, height } = scene.extent;
+  const scale = Math.min((box.width - 32) / width, (box.height - 32) / height, 1.4);
+  view = { scale, x: (box.width - width * scale) / 2, y: Math.max(16, (box.height - height * scale) / 3) };
+  moved = false;
   applyView();
 }
 
-byId("canvas").addEventListener("wheel", (event) => {
+let dragged = false;
+const canvas = byId("canvas");
+canvas.addEventListener("wheel", (event) => {
   event.preventDefault();
-  const factor = Math.exp(-event.deltaY * 0.0015), box = byId("canvas").getBoundingClientRect();
-  const x = event.clientX - box.left, y = event.clientY - box.top;
-  view = { scale: view.scale * factor, x: x - (x - view.x) * factor, y: y - (y - view.y) * factor };
+  const box = canvas.getBoundingClientRect(), x = event.clientX - box.left, y = event.clientY - box.top;
+  const scale = Math.min(8, Math.max(0.1, view.scale * Math.exp(-event.deltaY * 0.0015))), factor = scale / view.scale;
+  view = { scale, x: x - (x - view.x) * factor, y: y - (y - view.y) * factor };
+  moved = true;
   applyView();
 }, { passive: false });
-byId("canvas").addEventListener("pointermove", (event) => {
-  if (event.buttons !== 1) return;
+canvas.addEventListener("pointerdown", () => { dragged = false; });
+canvas.addEventListener("pointermove", (event) => {
+  if (event.buttons !== 1 || (!event.movementX && !event.movementY)) return;
   view.x += event.movementX; view.y += event.movementY;
+  dragged = moved = true;
   applyView();
 });
 byId("filter").value = page.filter;
-byId("filter").addEventListener("input", (event) => { page.filter = event.target.value; keepPage(); applyFilter(); });
-byId("fit").addEventListener("click", fit);
-byId("all").addEventListener("click", () => { page.nets.clear(); page.overview = false; keepPage(); drawAll(); fit(); });
-byId("clear").addEventListener("click", () => { page.only.clear(); page.overview = false; keepPage(); drawAll(); fit(); });
-byId("overview").addEventListener("click", () => {
-  page.overview = !page.overview && page.only.size > 0;
-  keepPage(); drawAll(); fit();
+byId("filter").addEventListener("input", (event) => {
+  page.filter = event.target.value;
+  keepPage(); scene.filter(page.filter);
 });
-addEventListener("resize", fit);
-addEventListener("hashchange", () => { Object.assign(page, readPage()); drawAll(); fit(); });
+byId("fit").addEventListener("click", fit);
+byId("follow").addEventListener("click", () => show({ nets: new Set(), overview: false }));
+byId("all").addEventListener("click", () => show({ nets: new Set(["all"]), overview: false }));
+byId("clear").addEventListener("click", () => show({ only: new Set(), overview: false }));
+byId("overview").addEventListener("click", () => show({ overview: !page.overview && page.only.size > 0 }));
+addEventListener("resize", () => { if (!moved) fit(); });
+addEventListener("hashchange", () => { show(readPage()); byId("filter").value = page.filter; });
 connect();

@@ -1,0 +1,80 @@
+"""``interfaces``: what a running machine offers to ROS, as the tables of ``docs/interfaces.md``."""
+
+import argparse
+import sys
+from collections.abc import Iterable
+
+import rclpy
+from rclpy.node import Node
+
+from im_core import clock
+from im_core.ros.run import Spinner
+
+DISCOVERY_S = 3.0
+ACTION = "/_action/"
+#: What every ROS node has, and what is worth no line.
+COMMON = ("/describe_parameters", "/get_parameter", "/list_parameters", "/set_parameters", "/get_type_description")
+COMMON_TOPICS = ("/parameter_events", "/rosout")
+HEAD = """\
+# Interfaces
+
+What the running machine offers, written by `scripts/run.sh im_bringup interfaces > docs/interfaces.md`. The parameters
+and services that every ROS node has are left out. Each interface's own file, in `ros_ws/src/im_msgs`, says what its
+fields mean and in which unit.
+"""
+
+
+def tables(node: Node) -> str:
+    """The page, from what the graph holds now."""
+    owners: dict[str, set[str]] = {}
+    for name, space in node.get_node_names_and_namespaces():
+        if name.startswith(("_", node.get_name())):
+            continue
+        whole = f"{space.rstrip('/')}/{name}"
+        offered = [*node.get_service_names_and_types_by_node(name, space)]
+        offered += node.get_publisher_names_and_types_by_node(name, space)
+        for interface, _ in offered:
+            owners.setdefault(interface, set()).add(whole)
+    services, actions, topics = [], [], []
+    for name, types in node.get_service_names_and_types():
+        if ACTION in name:
+            if name.endswith("/send_goal"):
+                action = name.partition(ACTION)[0]
+                actions.append((action, types[0].removesuffix("_SendGoal"), owners.get(name, set())))
+        elif name in owners and not any(common in name for common in COMMON):
+            services.append((name, types[0], owners[name]))
+    for name, types in node.get_topic_names_and_types():
+        if name in owners and name not in COMMON_TOPICS and ACTION not in name and not name.endswith("_event"):
+            topics.append((name, types[0], owners[name]))
+    parts = [HEAD, _table("Actions", "of", actions), _table("Services", "of", services)]
+    return "\n".join([*parts, _table("Topics", "published by", topics)])
+
+
+def _table(title: str, owned: str, rows: Iterable[tuple[str, str, set[str]]]) -> str:
+    lines = [f"## {title}", "", f"| name | type | {owned} |", "|---|---|---|"]
+    for name, kind, nodes in sorted(rows):
+        whose = ", ".join(f"`{node}`" for node in sorted(nodes)) if len(nodes) < 5 else "all nodes"
+        lines.append(f"| `{name}` | `{kind}` | {whose} |")
+    return "\n".join([*lines, ""])
+
+
+def main() -> int:
+    """Run the command."""
+    argparse.ArgumentParser(
+        prog="interfaces", description="Print the interfaces of the running machine as Markdown."
+    ).parse_args()
+    rclpy.init(args=[])
+    node = Node("interfaces")
+    with Spinner([node]):
+        clock.sleep(DISCOVERY_S)
+        page = tables(node)
+    rclpy.try_shutdown()
+    if "/bootstrap" not in page:
+        print("interfaces: no machine runs in this ROS domain; start one with scripts/start.sh", file=sys.stderr)
+        return 3
+    print(page, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
