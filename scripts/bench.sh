@@ -14,4 +14,4 @@ source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi
 "$IM_ROOT/scripts/setup.sh"
 im_env
-exec "$IM_WS/install/im_bringup/lib/im_bringup/bench" "$@"
+exec "$IM_BRINGUP/bench" "$@"

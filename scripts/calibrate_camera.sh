@@ -15,4 +15,4 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi
 im_env
-exec "$IM_WS/install/im_bringup/lib/im_bringup/calibrate_camera" "$@"
+exec "$IM_BRINGUP/calibrate_camera" "$@"

@@ -28,10 +28,25 @@ while (($#)); do
 done
 [[ -z "$poses" || -r "$poses" ]] || die 2 "there is no poses file $poses"
 
-"$IM_ROOT/scripts/setup.sh"
-im_env
+child="" recorder="" started=0
 
-recorder="" started=0
+# Commands run in the background, so that a signal is acted on at once and not after the command's end.
+run() {
+  local code=0
+  "$@" &
+  child=$!
+  wait "$child" || code=$?
+  child=""
+  return "$code"
+}
+interrupted() {
+  trap '' INT TERM
+  if [[ -n "$child" ]]; then
+    kill -INT "$child" 2>/dev/null || true
+    if wait "$child"; then started=1; fi
+  fi
+  exit 130
+}
 finish() {
   local code=$?
   trap '' INT TERM
@@ -40,30 +55,27 @@ finish() {
     kill -INT "$recorder" 2>/dev/null || true
     wait "$recorder" || true
   fi
-  if ((started)); then bringup stop || code=1; fi
+  if ((started)); then "$IM_BRINGUP/stop" || code=1; fi
   exit "$code"
 }
 trap finish EXIT
-trap 'exit 130' INT TERM
+trap interrupted INT TERM
 
-bringup start --factor "$factor" --seed "$seed" ${port:+--port "$port"}
+"$IM_ROOT/scripts/setup.sh"
+im_env
+run "$IM_BRINGUP/start" --factor "$factor" --seed "$seed" ${port:+--port "$port"}
 started=1
 if ((record)); then
-  bringup record &
+  "$IM_BRINGUP/record" &
   recorder=$!
 fi
-# Children of this script run in the background, so that a signal is acted on at once and not after the child's end.
-bringup calibrate_camera ${poses:+--poses "$poses"} &
-child=$!
-trap 'kill -INT "$child" 2>/dev/null; exit 130' INT TERM
-code=0
-wait "$child" || code=$?
-((code == 0)) || exit "$code"
+run "$IM_BRINGUP/calibrate_camera" ${poses:+--poses "$poses"}
 say ""
 say "against the truth, which only the testbed knows:"
-bringup truth_error
+run "$IM_BRINGUP/truth_error"
 say ""
-say "report    results/$(readlink "$IM_RESULTS_DIR/latest")/report.json"
-for picture in "$IM_RESULTS_DIR"/latest/*.png; do
-  [[ -e "$picture" ]] && say "picture   results/$(readlink "$IM_RESULTS_DIR/latest")/$(basename "$picture")"
+latest="$(readlink "$IM_RESULTS_DIR/latest")"
+say "report    results/$latest/report.json"
+for picture in "$IM_RESULTS_DIR/$latest"/*.png; do
+  if [[ -e "$picture" ]]; then say "picture   results/$latest/$(basename "$picture")"; fi
 done

@@ -4,6 +4,8 @@
 IM_ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 IM_VENV="$IM_ROOT/.venv"
 IM_WS="$IM_ROOT/ros_ws"
+# Executables of im_bringup.
+IM_BRINGUP="$IM_WS/install/im_bringup/lib/im_bringup"
 export IM_ROOT
 
 say() { printf '%s\n' "$*"; }
@@ -70,6 +72,3 @@ im_env() {
   ((nounset)) && set -u
   export PATH="$IM_VENV/bin:$PATH" VIRTUAL_ENV="$IM_VENV"
 }
-
-# bringup EXECUTABLE ARGS...: runs an executable of im_bringup.
-bringup() { "$IM_WS/install/im_bringup/lib/im_bringup/$1" "${@:2}"; }

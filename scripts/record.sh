@@ -12,4 +12,4 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi
 im_env
-exec "$IM_WS/install/im_bringup/lib/im_bringup/record" "$@"
+exec "$IM_BRINGUP/record" "$@"

@@ -3,6 +3,7 @@
 import argparse
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -38,6 +39,9 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Run the command."""
     arguments = parser().parse_args()
+    # Also where a shell started this in the background, which ignores SIGINT.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     try:
         deployment = deployments.load(path).with_values(arguments.factor, arguments.seed, arguments.port)

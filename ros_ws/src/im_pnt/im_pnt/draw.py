@@ -57,7 +57,7 @@ class Drawing:
     def points(self) -> list[list[Point]]:
         """Returns the points of each arc from rim to rim; where two of them differ in x, it bends between them."""
         positions, rows = self.layout.positions, self.layout.rows
-        inner = [self._inner(arc) for arc in self.arcs]
+        inner = [self.layout.routes[arc.source, arc.target] for arc in self.arcs]
         sides: dict[tuple[str, bool], list[tuple[float, int, bool]]] = {}
         for index, (arc, route) in enumerate(zip(self.arcs, inner, strict=True)):
             down = positions[arc.target][1] > positions[arc.source][1]
@@ -74,11 +74,6 @@ class Drawing:
                 rim = (x + dx, y + dy if below else y - dy)
                 ends[index, leaves] = [rim, (x + dx, border)] if leaves else [(x + dx, border), rim]
         return [[*ends[index, True], *route, *ends[index, False]] for index, route in enumerate(inner)]
-
-    def _inner(self, arc: DrawnArc) -> list[Point]:
-        routes = self.layout.routes
-        route = routes.get((arc.source, arc.target))
-        return routes[arc.target, arc.source][::-1] if route is None else route
 
 
 def draw(net: Net, *, phases: bool = False) -> Drawing:

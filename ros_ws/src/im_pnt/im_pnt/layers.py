@@ -1,7 +1,7 @@
 """The steps of a layered drawing of one connected graph, after Sugiyama (1981).
 
-Cycles are broken along a depth-first search, layers are longest paths, the order in a layer is found by barycentres, and
-the horizontal places by an isotonic fit to the neighbours' means.
+Cycles are broken along a depth-first search, layers are longest paths, the order in a layer is found by barycentres,
+and the horizontal places by an isotonic fit to the neighbours' means.
 """
 
 from collections.abc import Collection, Mapping, Sequence

@@ -37,7 +37,7 @@ class Bench(Client):
     """Commands the machine and listens to the servo."""
 
     def __init__(self) -> None:
-        super().__init__(sys.stderr)
+        super().__init__(progress=None)
         self.servo: McsState | None = None
         self.create_subscription(McsState, "/mcs/state", self._keep, qos.LATCHED)
 
@@ -95,6 +95,7 @@ def machine_lines(factor: float, seed: int, port: int, runs: int) -> list[Line]:
         memory = []
         with Spinner([bench]):
             for number in range(runs):
+                print(f"bench: command {number + 1} of {runs}", flush=True)
                 timing = bench.command()["timing"]
                 memory.append(memory_mib(process.pid for process in leftovers.processes()))
                 lines += command_lines(number + 1, factor, timing)

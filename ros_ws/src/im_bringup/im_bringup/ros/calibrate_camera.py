@@ -37,10 +37,10 @@ class Client(Node):
     """Calls the service and prints the progress of the command.
 
     Args:
-        progress: Where the progress goes.
+        progress: Where the progress goes; None: nowhere.
     """
 
-    def __init__(self, progress: TextIO) -> None:
+    def __init__(self, progress: TextIO | None) -> None:
         super().__init__(f"calibrate_camera_{os.getpid()}")
         self._progress = progress
         self._lines = ProgressLines()
@@ -68,6 +68,7 @@ class Client(Node):
             self._pause()
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what=f"the service {SERVICE}", seconds=DISCOVERY_S)
+        self._lines = ProgressLines()
         future = self._client.call_async(CalibrateCamera.Request(cameras=cameras, poses_file=poses_file))
         self._heard, known = clock.monotonic(), self._incarnation
         while not future.done():
@@ -89,7 +90,7 @@ class Client(Node):
             self._heard, self._incarnation = clock.monotonic(), message.incarnation
 
     def _show(self, message: Firing) -> None:
-        if message.net != NET:
+        if message.net != NET or self._progress is None:
             return
         line = self._lines.line(
             message.transition, FiringPhase(message.phase), message.message, message.progress, message.duration

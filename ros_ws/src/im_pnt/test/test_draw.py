@@ -1,0 +1,95 @@
+from itertools import combinations, pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from im_pnt.draw import draw
+from im_pnt.layout import Box, layered
+from im_pnt.net import FunctionAction, Net, Place, Transition
+from im_pnt.netfile import load_net
+
+boxes = st.builds(Box, st.floats(5, 60), st.floats(5, 60), st.floats(10, 50))
+
+
+@st.composite
+def graphs(draw_):
+    names = [f"n{index}" for index in range(draw_(st.integers(1, 14)))]
+    pair = st.tuples(st.sampled_from(names), st.sampled_from(names)).filter(lambda edge: edge[0] != edge[1])
+    edges = draw_(st.lists(pair, max_size=24)) if len(names) > 1 else []
+    return {name: draw_(boxes) for name in names}, edges
+
+
+@settings(max_examples=60, deadline=None)
+@given(graphs())
+def test_no_two_nodes_overlap_and_all_are_inside(graph):
+    rooms, edges = graph
+    layout = layered(rooms, edges)
+    frames = {
+        name: (x - rooms[name].left, y - rooms[name].height / 2, x + rooms[name].right, y + rooms[name].height / 2)
+        for name, (x, y) in layout.positions.items()
+    }
+    assert frames.keys() == rooms.keys()
+    for left, upper, right, lower in frames.values():
+        assert min(left, upper) >= -1e-6
+        assert right <= layout.width + 1e-6
+        assert lower <= layout.height + 1e-6
+    for a, b in combinations(frames.values(), 2):
+        assert a[2] <= b[0] + 1e-6 or b[2] <= a[0] + 1e-6 or a[3] <= b[1] + 1e-6 or b[3] <= a[1] + 1e-6
+
+
+@settings(max_examples=60, deadline=None)
+@given(graphs())
+def test_edges_run_one_way_and_pass_beside_the_nodes(graph):
+    rooms, edges = graph
+    layout = layered(rooms, edges)
+    for a, b in edges:
+        route = layout.routes[a, b]
+        heights = [layout.positions[a][1], *(y for _, y in route), layout.positions[b][1]]
+        assert heights in (sorted(heights), sorted(heights, reverse=True))
+        for (x, y), (u, v) in zip(route[::2], route[1::2], strict=True):
+            assert x == u
+            for name, (nx, ny) in layout.positions.items():
+                if min(y, v) < ny < max(y, v):
+                    assert x <= nx - rooms[name].left or x >= nx + rooms[name].right
+
+
+@pytest.mark.parametrize("phases", [False, True])
+def test_a_drawing_has_every_part_and_arcs_from_rim_to_rim(data, phases):
+    drawing = draw(load_net(data / "coordinator.yaml"), phases=phases)
+    nodes = {node.name: node for node in drawing.nodes}
+    assert {"asked", "found", "not_found", "SI", "SO", "accept.find", "t_f.find", "return.find"} <= nodes.keys()
+    assert ("search" in nodes) != phases
+    assert ("search.active" in nodes) == phases
+    for arc, points in zip(drawing.arcs, drawing.points(), strict=True):
+        for name, (x, y) in ((arc.source, points[0]), (arc.target, points[-1])):
+            (nx, ny), box = drawing.layout.positions[name], nodes[name].box
+            assert abs(x - nx) <= box.left
+            assert abs(y - ny) <= box.height / 2
+        for (x, y), (u, v) in pairwise(points):
+            assert (x, y) != (u, v)
+
+
+def test_semaphores_and_places_with_many_arcs_are_drawn_again_beside_their_transitions(data):
+    nodes = {node.name: node for node in draw(load_net(data / "coordinator.yaml")).nodes}
+    assert nodes["SI>accept.find"].kind == "reference"
+    assert nodes["SI>accept.find"].place == "SI"
+    steps = [
+        Transition(f"t{k}", {f"p{k}": 1}, {f"p{k + 1}": 1}, action=FunctionAction("f"), on_failure={"lost": 1})
+        for k in range(4)
+    ]
+    places = {name: Place(name) for name in ("p0", "p1", "p2", "p3", "p4", "lost")}
+    drawing = draw(Net("n", places, {step.name: step for step in steps}))
+    into_lost = {arc.target for arc in drawing.arcs if arc.kind == "failure"}
+    assert into_lost == {f"t{k}>lost" for k in range(4)}
+    assert {node.place for node in drawing.nodes if node.name in into_lost} == {"lost"}
+
+
+def test_a_tall_net_goes_on_in_another_column():
+    chain = [Transition(f"t{k}", {f"p{k}": 1}, {f"p{k + 1}": 1}) for k in range(16)]
+    places = {f"p{k}": Place(f"p{k}", tokens=int(k == 0)) for k in range(17)}
+    drawing = draw(Net("chain", places, {step.name: step for step in chain}))
+    continued = [node for node in drawing.nodes if node.kind == "reference"]
+    assert len(continued) == 1
+    assert drawing.layout.height < 1000
+    assert drawing.layout.positions[continued[0].place][1] < 50
