@@ -3,7 +3,6 @@
 import argparse
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ from im_bringup import leftovers, machine, stop
 from im_bringup.commands import environment
 from im_bringup.deployment import Deployment
 from im_bringup.executables import path_of
+from im_bringup.interrupts import interrupt_once
 from im_bringup.machine import MachineRecord
 from im_core import clock, names
 from im_core.errors import ImError, StateError
@@ -39,9 +39,7 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Run the command."""
     arguments = parser().parse_args()
-    # Also where a shell started this in the background, which ignores SIGINT.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    interrupt_once()
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     try:
         deployment = deployments.load(path).with_values(arguments.factor, arguments.seed, arguments.port)

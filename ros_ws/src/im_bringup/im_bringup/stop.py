@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from im_bringup import leftovers, machine
 from im_bringup.agent import last_words
+from im_bringup.interrupts import ignore_interrupts
 from im_core import clock, names
 from im_core.errors import DataError
 
@@ -23,10 +24,8 @@ def main() -> int:
         epilog="Exit codes: 0 nothing runs any more, 1 something could not be ended (said what).",
     )
     parser.parse_args()
-    try:
-        return stop(say=print)
-    except KeyboardInterrupt:
-        return stop(say=print)
+    ignore_interrupts()
+    return stop(say=print)
 
 
 def stop(say: Callable[[str], None]) -> int:

@@ -3,7 +3,6 @@
 import argparse
 import json
 import math
-import signal
 import statistics
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from im_bringup import deployment as deployments
 from im_bringup import leftovers, stop
+from im_bringup.interrupts import interrupt_once
 from im_bringup.measure import Line, memory_mib, table
 from im_bringup.ros.calibrate_camera import Client
 from im_bringup.ros.truth_error import get_truth
@@ -173,7 +173,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.runs < 1 or arguments.seeds < 0:
         parser.error(f"--runs {arguments.runs} must be at least 1, --seeds {arguments.seeds} at least 0")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    interrupt_once()
     try:
         if arguments.seeds:
             lines = accuracy_lines(arguments.seeds, arguments.port)

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
+from im_bringup.interrupts import interrupt_once
 from im_bringup.summary import error_lines
 from im_bringup.truth import add_to_report
 from im_core.errors import ImError, StateError
@@ -39,7 +41,8 @@ def main() -> int:
     parser.add_argument("report", type=Path, nargs="?", help="report.json (default: the latest)")
     arguments = parser.parse_args()
     path = arguments.report or results_dir() / "latest" / "report.json"
-    rclpy.init(args=[])
+    interrupt_once()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = Node("truth_error")
     try:
         with Spinner([node]):
@@ -47,6 +50,8 @@ def main() -> int:
     except ImError as error:
         print(f"truth_error: {error.message}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        return 130
     finally:
         rclpy.try_shutdown()
     print(error_lines(report))

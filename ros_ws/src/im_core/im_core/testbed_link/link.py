@@ -95,8 +95,20 @@ class TestbedLink(HostSide, ServoSide, CameraSide):
         Returns:
             The tick up to which time now passes, for :meth:`wait_tick`.
         """
+        return self.request_until(slot, self.tick + ticks)
+
+    def request_until(self, slot: Slot | int, tick: int) -> int:
+        """Ask, at clock factor 0, for time up to a tick; asking again for the same tick changes nothing.
+
+        Args:
+            slot: Who asks; one process a slot.
+            tick: Tick that is to be reached.
+
+        Returns:
+            The tick up to which time now passes, for :meth:`wait_tick`.
+        """
         view = self._shared.view
-        until = max(int(view["demand_until"][slot]), int(view["tick"]) + ticks)
+        until = max(int(view["demand_until"][slot]), tick)
         view["demand_until"][slot] = until
         self._shared.wake.post()
         return until

@@ -122,8 +122,10 @@ class ServoClient:
             for message in self._channel.events.receive_all():
                 self._hand_out(message)
             if not rung and not self._channel.requests.empty() and self._link.tick == tick:
+                # Time stood still before the servo could hear the request. Asked for by number, so that a tick which
+                # begins just now is not followed by another one.
+                self._link.request_until(Slot.MCS, tick + 1)
                 self._renew_link()
-                self._ask_for_time()  # time stood still before the servo could hear the request
 
     def _ask_for_time(self) -> None:
         self._link.request_time(Slot.MCS, 1)
@@ -135,6 +137,7 @@ class ServoClient:
                 link = TestbedLink.attach(self._link.instance, 0.0)
                 self._link.close()
                 self._link = link
+                self._ask_for_time()
 
     def _hand_out(self, message: dict[str, Any]) -> None:
         if message["event"] == "state":
