@@ -42,7 +42,7 @@ run() {
 interrupted() {
   trap '' INT TERM
   if [[ -n "$child" ]]; then
-    kill -INT "$child" 2>/dev/null || true
+    kill -TERM "$child" 2>/dev/null || true
     if wait "$child"; then started=1; fi
   fi
   exit 130
@@ -52,7 +52,7 @@ finish() {
   trap '' INT TERM
   trap - EXIT
   if [[ -n "$recorder" ]]; then
-    kill -INT "$recorder" 2>/dev/null || true
+    kill -TERM "$recorder" 2>/dev/null || true
     wait "$recorder" || true
   fi
   if ((started)); then "$IM_BRINGUP/stop" || code=1; fi

@@ -2,10 +2,13 @@
 
 import os
 import shutil
+import signal
 import subprocess
 from pathlib import Path
 
 import pytest
+
+from im_bringup import leftovers, machine
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.sh") if path.stem != "lib")
@@ -163,3 +166,16 @@ def test_before_setup_scripts_say_what_to_do(computer, name):
     done = computer.run(name)
     assert done.returncode == 3
     assert done.stderr == f"{name}: the workspace is not built yet; run scripts/setup.sh first\n"
+
+
+@pytest.mark.end_to_end
+@pytest.mark.parametrize("words", ["load 10 tasks", "pose 1 of "])
+def test_ctrl_c_in_the_demo_leaves_nothing(process, wait_until, words):
+    demo = process("bash", ROOT / "scripts" / "demo.sh", "--port", 18_080)
+    wait_until(lambda: words in demo.out.read_text() or demo.poll() is not None, words, 120.0)
+    os.killpg(demo.pid, signal.SIGINT)  # as a terminal does
+    wait_until(lambda: demo.poll() is not None, "the end of the demo", 10.0)
+    assert demo.returncode == 130, demo.out.read_text()
+    assert "Traceback" not in demo.out.read_text()
+    assert leftovers.processes() == []
+    assert machine.read() is None

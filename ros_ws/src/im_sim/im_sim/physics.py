@@ -1,13 +1,12 @@
 """The physics process: ``python -m im_sim.physics --instance NAME --factor 1.0 --seed 0 [--config cell.yaml]``."""
 
 import argparse
-import gc
-import os
 import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from im_core import scheduling
 from im_core.errors import ImError
 from im_core.robot import load_cell
 from im_core.testbed_link import TestbedLink
@@ -51,19 +50,9 @@ def simulate(instance: str, config: Path | None, factor: float, seed: int) -> No
         loop = TickLoop(plant, link)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: loop.stop())
-        _ask_for_real_time()
-        gc.collect()
-        gc.freeze()
+        scheduling.prefer(FIFO_PRIORITY, paced=factor > 0.0)
         loop.run()
         plant.close()
-
-
-def _ask_for_real_time() -> None:
-    """Ask for SCHED_FIFO, at clock factor 0 too: a tick is too short to wait for a time slice of somebody else."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
-    except PermissionError:
-        print("SCHED_FIFO is not permitted; the physics runs at normal priority", flush=True)
 
 
 if __name__ == "__main__":

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from im_core import clock
+from im_core import clock, scheduling
 from im_core.errors import ImError, LinkError
 from im_core.robot import load_cell
 from im_mcs.config import McsConfig
 from im_mcs.model import Model
 from im_mcs.servo.channel import STATES, ServoChannel, sample_message
 from im_mcs.servo.core import Mcs
-from im_mcs.servo.realtime import Pacer, schedule, unschedule
+from im_mcs.servo.realtime import Pacer
 from im_mcs.state import State
 from im_mcs.testbed import TestbedInterface, load_driver
 
@@ -60,7 +60,7 @@ class ServoProcess:
 
     def run(self) -> None:
         """Loop until :meth:`stop` or until the owner is gone."""
-        self._real_time = schedule(self._config.servo.priority)
+        self._real_time = scheduling.prefer(self._config.servo.priority, paced=self._driver.wall_period_s > 0.0)
         self._driver.connect()
         self._write_snapshot()
         try:
@@ -69,7 +69,7 @@ class ServoProcess:
         finally:
             self._driver.close()
             self._channel.close()
-            unschedule()
+            scheduling.release()
 
     def stop(self, *_: object) -> None:
         """End :meth:`run` soon; fit for a signal handler."""

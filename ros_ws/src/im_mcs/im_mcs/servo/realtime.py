@@ -1,39 +1,6 @@
-"""What a real-time loop asks of the operating system, and its absolute deadlines."""
-
-import ctypes
-import gc
-import os
+"""Absolute deadlines of a real-time loop."""
 
 from im_core import clock
-
-_PR_SET_TIMERSLACK = 29
-_MCL_CURRENT_AND_FUTURE = 3
-_LIBC = ctypes.CDLL(None, use_errno=True)
-
-
-def schedule(priority: int) -> bool:
-    """Make this process real-time: SCHED_FIFO, memory locked, garbage collector quiet.
-
-    Args:
-        priority: SCHED_FIFO priority, 1 to 99.
-
-    Returns:
-        Whether SCHED_FIFO is in force. Where it is not permitted, timers are at least made precise.
-    """
-    gc.collect()
-    gc.freeze()
-    _LIBC.mlockall(_MCL_CURRENT_AND_FUTURE)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except PermissionError:
-        _LIBC.prctl(_PR_SET_TIMERSLACK, 1)
-        return False
-    return True
-
-
-def unschedule() -> None:
-    """Let the garbage collector take everything again, so that libraries are torn down in order."""
-    gc.unfreeze()
 
 
 class Pacer:
