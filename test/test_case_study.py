@@ -291,15 +291,33 @@ def test_too_few_poses_are_refused(machine, few_poses, tmp_path):
     assert "5 poses are too few" in answer.message
 
 
-def test_a_pose_out_of_reach_is_skipped_and_reported(machine, few_poses, tmp_path):
+def test_poses_out_of_reach_or_out_of_sight_are_skipped_and_reported(machine, few_poses, tmp_path):
     poses = yaml.safe_load(few_poses.read_text())
+    half = math.sqrt(0.5)
     poses["poses"][1] = {"name": "moon", "position_m": [0.0, 0.0, 9.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
-    path = tmp_path / "moon.yaml"
+    poses["poses"][3] = {"name": "down", "position_m": [-0.3, 0.2, 1.2], "orientation_xyzw": [-half, 0.0, 0.0, half]}
+    path = tmp_path / "odd.yaml"
     path.write_text(yaml.safe_dump(poses))
     answer = machine.calibrate(path)
     assert answer.success, answer.message
     rejected = {entry["pose"]: entry["reason"] for entry in report_of(answer)["points_rejected"]}
     assert "out of reach" in rejected["moon"]
+    assert "no camera sees the light" in rejected["down"]
+
+
+def test_without_a_configured_mcs_the_command_says_so(machine, few_poses):
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    def change(transition):
+        request = {"transition": Transition(id=transition)}
+        assert machine.call(ChangeState, "/mcs/change_state", **request).success
+
+    change(Transition.TRANSITION_CLEANUP)
+    answer = machine.calibrate(few_poses)
+    change(Transition.TRANSITION_CONFIGURE)
+    assert not answer.success
+    assert "unconfigured" in answer.message
 
 
 def test_a_second_command_is_refused_while_one_runs(machine, few_poses):
