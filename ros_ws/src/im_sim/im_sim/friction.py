@@ -4,7 +4,10 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
-_MAX_PIVOTS = 100
+_MAX_PIVOTS = 1000
+# After so many block pivots that make nothing better, one joint is turned at a time until something is: block pivots can
+# go round in circles, single ones (K.G. Murty, 1974) cannot.
+_BLOCKS_IN_VAIN = 4
 
 
 class DryFriction:
@@ -48,7 +51,7 @@ class DryFriction:
         Returns:
             v, shape (n,) [rad/s or m/s]; exactly 0 where a joint sticks.
         """
-        best, one_by_one = len(momentum) + 1, False
+        best, in_vain = len(momentum) + 1, 0
         for _ in range(_MAX_PIVOTS):
             sign, sticks = self._sign, self._sticks
             if self.stuck:
@@ -62,9 +65,9 @@ class DryFriction:
             if not wrong.any():
                 return v
             count = int(np.count_nonzero(wrong))
-            one_by_one = one_by_one or count >= best + 3
+            in_vain = 0 if count < best else in_vain + 1
             best = min(best, count)
-            changed = np.flatnonzero(wrong)[-1:] if one_by_one else wrong
+            changed = wrong if in_vain < _BLOCKS_IN_VAIN else np.flatnonzero(wrong)[-1:]
             sign = sign.copy()
             sign[changed] = np.where(sticks[changed], -np.sign(needed[changed]), 0.0)
             self._pivot(sign)

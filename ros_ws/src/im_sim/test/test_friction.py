@@ -1,5 +1,5 @@
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from im_sim.friction import DryFriction
@@ -14,6 +14,7 @@ def problem(rng, n):
 
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 18))
+@example(97, 13)  # block pivots alone go round in circles here
 def test_the_solution_satisfies_the_law_of_dry_friction(seed, n):
     rng = np.random.default_rng(seed)
     friction = DryFriction(n)
