@@ -50,6 +50,7 @@ def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target
         outside = int(np.sum(np.any(np.abs(left_out) > limit, axis=1)))
         axes.plot(*left_out.T, "x", color=REJECTED, markersize=5, zorder=3)
         axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="du [px]", ylabel="dv [px]")
+        axes.locator_params(nbins=5)
         note = f", {outside} rejected beyond the frame" if outside else ""
         axes.set_title(f"{camera.name}\n{camera.spots_used} spots, {camera.rms_px:.3f} px RMS{note}", fontsize=9)
         _grid(axes)
