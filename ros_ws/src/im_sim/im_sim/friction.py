@@ -5,8 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MAX_PIVOTS = 1000
-# After so many block pivots that make nothing better, one joint is turned at a time until something is: block pivots can
-# go round in circles, single ones (K.G. Murty, 1974) cannot.
+# After so many block pivots that make nothing better, one joint is turned at a time until something is: block pivots
+# can go round in circles, single ones (K.G. Murty, 1974) cannot.
 _BLOCKS_IN_VAIN = 4
 
 

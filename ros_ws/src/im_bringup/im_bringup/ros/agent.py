@@ -3,13 +3,11 @@
 import argparse
 import os
 import re
-import signal
 import sys
 
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import UInt8
 
 from im_bringup import deployment as deployments
@@ -18,10 +16,8 @@ from im_bringup.commands import commands, environment
 from im_bringup.deployment import Deployment
 from im_bringup.phases import Phase
 from im_core import clock, names
-from im_core.errors import ImError
-from im_core.ros import qos
+from im_core.ros import qos, run
 from im_core.ros.node import PHASE_TOPIC
-from im_core.ros.run import Spinner
 
 POLL_PERIOD_S = 0.05
 
@@ -75,23 +71,9 @@ def main() -> int:
     parser.add_argument("host", help="name of this host in the deployment")
     parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
     arguments = parser.parse_args()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = AgentNode(deployments.load(arguments.deployment), arguments.host)
-    except ImError as error:
-        print(f"agent: {error.message}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 1
-    spinner = Spinner([node])
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: spinner.request_stop())
-    try:
-        spinner.spin()
-    finally:
-        node.shut_down()
-        spinner.stop()
-        rclpy.try_shutdown()
-    return 0
+    return run.main(
+        lambda: AgentNode(deployments.load(arguments.deployment), arguments.host), args=[], at_end=AgentNode.shut_down
+    )
 
 
 if __name__ == "__main__":

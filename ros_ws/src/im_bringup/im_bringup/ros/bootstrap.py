@@ -2,16 +2,13 @@
 
 import argparse
 import os
-import signal
 import socket
 import sys
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import UInt8
 
 from im_bringup import deployment as deployments
@@ -26,9 +23,8 @@ from im_bringup.registry import Progress
 from im_bringup.ros.convert import to_message
 from im_core import clock, names
 from im_core.errors import ImError
-from im_core.ros import qos
+from im_core.ros import qos, run
 from im_core.ros.node import PHASE_TOPIC, STATUS_TOPIC
-from im_core.ros.run import Spinner
 from im_core.shm import ProcessId
 from im_msgs.msg import TaskRegistry, TaskStatus
 from im_msgs.srv import QueryTask
@@ -141,25 +137,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int)
     parser.add_argument("--port", type=int)
     arguments = parser.parse_args()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    try:
+
+    def make_node() -> BootstrapNode:
         deployment = deployments.load(arguments.deployment)
         deployment = deployment.with_values(arguments.factor, arguments.seed, arguments.port)
-        node = BootstrapNode(deployment, Path(arguments.deployment).resolve(), local_host(deployment))
-    except ImError as error:
-        print(error.message, file=sys.stderr)
-        rclpy.try_shutdown()
-        return 1
-    spinner = Spinner([node])
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: spinner.request_stop())
-    try:
-        spinner.spin()
-    finally:
-        node.shut_down()
-        spinner.stop()
-        rclpy.try_shutdown()
-    return 0
+        return BootstrapNode(deployment, Path(arguments.deployment).resolve(), local_host(deployment))
+
+    return run.main(make_node, args=[], at_end=BootstrapNode.shut_down)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import rclpy
 from rclpy.exceptions import InvalidHandle
@@ -19,6 +20,8 @@ from im_core.ros.node import ManagedNode
 
 # Without a time-out the events executor busy-loops; this one is never reached.
 FOREVER_S = 1e6
+
+NodeT = TypeVar("NodeT", bound=rclpy.node.Node)
 
 
 class Spinner:
@@ -75,8 +78,15 @@ def spin_in_thread(*nodes: rclpy.node.Node) -> Spinner:
     return Spinner(nodes).start()
 
 
-def main(make_node: Callable[[], ManagedNode], args: Sequence[str] | None = None) -> int:
+def main(
+    make_node: Callable[[], NodeT], args: Sequence[str] | None = None, at_end: Callable[[NodeT], None] | None = None
+) -> int:
     """Run one node as a process until SIGINT, SIGTERM or the SHUTDOWN phase.
+
+    Args:
+        make_node: Makes the node, after ROS is initialised.
+        args: Arguments for ROS; None: those of the process.
+        at_end: Called with the node when the spinning has ended, before the node is destroyed.
 
     Returns:
         Exit code: 0 after an orderly end, 1 if the node could not be made.
@@ -94,6 +104,8 @@ def main(make_node: Callable[[], ManagedNode], args: Sequence[str] | None = None
     try:
         spinner.spin()
     finally:
+        if at_end is not None:
+            at_end(node)
         spinner.stop()
         rclpy.try_shutdown()
     return 0
