@@ -52,7 +52,7 @@ def shared_memory():
 
 
 def unused(files):
-    """Those of the files that are there although no living process uses them; peers in the domain have theirs mapped."""
+    """Those of the files that no living process uses; peers in the domain have theirs mapped."""
     mapped = ""
     for maps in Path("/proc").glob("[0-9]*/maps"):
         with contextlib.suppress(OSError):
