@@ -11,7 +11,7 @@ from im_dispatcher.poses_file import WristPose
 FEWEST_POSES = 12
 
 #: Failures that concern one pose only; everything else concerns the machine.
-POSE_FAILURES = frozenset({"unreachable", "collision", "limit", "spot_not_found"})
+POSE_FAILURES = frozenset({"unreachable", "collision", "limit", "not_settled", "spot_not_found"})
 
 ObservationT = TypeVar("ObservationT")
 

@@ -14,6 +14,9 @@ class Settle(Model):
     """When a group counts as at rest."""
 
     tolerance: float = Field(gt=0, description="mean error of each joint [rad or m]")
+    still_tolerance: float = Field(
+        gt=0, description="the same for an arm that stands still after half of timeout_s, held by friction [rad or m]"
+    )
     window_ticks: int = Field(ge=4, description="readings averaged to judge it [ticks]")
     timeout_s: float = Field(gt=0, description="testbed time after which a motion counts as not settled [s]")
 

@@ -73,3 +73,14 @@ def test_braked_joints_need_no_setpoint():
     for tick, q in zip(range(200), readings(TARGET, 4), strict=False):
         monitor.update(tick, q, None)
     assert monitor.at_rest
+
+
+def test_an_arm_that_friction_holds_off_its_setpoint_is_at_rest_later_and_a_far_one_is_not():
+    for off, rests in ((8e-5, True), (8e-4, False)):
+        monitor = RestMonitor(RESOLUTION, NOISE, SERVO)
+        ticks = round(SERVO.settle.timeout_s / SERVO.period_s)
+        for tick, q in zip(range(ticks), readings(TARGET + off, 4), strict=False):
+            monitor.update(tick, q, TARGET)
+            if tick < ticks // 2:
+                assert not monitor.at_rest
+        assert monitor.at_rest is rests

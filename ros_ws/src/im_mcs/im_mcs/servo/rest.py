@@ -22,7 +22,8 @@ class RestMonitor:
     """Judges rest from encoder readings alone, tick by tick, so that the same readings give the same tick.
 
     *Settling* ends when, over a short window, every joint's mean error is within tolerance and the means of both halves
-    agree within what encoder noise explains (three standard deviations). *Measuring* then averages a window of
+    agree within what encoder noise explains (three standard deviations). After half the time allowed, an arm that
+    stands still may be further off: friction holds it there, and what counts is the position measured. *Measuring* then averages a window of
     ``rest_window_ticks`` readings; if its halves disagree the arm has moved, and settling begins anew.
 
     Args:
@@ -35,6 +36,7 @@ class RestMonitor:
         self._reading_sd = np.sqrt(noise**2 + resolution**2 / 12.0)
         self._quantisation = _quantisation_variance(resolution, noise)
         self._tolerance = settings.settle.tolerance
+        self._still_tolerance = settings.settle.still_tolerance
         self._settle_window = settings.settle.window_ticks
         self._rest_window = settings.rest_window_ticks
         self.timeout_s = settings.settle.timeout_s
@@ -94,7 +96,9 @@ class RestMonitor:
             self._settle()
             return
         if self.phase is RestPhase.SETTLING:
-            if target is not None and (np.abs(self.last_error) > self._tolerance + 3.0 * self._sd(len(readings))).any():
+            late = 2 * self.settling_ticks > self._timeout_ticks
+            tolerance = self._still_tolerance if late else self._tolerance
+            if target is not None and (np.abs(self.last_error) > tolerance + 3.0 * self._sd(len(readings))).any():
                 return
             self.phase = RestPhase.MEASURING
             self.since_tick = tick
