@@ -23,8 +23,9 @@ class RestMonitor:
 
     *Settling* ends when, over a short window, every joint's mean error is within tolerance and the means of both halves
     agree within what encoder noise explains (three standard deviations). After half the time allowed, an arm that
-    stands still may be further off: friction holds it there, and what counts is the position measured. *Measuring* then averages a window of
-    ``rest_window_ticks`` readings; if its halves disagree the arm has moved, and settling begins anew.
+    stands still may be further off: friction holds it there, and what counts is the position measured. *Measuring*
+    then averages a window of ``rest_window_ticks`` readings; if its halves disagree the arm has moved, and settling
+    begins anew.
 
     Args:
         resolution: Of the encoders, shape (n,) [rad or m].
