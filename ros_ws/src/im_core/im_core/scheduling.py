@@ -14,7 +14,9 @@ def prefer(priority: int, paced: bool) -> bool:
     """Go before other processes: memory locked, garbage collector quiet, and as much priority as is permitted.
 
     A paced process sleeps every tick and gets SCHED_FIFO. One that runs as fast as it goes would starve the rest of
-    the computer that way, as soon as two machines share it; it is only favoured by its niceness.
+    the computer that way, as soon as two machines share it. It gets SCHED_FIFO on one core, the same for all such
+    processes (servo and physics take turns in any case), which leaves the others free; a single core is only favoured
+    by niceness.
 
     Args:
         priority: SCHED_FIFO priority, 1 to 99.
@@ -28,13 +30,16 @@ def prefer(priority: int, paced: bool) -> bool:
     _LIBC.mlockall(_MCL_CURRENT_AND_FUTURE)
     _LIBC.prctl(_PR_SET_TIMERSLACK, 1)
     try:
-        if paced:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        else:
+        cores = os.sched_getaffinity(0)
+        if not paced and len(cores) == 1:
             os.setpriority(os.PRIO_PROCESS, 0, _FAVOURED_NICENESS)
+            return False
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        if not paced:
+            os.sched_setaffinity(0, {max(cores)})
     except PermissionError:
         return False
-    return paced
+    return True
 
 
 def release() -> None:
