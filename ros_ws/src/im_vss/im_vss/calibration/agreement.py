@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -87,4 +87,4 @@ class Agreement:
 
 def _gate(dof: int) -> float:
     """Value that chi-square exceeds with probability :data:`FALSE_ALARM`."""
-    return float(chi2_distribution.isf(FALSE_ALARM, dof))
+    return float(scipy.stats.chi2.isf(FALSE_ALARM, dof))

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
 
 from im_vss.calibration.agreement import FALSE_ALARM, Agreement, Prediction
 from im_vss.calibration.problem import CalibrationProblem
@@ -115,7 +115,7 @@ def _noise_scale(prediction: Prediction, used: Mask) -> float:
     ratios = []
     for pose in poses:
         cameras = np.flatnonzero(used[:, pose])
-        ratios.append(prediction.distance(int(pose), cameras) / chi2_distribution.median(2 * len(cameras)))
+        ratios.append(prediction.distance(int(pose), cameras) / scipy.stats.chi2.median(2 * len(cameras)))
     scale = float(np.median(ratios))
     return scale if scale > 1.0 + 3.0 / np.sqrt(len(poses)) else 1.0
 
@@ -125,8 +125,8 @@ def _first_gate(fit: Fit, problem: CalibrationProblem, layout: Layout) -> Mask:
     seen = problem.detected & projectable(fit.unknowns, problem)
     unknowns = replace(fit.unknowns, displacements=np.zeros_like(problem.positions))
     distances = spot_distances(linearise(unknowns, problem, layout, seen))
-    typical = float(np.median(distances[seen])) / chi2_distribution.median(2)
-    gate = chi2_distribution.isf(FALSE_ALARM, 2) * max(1.0, typical)
+    typical = float(np.median(distances[seen])) / scipy.stats.chi2.median(2)
+    gate = scipy.stats.chi2.isf(FALSE_ALARM, 2) * max(1.0, typical)
     chosen = np.asarray(seen & (distances <= gate))
     return chosen if _enough(chosen, layout) else seen
 

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
 
 from im_core.camera_model import CameraModel
 from im_vss.calibration.calibration import Calibration, CameraEstimate, Rejection
@@ -92,7 +92,7 @@ def _describe(problem: CalibrationProblem, layout: Layout, gated: Gated) -> Cali
         covariance=covariance.matrix,
         chi2=fit.chi2,
         dof=dof,
-        p_value=float(chi2_distribution.sf(fit.chi2, dof)) if dof > 0 else float("nan"),
+        p_value=float(scipy.stats.chi2.sf(fit.chi2, dof)) if dof > 0 else float("nan"),
         used=used,
         residuals=residuals,
         residual_covariances=spread,

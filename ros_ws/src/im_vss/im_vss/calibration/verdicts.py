@@ -1,8 +1,8 @@
 """Verdicts: what the data cannot determine, and residuals that the stated noise cannot explain."""
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
 
 from im_vss.calibration.calibration import Calibration, Verdict
 from im_vss.calibration.covariance import Covariance
@@ -158,7 +158,7 @@ def _worst_camera(calibration: Calibration) -> str:
         chi2 = float((residuals * np.linalg.solve(spread, residuals[..., None])[..., 0]).sum())
         dof = max(1, 2 * camera.spots_used - PER_CAMERA)
         reason = f"{camera.name} is worst with chi2/dof {chi2 / dof:.2f}"
-        chances.append((float(chi2_distribution.logsf(chi2, dof)), reason))
+        chances.append((float(scipy.stats.chi2.logsf(chi2, dof)), reason))
     return min(chances)[1]
 
 

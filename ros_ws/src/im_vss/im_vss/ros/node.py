@@ -88,8 +88,9 @@ class VssNode(ManagedNode):
                 SetCameraInfo, f"/{entry.name}/set_camera_info", partial(self._set_camera_info, entry.name)
             )
         self.create_timer(WATCH_PERIOD_S, self._watch, clock=self.steady_clock)
-        # Loading the plotting library takes a second that the first calibration need not wait for.
-        threading.Thread(target=import_module, args=("im_vss.calibration.plots",), daemon=True).start()
+        # Loading these takes seconds that neither the start nor the first calibration need wait for.
+        libraries = ("scipy.stats", "im_vss.calibration.plots")
+        threading.Thread(target=lambda: [import_module(name) for name in libraries], daemon=True).start()
 
     def phase_shutdown(self) -> None:
         """End the camera process."""
