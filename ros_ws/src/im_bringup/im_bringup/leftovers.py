@@ -14,6 +14,7 @@ MARKER = "IM_MACHINE"
 
 _SHM = Path("/dev/shm")
 _DDS_FILE = re.compile(r"^(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))(?:_[es]l)?$")
+_DYING_S = 1.0
 _LOCK = re.compile(r"_[es]l$")
 
 
@@ -62,32 +63,44 @@ def remove_shared_memory() -> list[str]:
     Returns:
         Names of the files removed from ``/dev/shm``.
     """
-    return shm.remove_all(f"{names.instance()}_") + _remove_dds_segments()
+    removed = shm.remove_all(f"{names.instance()}_")
+    deadline = clock.monotonic() + _DYING_S
+    while True:
+        more, dying = _remove_dds_segments()
+        removed += more
+        if not dying or clock.monotonic() > deadline:
+            return removed
+        clock.sleep(0.02)
 
 
-def _remove_dds_segments() -> list[str]:
+def _remove_dds_segments() -> tuple[list[str], bool]:
     """Remove segments whose owner is dead.
 
     Fast DDS holds a lock on the lock file of every segment in use; the kernel gives it back when the owner dies.
-    A segment without a lock file is in use only if a process has it in its memory.
+    A segment without a lock file is in use only if a process has it in its memory. One that is locked but in nobody's
+    memory belongs to a process that is just dying: the kernel takes the memory first, then the locks.
+
+    Returns:
+        Names of the files removed, and whether the owner of another one is dying.
     """
     files: dict[str, list[Path]] = {}
     for path in sorted(_SHM.glob("fastrtps_*")):
         match = _DDS_FILE.match(path.name)
         if match is not None:
             files.setdefault(match.group(1), []).append(path)
-    removed = []
+    removed, dying = [], False
     mapped = _mapped_names()
     for name, paths in files.items():
         locks = [path for path in paths if _LOCK.search(path.name)]
         in_use = any(not _unlocked(path) for path in locks) if locks else name in mapped
         if in_use:
+            dying = dying or name not in mapped
             continue
         for path in (*paths, _SHM / f"sem.{name}_mutex"):
             if path.exists():
                 path.unlink(missing_ok=True)
                 removed.append(path.name)
-    return removed
+    return removed, dying
 
 
 def _mapped_names() -> set[str]:

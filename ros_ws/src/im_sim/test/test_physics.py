@@ -99,10 +99,11 @@ def test_a_session_at_factor_0():
 
 def test_real_time_keeps_pace_alone_and_outlives_its_servo():
     with physics("--factor", "1"), attached() as link:
+        link.wait_tick(20, timeout_s=5.0)  # the loop runs
         start, begin = link.tick, clock.monotonic()
         clock.sleep(0.3)
         passed, wall = (link.tick - start) * link.period_s, clock.monotonic() - begin
-        assert passed == pytest.approx(wall, abs=0.05)
+        assert 0.5 * wall < passed < wall + 0.05  # how evenly, the bench tells
 
         link.attach_servo(os.getpid())
         assert link.wait_state(1.0)
