@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from rclpy.client import Client
 
 from im_core import clock
-from im_core.errors import ImError, LinkError, WaitTimeoutError
+from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros.node import ManagedNode
 
 ResultT = TypeVar("ResultT")
@@ -75,10 +75,6 @@ async def call(node: ManagedNode, client: Client, request: Any, timeout_s: float
     left = max(0.05, deadline - clock.monotonic())
     try:
         return await wait(node, client.call_async(request), left, f"an answer of {client.srv_name} ({what})")
-    except WaitTimeoutError:
-        raise
-    except ImError:
-        raise
     except RuntimeError as error:
         raise LinkError(f"the call of {client.srv_name} ({what}) failed: {error}") from error
 

@@ -8,53 +8,34 @@ from rclpy.qos import (
     qos_profile_sensor_data,
 )
 
+
+def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
+    """Reliable, with a queue of ``depth`` messages."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=durability,
+    )
+
+
 #: The last message of a publisher reaches whoever comes later.
-LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 
 #: The same for topics on which several things, or several keys, are latched.
-LATCHED_MANY = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED_MANY = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)
 
 #: Events that must not be lost.
-EVENTS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=500,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+EVENTS = _reliable(500)
 
 #: Heartbeats and other state that is repeated.
-STATUS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=50,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+STATUS = _reliable(50)
 
 #: Streams of which the newest counts.
 SENSOR = qos_profile_sensor_data
 
 #: Images: reliable, so that every subscriber matches, and a short queue, for they are large.
-IMAGES = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=5,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+IMAGES = _reliable(5)
 
 #: Services that many clients may call at once: the default queue of 10 loses what comes in a burst.
-SERVICES = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=200,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+SERVICES = _reliable(200)
