@@ -11,6 +11,7 @@ from im_core.config import Model
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
+Source = Annotated[str, Field(min_length=1)]
 
 
 class Limits(Model):
@@ -115,8 +116,9 @@ class Box(Model):
 
 
 class ArmModel(Model):
-    """Kinematics, dynamics and shape of an arm."""
+    """Kinematics, dynamics and shape of an arm; ``source``: where the numbers are from, or that they are estimates."""
 
+    source: Source
     mount_height: float
     links: Annotated[tuple[DhLink, ...], Field(min_length=6, max_length=6)]
     joints: Annotated[tuple[ArmJoint, ...], Field(min_length=6, max_length=6)]
@@ -134,8 +136,9 @@ class CartStage(Model):
 
 
 class Cart(Model):
-    """A cart: it drives along the track, turns, and tilts."""
+    """A cart: it drives along the track, turns, and tilts; ``source`` as of an arm."""
 
+    source: Source
     track: CartStage
     rotation: CartStage
     tilt: CartStage

@@ -27,12 +27,12 @@ async def wait(node: ManagedNode, future: Any, timeout_s: float, what: str) -> A
             if not promise.done():
                 promise.set_result(None)
 
-    timer = node.create_timer(timeout_s, settle, clock=node.steady_clock)
+    alarm = node.alarms.after(timeout_s, settle)
     future.add_done_callback(settle)
     try:
         await promise
     finally:
-        node.destroy_timer(timer)
+        node.alarms.cancel(alarm)
     if not future.done():
         future.cancel()
         raise WaitTimeoutError(what=what, seconds=timeout_s)
@@ -47,11 +47,11 @@ async def pause(node: ManagedNode, seconds: float) -> None:
         if not promise.done():
             promise.set_result(None)
 
-    timer = node.create_timer(seconds, over, clock=node.steady_clock)
+    alarm = node.alarms.after(seconds, over)
     try:
         await promise
     finally:
-        node.destroy_timer(timer)
+        node.alarms.cancel(alarm)
 
 
 async def call(node: ManagedNode, client: Client, request: Any, timeout_s: float, what: str) -> Any:

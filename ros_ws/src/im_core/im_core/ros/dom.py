@@ -1,15 +1,19 @@
 """Client of the Data Object Manager."""
 
+import contextlib
 from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from im_core.errors import WaitTimeoutError
 from im_core.ros.calls import call
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import status_to_error
 from im_msgs.srv import GetObject, InvalidateObject, PutObject
 
-TIMEOUT_S = 6.0
+#: Every request has the same effect however often it is made; one that met a server of a former life is made again.
+TIMEOUT_S = 2.0
+ATTEMPTS = 3
 
 
 def type_name(message_type: type) -> str:
@@ -59,7 +63,7 @@ class DomClient:
     async def is_valid(self, name: str) -> bool:
         """Whether there is a valid object of that name."""
         request = GetObject.Request(name=name, metadata_only=True)
-        answer = await call(self._node, self._get, request, TIMEOUT_S, f"to look at '{name}'")
+        answer = await self._call(self._get, request, f"to look at '{name}'")
         return bool(answer.success)
 
     async def invalidate(self, name: str) -> None:
@@ -72,7 +76,13 @@ class DomClient:
         await self._ask(self._invalidate, request, f"to invalidate '{name}'")
 
     async def _ask(self, client: Any, request: Any, what: str) -> Any:
-        answer = await call(self._node, client, request, TIMEOUT_S, what)
+        answer = await self._call(client, request, what)
         if not answer.success:
             raise status_to_error(answer.status)
         return answer
+
+    async def _call(self, client: Any, request: Any, what: str) -> Any:
+        for _ in range(ATTEMPTS - 1):
+            with contextlib.suppress(WaitTimeoutError):
+                return await call(self._node, client, request, TIMEOUT_S, what)
+        return await call(self._node, client, request, TIMEOUT_S, what)

@@ -1,5 +1,6 @@
 """Who is alive: follows the heartbeats of all tasks, and waits for answers only while the answerer lives."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,14 +17,28 @@ CHECK_PERIOD_S = 0.25
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Last sign of life of a task: its incarnation, and when it was heard [s]."""
+    """Last sign of life of a task: its incarnation, when that was heard first, and when it was heard last [s]."""
 
     incarnation: int
+    since: float
     heard: float
 
 
+@dataclass(eq=False)
+class Watch:
+    """Somebody who waits for a task.
+
+    Attributes:
+        since: Incarnation that was asked; None: whichever answers.
+        lost: Called when the task is missing, with the reason.
+    """
+
+    since: int | None
+    lost: Callable[[str], None]
+
+
 class Heartbeats:
-    """Follows ``/im/task_status``.
+    """Follows ``/im/task_status``. However many wait, a silent task is looked for once, and only while somebody waits.
 
     Args:
         node: The node that listens.
@@ -33,12 +48,20 @@ class Heartbeats:
         self._node = node
         self._born = clock.monotonic()
         self._last: dict[str, Heartbeat] = {}
+        self._watches: dict[str, dict[Watch, None]] = {}
+        self._check_timer = node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady_clock)
+        self._check_timer.cancel()
         node.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
 
     def incarnation(self, task: str) -> int | None:
         """Incarnation of a task, None if it was never heard."""
         last = self._last.get(task)
         return last.incarnation if last else None
+
+    def heard_since(self, task: str) -> float | None:
+        """When the present incarnation of a task was heard first (monotonic) [s], None if it was never heard."""
+        last = self._last.get(task)
+        return last.since if last else None
 
     def missing(self, task: str, since: int | None = None) -> str:
         """Why a task cannot answer, or an empty string.
@@ -55,6 +78,21 @@ class Heartbeats:
             return f"{task} is missing (it died and was started again meanwhile)"
         return ""
 
+    def watch(self, task: str, since: int | None, lost: Callable[[str], None]) -> Callable[[], None]:
+        """Has a function called when a task goes missing, until that is called which is returned."""
+        watch = Watch(since, lost)
+        if not self._watches:
+            self._check_timer.reset()
+        self._watches.setdefault(task, {})[watch] = None
+
+        def unwatch() -> None:
+            watches = self._watches.get(task, {})
+            watches.pop(watch, None)
+            if not watches:
+                self._watches.pop(task, None)
+
+        return unwatch
+
     async def wait(self, future: Any, task: str, timeout_s: float, what: str) -> Any:
         """Await a future that ``task`` will complete.
 
@@ -69,30 +107,41 @@ class Heartbeats:
             WaitTimeoutError: No answer in time.
         """
         promise = self._node.promise()
-        since = self.incarnation(task)
-        deadline = clock.monotonic() + timeout_s
 
-        def settle(reason: str) -> None:
+        def settle(missing: str) -> None:
             if not promise.done():
-                promise.set_result(reason)
+                promise.set_result(missing)
 
-        def check() -> None:
-            if clock.monotonic() > deadline:
-                settle("late")
-            elif self.missing(task, since):
-                settle("missing")
-
-        timer = self._node.create_timer(CHECK_PERIOD_S, check, clock=self._node.steady_clock)
-        future.add_done_callback(lambda _: settle("done"))
+        alarm = self._node.alarms.after(timeout_s, lambda: settle(""))
+        unwatch = self.watch(task, self.incarnation(task), settle)
+        future.add_done_callback(lambda _: settle(""))
         try:
-            reason = await promise
+            missing = await promise
         finally:
-            self._node.destroy_timer(timer)
+            unwatch()
+            self._node.alarms.cancel(alarm)
         if future.done():
             return future.result()
-        if reason == "late":
-            raise WaitTimeoutError(what=what, seconds=timeout_s)
-        raise LinkError(f"{self.missing(task, since)} while waited for {what}", task=task)
+        if missing:
+            raise LinkError(f"{missing} while waited for {what}", task=task)
+        raise WaitTimeoutError(what=what, seconds=timeout_s)
 
     def _hear(self, message: TaskStatus) -> None:
-        self._last[message.name] = Heartbeat(int(message.incarnation), clock.monotonic())
+        known, now = self._last.get(message.name), clock.monotonic()
+        same = known is not None and known.incarnation == message.incarnation
+        self._last[message.name] = Heartbeat(int(message.incarnation), known.since if same else now, now)
+        if known is not None and not same:
+            self._tell(message.name)
+
+    def _check(self) -> None:
+        if not self._watches:
+            self._check_timer.cancel()
+        for task in list(self._watches):
+            if self.missing(task):
+                self._tell(task)
+
+    def _tell(self, task: str) -> None:
+        for watch in list(self._watches.get(task, ())):
+            missing = self.missing(task, watch.since)
+            if missing:
+                watch.lost(missing)

@@ -14,12 +14,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
-from rclpy.task import Future
 from std_msgs.msg import UInt8
 
 from im_core import clock
 from im_core.errors import ImError, NotFoundError
 from im_core.ros import qos
+from im_core.ros.alarms import Alarms
+from im_core.ros.coroutines import Coroutines, Promise, Work
 from im_msgs.msg import TaskStatus
 
 PHASE_LOAD, PHASE_CONFIGURE, PHASE_START, PHASE_SHUTDOWN = range(4)
@@ -34,28 +35,7 @@ INTROSPECTION = {
     "contents": ServiceIntrospectionState.CONTENTS,
 }
 WAKE_DELAY_S = 0.0002
-
-
-class Promise(Future):
-    """A future that may be completed from any thread; whoever awaits it in the node's executor goes on.
-
-    The events executor resumes suspended coroutines only after an event of the middleware. A promise makes
-    one (the node's one-shot timer), 0.3 ms later.
-    """
-
-    def __init__(self, node: "ManagedNode") -> None:
-        super().__init__()
-        self._node = node
-
-    def set_result(self, result: object) -> None:
-        """Complete with a result."""
-        super().set_result(result)
-        self._node.wake()
-
-    def set_exception(self, exception: Exception) -> None:
-        """Complete with an exception, raised where the promise is awaited."""
-        super().set_exception(exception)
-        self._node.wake()
+_READY = int(TaskStatus.READY)
 
 
 class ManagedNode(Node):
@@ -82,8 +62,10 @@ class ManagedNode(Node):
         self._phase = TaskStatus.LOADED
         self._detail = ""
         self._stopped = False
+        self.alarms = Alarms(self)
         self._wake_timer = self.create_timer(WAKE_DELAY_S, self._woken, clock=self.steady_clock)
         self._wake_timer.cancel()
+        self._coroutines = Coroutines(self.wake, self._poll, self._broken)
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self.create_timer(HEARTBEAT_PERIOD_S, self._publish_status, clock=self.steady_clock)
         standalone = self.declare_parameter("standalone", False).value
@@ -141,7 +123,7 @@ class ManagedNode(Node):
     @property
     def ready(self) -> bool:
         """Whether all start-up phases are passed."""
-        return bool(self._phase == TaskStatus.READY)
+        return bool(self._phase == _READY)
 
     @property
     def failed(self) -> str:
@@ -155,7 +137,11 @@ class ManagedNode(Node):
 
     def promise(self) -> Promise:
         """A future for coroutines of this node that any thread may complete."""
-        return Promise(self)
+        return Promise(self.wake)
+
+    def spawn(self, work: Work) -> None:
+        """Run a coroutine in the loop; it costs nothing while it waits for a promise. From any thread."""
+        self._coroutines.spawn(work)
 
     def wake(self) -> None:
         """Let the executor look at its suspended coroutines soon; from any thread."""
@@ -177,6 +163,13 @@ class ManagedNode(Node):
 
     def _woken(self) -> None:
         self._wake_timer.cancel()
+        self._coroutines.step()
+
+    def _poll(self, work: Work) -> None:
+        self.executor.create_task(work)
+
+    def _broken(self, error: Exception) -> None:
+        self.get_logger().error(f"a coroutine broke: {error!r}")
 
     def _start_alone(self) -> None:
         self._standalone_timer.cancel()

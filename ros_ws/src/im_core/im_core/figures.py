@@ -1,0 +1,84 @@
+"""Lines of a benchmark: a figure with a baseline of the same run, and a bar that it should meet."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Line:
+    """One figure of a benchmark.
+
+    Attributes:
+        name: What was measured.
+        value: The figure; None: it could not be measured, and ``against`` says why.
+        unit: Its unit.
+        baseline: The same quantity of something simple, measured in the same run; the ratio says more than the value.
+        against: What the baseline is.
+        bar: What the ratio (without baseline, the value) must not exceed, or must reach if ``at_least``; None: no bar.
+        at_least: Whether the bar is a lower bound.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    baseline: float | None = None
+    against: str = ""
+    bar: float | None = None
+    at_least: bool = False
+
+    @property
+    def measure(self) -> float | None:
+        """What the bar is for: the ratio to the baseline, or the value if there is none."""
+        if self.value is None or self.baseline is None:
+            return self.value
+        return self.value / self.baseline
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the bar is met; None if there is no bar, or nothing was measured."""
+        if self.bar is None or self.measure is None:
+            return None
+        return self.measure >= self.bar if self.at_least else self.measure <= self.bar
+
+    def text(self, width: int = 34) -> str:
+        """The line for the terminal.
+
+        Args:
+            width: Columns of the name.
+        """
+        value = "-" if self.value is None else _readable(self.value)
+        note = self.against
+        if self.measure is not None and self.baseline is not None:
+            note = f"{self.measure:.4g} x {self.against} ({_readable(self.baseline)} {self.unit})"
+        verdict = {None: "", True: "ok", False: "MISSED"}[self.met]
+        sign = ">=" if self.at_least else "<="
+        bar = "" if self.bar is None else f"{sign} {self.bar:,g}"
+        return f"{self.name:<{width}}{value:>10} {self.unit:<5}{bar:>9} {verdict:<7}{note}".rstrip()
+
+
+def _readable(value: float) -> str:
+    return f"{value:,.0f}" if abs(value) >= 10_000 else f"{value:.4g}"
+
+
+def table(lines: Sequence[Line]) -> str:
+    """All lines, and how many bars were missed."""
+    width = max([34, *(len(line.name) + 1 for line in lines)])
+    missed = sum(line.met is False for line in lines)
+    closing = "all bars are met" if missed == 0 else f"{missed} bars are missed"
+    unmeasured = sum(line.value is None for line in lines)
+    if unmeasured:
+        closing += f", {unmeasured} figures could not be measured"
+    return "\n".join([*(line.text(width) for line in lines), closing])
+
+
+def write(path: Path, lines: Sequence[Line]) -> None:
+    """Writes the lines as a JSON list.
+
+    Args:
+        path: The file.
+        lines: The lines.
+    """
+    content = [{**asdict(line), "measure": line.measure, "met": line.met} for line in lines]
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
