@@ -1,13 +1,25 @@
 """Exact search of the reachable markings, breadth first, so that every counterexample is a shortest one."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from im_core.clock import monotonic
-from im_pnt.analysis.compose import Composition
-from im_pnt.compiled import Compiled, compile_net
+from im_pnt.analysis.expansion import OverflowedError, expand_wide
+from im_pnt.analysis.fields import TooManyTokensError
+from im_pnt.analysis.found import CollisionError, Found
+from im_pnt.analysis.narrow import Narrow
+from im_pnt.compiled import Compiled
 
-Vector = tuple[int, ...]
+_TESTS_AT_ONCE = 1 << 18
+_LAYER_US, _WORD_US = 150.0, 15.0
+"""What a layer costs in arrays, and what each word of its markings adds [us]."""
+_TEST_US = 0.004
+"""What a transition and marking cost there in addition [us]."""
+_MARKING_US = 8.0
+"""What a marking costs by itself [us]."""
+_WIDEST = 200
+_MET_AT_ONCE = 500_000
+_CLOCK_EVERY = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,138 +28,128 @@ class Limits:
 
     Attributes:
         states: Number of markings.
-        seconds: Time [s].
+        seconds: Time for everything [s].
+        memory: Memory for what explicit search stores [bytes].
     """
 
     states: int = 200_000
     seconds: float = 30.0
+    memory: int = 2 << 30
 
 
-@dataclass(slots=True)
-class Graph:
-    """The reachability graph as far as it was searched.
+class Search:
+    """Breadth-first search that can be interrupted and continued.
+
+    Args:
+        compiled: The net.
+        initial: Tokens of each place in the first marking.
+        bounds: For each place a proved bound on its tokens, None where there is none; they make markings smaller.
+        kinds: For each transition bits (1, 2) to remember for the markings that enable it.
+        progress: Told the number of markings now and then.
+
+    Raises:
+        TooManyTokensError: A place holds more than a word can count.
 
     Attributes:
-        compiled: The net in indices.
-        states: Markings in the order they were found; the first is the initial one.
-        parents: For each marking the marking and transition that found it; (-1, -1) for the first.
-        arcs: For each searched marking its firings as pairs of transition and marking reached.
-        growth: Marking that covers an earlier one on its own path, and that earlier one; None: not met.
-        stopped: Why the search ended early, empty if it is complete.
+        found: What it has found.
+        expanded: Number of markings whose firings are known; the first ones of ``found``.
+        stopped: Why the last :meth:`run` ended early, empty if every reachable marking is found.
     """
 
-    compiled: Compiled
-    states: list[Vector] = field(default_factory=list)
-    parents: list[tuple[int, int]] = field(default_factory=list)
-    arcs: list[list[tuple[int, int]]] = field(default_factory=list)
-    growth: tuple[int, int] | None = None
-    stopped: str = ""
+    def __init__(
+        self,
+        compiled: Compiled,
+        initial: Sequence[int],
+        bounds: Sequence[int | None] | None = None,
+        kinds: Sequence[int] | None = None,
+        progress: Callable[[int], None] = lambda count: None,
+    ) -> None:
+        self.found = Found(compiled, initial, bounds or [None] * len(compiled.places))
+        self.expanded = 0
+        self.stopped = "not begun"
+        self._kinds = kinds or [1] * len(compiled.transitions)
+        self._progress = progress
+        self._layer_end = 1
+        self._widths = (0, 1)
+        transitions = max(1, len(compiled.transitions))
+        gain = max(_TEST_US, _MARKING_US - _TEST_US * transitions)
+        self._narrow = min(_WIDEST, 1 + int((_LAYER_US + _WORD_US * self.found.packing.words) / gain))
+        self._block = max(256, _TESTS_AT_ONCE // transitions)
 
     @property
     def complete(self) -> bool:
-        """Whether every reachable marking was found."""
-        return not self.stopped and self.growth is None
+        """Whether every reachable marking was found and expanded."""
+        return not self.stopped
 
-    def sequence(self, state: int, since: int = 0) -> list[str]:
-        """Returns the shortest firing sequence that leads to a marking from an earlier one on its path."""
-        names: list[str] = []
-        while state != since and state > 0:
-            state, transition = self.parents[state]
-            names.append(self.compiled.transitions[transition])
-        return names[::-1]
+    @property
+    def widening(self) -> bool:
+        """Whether the last layer has more markings than the one before: most of the space is still to come."""
+        return self._widths[1] > self._widths[0]
 
-    def marking(self, state: int) -> dict[str, int]:
-        """Returns the marked places of a marking."""
-        return self.compiled.marking(self.states[state])
+    def run(self, limits: Limits, deadline: float) -> str:
+        """Searches on.
 
+        Args:
+            limits: Where to give up.
+            deadline: Time on the monotonic clock at which to give up [s].
 
-def explore(
-    composition: Composition, limits: Limits | None = None, *, bounded: bool = False, start: Vector | None = None
-) -> Graph:
-    """Finds all markings that can be reached.
+        Returns:
+            Why it ended early; empty if every reachable marking is found.
+        """
+        found = self.found
+        self.stopped = ""
+        try:
+            while self.expanded < found.count and not self.stopped:
+                try:
+                    if found.count - self.expanded <= self._narrow:
+                        self._go_narrow(limits, deadline)
+                    else:
+                        end = min(self._layer_end, self.expanded + self._block)
+                        expand_wide(found, self.expanded, end, self._kinds)
+                        self._advance(end)
+                except OverflowedError as error:
+                    found.widen(error.guards)
+                except CollisionError:
+                    found.rehash()
+                self.stopped = self.stopped or self._limit(limits, deadline)
+                self._progress(found.count)
+        except TooManyTokensError as error:
+            self.stopped = str(error)
+        if self.expanded == found.count:
+            self.stopped = ""
+        return self.stopped
 
-    Unboundedness is recognised on the way: on an infinite search tree some path meets a marking that covers an earlier
-    one of the same path (Karp and Miller, 1969); the firings between the two can be repeated for ever.
+    def _limit(self, limits: Limits, deadline: float) -> str:
+        if self.found.count > limits.states:
+            return f"more than {limits.states} markings"
+        if self.found.memory > limits.memory:
+            return f"{self.found.count} markings and no end: more memory than {limits.memory / 2**30:.3g} GiB"
+        if monotonic() > deadline:
+            return f"not finished in time, {self.found.count} markings"
+        return ""
 
-    Args:
-        composition: The net and its environment.
-        limits: Where to give up.
-        bounded: Known to be bounded (for instance covered by P-semiflows): growth is not looked for.
-        start: Marking to start from; None: the initial one.
-    """
-    limits = limits or Limits()
-    compiled = compile_net(composition.net)
-    at_rest = at_rest_test(composition, compiled)
-    rest_only = [compiled.transitions.index(name) for name in sorted(composition.at_rest_only)]
-    always = [t for t in range(len(compiled.transitions)) if t not in rest_only]
-    grows = None if bounded else _growth_test(composition, compiled)
-    first = start if start is not None else compiled.marking_vector(composition.net.initial_marking())
-    graph = Graph(compiled, [first], [(-1, -1)])
-    index = {first: 0}
-    deadline = monotonic() + limits.seconds
-    inputs, inhibitors, fire = compiled.inputs, compiled.inhibitors, compiled.fire
-    current = 0
-    while current < len(graph.states):
-        if current % 256 == 0 and monotonic() > deadline:
-            graph.stopped = f"not finished after {limits.seconds:g} s, {len(graph.states)} markings"
-            break
-        vector = graph.states[current]
-        arcs: list[tuple[int, int]] = []
-        candidates = always + rest_only if rest_only and at_rest(vector) else always
-        for transition in candidates:
-            for place, weight in inputs[transition]:
-                if vector[place] < weight:
+    def _advance(self, expanded: int) -> None:
+        self.expanded = expanded
+        if expanded == self._layer_end:
+            self._widths = (self._widths[1], self.found.count - expanded)
+            self._layer_end = self.found.count
+
+    def _go_narrow(self, limits: Limits, deadline: float) -> None:
+        narrow = Narrow(self.found, self.expanded, self._kinds)
+        begin, expanded, layer_end = self.expanded, self.expanded, self._layer_end
+        try:
+            while expanded < narrow.count:
+                narrow.expand(expanded)
+                expanded += 1
+                if expanded == layer_end:
+                    self._widths = (self._widths[1], narrow.count - expanded)
+                    layer_end = narrow.count
+                if narrow.count - expanded > 2 * self._narrow:
                     break
-            else:
-                if any(vector[place] >= weight for place, weight in inhibitors[transition]):
-                    continue
-                after = fire(vector, transition)
-                found = index.get(after)
-                if found is None:
-                    found = len(graph.states)
-                    index[after] = found
-                    graph.states.append(after)
-                    graph.parents.append((current, transition))
-                    if grows is not None and (ancestor := grows(graph, found)) is not None:
-                        graph.growth = (ancestor, found)
-                        return graph
-                arcs.append((transition, found))
-        graph.arcs.append(arcs)
-        if len(graph.states) > limits.states:
-            graph.stopped = f"more than {limits.states} markings"
-            break
-        current += 1
-    return graph
-
-
-def at_rest_test(composition: Composition, compiled: Compiled) -> Callable[[Vector], bool]:
-    """Makes the test whether a marking holds tokens in rest places only."""
-    busy = [i for i, name in enumerate(compiled.places) if name not in composition.rest]
-    return lambda vector: not any(vector[place] for place in busy)
-
-
-def _growth_test(composition: Composition, compiled: Compiled) -> Callable[[Graph, int], int | None]:
-    """Makes the test that finds an ancestor which a marking covers, such that the firings between can be repeated."""
-    inhibiting = [place for place, rows in enumerate(compiled.inhibited) if rows]
-    busy = [i for i, name in enumerate(compiled.places) if name not in composition.rest]
-    rest_only = {compiled.transitions.index(name) for name in composition.at_rest_only}
-
-    def ancestor_covered(graph: Graph, state: int) -> int | None:
-        vector = graph.states[state]
-        total = sum(vector)
-        needs_rest = False
-        ancestor, transition = graph.parents[state]
-        while ancestor >= 0:
-            needs_rest = needs_rest or transition in rest_only
-            earlier = graph.states[ancestor]
-            if (
-                sum(earlier) < total
-                and all(a <= b for a, b in zip(earlier, vector, strict=True))
-                and all(earlier[place] == vector[place] for place in inhibiting)
-                and not (needs_rest and any(earlier[place] != vector[place] for place in busy))
-            ):
-                return ancestor
-            ancestor, transition = graph.parents[ancestor]
-        return None
-
-    return ancestor_covered
+                if narrow.count > limits.states or expanded - begin > _MET_AT_ONCE:
+                    break
+                if expanded % _CLOCK_EVERY == 0 and monotonic() > deadline:
+                    break
+        finally:
+            self.expanded, self._layer_end = expanded, layer_end
+            narrow.flush()

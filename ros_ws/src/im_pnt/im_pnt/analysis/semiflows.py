@@ -1,12 +1,18 @@
 """P- and T-semiflows: weightings that no firing changes, and firing counts that change no marking.
 
-Farkas' algorithm with elimination of non-minimal supports (Colom and Silva, 1991), bounded in its effort.
+Farkas' algorithm with elimination of non-minimal supports (Colom and Silva, 1991), bounded in its effort. Where it was
+capped, linear programming finds semiflows for what the others leave out.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import gcd
 
-from im_pnt.compiled import Compiled
+from im_core.clock import monotonic
+from im_pnt.compiled import Compiled, IndexedArcs
+
+_EFFORT = 20
+"""Combinations tried for a column, as a multiple of the rows allowed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,83 +20,164 @@ class Semiflows:
     """Minimal semiflows.
 
     Attributes:
-        flows: Each a weighting of names with non-negative whole numbers, zeros left out.
+        flows: Each a weighting of names with non-negative whole numbers, zeros left out; a true semiflow in any case.
         complete: Whether these are all of minimal support; False where the effort was capped.
+        reason: Why not, empty if they are.
     """
 
     flows: tuple[dict[str, int], ...]
     complete: bool
+    reason: str = ""
 
-    def covers(self, names: tuple[str, ...]) -> bool:
+    def covers(self, names: Iterable[str]) -> bool:
         """Whether every name has a positive weight in some semiflow."""
         covered = {name for flow in self.flows for name in flow}
         return covered.issuperset(names)
 
 
-def p_semiflows(compiled: Compiled, max_rows: int = 2_000) -> Semiflows:
+def p_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | None = None) -> Semiflows:
     """Returns the minimal weightings of places that every firing leaves unchanged.
 
     Args:
         compiled: The net.
-        max_rows: Rows of the working table at which to stop.
+        max_rows: Rows of the working table at which to leave some out.
+        deadline: Time of :func:`im_core.clock.monotonic` at which to stop [s]; None: never.
     """
-    rows = [dict[int, int]() for _ in compiled.places]
-    for transition, pairs in enumerate(compiled.change):
-        for place, change in pairs:
-            rows[place][transition] = change
-    return _farkas(rows, compiled.places, len(compiled.transitions), max_rows)
+    return _semiflows(_by_place(compiled), compiled.places, compiled.change, max_rows, deadline)
 
 
-def t_semiflows(compiled: Compiled, max_rows: int = 2_000) -> Semiflows:
+def t_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | None = None) -> Semiflows:
     """Returns the minimal firing counts that lead from a marking back to it.
 
     Args:
         compiled: The net.
-        max_rows: Rows of the working table at which to stop.
+        max_rows: Rows of the working table at which to leave some out.
+        deadline: Time of :func:`im_core.clock.monotonic` at which to stop [s]; None: never.
     """
-    rows = [dict(pairs) for pairs in compiled.change]
-    return _farkas(rows, compiled.transitions, len(compiled.places), max_rows)
+    return _semiflows(compiled.change, compiled.transitions, _by_place(compiled), max_rows, deadline)
 
 
-Row = tuple[dict[int, int], dict[int, int]]
-"""What is left of the incidence row, and the weighting that made it."""
+def _by_place(compiled: Compiled) -> list[IndexedArcs]:
+    rows: list[list[tuple[int, int]]] = [[] for _ in compiled.places]
+    for transition, pairs in enumerate(compiled.change):
+        for place, change in pairs:
+            rows[place].append((transition, change))
+    return [tuple(row) for row in rows]
 
 
-def _farkas(start: list[dict[int, int]], names: tuple[str, ...], columns: int, max_rows: int) -> Semiflows:
-    table: list[Row] = [(dict(row), {number: 1}) for number, row in enumerate(start)]
-    left = set(range(columns))
-    complete = True
-    while left:
-        column = min(left, key=lambda c: (_products(table, c), c))
-        left.remove(column)
-        positive = [row for row in table if row[0].get(column, 0) > 0]
-        negative = [row for row in table if row[0].get(column, 0) < 0]
-        table = [row for row in table if not row[0].get(column, 0)]
-        if len(table) + len(positive) * len(negative) > max_rows:
-            complete = False
-            continue
-        table.extend(_combine(up, down, column) for up in positive for down in negative)
-        table = _minimal(table)
-    flows = tuple({names[i]: weight for i, weight in sorted(weights.items())} for _, weights in table)
-    return Semiflows(flows, complete)
+def _semiflows(
+    rows: Sequence[IndexedArcs],
+    names: tuple[str, ...],
+    columns: Sequence[IndexedArcs],
+    max_rows: int,
+    deadline: float | None,
+) -> Semiflows:
+    table = _Table(rows, max_rows, deadline)
+    table.eliminate(set(range(len(columns))))
+    flows = [row.weights for row in table.rows.values() if not row.rest]
+    if table.reason:
+        flows.extend(_missing(flows, len(names), columns, deadline))
+    named = tuple({names[i]: weight for i, weight in sorted(weights.items())} for weights in flows)
+    return Semiflows(named, not table.reason, table.reason)
 
 
-def _products(table: list[Row], column: int) -> int:
-    up = sum(1 for row, _ in table if row.get(column, 0) > 0)
-    down = sum(1 for row, _ in table if row.get(column, 0) < 0)
-    return up * down - up - down
+def _missing(
+    flows: list[dict[int, int]], size: int, columns: Sequence[IndexedArcs], deadline: float | None
+) -> Iterator[dict[int, int]]:
+    """Yields semiflows for components that are in none yet, where there are any."""
+    from im_pnt.analysis.cone import Cone
+
+    cone = Cone(columns, size)
+    covered = {index for weights in flows for index in weights}
+    for index in range(size):
+        if index not in covered and (deadline is None or monotonic() < deadline):
+            weights = cone.cheapest([1] * size, [index], equal=True, deadline=deadline)
+            if weights:
+                covered.update(weights)
+                common = gcd(*weights.values())
+                yield {key: weight // common for key, weight in weights.items()}
 
 
-def _combine(up: Row, down: Row, column: int) -> Row:
-    a, b = up[0][column], -down[0][column]
+@dataclass(slots=True)
+class _Row:
+    """What is left of the incidence row, the weighting that made it, and its support as a set of bits."""
+
+    rest: dict[int, int]
+    weights: dict[int, int]
+    support: int
+
+
+class _Table:
+    """The working table of Farkas' algorithm."""
+
+    def __init__(self, start: Sequence[IndexedArcs], max_rows: int, deadline: float | None) -> None:
+        self.rows: dict[int, _Row] = {}
+        self.reason = ""
+        self._max_rows = max(max_rows, len(start))
+        self._deadline = deadline
+        self._next = 0
+        self._positive: dict[int, set[int]] = {}
+        self._negative: dict[int, set[int]] = {}
+        for index, pairs in enumerate(start):
+            self._add(_Row(dict(pairs), {index: 1}, 1 << index))
+
+    def eliminate(self, columns: set[int]) -> None:
+        """Makes the rest of every row zero, as far as time and room permit."""
+        while columns:
+            column = min(columns, key=lambda c: (self._growth(c), c))
+            columns.remove(column)
+            up, down = sorted(self._positive.get(column, ())), sorted(self._negative.get(column, ()))
+            parents = [self.rows[number] for number in up], [self.rows[number] for number in down]
+            for number in up + down:
+                self._remove(number)
+            if not self._combine(column, *parents):
+                return
+
+    def _growth(self, column: int) -> int:
+        up, down = len(self._positive.get(column, ())), len(self._negative.get(column, ()))
+        return up * down - up - down
+
+    def _combine(self, column: int, up: list[_Row], down: list[_Row]) -> bool:
+        """Adds the combinations without that column that have minimal support. Returns whether there is time left."""
+        tried = 0
+        for first in sorted(up, key=lambda row: len(row.weights)):
+            for second in sorted(down, key=lambda row: len(row.weights)):
+                tried += 1
+                if tried % 64 == 1 and self._deadline is not None and monotonic() > self._deadline:
+                    self.reason = "the time is up"
+                    return False
+                if len(self.rows) >= self._max_rows or tried > _EFFORT * self._max_rows:
+                    self.reason = f"more than {self._max_rows} rows of the working table"
+                    return True
+                support = first.support | second.support
+                if any(row.support & support == row.support for row in self.rows.values()):
+                    continue
+                for number in [n for n, row in self.rows.items() if row.support & support == support]:
+                    self._remove(number)
+                self._add(_combination(first, second, column))
+        return True
+
+    def _add(self, row: _Row) -> None:
+        self.rows[self._next] = row
+        for column, value in row.rest.items():
+            (self._positive if value > 0 else self._negative).setdefault(column, set()).add(self._next)
+        self._next += 1
+
+    def _remove(self, number: int) -> None:
+        for column, value in self.rows.pop(number).rest.items():
+            (self._positive if value > 0 else self._negative)[column].discard(number)
+
+
+def _combination(up: _Row, down: _Row, column: int) -> _Row:
+    a, b = up.rest[column], -down.rest[column]
     factor = gcd(a, b)
-    rest = _weighted(up[0], b // factor, down[0], a // factor)
-    weights = _weighted(up[1], b // factor, down[1], a // factor)
+    rest = _weighted(up.rest, b // factor, down.rest, a // factor)
+    weights = _weighted(up.weights, b // factor, down.weights, a // factor)
     common = gcd(*rest.values(), *weights.values())
     if common > 1:
         rest = {key: value // common for key, value in rest.items()}
         weights = {key: value // common for key, value in weights.items()}
-    return rest, weights
+    return _Row(rest, weights, up.support | down.support)
 
 
 def _weighted(a: dict[int, int], p: int, b: dict[int, int], q: int) -> dict[int, int]:
@@ -98,12 +185,3 @@ def _weighted(a: dict[int, int], p: int, b: dict[int, int], q: int) -> dict[int,
     for key, value in b.items():
         total[key] = total.get(key, 0) + q * value
     return {key: value for key, value in total.items() if value}
-
-
-def _minimal(table: list[Row]) -> list[Row]:
-    kept: list[tuple[frozenset[int], Row]] = []
-    for row in sorted(table, key=lambda r: len(r[1])):
-        support = frozenset(row[1])
-        if not any(other <= support for other, _ in kept):
-            kept.append((support, row))
-    return [row for _, row in kept]

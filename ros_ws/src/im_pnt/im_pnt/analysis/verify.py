@@ -1,238 +1,176 @@
-"""The verdict on one net or several: may it run, and if not, the shortest firing sequence that shows why."""
+"""The verdict on one net or several: may it run, and if not, the shortest firing sequence that shows why.
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+Methods are tried from the cheap to the costly: semiflows; explicit search; linear programming and coverability where
+no semiflow bounds the net; decision diagrams where the space is too large to list; stubborn sets where only the
+deadlock is left.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from im_core.clock import monotonic
-from im_pnt.analysis.compose import Composition, compose
-from im_pnt.analysis.reachability import Graph, Limits, at_rest_test, explore
-from im_pnt.analysis.semiflows import p_semiflows
-from im_pnt.compiled import compile_net
-from im_pnt.errors import VerificationError
-from im_pnt.net import Net, Role
+from im_pnt.analysis import refusals
+from im_pnt.analysis.exhaustive import REFUSED, answer_from_part, answer_from_whole
+from im_pnt.analysis.fields import TooManyTokensError
+from im_pnt.analysis.growth import GrowthTest
+from im_pnt.analysis.large import answer_from_coverability, answer_from_diagrams, answer_from_stubborn_sets
+from im_pnt.analysis.problem import Problem, problem_of
+from im_pnt.analysis.reachability import Limits, Search
+from im_pnt.analysis.report import Report
+from im_pnt.analysis.structure import conserve, describe, solve_bounds
+from im_pnt.net import Net
+
+Progress = Callable[[str], None]
+"""Is told now and then what goes on."""
+
+_FEW, _MANY = 20_000, 2_000_000
+"""Markings after which explicit search lets other methods try: on nets of unknown bound, and on any."""
+
+_ROWS, _ALL_ROWS = 400, 2_000
+"""P-semiflows to look for where only the verdict is wanted, which needs no more than bounds, and where all are."""
+
+_SHARE = 0.4
+"""Part of the time left that a method may take when others wait."""
 
 
-@dataclass(frozen=True, slots=True)
-class Counterexample:
-    """What goes wrong, and the shortest way there.
-
-    Attributes:
-        reason: One sentence.
-        sequence: Transitions to fire from the initial marking.
-        marking: Marked places where it goes wrong.
-        repeat: Transitions that can be repeated for ever after the sequence (unbounded nets).
-    """
-
-    reason: str
-    sequence: tuple[str, ...]
-    marking: dict[str, int]
-    repeat: tuple[str, ...] = ()
-
-
-@dataclass(slots=True)
-class Report:
-    """Answers about a composition; None where the search did not get that far, with the reason in ``unknown``.
-
-    Attributes:
-        nets: Names of the nets.
-        ok: Whether the net may run.
-        states: Markings found.
-        labelled_arcs: Firings found.
-        bounded: Whether no place can grow without end.
-        safe: Whether no place ever holds two tokens.
-        max_token_in_place: Most tokens a place ever holds.
-        max_token_per_marking: Most tokens of a marking.
-        place_bounds: Most tokens of each place.
-        has_deadlock: Whether it can get stuck, resting and waiting for a symbol or request excepted.
-        never_enabled_transitions: Transitions that can never fire.
-        p_semiflows: Weightings of places that never change.
-        p_semiflows_complete: Whether these are all of minimal support.
-        refusals: What forbids to run it.
-        assumptions: What the verdicts take for granted.
-        unknown: For each answer that is missing the reason.
-        method: How the answers were obtained.
-        time_s: How long it took [s].
-    """
-
-    nets: list[str]
-    ok: bool = False
-    states: int = 0
-    labelled_arcs: int = 0
-    bounded: bool | None = None
-    safe: bool | None = None
-    max_token_in_place: int | None = None
-    max_token_per_marking: int | None = None
-    place_bounds: dict[str, int] | None = None
-    has_deadlock: bool | None = None
-    never_enabled_transitions: list[str] | None = None
-    p_semiflows: list[dict[str, int]] = field(default_factory=list)
-    p_semiflows_complete: bool = False
-    refusals: list[Counterexample] = field(default_factory=list)
-    assumptions: list[str] = field(default_factory=list)
-    unknown: dict[str, str] = field(default_factory=dict)
-    method: str = ""
-    time_s: float = 0.0
-
-    def to_dict(self) -> dict[str, object]:
-        """Returns the report as plain data."""
-        return asdict(self)
-
-    def require_ok(self) -> None:
-        """Accepts or refuses.
-
-        Raises:
-            VerificationError: The net must not run; carries the shortest firing sequence that shows why.
-        """
-        name = "+".join(self.nets)
-        for refusal in self.refusals:
-            raise VerificationError(name, refusal.reason, refusal.sequence + refusal.repeat)
-        if not self.ok:
-            why = "; ".join(f"{answer} is unknown ({reason})" for answer, reason in self.unknown.items())
-            raise VerificationError(name, why)
-
-
-def verify(nets: Sequence[Net], limits: Limits | None = None) -> Report:
+def verify(
+    nets: Sequence[Net],
+    limits: Limits | None = None,
+    *,
+    structure: bool = False,
+    progress: Progress = lambda text: None,
+) -> Report:
     """Verifies one net, or several joined over remote places and coordination structures.
 
     Args:
         nets: The nets.
         limits: Where the search gives up.
+        structure: Whether T-semiflows, siphons and traps are wanted too; the verdict does not need them.
+        progress: Is told what goes on.
 
     Raises:
         NetError: The nets do not fit together.
     """
     begin = monotonic()
-    composition = compose(nets)
-    compiled = compile_net(composition.net)
-    flows = p_semiflows(compiled)
-    covered = flows.covers(compiled.places)
-    graph = explore(composition, limits, bounded=covered)
-    report = Report([net.name for net in nets], states=len(graph.states), assumptions=list(composition.assumptions))
-    report.p_semiflows, report.p_semiflows_complete = list(flows.flows), flows.complete
-    report.method = "explicit breadth-first search" + (", bounded by P-semiflows" if covered else "")
-    report.labelled_arcs = sum(len(arcs) for arcs in graph.arcs)
-    _bounds(report, graph, covered)
-    _deadlock(report, graph, composition)
-    _dead_transitions(report, graph)
-    if graph.complete and not report.refusals:
-        _lost_entries(report, graph, composition)
-    report.ok = bool(report.bounded and report.has_deadlock is False and graph.complete and not report.refusals)
+    limits = limits or Limits()
+    problem = problem_of(nets)
+    report = Report([net.name for net in nets], assumptions=list(problem.composition.assumptions))
+    _Verification(problem, report, limits, begin + limits.seconds, progress).run(structure=structure)
+    report.decide()
     report.time_s = round(monotonic() - begin, 4)
     return report
 
 
-def _bounds(report: Report, graph: Graph, covered: bool) -> None:
-    compiled = graph.compiled
-    if graph.growth is not None:
-        earlier, later = graph.growth
-        grown = [
-            name
-            for name, a, b in zip(compiled.places, graph.states[earlier], graph.states[later], strict=True)
-            if b > a
-        ]
-        report.bounded = report.safe = False
-        report.refusals.append(
-            Counterexample(
-                f"place {', '.join(grown)} can grow without end",
-                tuple(graph.sequence(earlier)),
-                graph.marking(later),
-                tuple(graph.sequence(later, earlier)),
+class _Verification:
+    def __init__(self, problem: Problem, report: Report, limits: Limits, deadline: float, progress: Progress) -> None:
+        self.problem, self.report, self.limits, self.deadline = problem, report, limits, deadline
+        self.progress = progress
+
+    def run(self, *, structure: bool) -> None:
+        problem, report = self.problem, self.report
+        self.progress("semiflows")
+        proven = conserve(report, problem, self.deadline, _ALL_ROWS if structure else _ROWS)
+        if structure:
+            self.progress("siphons and traps")
+            describe(report, problem, self.deadline)
+        else:
+            names = ("t_semiflows", "siphons", "traps")
+            report.leave("not asked", *names, *(f"{name}_complete" for name in names))
+        try:
+            search = Search(
+                problem.compiled,
+                problem.initial,
+                proven,
+                kinds=problem.kinds,
+                progress=lambda count: self.progress(f"{count} markings found"),
             )
-        )
-        for answer in ("max_token_in_place", "max_token_per_marking", "place_bounds"):
-            report.unknown[answer] = "the net is unbounded"
-    elif graph.stopped:
-        report.bounded = True if covered else None
-        for answer in ("safe", "max_token_in_place", "max_token_per_marking", "place_bounds"):
-            report.unknown[answer] = graph.stopped
-        if not covered:
-            report.unknown["bounded"] = graph.stopped
-    else:
-        bounds = [max(column) for column in zip(*graph.states, strict=True)]
-        report.bounded = True
-        report.max_token_in_place = max(bounds, default=0)
-        report.safe = report.max_token_in_place <= 1
-        report.max_token_per_marking = max(sum(vector) for vector in graph.states)
-        report.place_bounds = dict(zip(compiled.places, bounds, strict=True))
-    _overflow(report, graph)
+        except TooManyTokensError as error:
+            self._without_search(str(error))
+        else:
+            self._with(search)
 
+    def _with(self, search: Search) -> None:
+        problem, report = self.problem, self.report
+        if report.bounded is None:
+            self._look_for_growth(search)
+        if report.bounded is not False and not search.complete:
+            self._search(search)
+        if search.complete:
+            self.progress(f"all {search.found.count} markings found; from where to where")
+            answer_from_whole(report, problem, search, self.deadline)
+        else:
+            answer_from_part(report, problem, search, self.deadline)
+        self._rest(search.stopped)
 
-def _overflow(report: Report, graph: Graph) -> None:
-    places = graph.compiled.net.places.values()
-    limited = [(i, p.name, p.capacity) for i, p in enumerate(places) if p.capacity is not None]
-    for state, vector in enumerate(graph.states):
-        for place, name, capacity in limited:
-            if vector[place] > capacity:
-                report.refusals.append(
-                    Counterexample(
-                        f"place {name} gets {vector[place]} tokens, more than its capacity of {capacity}",
-                        tuple(graph.sequence(state)),
-                        graph.marking(state),
-                    )
-                )
-                return
+    def _without_search(self, reason: str) -> None:
+        """Answers what can be answered where a place holds too many tokens to list markings."""
+        if self.report.bounded is None:
+            solve_bounds(self.report, self.problem, self._later())
+        if self.report.bounded is None:
+            self._cover()
+        if self.report.bounded:
+            answer_from_diagrams(self.report, self.problem, reason, self._later())
+        self._rest(reason)
 
+    def _rest(self, reason: str) -> None:
+        """Looks for a deadlock at least, and says why what is missing is."""
+        if self.report.has_deadlock is None and self.problem.closed:
+            self.progress("stubborn sets")
+            answer_from_stubborn_sets(self.report, self.problem, self.limits.states, self.deadline)
+        if self.report.refusals:
+            self.report.leave(REFUSED, "resources_return")
+        self.report.leave(reason if self.report.bounded is not False else "the net is unbounded")
 
-def _deadlock(report: Report, graph: Graph, composition: Composition) -> None:
-    transitions = graph.compiled.transitions
-    external = {transitions.index(name) for name in composition.external}
-    withdrawn = {i for i, t in enumerate(graph.compiled.net.transitions.values()) if t.role is Role.WITHDRAWN}
-    at_rest = at_rest_test(composition, graph.compiled)
-    for state, arcs in enumerate(graph.arcs):
-        if any(transition not in external for transition, _ in arcs):
-            continue
-        waits = any(transition not in withdrawn for transition, _ in arcs)
-        if at_rest(graph.states[state]) and (waits or (composition.may_end and external <= withdrawn)):
-            continue
-        marking = graph.marking(state)
-        held = ", ".join(f"{place}={count}" for place, count in marking.items()) or "no token at all"
-        kind = "it waits for its tape or a caller away from rest" if waits else "it is stuck"
-        report.has_deadlock = True
-        report.refusals.append(
-            Counterexample(f"{kind} with {held}", tuple(graph.sequence(state)), marking),
-        )
-        return
-    if graph.complete:
-        report.has_deadlock = False
-    else:
-        report.unknown["has_deadlock"] = graph.stopped or "the net is unbounded"
+    def _look_for_growth(self, search: Search) -> None:
+        """Searches a net that no semiflow bounds, and decides whether it is bounded if it can."""
+        report = self.report
+        test = GrowthTest(search.found)
+        later = self._later()
+        for count in (_FEW, 4 * _FEW, 16 * _FEW, _MANY):
+            self._some(search, count, later)
+            if search.complete or self._grows(test, search):
+                break
+            if count == _FEW:
+                self.progress("bounds by linear programming")
+                solve_bounds(report, self.problem, later)
+            if report.bounded or self._over(search) or monotonic() > later:
+                break
+        if not report.bounded and not search.complete:
+            self._cover()
 
+    def _grows(self, test: GrowthTest, search: Search) -> bool:
+        growth = test.look(self._later())
+        if growth is None:
+            return False
+        search.stopped = "the net is unbounded"
+        self.report.answer("a marking covers an earlier one of its path", bounded=False, safe=False)
+        self.report.refuse(refusals.growth(search.found, growth))
+        return True
 
-def _dead_transitions(report: Report, graph: Graph) -> None:
-    if not graph.complete:
-        report.unknown["never_enabled_transitions"] = graph.stopped or "the net is unbounded"
-        return
-    fired = {transition for arcs in graph.arcs for transition, _ in arcs}
-    report.never_enabled_transitions = [
-        name for index, name in enumerate(graph.compiled.transitions) if index not in fired
-    ]
+    def _cover(self) -> None:
+        from im_pnt.analysis.coverability import coverability
 
+        self.progress("coverability")
+        problem = self.problem
+        answer_from_coverability(self.report, problem, coverability(problem.compiled, problem.initial, self._later()))
 
-def _lost_entries(report: Report, graph: Graph, composition: Composition) -> None:
-    """Refuses a net in which a command or service that was possible can become impossible for ever."""
-    before: list[list[int]] = [[] for _ in graph.states]
-    offering: dict[int, list[int]] = {}
-    entries = {graph.compiled.transitions.index(name) for name in composition.entries}
-    for state, arcs in enumerate(graph.arcs):
-        for transition, after in arcs:
-            before[after].append(state)
-            if transition in entries:
-                offering.setdefault(transition, []).append(state)
-    for transition, states in sorted(offering.items()):
-        hopeful = set(states)
-        stack = list(states)
-        while stack:
-            for earlier in before[stack.pop()]:
-                if earlier not in hopeful:
-                    hopeful.add(earlier)
-                    stack.append(earlier)
-        if len(hopeful) < len(graph.states):
-            lost = next(state for state in range(len(graph.states)) if state not in hopeful)
-            report.refusals.append(
-                Counterexample(
-                    f"after this {graph.compiled.transitions[transition]} can never fire again",
-                    tuple(graph.sequence(lost)),
-                    graph.marking(lost),
-                )
-            )
-            return
+    def _search(self, search: Search) -> None:
+        """Lists the markings of a net that is not known to be unbounded, or puts them into a decision diagram."""
+        self._some(search, _MANY, self._later())
+        if not search.complete and not search.widening:
+            search.run(self.limits, self._later())
+        if not search.complete:
+            self.progress("decision diagrams")
+            answer_from_diagrams(self.report, self.problem, search.stopped, self._later())
+            if self.report.states is None:
+                search.run(self.limits, self._later())
+
+    def _some(self, search: Search, states: int, deadline: float) -> None:
+        search.run(replace(self.limits, states=min(states, self.limits.states)), deadline)
+
+    def _over(self, search: Search) -> bool:
+        return search.found.count > self.limits.states or monotonic() > self.deadline
+
+    def _later(self) -> float:
+        now = monotonic()
+        return now + _SHARE * max(0.0, self.deadline - now)

@@ -1,0 +1,147 @@
+"""Requests and replies between composed nets (paper, Figure 11); commands are in :mod:`im_pnt.analysis.commands`.
+
+A caller that waits for a given net has a token on ``t.pending`` from its request to its reply, which is a token on
+``t.reply``. If it has a time-out and gives up, the token moves to ``t.abandoned``, where the late reply ends; until it
+has come, ``t.patience`` keeps it from giving up once more.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from im_pnt.analysis.commands import Caller, Commands
+from im_pnt.analysis.flat import Flat
+from im_pnt.errors import NetError, nearest
+from im_pnt.expand import doubt_place, input_place
+from im_pnt.net import Net, Place, RequestAction, Role, Transition
+
+_IN_DOUBT = ".in_doubt"
+
+
+class Calls:
+    """Connects the transitions that ask with the services that answer.
+
+    Args:
+        flat: The net that grows.
+
+    Raises:
+        NetError: A net is asked for a service that it does not offer.
+    """
+
+    def __init__(self, flat: Flat) -> None:
+        self._flat = flat
+        self._callers: dict[tuple[str, str], list[Caller]] = {}
+        self._commands = Commands(flat)
+        for net in flat.nets.values():
+            for start in net.transitions.values():
+                action = _request_of(start)
+                if action is not None and start.role is Role.START and self._offered(net, start, action):
+                    caller = Caller(flat.q(net.name, start.origin), start.timeout is not None)
+                    if action.service in flat.nets[action.net].services:
+                        self._callers.setdefault((action.net, action.service), []).append(caller)
+                    else:
+                        self._commands.expect(action.net, action.service, caller)
+
+    def _offered(self, net: Net, start: Transition, action: RequestAction) -> bool:
+        server = self._flat.nets.get(action.net)
+        if server is None:
+            self._flat.assume(f"{action} of net {net.name} is answered, either way")
+            return False
+        offered = [*server.services, *server.symbols()]
+        if action.service not in offered:
+            raise NetError(
+                f"transition {start.origin} of net {net.name} asks for {action.net}.{action.service}, "
+                f"which net {action.net} does not offer{nearest(action.service, offered)}"
+            )
+        return True
+
+    def certain_places(self, net: Net) -> frozenset[str]:
+        """Returns the places in_doubt that stay empty: requests to given nets are waited for without a time-out."""
+        starts = (t for t in net.transitions.values() if t.role is Role.START and t.timeout is None)
+        asking = (t for t in starts if (action := _request_of(t)) is not None and action.net in self._flat.nets)
+        return frozenset(doubt_place(t.origin) for t in asking)
+
+    def connected(self, net: Net, flat: Transition) -> Iterator[Transition]:
+        """Returns a transition, connected with what it asks or answers.
+
+        Args:
+            net: Its net, expanded.
+            flat: The transition with qualified names.
+        """
+        start = net.transitions.get(f"{flat.origin}.start")
+        action = _request_of(start) if start is not None else None
+        if flat.role is Role.RETURN:
+            yield from self._returns(net, flat)
+        elif start is None or action is None or flat.role is Role.PLAIN or action.net not in self._flat.nets:
+            yield from self._commands.served(net, flat)
+        else:
+            for phase in self._phases(net, flat, start, action):
+                yield from self._commands.served(net, phase)
+
+    def _returns(self, net: Net, flat: Transition) -> Iterator[Transition]:
+        """Sends a reply to whoever waits for it, or to where nobody waits any more."""
+        callers = self._callers.get((net.name, flat.origin), [])
+        for caller in callers:
+            for suffix, waiting, answered in caller.endings():
+                yield replace(
+                    flat,
+                    name=f"{flat.name}({caller.name}{suffix})",
+                    inputs={**flat.inputs, waiting: 1},
+                    outputs={**flat.outputs, answered: 1},
+                )
+        if not callers:
+            yield replace(flat, outputs={**flat.outputs, self._generic_caller(net.name, flat.origin): 1})
+
+    def _generic_caller(self, net: str, service: str) -> str:
+        flat = self._flat
+        idle = flat.q(net, f"caller.{service}")
+        flat.add_place(net, Place(idle, tokens=1))
+        flat.rest.add(idle)
+        request = {flat.q(net, input_place(service)): 1}
+        flat.add_environment(Transition(flat.q(net, f"call.{service}"), {idle: 1}, request, origin=service))
+        return idle
+
+    def _phases(self, net: Net, flat: Transition, start: Transition, action: RequestAction) -> Iterator[Transition]:
+        caller = Caller(self._flat.q(net.name, flat.origin), start.timeout is not None)
+        doubtful = flat.role in (Role.LOST, Role.GIVEN_UP) or flat.name.endswith(_IN_DOUBT)
+        if doubtful and not caller.gives_up:
+            return
+        match flat.role:
+            case Role.START:
+                yield self._asking(net, flat, action, caller)
+            case Role.END | Role.FAILED:
+                yield replace(flat, inputs={**flat.inputs, f"{caller.name}.reply": 1})
+                if flat.role is Role.FAILED and doubtful and not start.on_doubt:
+                    yield _given_up(replace(flat, name=f"{flat.name}(given up)"), caller)
+            case Role.GIVEN_UP:
+                yield _given_up(flat, caller)
+            case _:
+                yield flat
+
+    def _asking(self, net: Net, flat: Transition, action: RequestAction, caller: Caller) -> Transition:
+        whole = self._flat
+        whole.add_place(net.name, Place(f"{caller.name}.pending"))
+        whole.add_place(net.name, Place(f"{caller.name}.reply"))
+        whole.assume(f"net {action.net} lives, or comes back, while net {net.name} waits for its reply")
+        if caller.gives_up:
+            whole.add_place(net.name, Place(f"{caller.name}.abandoned"))
+            whole.add_place(net.name, Place(f"{caller.name}.patience", tokens=1))
+            whole.rest.add(f"{caller.name}.patience")
+            whole.assume(
+                f"net {net.name} gives up {action} once more only when net {action.net} is done with the one given up "
+                "before: else requests could pile up"
+            )
+        if action.service in whole.nets[action.net].services:
+            request = whole.underway(action.net, input_place(action.service))
+        else:
+            request = self._commands.write(action.net, caller)
+        return replace(flat, outputs={**flat.outputs, f"{caller.name}.pending": 1, request: 1})
+
+
+def _request_of(transition: Transition) -> RequestAction | None:
+    return transition.action if isinstance(transition.action, RequestAction) else None
+
+
+def _given_up(flat: Transition, caller: Caller) -> Transition:
+    """Returns how a caller goes on without the reply, which is still to come."""
+    inputs = {**flat.inputs, f"{caller.name}.pending": 1, f"{caller.name}.patience": 1}
+    return replace(flat, inputs=inputs, outputs={**flat.outputs, f"{caller.name}.abandoned": 1})

@@ -1,0 +1,112 @@
+"""Cones of non-negative whole-number vectors, searched by linear programming and checked exactly.
+
+Semiflows, weightings that no firing raises, and firing counts that lower no place are such vectors. A linear program
+finds them in floating point; one counts only after it has been rounded to whole numbers and put to every inequality.
+"""
+
+from collections.abc import Collection, Sequence
+from fractions import Fraction
+from math import lcm
+
+import numpy as np
+from scipy.optimize import linprog
+from scipy.sparse import csr_array
+
+from im_core.clock import monotonic
+from im_pnt.compiled import Compiled, IndexedArcs
+
+_LARGEST = 10**9
+"""Coefficients beyond this are not given to floating point."""
+_DENOMINATORS = (1, 60, 5_000, 1_000_000)
+
+
+class Cone:
+    """The vectors x >= 0 with rows . x <= 0.
+
+    Args:
+        rows: Each the pairs of index and coefficient of an inequality.
+        size: Length of the vectors.
+    """
+
+    def __init__(self, rows: Sequence[IndexedArcs], size: int) -> None:
+        self._rows = rows
+        self._size = size
+        entries = [(number, index, value) for number, row in enumerate(rows) for index, value in row]
+        self._numeric = bool(size and entries) and all(abs(value) <= _LARGEST for _, _, value in entries)
+        if self._numeric:
+            numbers, indices, values = zip(*entries, strict=True)
+            self._matrix = csr_array((np.array(values, float), (numbers, indices)), shape=(len(rows), size))
+
+    def cheapest(
+        self,
+        costs: Sequence[int],
+        positive: Collection[int] = (),
+        *,
+        equal: bool = False,
+        slack: bool = False,
+        deadline: float | None = None,
+    ) -> dict[int, int]:
+        """Returns a vector of the cone of about the least cost, zeros left out; empty: none was found.
+
+        Args:
+            costs: Cost of each component.
+            positive: Components that are positive.
+            equal: Whether every inequality is met with equality.
+            slack: Whether some inequality is not.
+            deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        """
+        if not self._numeric:
+            return self._exactly({index: Fraction(1) for index in positive}, positive, equal=equal, slack=slack)
+        left = None if deadline is None else max(0.01, deadline - monotonic())
+        lower = np.zeros(self._size)
+        lower[list(positive)] = 1.0
+        zeros = np.zeros(len(self._rows))
+        inequalities, right = (None, None) if equal else (self._matrix, zeros)
+        if slack:
+            inequalities = csr_array(np.vstack([self._matrix.toarray(), self._matrix.sum(axis=0)]))
+            right = np.append(zeros, -1.0)
+        solution = linprog(
+            [float(min(cost, 10**12)) for cost in costs],
+            A_ub=inequalities,
+            b_ub=right,
+            A_eq=self._matrix if equal else None,
+            b_eq=zeros if equal else None,
+            bounds=np.column_stack([lower, np.full(self._size, np.inf)]),
+            method="highs",
+            options={} if left is None else {"time_limit": left},
+        )
+        if solution.x is None or not np.isfinite(solution.x).all():
+            return {}
+        for denominator in _DENOMINATORS:
+            rounded = {
+                int(index): Fraction(float(solution.x[index])).limit_denominator(denominator)
+                for index in np.flatnonzero(solution.x > 1e-9)
+            }
+            if vector := self._exactly(rounded, positive, equal=equal, slack=slack):
+                return vector
+        return {}
+
+    def _exactly(
+        self, vector: dict[int, Fraction], positive: Collection[int], *, equal: bool, slack: bool
+    ) -> dict[int, int]:
+        """Returns a vector in whole numbers if it is in the cone, otherwise nothing."""
+        common = lcm(*(value.denominator for value in vector.values()))
+        whole = {index: int(value * common) for index, value in vector.items() if value > 0}
+        sums = [sum(whole.get(index, 0) * value for index, value in row) for row in self._rows]
+        fits = all(number == 0 if equal else number <= 0 for number in sums)
+        loose = not slack or any(number < 0 for number in sums)
+        return whole if fits and loose and whole.keys() >= set(positive) else {}
+
+
+def weightings(compiled: Compiled) -> Cone:
+    """Returns the cone of the weightings of places that no firing raises."""
+    return Cone(compiled.change, len(compiled.places))
+
+
+def firing_counts(compiled: Compiled) -> Cone:
+    """Returns the cone of the firing counts of transitions that lower no place."""
+    rows: list[list[tuple[int, int]]] = [[] for _ in compiled.places]
+    for transition, pairs in enumerate(compiled.change):
+        for place, change in pairs:
+            rows[place].append((transition, -change))
+    return Cone([tuple(row) for row in rows], len(compiled.transitions))

@@ -1,0 +1,205 @@
+"""Structural reductions that keep the answer whether a net can deadlock (Berthelot, 1986; Murata, 1989, section V).
+
+A firing sequence of the reduced net to a dead marking is expanded to one of the original net. Boundedness and liveness
+are not kept. Nodes at inhibitor arcs are left as they are.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from im_core.clock import monotonic
+from im_pnt.analysis.loose import LooseNet
+from im_pnt.compiled import Compiled, compile_net
+from im_pnt.net import Net, Place, Transition
+
+_MOST_PARTS = 1_000
+
+
+@dataclass(frozen=True, slots=True)
+class Reduced:
+    """A smaller net that can deadlock if and only if the original one can.
+
+    Attributes:
+        original: The original net.
+        original_initial: Its initial marking.
+        compiled: The reduced net.
+        initial: Its initial marking.
+        parts: For each transition those of the original net that fire in its place.
+        delayed: Sequences of transitions of the original net that the reduced one puts off; before a marking counts as
+            dead they fire as often as they can, in this order.
+    """
+
+    original: Compiled
+    original_initial: tuple[int, ...]
+    compiled: Compiled
+    initial: tuple[int, ...]
+    parts: tuple[tuple[int, ...], ...]
+    delayed: tuple[tuple[int, ...], ...]
+
+    def expand(self, sequence: Sequence[str]) -> tuple[str, ...]:
+        """Returns the firing sequence of the original net to a dead marking for one of the reduced net."""
+        number = {name: index for index, name in enumerate(self.compiled.transitions)}
+        steps = [part for name in sequence for part in self.parts[number[name]]]
+        marking = self.original_initial
+        for step in steps:
+            marking = self.original.fire(marking, step)
+        for parts in self.delayed:
+            while (after := self._fired(marking, parts)) is not None:
+                steps.extend(parts)
+                marking = after
+        return tuple(self.original.transitions[step] for step in steps)
+
+    def _fired(self, marking: tuple[int, ...], steps: tuple[int, ...]) -> tuple[int, ...] | None:
+        for step in steps:
+            if not self.original.enabled(marking, step):
+                return None
+            marking = self.original.fire(marking, step)
+        return marking
+
+
+def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: float | None = None) -> Reduced:
+    """Reduces a net as far as the rules go.
+
+    Args:
+        compiled: The net.
+        initial: Initial marking, tokens of each place.
+        deadline: Time of :func:`im_core.clock.monotonic` at which to stop, with what is reduced by then [s].
+    """
+    net = LooseNet(compiled, initial)
+    delayed: list[tuple[int, ...]] = []
+    rules = (_dead_transitions, _redundant_places, _redundant_transitions, _post_agglomeration)
+    changed = True
+    while changed and (deadline is None or monotonic() < deadline):
+        changed = False
+        for rule in rules:
+            changed = rule(net) or changed
+        changed = _pre_agglomeration(net, delayed) or changed
+    return _reduced(net, delayed, compiled, initial)
+
+
+def _dead_transitions(net: LooseNet) -> bool:
+    """Takes away transitions that need more of a place than there is, when nobody raises it."""
+    changed = False
+    for place in list(net.tokens):
+        if all(net.change(transition, place) <= 0 for transition in net.givers[place]):
+            for transition in list(net.takers[place]):
+                if net.inputs[transition][place] > net.tokens[place]:
+                    net.remove_transition(transition)
+                    changed = True
+    return changed
+
+
+def _redundant_places(net: LooseNet) -> bool:
+    """Takes away places that never keep a transition from firing."""
+    changed = False
+    kept: dict[frozenset[tuple[int, int, int]], int] = {}
+    for place in net.places():
+        around = net.takers[place] | net.givers[place]
+        need = max((net.inputs[transition][place] for transition in net.takers[place]), default=0)
+        never_lowered = all(net.change(transition, place) >= 0 for transition in around)
+        arcs = frozenset((t, net.inputs[t].get(place, 0), net.outputs[t].get(place, 0)) for t in around)
+        twin = kept.get(arcs)
+        if never_lowered and net.tokens[place] >= need:
+            net.remove_place(place)
+        elif twin is not None:
+            more = max(place, twin, key=lambda p: net.tokens[p])
+            kept[arcs] = twin if more == place else place
+            net.remove_place(more)
+        else:
+            kept[arcs] = place
+            continue
+        changed = True
+    return changed
+
+
+def _redundant_transitions(net: LooseNet) -> bool:
+    """Takes away doubles, and transitions that change nothing while another one is enabled whenever they are."""
+    changed = False
+    kept: set[tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]]]] = set()
+    for transition in net.transitions():
+        if transition in net.inhibitors:
+            continue
+        inputs, outputs = net.inputs[transition], net.outputs[transition]
+        arcs = frozenset(inputs.items()), frozenset(outputs.items())
+        if arcs in kept or (inputs == outputs and _has_weaker(net, transition)):
+            net.remove_transition(transition)
+            changed = True
+        else:
+            kept.add(arcs)
+    return changed
+
+
+def _has_weaker(net: LooseNet, transition: int) -> bool:
+    inputs = net.inputs[transition]
+    others = {other for place in inputs for other in net.takers[place]} - {transition}
+    return any(
+        other not in net.inhibitors and all(inputs.get(place, 0) >= w for place, w in net.inputs[other].items())
+        for other in others
+    )
+
+
+def _post_agglomeration(net: LooseNet) -> bool:
+    """Joins to whoever gives to a place those who need that place alone: they can fire at once."""
+    changed = False
+    for place in net.places():
+        if (
+            _between(net, place)
+            and all(len(net.inputs[taker]) == 1 and net.free(taker) for taker in net.takers[place])
+            and not any(giver in net.inhibitors for giver in net.givers[place])
+        ):
+            net.join(place)
+            changed = True
+    return changed
+
+
+def _pre_agglomeration(net: LooseNet, delayed: list[tuple[int, ...]]) -> bool:
+    """Joins to those who take from a place the one who gives to it and does nothing else: it can wait for them."""
+    changed = False
+    for place in net.places():
+        if not _between(net, place) or len(net.givers[place]) != 1:
+            continue
+        (giver,) = net.givers[place]
+        if (
+            len(net.outputs[giver]) == 1
+            and net.inputs[giver]
+            and net.free(giver)
+            and all(net.takers[other] == {giver} for other in net.inputs[giver])
+            and not any(taker in net.inhibitors for taker in net.takers[place])
+        ):
+            delayed.append(net.parts[giver])
+            net.join(place)
+            changed = True
+    return changed
+
+
+def _between(net: LooseNet, place: int) -> bool:
+    """Whether a place is empty at first, single tokens go in and out, and joining does not add many transitions."""
+    givers, takers = net.givers[place], net.takers[place]
+    return (
+        net.tokens[place] == 0
+        and bool(givers and takers)
+        and givers.isdisjoint(takers)
+        and len(givers) * len(takers) <= len(givers) + len(takers)
+        and all(net.outputs[giver][place] == 1 for giver in givers)
+        and all(net.inputs[taker][place] == 1 for taker in takers)
+        and max(len(net.parts[t]) for t in givers) + max(len(net.parts[t]) for t in takers) <= _MOST_PARTS
+    )
+
+
+def _reduced(net: LooseNet, delayed: list[tuple[int, ...]], original: Compiled, initial: tuple[int, ...]) -> Reduced:
+    names = original.places
+    transitions = {}
+    for number, inputs in net.inputs.items():
+        name = str(number)
+        arcs = [inputs, net.outputs[number], net.inhibitors.get(number, {})]
+        taken, given, inhibiting = ({names[place]: weight for place, weight in part.items()} for part in arcs)
+        transitions[name] = Transition(name, taken, given, inhibitors=inhibiting, origin=name)
+    places = {names[place]: Place(names[place], tokens) for place, tokens in net.tokens.items()}
+    return Reduced(
+        original,
+        initial,
+        compile_net(Net(original.net.name, places, transitions)),
+        tuple(net.tokens.values()),
+        tuple(net.parts.values()),
+        tuple(reversed(delayed)),
+    )

@@ -1,0 +1,96 @@
+"""What forbids to run nets, each with the shortest firing sequence that shows it."""
+
+from collections.abc import Iterator
+
+from im_pnt.analysis.closed import emptied_siphon
+from im_pnt.analysis.found import Found
+from im_pnt.analysis.graph import Graph
+from im_pnt.analysis.growth import Growth
+from im_pnt.analysis.problem import WAITS, Problem
+from im_pnt.analysis.report import Counterexample
+
+_NAMED_PLACES = 8
+
+
+def growth(found: Found, grown: Growth) -> Counterexample:
+    """Says which places grow without end, and how."""
+    earlier, later = found.vector(grown.earlier), found.vector(grown.later)
+    names = [name for name, a, b in zip(found.compiled.places, earlier, later, strict=True) if b > a]
+    return Counterexample(
+        "growth",
+        f"place {', '.join(names)} can grow without end",
+        found.sequence(grown.earlier),
+        found.marking(grown.later),
+        found.sequence(grown.later, grown.earlier),
+    )
+
+
+def overflow(problem: Problem, found: Found) -> Counterexample | None:
+    """Finds the first marking in which a place holds more than its capacity."""
+    first: tuple[int, int] | None = None
+    for place, declared in enumerate(problem.compiled.net.places.values()):
+        if declared.capacity is not None:
+            over = found.packing.holds(found.words[:, : found.count], place, declared.capacity + 1).nonzero()[0]
+            if len(over) and (first is None or over[0] < first[0]):
+                first = (int(over[0]), place)
+    if first is None:
+        return None
+    number, place = first
+    declared = problem.compiled.net.places[problem.compiled.places[place]]
+    tokens = found.vector(number)[place]
+    return Counterexample(
+        "overflow",
+        f"place {declared.name} gets {tokens} tokens, more than its capacity of {declared.capacity}",
+        found.sequence(number),
+        found.marking(number),
+    )
+
+
+def deadlock(problem: Problem, sequence: tuple[str, ...], vector: tuple[int, ...]) -> Counterexample:
+    """Describes a marking in which the nets are stuck.
+
+    Args:
+        problem: The nets.
+        sequence: Firings that lead there.
+        vector: The marking.
+    """
+    compiled = problem.compiled
+    marking = compiled.marking(vector)
+    held = ", ".join(f"{place}={count}" for place, count in marking.items()) or "no token at all"
+    waits = any(kind == WAITS and compiled.enabled(vector, t) for t, kind in enumerate(problem.kinds))
+    if waits:
+        reason = f"it waits for its tape or a caller away from rest with {held}"
+        return Counterexample("deadlock", reason, sequence, marking)
+    siphon = emptied_siphon(compiled, problem.initial, vector)
+    why = ""
+    if siphon:
+        names = ", ".join(siphon[:_NAMED_PLACES])
+        more = f" and {len(siphon) - _NAMED_PLACES} more" if len(siphon) > _NAMED_PLACES else ""
+        why = f"; siphon {{{names}{more}}} was emptied, and can never be marked again"
+    return Counterexample("deadlock", f"it is stuck with {held}{why}", sequence, marking)
+
+
+def lost_entries(problem: Problem, found: Found, graph: Graph, live: list[bool]) -> Iterator[Counterexample]:
+    """Finds commands and services that can become impossible for ever."""
+    for transition, name in enumerate(problem.compiled.transitions):
+        if name in problem.composition.entries and found.fired[transition] and not live[transition]:
+            lost = graph.first_without_return(graph.where_enabled(transition))
+            reason = f"after this {name} can never fire again"
+            yield Counterexample("lost_command", reason, found.sequence(lost), found.marking(lost))
+
+
+def held_resources(problem: Problem, found: Found, graph: Graph) -> Iterator[Counterexample]:
+    """Finds marked places of nets without a declared rest that may never get their tokens back."""
+    declared = {net.name for net in problem.nets if net.rest is not None}
+    for place, name in enumerate(problem.compiled.places):
+        tokens = problem.initial[place]
+        if not tokens or problem.composition.net_of[name] in declared or graph.regains(place, tokens):
+            continue
+        lost = graph.first_without_return(graph.where_marked(place, tokens))
+        count = f"its {tokens} tokens" if tokens > 1 else "its token"
+        yield Counterexample(
+            "held_resource",
+            f"after this place {name} never has {count} back: what it stands for is held for ever",
+            found.sequence(lost),
+            found.marking(lost),
+        )

@@ -1,0 +1,142 @@
+"""Siphons and traps, and what they say about deadlocks.
+
+A siphon, once empty, stays empty; a trap, once marked, stays marked (Murata, 1989, section VI). The places that are
+empty in a dead marking of an ordinary net are a siphon, so a net whose siphons all contain a marked trap never dies
+(Commoner, 1972). Inhibitor arcs are left out: what holds of the sets holds with them too.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import z3
+
+from im_core.clock import monotonic
+from im_pnt.analysis.closed import ClosedSets, names, siphon_sets, trap_sets
+from im_pnt.compiled import Compiled
+
+
+@dataclass(frozen=True, slots=True)
+class Families:
+    """Minimal sets of places.
+
+    Attributes:
+        sets: The sets by name of place.
+        complete: Whether these are all.
+        reason: Why not, empty if they are.
+    """
+
+    sets: tuple[tuple[str, ...], ...]
+    complete: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SiphonTrap:
+    """Whether every siphon contains a trap that is marked initially.
+
+    Attributes:
+        holds: Whether they do; None: not decided.
+        proves: Whether that proves freedom from deadlock: there are transitions, their input arcs have weight 1, and
+            there is no inhibitor arc.
+        siphon: A minimal siphon without a marked trap, if there is one.
+        reason: Why it was not decided, empty if it was.
+    """
+
+    holds: bool | None
+    proves: bool
+    siphon: tuple[str, ...] = ()
+    reason: str = ""
+
+
+def siphons(compiled: Compiled, limit: int = 200, deadline: float | None = None) -> Families:
+    """Finds minimal siphons: sets of places such that whoever gives to one takes from one.
+
+    Args:
+        compiled: The net.
+        limit: Number at which to stop.
+        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+    """
+    return _minimal_sets(compiled, siphon_sets(compiled), limit, deadline)
+
+
+def traps(compiled: Compiled, limit: int = 200, deadline: float | None = None) -> Families:
+    """Finds minimal traps: sets of places such that whoever takes from one gives to one.
+
+    Args:
+        compiled: The net.
+        limit: Number at which to stop.
+        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+    """
+    return _minimal_sets(compiled, trap_sets(compiled), limit, deadline)
+
+
+def siphon_trap_property(compiled: Compiled, initial: tuple[int, ...], deadline: float | None = None) -> SiphonTrap:
+    """Tests whether every siphon contains a trap that is marked.
+
+    Args:
+        compiled: The net.
+        initial: Initial marking, tokens of each place.
+        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+    """
+    ordinary = all(weight == 1 for arcs in compiled.inputs for _, weight in arcs)
+    proves = bool(compiled.transitions) and ordinary and not any(compiled.inhibitors)
+    inner, outer = trap_sets(compiled), siphon_sets(compiled)
+    search = _Search(outer, len(compiled.places), deadline)
+    while (siphon := search.next()) is not None:
+        siphon = outer.minimal(siphon)
+        trap = inner.largest(siphon)
+        if not any(initial[place] for place in trap):
+            return SiphonTrap(False, proves, names(compiled, siphon))
+        search.exclude(inner.minimal(trap, keep=lambda part: any(initial[place] for place in part)))
+    return SiphonTrap(None if search.reason else True, proves, reason=search.reason)
+
+
+def _minimal_sets(compiled: Compiled, sets: ClosedSets, limit: int, deadline: float | None) -> Families:
+    search = _Search(sets, len(compiled.places), deadline)
+    found: list[tuple[str, ...]] = []
+    while (places := search.next()) is not None:
+        if len(found) == limit:
+            return Families(tuple(found), complete=False, reason=f"more than {limit}")
+        places = sets.minimal(places)
+        found.append(names(compiled, places))
+        search.exclude(places)
+    return Families(tuple(found), not search.reason, search.reason)
+
+
+class _Search:
+    """Closed sets one after another, by satisfiability."""
+
+    def __init__(self, sets: ClosedSets, n_places: int, deadline: float | None) -> None:
+        self.reason = ""
+        self._deadline = deadline
+        context = z3.Context()
+        self._member = [z3.Bool(f"p{place}", context) for place in range(n_places)]
+        self._solver = z3.SolverFor("QF_FD", ctx=context)
+        self._solver.set("ctrl_c", False)  # Ctrl-C is for whoever called, not an answer of the solver
+        if n_places:
+            self._solver.add(z3.Or(self._member))
+        for needed, given in dict.fromkeys(sets.pairs):
+            for place in given - needed:
+                self._solver.add(z3.Or([z3.Not(self._member[place]), *(self._member[other] for other in needed)]))
+
+    def exclude(self, places: Iterable[int]) -> None:
+        """Excludes whatever contains all these places."""
+        self._solver.add(z3.Or([z3.Not(self._member[place]) for place in places]))
+
+    def next(self) -> frozenset[int] | None:
+        """Returns a set that is not excluded; None: there is none, or a limit is met and ``reason`` says which."""
+        if not self._member:
+            return None
+        if self._deadline is not None:
+            left = self._deadline - monotonic()
+            if left <= 0.0:
+                self.reason = "the time is up"
+                return None
+            self._solver.set("timeout", max(1, min(2**31, int(1000 * left))))
+        answer = self._solver.check()
+        if answer == z3.unknown:
+            self.reason = "the time is up"
+        if answer != z3.sat:
+            return None
+        model = self._solver.model()
+        return frozenset(int(name.name()[1:]) for name in model.decls() if z3.is_true(model[name]))
