@@ -1,0 +1,162 @@
+"""The Markov chain of a timed net: rates of tangible markings, weights of vanishing ones, recurrent classes."""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, cast
+
+from im_pnt.errors import NetError
+from im_pnt.timed.linear import Eliminated, N, eliminate, stationary
+from im_pnt.timed.markings import RENEWAL, Markings
+
+_SMALL = 2000
+"""States up to which elimination is preferred to sparse factorisation: it loses no digits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chain(Generic[N]):
+    """A chain whose states are all markings.
+
+    Attributes:
+        found: The markings.
+        firings: For each marking its firings: transition, marking reached, rate [1/s] or weight.
+        rows: For each marking the rates or weights to other markings.
+        one: The number 1 in its arithmetic.
+    """
+
+    found: Markings
+    firings: list[list[tuple[int, int, N]]]
+    rows: list[dict[int, N]]
+    one: N
+
+
+def chain(found: Markings, number: Callable[[float], N]) -> Chain[N]:
+    """Gives the firings their rates and weights.
+
+    Args:
+        found: The markings.
+        number: Makes the numbers to count with.
+    """
+    net = found.net
+    speed: dict[int, N] = {}
+    for timer in net.timers:
+        delay = timer.delay
+        rate = number(delay.values[0]) if delay.kind == "exponential" else number(1.0) / number(delay.mean)
+        speed.update((outcome, rate * number(probability)) for outcome, probability in timer.outcomes)
+    weight = [number(value) for value in net.weight]
+    one = number(1.0)
+    firings: list[list[tuple[int, int, N]]] = []
+    rows: list[dict[int, N]] = []
+    for state, arcs in enumerate(found.arcs):
+        if found.tangible[state]:
+            rated = [(transition, target, speed[transition] * servers) for transition, target, servers in arcs]
+        else:
+            rated = [(t, target, one if t == RENEWAL else weight[t] or one) for t, target, _ in arcs]
+        row: dict[int, N] = {}
+        for _, target, rate in rated:
+            if target != state:
+                row[target] = row[target] + rate if target in row else rate
+        firings.append(rated)
+        rows.append(row)
+    return Chain(found, firings, rows, one)
+
+
+def recurrent_classes(found: Markings) -> list[list[int]]:
+    """Finds the sets of markings that are returned to for ever; the first of each is tangible.
+
+    Raises:
+        NetError: One of them has no tangible marking: immediate transitions go round without time passing.
+    """
+    from im_pnt.timed.sparse import bottom_classes
+
+    classes = bottom_classes(found.arcs)
+    for members in classes:
+        first = next((state for state in members if found.tangible[state]), None)
+        if first is None:
+            way, loop = found.sequence(members[0]), _loop(found, members)
+            raise NetError(
+                "immediate transitions go round for ever without time passing: after "
+                f"{' -> '.join(way) or '(nothing)'}, {' -> '.join(loop)} repeats and nothing else can happen",
+                sequence=way,
+                repeat=loop,
+            )
+        members.remove(first)
+        members.insert(0, first)
+    return classes
+
+
+def _loop(found: Markings, members: Sequence[int]) -> list[str]:
+    """Returns firings that lead from the first marking of a class back to it."""
+    start = members[0]
+    parents: dict[int, tuple[int, int]] = {}
+    queue = deque([start])
+    while start not in parents:
+        state = queue.popleft()
+        for transition, target, _ in found.arcs[state]:
+            if target not in parents:
+                parents[target] = (state, transition)
+                queue.append(target)
+    names: list[str] = []
+    state = start
+    while not names or state != start:
+        state, transition = parents[state]
+        names.append(found.net.shown[transition])
+    return names[::-1]
+
+
+def class_probabilities(links: Chain[N], classes: Sequence[Sequence[int]], deadline: float | None) -> list[N]:
+    """Computes how likely the chain ends in each of its recurrent classes.
+
+    Args:
+        links: The chain; it begins in its first marking.
+        classes: All its recurrent classes.
+        deadline: When to give up, on the monotonic clock [s]; None: never.
+
+    Raises:
+        TookTooLongError: The deadline has passed.
+    """
+    home = {state: members[0] for members in classes for state in members}
+    if len(classes) == 1 or 0 in home:
+        return [links.one if len(classes) == 1 or home[0] == members[0] else links.one * 0 for members in classes]
+    rows: list[dict[int, N]] = []
+    for state, row in enumerate(links.rows):
+        merged: dict[int, N] = {}
+        if state not in home:
+            for target, rate in row.items():
+                target = home.get(target, target)
+                merged[target] = merged[target] + rate if target in merged else rate
+        rows.append(merged)
+    passing = [state for state in range(1, len(rows)) if state not in home]
+    last = eliminate(rows, passing, deadline).rows[0]
+    whole = sum(last.values())
+    return [last.get(members[0], links.one * 0) / whole for members in classes]
+
+
+def class_measure(links: Chain[N], members: Sequence[int], deadline: float | None) -> tuple[dict[int, N], str]:
+    """Computes the stationary measure of a recurrent class, and says how.
+
+    Time shares of tangible markings add up to 1; of a vanishing marking the measure times a weight is a rate of firing.
+
+    Args:
+        links: The chain.
+        members: States of the class, a tangible one first.
+        deadline: When elimination gives up, on the monotonic clock [s]; None: never.
+
+    Raises:
+        TookTooLongError: The deadline has passed.
+        NetError: The equations of a large class could not be solved well enough.
+    """
+    tangible = [state for state in members if links.found.tangible[state]]
+    if len(tangible) <= _SMALL:
+        measure = stationary(links.rows, members, links.one, deadline)
+        method = "elimination without subtraction"
+    else:
+        from im_pnt.timed.sparse import stationary_sparse
+
+        vanishing = [state for state in members if not links.found.tangible[state]]
+        without = eliminate(links.rows, vanishing) if vanishing else Eliminated(links.rows, [], {})
+        time, method = stationary_sparse(cast("Any", without.rows), tangible)
+        measure = {state: cast("Any", share) for state, share in time.items()}
+        without.extend(measure)
+    whole = sum(measure[state] for state in tangible)
+    return {state: value / whole for state, value in measure.items()}, method

@@ -1,0 +1,219 @@
+"""A composition as a stochastic process: what takes time, what fires at once, and how often each alternative is taken.
+
+Generalised stochastic Petri nets (Ajmone Marsan, Balbo, Conte, 1984) with actions. An action runs once for each token
+on its ``t.active`` place (infinite server), then ends or fails by its ``success``; a transition without an action is a
+single server whose time starts when it becomes enabled and is forgotten when it is disabled (race, enabling memory).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from im_pnt.analysis.compose import Composition, compose
+from im_pnt.compiled import Compiled, compile_net
+from im_pnt.delay import Delay
+from im_pnt.errors import NetError, nearest
+from im_pnt.net import Net, Place, Role, Transition
+from im_pnt.timed.outcomes import tell_outcomes_apart
+
+_NEVER = (Role.CANCEL, Role.LOST, Role.GIVEN_UP)
+
+
+@dataclass(frozen=True, slots=True)
+class Timer:
+    """Something that takes time.
+
+    Attributes:
+        name: The transition as written, qualified by its net where there are several.
+        delay: Its time.
+        active: Place with a token for each running action; None: a transition without action, which runs while enabled.
+        outcomes: Transitions that fire at its end, each with its probability.
+    """
+
+    name: str
+    delay: Delay
+    active: int | None
+    outcomes: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TimedNet:
+    """What fires when; transitions and places are those of ``compiled``.
+
+    Attributes:
+        composition: The nets and their environment.
+        compiled: The flat net, with the replies of services told apart.
+        timers: What takes time.
+        timer_of: For each transition the timer that it starts (action) or is (no action), else -1.
+        levels: Transitions that fire at once, in groups of falling urgency; a later group waits for the earlier ones.
+        waiting: Further such groups that wait until no time is running either: symbols and callers from outside.
+        weight: For each transition how often it is taken among others of its group; those of weight 0 are a group that
+            comes later.
+        shown: For each transition its name in the composition.
+        shown_places: For each place its name in the composition.
+        ends: Places of which one is marked when the command has been answered: done, failed; None without a command.
+        assumptions: What is taken for granted.
+    """
+
+    composition: Composition
+    compiled: Compiled
+    timers: tuple[Timer, ...]
+    timer_of: tuple[int, ...]
+    levels: tuple[tuple[int, ...], ...]
+    waiting: tuple[tuple[int, ...], ...]
+    weight: tuple[float, ...]
+    shown: tuple[str, ...]
+    shown_places: tuple[str, ...]
+    ends: tuple[int, int] | None
+    assumptions: tuple[str, ...]
+
+    @property
+    def initial(self) -> tuple[int, ...]:
+        """Tokens of each place to begin with."""
+        return self.compiled.marking_vector(self.compiled.net.initial_marking())
+
+    def marking(self, vector: Sequence[int]) -> dict[str, int]:
+        """Returns the marked places under their names in the composition."""
+        marking: dict[str, int] = {}
+        for name, count in zip(self.shown_places, vector, strict=True):
+            if count:
+                marking[name] = marking.get(name, 0) + count
+        return marking
+
+
+def timed_net(nets: Sequence[Net], *, failures: float = 0.0, command: str | None = None) -> TimedNet:
+    """Makes the stochastic process of nets composed with their environment.
+
+    Args:
+        nets: The nets.
+        failures: Probability that an action without ``success`` fails.
+        command: Symbol that is written to the tape once, and nothing else comes from outside; None: symbols and
+            callers come as soon as the nets have nothing else to do.
+
+    Raises:
+        NetError: The nets do not fit together, a probability or weight that is none, or nobody reads the symbol.
+    """
+    if not 0.0 <= failures <= 1.0:
+        raise NetError(f"{failures} is not a probability of failure; 0 to 1 is allowed")
+    composition = compose(nets)
+    flat, shown, shown_places = tell_outcomes_apart(composition.net)
+    if command is not None:
+        flat = _with_tape(flat, command)
+    compiled = compile_net(flat)
+    builder = _Builder(composition, compiled, failures, command)
+    for index, transition in enumerate(flat.transitions.values()):
+        builder.add(index, transition)
+    levels = tuple(tuple(builder.levels[group]) for group in sorted(builder.levels, reverse=True))
+    waiting = tuple(tuple(builder.waiting[group]) for group in sorted(builder.waiting, reverse=True))
+    return TimedNet(
+        composition,
+        compiled,
+        tuple(builder.timers),
+        tuple(builder.timer_of),
+        levels,
+        waiting + ((tuple(builder.withdrawn),) if builder.withdrawn else ()),
+        tuple(builder.weight),
+        tuple(shown.get(name, name) for name in compiled.transitions),
+        tuple(shown_places.get(name, name) for name in compiled.places),
+        None if command is None else (len(compiled.places) - 2, len(compiled.places) - 1),
+        tuple(builder.assumptions),
+    )
+
+
+def _with_tape(flat: Net, symbol: str) -> Net:
+    """Puts the symbol on a place that is read once, and marks another one when the command has been answered."""
+    known = flat.symbols()
+    if symbol not in known:
+        raise NetError(f"no transition of {flat.name} reads the symbol '{symbol}'{nearest(symbol, known)}")
+    tape = f"tape.{symbol}"
+    answers = {f"{symbol}_done": f"tape.{symbol}_done", f"{symbol}_failed": f"tape.{symbol}_failed"}
+    if not any(answers.keys() & set(t.emit) for t in flat.transitions.values()):
+        raise NetError(f"no transition of {flat.name} emits {' or '.join(answers)}, so that {symbol} never ends")
+    transitions = {}
+    for name, transition in flat.transitions.items():
+        inputs, outputs = dict(transition.inputs), dict(transition.outputs)
+        if transition.symbol == symbol:
+            inputs[tape] = 1
+        for emitted in set(transition.emit) & answers.keys():
+            outputs[answers[emitted]] = 1
+        transitions[name] = replace(transition, inputs=inputs, outputs=outputs)
+    added = {tape: Place(tape, tokens=1), **{place: Place(place) for place in answers.values()}}
+    return replace(flat, places={**flat.places, **added}, transitions=transitions)
+
+
+class _Builder:
+    def __init__(self, composition: Composition, compiled: Compiled, failures: float, command: str | None) -> None:
+        self.composition, self.failures, self.command = composition, failures, command
+        self.number = {name: index for index, name in enumerate(compiled.places)}
+        self.by_name = {name: index for index, name in enumerate(compiled.transitions)}
+        self.transitions: Mapping[str, Transition] = compiled.net.transitions
+        self.timers: list[Timer] = []
+        self.timer_of = [-1] * len(compiled.transitions)
+        self.weight = [1.0] * len(compiled.transitions)
+        self.levels: dict[tuple[int, bool], list[int]] = {}
+        self.waiting: dict[tuple[int, bool], list[int]] = {}
+        self.withdrawn: list[int] = []
+        self.assumptions: dict[str, None] = {}
+        self._probability: dict[int, float] = {}
+        self._timed_ends: set[int] = set()
+
+    def add(self, index: int, transition: Transition) -> None:
+        """Decides what a transition of the flat net is; START comes before its END and FAILED."""
+        weight = self._probability.get(index)
+        self.weight[index] = weight = self._weight(transition) if weight is None else weight
+        if index in self._timed_ends or self._never(transition):
+            return
+        if transition.role is Role.START:
+            self._start(index, transition)
+        elif transition.role is Role.PLAIN and transition.delay is not None and transition.delay.mean > 0.0:
+            self.timer_of[index] = len(self.timers)
+            self.timers.append(Timer(transition.name, transition.delay, None, ((index, 1.0),)))
+            return
+        if transition.role is Role.WITHDRAWN:
+            self.withdrawn.append(index)
+        elif transition.name in self.composition.external and self.command is None:
+            self.waiting.setdefault((transition.priority, weight > 0.0), []).append(index)
+        else:
+            self.levels.setdefault((transition.priority, weight > 0.0), []).append(index)
+
+    def _never(self, transition: Transition) -> bool:
+        if transition.role in _NEVER:
+            return True
+        if transition.guard is not None and transition.guard.name == "cancelled" and not transition.guard.negated:
+            self.assumptions["nobody cancels"] = None
+            return True
+        if self.command is None:
+            return False
+        return transition.name in self.composition.external and transition.symbol != self.command
+
+    def _start(self, index: int, start: Transition) -> None:
+        """Sets up what follows the beginning of an action."""
+        if start.timeout is not None:
+            self.assumptions["no action is cut short by its time-out"] = None
+        name = start.name.removesuffix(".start")
+        end, failed = self.transitions[f"{name}.end"], self.transitions[f"{name}.failed"]
+        active = f"{name}.active"
+        if set(end.inputs) != {active}:
+            if start.delay is not None:
+                self.assumptions[f"request {name} takes the time of the net that serves it, not its own delay"] = None
+            return
+        success = start.success if start.success != 1.0 else 1.0 - self.failures
+        if not 0.0 <= success <= 1.0:
+            raise NetError(f"success {success} of transition {name} is not a probability; 0 to 1 is allowed")
+        outcomes = ((self.by_name[end.name], success), (self.by_name[failed.name], 1.0 - success))
+        self._probability.update(outcomes)
+        if start.delay is not None and start.delay.mean > 0.0:
+            self._timed_ends.update(outcome for outcome, _ in outcomes)
+            self.timer_of[index] = len(self.timers)
+            taken = tuple(pair for pair in outcomes if pair[1] > 0.0)
+            self.timers.append(Timer(name, start.delay, self.number[active], taken))
+
+    def _weight(self, transition: Transition) -> float:
+        weight = transition.weight
+        if transition.strategy is not None:
+            successes, failures = transition.strategy.successes, transition.strategy.failures
+            if successes + failures > 0.0:
+                weight *= successes / (successes + failures)
+        if not (weight >= 0.0 and math.isfinite(weight)):
+            raise NetError(f"weight {weight} of transition {transition.name} is not a number >= 0")
+        return weight

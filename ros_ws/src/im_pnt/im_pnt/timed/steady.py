@@ -1,0 +1,192 @@
+"""Steady state of a generalised stochastic Petri net: how often, how full, how busy, on the long average.
+
+Vanishing markings take no time, but tokens pass through them: they are states whose rates are weights, and are
+eliminated from the chain like any other state, loops among them included. Sources: Ajmone Marsan et al., "Modelling
+with Generalized Stochastic Petri Nets", 1995, chapter 6; Molloy, IEEE Trans. Computers C-31(9), 1982.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from im_core.clock import monotonic
+from im_pnt.errors import NetError
+from im_pnt.net import Net
+from im_pnt.timed.chain import chain, class_measure, class_probabilities, recurrent_classes
+from im_pnt.timed.linear import N, TookTooLongError, fraction
+from im_pnt.timed.markings import Markings, reach
+from im_pnt.timed.model import timed_net
+
+_EXACT_STATES = 400
+_EXACT_SECONDS = 5.0
+_MARKINGS_KEPT = 10_000
+
+Number = Fraction | float
+
+
+@dataclass(frozen=True, slots=True)
+class RecurrentClass:
+    """Markings that are returned to for ever.
+
+    Attributes:
+        probability: How likely the net ends up in it.
+        markings: Tangible markings of it.
+        dead: Whether it is one marking that nothing leads out of.
+        marking: One of its tangible markings.
+    """
+
+    probability: Number
+    markings: int
+    dead: bool
+    marking: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyState:
+    """Long averages; fractions where they are exact.
+
+    Attributes:
+        tangible: Number of markings in which time passes.
+        vanishing: Number of markings that are left at once.
+        probability: Tangible markings and their share of the time, those of no share left out; empty where there are
+            more than 10,000.
+        throughput: Firings of each transition a second [1/s].
+        mean_tokens: Mean tokens of each place.
+        marked: For each place the share of the time in which it holds tokens: its utilisation.
+        busy: For each transition that takes time the share of the time in which it is enabled, or its action runs.
+        tokens: For each place the share of the time of each number of tokens.
+        classes: The recurrent classes that can be reached.
+        method: How it was computed.
+        approximation: Transitions whose delay was replaced by an exponential one of the same mean; empty: exact.
+        assumptions: What is taken for granted.
+        time_s: How long it took [s].
+    """
+
+    tangible: int
+    vanishing: int
+    probability: Sequence[tuple[dict[str, int], Number]]
+    throughput: Mapping[str, Number]
+    mean_tokens: Mapping[str, Number]
+    marked: Mapping[str, Number]
+    busy: Mapping[str, Number]
+    tokens: Mapping[str, Mapping[int, Number]]
+    classes: Sequence[RecurrentClass]
+    method: str
+    approximation: tuple[str, ...]
+    assumptions: tuple[str, ...]
+    time_s: float
+
+
+def steady_state(
+    nets: Sequence[Net], *, approximate: bool = False, seconds: float = 60.0, states: int = 1_000_000
+) -> SteadyState:
+    """Computes the steady state of nets composed with their environment.
+
+    Exact for exponential delays, and for any others of transitions that never run beside another one: there the means
+    decide (semi-Markov process).
+
+    Args:
+        nets: The nets.
+        approximate: Take other delays for exponential ones of the same mean.
+        seconds: Time for the search of the markings [s].
+        states: Markings at most.
+
+    Raises:
+        NetError: The nets do not fit together, a delay is of another kind, nothing takes time, immediate transitions
+            go round for ever, or there are too many markings.
+    """
+    begin = monotonic()
+    if not seconds > 0.0:
+        raise NetError(f"{seconds} is not a time for the search; a number > 0 is needed [s]")
+    net = timed_net(nets)
+    if not net.timers:
+        raise NetError(f"no transition of {net.compiled.net.name} has a delay, so that there is no time to divide by")
+    found = reach(net, states=states, seconds=seconds)
+    if found.rivals and not approximate:
+        raise _not_exponential(found)
+    try:
+        if len(found.vectors) <= _EXACT_STATES:
+            return _solve(found, fraction, begin, deadline=monotonic() + _EXACT_SECONDS)
+    except TookTooLongError:
+        pass
+    return _solve(found, float, begin, deadline=None)
+
+
+def _not_exponential(found: Markings) -> NetError:
+    timers = [found.net.timers[timer] for timer in sorted(found.rivals)]
+    names = ", ".join(f"{timer.name} ({timer.delay})" for timer in timers)
+    return NetError(
+        f"the steady state can be computed for exponential delays only, or where one thing happens at a time; {names} "
+        "run beside others. 'pnt simulate --summary' estimates it by simulation; with --approximate they are taken for "
+        "exponential delays of the same mean",
+        transitions=[timer.name for timer in timers],
+    )
+
+
+def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline: float | None) -> SteadyState:
+    net = found.net
+    links = chain(found, number)
+    classes = recurrent_classes(found)
+    likely = class_probabilities(links, classes, deadline)
+    measure: dict[int, N] = {}
+    methods: dict[str, None] = {}
+    for members, share in zip(classes, likely, strict=True):
+        if share:
+            part, method = class_measure(links, members, deadline)
+            measure.update((state, value * share) for state, value in part.items())
+            methods[method] = None
+    zero = links.one * 0
+    throughput = dict.fromkeys(net.shown, zero)
+    mean = dict.fromkeys(net.shown_places, zero)
+    tokens: dict[str, dict[int, N]] = {name: {} for name in net.shown_places}
+    busy = {timer.name: zero for timer in net.timers}
+    probability: list[tuple[dict[str, int], Number]] = []
+    plain = [(timer.name, timer.outcomes[0][0]) for timer in net.timers if timer.active is None]
+    actions = [(timer.name, timer.active) for timer in net.timers if timer.active is not None]
+    for state, share in measure.items():
+        for transition, _, rate in links.firings[state]:
+            throughput[net.shown[transition]] += share * rate
+        if not found.tangible[state]:
+            continue
+        marking = net.marking(found.vectors[state])
+        if len(measure) <= _MARKINGS_KEPT:
+            probability.append((marking, share))
+        for place, count in marking.items():
+            mean[place] += share * count
+            tokens[place][count] = tokens[place].get(count, zero) + share
+        firing = {transition for transition, _, _ in links.firings[state]}
+        for name, transition in plain:
+            if transition in firing:
+                busy[name] += share
+        for name, active in actions:
+            if found.vectors[state][active]:
+                busy[name] += share
+    marked = {place: sum(shares.values(), start=zero) for place, shares in tokens.items()}
+    for place, shares in tokens.items():
+        if links.one - marked[place] > 0:
+            shares[0] = links.one - marked[place]
+    tangible = sum(found.tangible)
+    exact = "fractions, " if number is fraction else ""
+    return SteadyState(
+        tangible,
+        len(found.vectors) - tangible,
+        probability,
+        throughput,
+        mean,
+        marked,
+        busy,
+        tokens,
+        [
+            RecurrentClass(
+                share,
+                sum(found.tangible[state] for state in members),
+                not found.arcs[members[0]],
+                net.marking(found.vectors[members[0]]),
+            )
+            for members, share in zip(classes, likely, strict=True)
+        ],
+        exact + "; ".join(methods),
+        tuple(net.timers[timer].name for timer in sorted(found.rivals)),
+        net.assumptions,
+        monotonic() - begin,
+    )

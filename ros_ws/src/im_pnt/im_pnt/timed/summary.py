@@ -1,0 +1,148 @@
+"""Long averages by simulation, with confidence intervals by batch means (Law, Simulation Modeling, chapter 9)."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from im_pnt.errors import NetError
+from im_pnt.net import Net
+from im_pnt.simulate import run_limits
+from im_pnt.timed.model import timed_net
+from im_pnt.timed.player import Player
+
+_BATCHES = 32
+_STUDENT_95 = 2.040
+"""97.5 % quantile of Student's distribution for 31 degrees of freedom."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A mean with its confidence interval.
+
+    Attributes:
+        mean: Estimate.
+        half_width: Half the width of its 95 % confidence interval; None where the run was too short to say.
+    """
+
+    mean: float
+    half_width: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a simulation comes to.
+
+    Attributes:
+        time: Virtual time that was simulated [s].
+        firings: Firings in all.
+        counts: Firings of each transition.
+        throughput: Firings a second [1/s]; empty where no time passed.
+        mean_tokens: Mean tokens of each place; empty where no time passed.
+        stuck: Whether it ended because nothing could fire.
+        marking: The marked places at the end.
+        assumptions: What is taken for granted.
+    """
+
+    time: float
+    firings: int
+    counts: Mapping[str, int]
+    throughput: Mapping[str, Estimate]
+    mean_tokens: Mapping[str, Estimate]
+    stuck: bool
+    marking: Mapping[str, int]
+    assumptions: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class _Batch:
+    time: float
+    counts: list[int]
+    areas: list[float]
+
+
+def summarise(
+    nets: Sequence[Net],
+    *,
+    seed: int = 0,
+    steps: int | None = None,
+    until: float | None = None,
+    failures: float = 0.0,
+) -> Summary:
+    """Plays nets and averages; the first of 33 batches is left out of the averages, as a warm-up.
+
+    Args:
+        nets: The nets.
+        seed: The same seed gives the same run.
+        steps: Firings at most; None: no limit.
+        until: Virtual time to stop at [s]; None: no limit.
+        failures: Probability that an action without ``success`` fails.
+
+    Raises:
+        NetError: The nets do not fit together, no time passes any more, or there is no limit at all.
+    """
+    if steps is None and until is None:
+        raise NetError("a simulation needs a number of firings or a time to end at")
+    net = timed_net(nets, failures=failures)
+    player = Player(net, seed)
+    limit = run_limits(steps, until)
+    marks = [_Batch(0.0, list(player.firings), player.token_time())]
+    left = math.inf if steps is None else steps
+    stuck = False
+    for batch in range(1, _BATCHES + 2):
+        player.until = limit * batch / (_BATCHES + 1) if until is not None else math.inf
+        quota = left if until is not None else (steps or 0) * batch // (_BATCHES + 1) - sum(player.firings)
+        while quota > 0 and player.step() >= 0:
+            quota -= 1
+            left -= 1
+        marks.append(_Batch(player.time, list(player.firings), player.token_time()))
+        stuck = left > 0 and player.time < player.until and quota > 0
+        if stuck or left <= 0:
+            break
+    counts: dict[str, int] = {}
+    for name, count in zip(net.shown, player.firings, strict=True):
+        counts[name] = counts.get(name, 0) + count
+    whole = len(marks) == _BATCHES + 2
+    batches = [_between(a, b) for a, b in pairwise(marks)]
+    batches = batches[1:] if whole else batches
+    return Summary(
+        player.time,
+        sum(player.firings),
+        counts,
+        _estimates(net.shown, batches, [batch.counts for batch in batches], whole),
+        _estimates(net.shown_places, batches, [batch.areas for batch in batches], whole),
+        stuck,
+        net.marking(player.tokens),
+        net.assumptions,
+    )
+
+
+def _between(begin: _Batch, end: _Batch) -> _Batch:
+    return _Batch(
+        end.time - begin.time,
+        [after - before for before, after in zip(begin.counts, end.counts, strict=True)],
+        [after - before for before, after in zip(begin.areas, end.areas, strict=True)],
+    )
+
+
+def _estimates(
+    names: Sequence[str], batches: Sequence[_Batch], amounts: Sequence[Sequence[float]], whole: bool
+) -> dict[str, Estimate]:
+    """Ratio estimates: amounts of the batches over their times; parts of one name are added."""
+    total = sum(batch.time for batch in batches)
+    if total <= 0.0:
+        return {}
+    columns: dict[str, list[float]] = {}
+    for number, name in enumerate(names):
+        column = [amount[number] for amount in amounts]
+        known = columns.get(name)
+        columns[name] = column if known is None else [a + b for a, b in zip(known, column, strict=True)]
+    estimates = {}
+    for name, column in columns.items():
+        mean = sum(column) / total
+        half_width = None
+        if whole:
+            squares = sum((amount - mean * batch.time) ** 2 for amount, batch in zip(column, batches, strict=True))
+            half_width = _STUDENT_95 * math.sqrt(squares / (_BATCHES - 1) * _BATCHES) / total
+        estimates[name] = Estimate(mean, half_width)
+    return estimates
