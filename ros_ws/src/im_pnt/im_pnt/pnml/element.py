@@ -1,0 +1,116 @@
+"""XML to elements that remember their line; without document types and entities, in bounded time and memory."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from im_pnt.errors import NetFileError
+from im_pnt.netfile.value import Kind, Value
+
+MAX_DEPTH = 100
+MAX_ELEMENTS = 1_000_000
+
+
+@dataclass(slots=True)
+class Element:
+    """An XML element.
+
+    Attributes:
+        tag: Name without namespace.
+        namespace: Its namespace, empty where it has none.
+        attributes: Attributes, by names without namespace.
+        place: Where it stands.
+        children: Elements in it.
+        text: Text directly in it.
+    """
+
+    tag: str
+    namespace: str
+    attributes: dict[str, str]
+    place: Value
+    children: list["Element"] = field(default_factory=list)
+    text: str = ""
+
+    def all(self, *tags: str) -> Iterator["Element"]:
+        """Iterates over the children of some names."""
+        return (child for child in self.children if child.tag in tags)
+
+    def first(self, tag: str) -> "Element | None":
+        """Returns the first child of a name."""
+        return next(self.all(tag), None)
+
+    def error(self, message: str) -> NetFileError:
+        """Makes the error that names this element, its file and line."""
+        identity = f" '{self.attributes['id'][:60]}'" if "id" in self.attributes else ""
+        place = self.place
+        return NetFileError(place.file, place.line, f"{self.tag}{identity}: {message}", place.column)
+
+
+def parse_xml(data: bytes, file: str) -> Element:
+    """Parses an XML document.
+
+    Args:
+        data: The document.
+        file: Its name in messages.
+
+    Raises:
+        NetFileError: Not XML, with a document type, or with more elements or deeper nesting than a net can need.
+    """
+    builder = _Builder(file)
+    parser = expat.ParserCreate(namespace_separator=" ")
+    builder.parser = parser
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.characters
+    parser.StartDoctypeDeclHandler = builder.doctype
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        message = expat.ErrorString(error.code)
+        raise NetFileError(file, error.lineno, f"not XML: {message}", error.offset + 1) from error
+    except (ValueError, LookupError) as error:
+        raise NetFileError(file, 1, f"not XML: {error}", 1) from error
+    assert builder.root is not None
+    return builder.root
+
+
+class _Builder:
+    def __init__(self, file: str) -> None:
+        self.root: Element | None = None
+        self.parser: expat.XMLParserType | None = None
+        self._file = file
+        self._open: list[Element] = []
+        self._texts: list[list[str]] = []
+        self._count = 0
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        namespace, _, tag = name.rpartition(" ")
+        self._count += 1
+        named = {key.rpartition(" ")[2]: text for key, text in attributes.items()}
+        element = Element(tag, namespace, named, self._at())
+        if len(self._open) >= MAX_DEPTH:
+            raise element.error(f"elements nest deeper than {MAX_DEPTH}")
+        if self._count > MAX_ELEMENTS:
+            raise element.error(f"more than {MAX_ELEMENTS} elements; a net file may not have as many")
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self.root = element
+        self._open.append(element)
+        self._texts.append([])
+
+    def end(self, _name: str) -> None:
+        self._open.pop().text = "".join(self._texts.pop())
+
+    def characters(self, text: str) -> None:
+        self._texts[-1].append(text)
+
+    def doctype(self, name: str, *_: object) -> None:
+        place = self._at()
+        raise NetFileError(self._file, place.line, f"document type '{name[:60]}' is not allowed", place.column)
+
+    def _at(self) -> Value:
+        assert self.parser is not None
+        line, column = self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber + 1
+        return Value(Kind.MAPPING, self._file, line, column)

@@ -1,0 +1,82 @@
+"""What is ours in a PNML file: ``toolspecific`` with an element for each key of our net files, its value in JSON."""
+
+import json
+import re
+from collections.abc import Mapping
+
+from im_pnt.netfile.value import Kind, Value, mapping, scalar, sequence
+from im_pnt.pnml.element import Element
+
+TOOL = "im"
+VERSION = "1"
+NAMESPACE = "urn:im:pnt:net:1"
+
+_ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+REMOTE = "remote_place"
+"""Key of a place that stands for one of another net: its ``net.place``."""
+
+
+def read_extras(element: Element) -> dict[str, tuple[Element, Value]]:
+    """Returns what is ours at a net, place or transition, by key.
+
+    Raises:
+        NetFileError: Of a version that is not known, or not JSON.
+    """
+    found: dict[str, tuple[Element, Value]] = {}
+    for tool in element.all("toolspecific"):
+        if tool.attributes.get("tool") != TOOL:
+            continue
+        version = tool.attributes.get("version")
+        if version != VERSION:
+            raise tool.error(f"version '{version}' of {TOOL} is not known; {VERSION} is")
+        for entry in tool.children:
+            if entry.namespace != NAMESPACE:
+                raise entry.error(f"is not in the namespace {NAMESPACE}")
+            if entry.tag in found:
+                raise entry.error("is there twice")
+            found[entry.tag] = (entry, _value(entry))
+    return found
+
+
+def extras_text(data: Mapping[str, object], indent: str) -> str:
+    """Returns the ``toolspecific`` element that holds some keys; nothing where there are none."""
+    if not data:
+        return ""
+    lines = [f'{indent}<toolspecific tool="{TOOL}" version="{VERSION}" xmlns:im="{NAMESPACE}">\n']
+    lines += [f"{indent}  <im:{key}>{escape(json.dumps(value))}</im:{key}>\n" for key, value in data.items()]
+    return "".join([*lines, f"{indent}</toolspecific>\n"])
+
+
+def escape(text: str) -> str:
+    """Returns a text as the content of an XML element; characters that XML cannot hold become U+FFFD."""
+    text = _ILLEGAL.sub("\ufffd", text)
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\r", "&#13;")
+
+
+def plain_value(data: object, near: Value) -> Value:
+    """Makes the value that a file would have for plain data."""
+    if isinstance(data, dict):
+        return mapping([(scalar(str(key), near), plain_value(child, near)) for key, child in data.items()], near)
+    if isinstance(data, list):
+        return sequence([plain_value(child, near) for child in data], near)
+    if isinstance(data, str):
+        return scalar(data, near)
+    return scalar(json.dumps(data), near, quoted=False)
+
+
+def _value(entry: Element) -> Value:
+    try:
+        data = json.loads(entry.text, object_pairs_hook=_unique)
+    except (ValueError, RecursionError) as error:
+        raise entry.error(f"is not JSON: {error}") from error
+    near = Value(Kind.SCALAR, entry.place.file, entry.place.line, entry.place.column)
+    return plain_value(data, near)
+
+
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Keeps JSON from dropping the first of two values of one key."""
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        raise ValueError("a key is there twice")
+    return data

@@ -1,0 +1,123 @@
+"""PNML files to nets: as the standard says, and as tools write them.
+
+Read leniently: no namespace, no page, ``<value>`` for ``<text>``, labels as attributes, no initial marking, inhibitor
+and test arcs by type, graphics and other tools' things passed over. What would change the meaning is refused by name.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from im_pnt.errors import nearest
+from im_pnt.net import Net
+from im_pnt.netfile.names import MAX_LENGTH, as_name
+from im_pnt.netfile.node import Node
+from im_pnt.netfile.reader import read_net
+from im_pnt.netfile.source import read_bytes
+from im_pnt.netfile.value import Value, mapping, scalar
+from im_pnt.pnml.element import Element, parse_xml
+from im_pnt.pnml.extras import plain_value, read_extras
+from im_pnt.pnml.graph import Graph, read_graph
+from im_pnt.pnml.labels import label_text
+
+MAX_SIZE = 32 * 2**20
+"""Largest PNML file [bytes]."""
+
+_COLOURED = re.compile(r"symmetricnet|highlevelnet|pt-hlpng|hlpn|colou?red|algebraic", re.IGNORECASE)
+_TYPES = "place/transition nets are read: http://www.pnml.org/version-2009/grammar/ptnet"
+
+
+def load_pnml(path: Path) -> Net:
+    """Reads a net from a PNML file.
+
+    Args:
+        path: The file; ``FILE#net`` for one net of several, by id or name.
+
+    Raises:
+        NetFileError: Not PNML, not a place/transition net, or several nets of which none is asked for.
+    """
+    file, wanted = path, ""
+    if "#" in path.name and not path.exists():
+        name, _, wanted = path.name.partition("#")
+        file = path.with_name(name)
+    root = parse_xml(read_bytes(file, MAX_SIZE), str(file))
+    if root.tag != "pnml":
+        raise root.error("is not the root of a PNML file; 'pnml' is")
+    nets = list(root.all("net"))
+    if not nets:
+        raise root.error("holds no 'net'")
+    return _net(_chosen(root, nets, wanted, file), root.namespace)
+
+
+def _chosen(root: Element, nets: list[Element], wanted: str, file: Path) -> Element:
+    names = [net.attributes.get("id") or label_text(net, "name") or "" for net in nets]
+    if wanted:
+        for net in nets:
+            if wanted in (net.attributes.get("id"), label_text(net, "name")):
+                return net
+        raise root.error(f"there is no net '{wanted}'{nearest(wanted, names)}")
+    if len(nets) > 1:
+        raise root.error(f"holds {len(nets)} nets: {', '.join(names[:30])}; say which, as in {file}#{names[0]}")
+    return nets[0]
+
+
+def _net(net: Element, namespace: str) -> Net:
+    kind = net.attributes.get("type", "")
+    if _COLOURED.search(kind):
+        raise net.error(f"type '{kind[:100]}' is a coloured or high-level net; {_TYPES}")
+    extras = read_extras(net)
+    graph = read_graph(net, namespace, ours=bool(extras))
+    place = net.place
+    pairs: dict[str, Value] = {key: value for key, (_, value) in extras.items()}
+    identity = net.attributes.get("id", "")
+    if "net" not in pairs:
+        pairs["net"] = scalar(as_name(identity or label_text(net, "name") or "net"), place)
+        name = (label_text(net, "name") or "").strip()
+        if name and name != identity:
+            pairs["description"] = scalar(" ".join(name.split())[:MAX_LENGTH], place)
+    pairs["places"] = mapping(_places(graph), place)
+    pairs["transitions"] = mapping(_transitions(graph), place)
+    root = mapping([(scalar(key, value), value) for key, value in pairs.items()], place)
+    return read_net(Node(root), foreign=True)
+
+
+def _places(graph: Graph) -> list[tuple[Value, Value]]:
+    pairs = []
+    for place in graph.places.values():
+        value = _mapping(place.element, place.extras, tokens=place.tokens, capacity=place.capacity)
+        pairs.append((scalar(place.name, place.element.place), value))
+    return pairs
+
+
+def _transitions(graph: Graph) -> list[tuple[Value, Value]]:
+    pairs = []
+    for transition in graph.transitions.values():
+        arcs: dict[str, object] = {"in": transition.inputs, "out": transition.outputs}
+        own = _inhibitors(transition.element, transition.extras)
+        inhibitors = dict(own)
+        for name, weight in transition.inhibitors.items():
+            inhibitors[name] = min(weight, inhibitors.get(name, weight))
+        extras = {key: value for key, value in transition.extras.items() if key != "inhibitors"}
+        value = _mapping(transition.element, extras, **arcs, inhibitors=inhibitors)
+        pairs.append((scalar(transition.name, transition.element.place), value))
+    return pairs
+
+
+def _inhibitors(element: Element, extras: Mapping[str, tuple[Element, Value]]) -> dict[str, int]:
+    if "inhibitors" not in extras:
+        return {}
+    node = Node(extras["inhibitors"][1], f"{element.attributes['id']}.inhibitors")
+    if node.is_mapping:
+        return {name: value.integer(1) for name, value in node.items().items()}
+    return {child.text(): 1 for child in node.elements()}
+
+
+def _mapping(element: Element, extras: Mapping[str, tuple[Element, Value]], **given: object) -> Value:
+    """The keys that PNML itself says, and those that are ours."""
+    place = element.place
+    pairs = [(scalar(key, place), plain_value(data, place)) for key, data in given.items() if data]
+    for key, (entry, value) in extras.items():
+        if given.get(key):
+            raise entry.error(f"'{key}' is said by PNML itself")
+        pairs.append((scalar(key, entry.place), value))
+    return mapping(pairs, place)

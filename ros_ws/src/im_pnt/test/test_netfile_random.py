@@ -1,0 +1,242 @@
+import copy
+import json
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import jsonschema
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from im_pnt.delay import Delay
+from im_pnt.errors import NetFileError
+from im_pnt.net import (
+    FunctionAction,
+    GoalAction,
+    Guard,
+    Net,
+    Place,
+    RemotePlace,
+    RequestAction,
+    Service,
+    ServiceAction,
+    Strategy,
+    TopicAction,
+    Transition,
+)
+from im_pnt.netfile import load_net, parse_net
+from im_pnt.netfile.describe import describe
+from im_pnt.netfile.writer import yaml_text
+from im_pnt.pnml import pnml_text
+from im_pnt.schema import schema_text
+
+NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
+NCNAME = re.compile(r"[A-Za-z_][\w.-]*", re.ASCII)
+
+names = st.sampled_from(["a", "b", "yes", "null", "arc_1", "page", "Q7", "long_name", "_x", "I", "remote_1", "on"])
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+shown = st.text(st.characters(exclude_categories=["Cs", "Cc"], exclude_characters="\ufffe\uffff"), max_size=8)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+data = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(-(10**18), 10**18), finite, texts),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(shown, inner, max_size=3),
+    max_leaves=5,
+)
+fields = st.dictionaries(shown, data, max_size=3)
+optional = st.none() | names
+positive = st.floats(0.01, 1e6)
+
+
+@st.composite
+def delays(draw_):
+    low, middle, high = sorted(draw_(st.tuples(positive, positive, positive)))
+    return draw_(
+        st.sampled_from(
+            [
+                Delay("constant", (low,)),
+                Delay("exponential", (low,)),
+                Delay("uniform", (low, high)),
+                Delay("triangular", (low, high, middle)),
+                Delay("gamma", (low, high)),
+                Delay("weibull", (low, 1.0 + high)),
+                Delay("lognormal", (1.0, min(low, 5.0))),
+            ]
+        )
+    )
+
+
+actions = st.one_of(
+    st.builds(FunctionAction, names),
+    st.builds(ServiceAction, shown, st.just("p/srv/Do"), fields, optional, optional, optional),
+    st.builds(GoalAction, shown, st.just("p/action/Move"), fields, optional, optional, optional),
+    st.builds(TopicAction, shown, st.just("p/msg/Word"), fields, optional),
+    st.builds(RequestAction, names, names, fields, optional),
+)
+
+
+@st.composite
+def nets(draw_):
+    """Nets of every kind that an author could write."""
+    some = draw_(st.lists(names, min_size=3, max_size=6, unique=True))
+    place_names, place = st.lists(st.sampled_from(some), max_size=2), st.sampled_from(some)
+    arcs = st.dictionaries(place, st.integers(1, 3), max_size=3)
+    places = {}
+    for name in some:
+        tokens, room = draw_(st.integers(0, 3)), draw_(st.none() | st.integers(1, 3))
+        data_object = draw_(st.none() | shown)
+        on_invalid = tuple(draw_(place_names)) if data_object is not None else ()
+        capacity = None if room is None else tokens + room
+        places[name] = Place(name, tokens, capacity, data_object, on_invalid, draw_(st.booleans()))
+    escalate = draw_(st.none() | place)
+    transitions = {}
+    for name in draw_(st.lists(names, min_size=1, max_size=4, unique=True)):
+        inputs = draw_(arcs)
+        action = draw_(st.none() | actions)
+        on_failure = draw_(arcs) if action else {}
+        if action and escalate is None:
+            on_failure = on_failure or {some[0]: 1}
+        inhibitors = draw_(st.dictionaries(place, st.integers(1, 4), max_size=2))
+        remote = st.builds(RemotePlace, st.sampled_from(["other", "far_away"]), names)
+        transitions[name] = Transition(
+            name,
+            inputs,
+            draw_(arcs),
+            draw_(st.dictionaries(remote, st.integers(1, 2), max_size=2)),
+            {key: weight for key, weight in inhibitors.items() if weight > inputs.get(key, 0)},
+            draw_(st.none() | st.builds(Guard, names, st.booleans())),
+            draw_(names) if not inputs else draw_(optional),
+            tuple(draw_(st.lists(names, max_size=2))),
+            action,
+            on_failure,
+            draw_(arcs) if action else {},
+            draw_(st.none() | positive) if action else None,
+            draw_(st.none() | delays()),
+            draw_(st.floats(0, 1)) if action else 1.0,
+            draw_(positive),
+            draw_(st.none() | st.builds(Strategy, positive, positive, st.floats(0.01, 1))) if action else None,
+            draw_(st.integers(-5, 5)),
+            origin=name,
+        )
+    services = {}
+    if draw_(st.booleans()):
+        services["serve"] = Service("serve", *some[:3])
+    rest = draw_(st.none() | place_names.map(tuple))
+    name = draw_(st.sampled_from(["n", "Net_2", "yes"]))
+    return Net(name, places, transitions, services, escalate, rest, draw_(shown))
+
+
+def bare(net):
+    """A net without where it came from."""
+    lines = {name: replace(t, line=0) for name, t in net.transitions.items()}
+    return replace(net, source="", transitions=lines)
+
+
+@settings(max_examples=150, deadline=None)
+@given(nets())
+def test_a_net_written_as_yaml_is_read_back_the_same(net):
+    assert bare(parse_net(yaml_text(net))) == net
+
+
+@settings(max_examples=150, deadline=None)
+@given(nets())
+def test_a_net_written_as_pnml_is_read_back_the_same(tmp_path_factory, net):
+    file = tmp_path_factory.getbasetemp() / "net.pnml"
+    file.write_text(pnml_text(net), encoding="utf-8")
+    assert bare(load_net(file)) == net
+
+
+@settings(max_examples=60, deadline=None)
+@given(nets())
+def test_what_is_written_has_the_structure_that_the_standard_asks_for(net):
+    root = ElementTree.fromstring(pnml_text(net))
+    pnml = f"{{{NAMESPACE}}}"
+    assert root.tag == f"{pnml}pnml"
+    (written,) = root
+    assert written.get("type") == "http://www.pnml.org/version-2009/grammar/ptnet"
+    pages = written.findall(f"{pnml}page")
+    assert pages
+    ids = [element.get("id") for element in root.iter() if element.get("id") is not None]
+    assert len(set(ids)) == len(ids)
+    assert all(NCNAME.fullmatch(each) for each in ids)
+    allowed = {"place", "transition", "referencePlace", "arc"}
+    places = {place.get("id") for place in root.iter(f"{pnml}place")}
+    for page in pages:
+        assert {element.tag.removeprefix(pnml) for element in page} <= allowed
+        nodes = {element.get("id") for element in page if not element.tag.endswith("arc")}
+        for arc in page.findall(f"{pnml}arc"):
+            assert {arc.get("source"), arc.get("target")} <= nodes
+            assert all(int(text.text) >= 1 for text in arc.iter(f"{pnml}text"))
+        for reference in page.findall(f"{pnml}referencePlace"):
+            assert reference.get("ref") in places - nodes
+    for tool in root.iter(f"{pnml}toolspecific"):
+        assert (tool.get("tool"), tool.get("version")) == ("im", "1")
+        assert all(not child.tag.startswith(pnml) and json.loads(child.text) is not None for child in tool)
+
+
+VALIDATOR = jsonschema.Draft202012Validator(json.loads(schema_text()))
+CONSISTENCY = (
+    "there is no place",
+    "has neither input places nor a symbol",
+    "both enables and disables",
+    "has no transition",
+    "of another net; only",
+    "of this very net",
+    "more than the capacity",
+    "must be three different places",
+    "can fail: say where",
+    "goes from",
+    "is not between low and high",
+    "has no finite mean",
+    "'places' is missing",
+    "'transitions' is missing",
+)
+"""What a schema cannot say: names that must exist, numbers that depend on others, parts that an include may have."""
+
+JUNK = [None, True, 0, -1, 1, 2.5, "a", "x.y", "x.y.z", "not g", "9", [], ["a"], [[]], {}, {"a": 1}, {"a": 0}]
+
+
+def containers(value):
+    """All mappings and lists in a value."""
+    if isinstance(value, dict | list):
+        yield value
+        for child in value.values() if isinstance(value, dict) else value:
+            yield from containers(child)
+
+
+def damage(data, draw_):
+    """Changes, adds or takes away one value, or gives it another key."""
+    where = draw_(st.sampled_from([each for each in containers(data) if each]))
+    key = draw_(st.sampled_from(list(where) if isinstance(where, dict) else range(len(where))))
+    change = draw_(st.sampled_from(["value", "value", "value", "away", "key", "more"]))
+    if change == "value":
+        where[key] = copy.deepcopy(draw_(st.sampled_from(JUNK)))
+    elif change == "away":
+        del where[key]
+    elif isinstance(where, dict):
+        odd = draw_(st.sampled_from(["odd", "a", "tokens", "in", "action", "request", "delay", "9", "SI", "rate"]))
+        where[odd] = copy.deepcopy(where[key])
+        if change == "key" and key != odd:
+            del where[key]
+
+
+def as_yaml(data):
+    """JSON is YAML, but for some characters."""
+    return re.sub("[\x7f-\x9f\ud800-\udfff\ufeff\ufffe\uffff]", "?", json.dumps(data, ensure_ascii=False))
+
+
+@settings(max_examples=150, deadline=None)
+@given(nets(), st.integers(0, 2), st.data())
+def test_what_the_reader_takes_the_schema_takes_and_the_reverse(net, damages, data):
+    written = json.loads(json.dumps(describe(net)))
+    for _ in range(damages):
+        damage(written, data.draw)
+    complaints = [error.message for error in VALIDATOR.iter_errors(written)]
+    refused = ""
+    try:
+        parse_net(as_yaml(written), "x")
+    except NetFileError as error:
+        refused = error.message
+    if complaints:
+        assert refused, complaints
+    else:
+        assert not refused or any(known in refused for known in CONSISTENCY), refused
