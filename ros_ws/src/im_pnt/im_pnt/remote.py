@@ -1,27 +1,35 @@
-"""Messages between nets of different processes, each delivered once whatever the transport loses, doubles or swaps.
-
-The sender numbers its messages to each receiver and repeats them until they are acknowledged; the receiver accepts a
-number once and acknowledges it every time. ``epoch`` is the incarnation of the sender: a larger one begins a new count,
-a smaller one is a message from an earlier life and is refused.
-"""
+"""Messages between nets of different processes, and how they are written down."""
 
 import enum
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import functools
+import json
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
 
 from im_core.errors import ImError
 
+MOST_NUMBER = 2**62
+"""Numbers of messages, commands and epochs are smaller."""
+
+_NOTHING: Mapping[str, object] = MappingProxyType({})
+_encode = json.JSONEncoder(separators=(",", ":")).encode
+
 
 class Kind(enum.IntEnum):
-    """What a message is, numbered as in ``im_msgs/msg/Token``."""
+    """What a message is."""
 
     TOKEN = 0
     REQUEST = 1
     REPLY = 2
+    VOID = 3
+    """In the place of a message that nobody needs any more."""
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+_TOKEN = Kind.TOKEN
+
+
+class Message(NamedTuple):
     """A token, request or reply for a net of another process.
 
     Attributes:
@@ -44,147 +52,92 @@ class Message:
     caller_transition: str = ""
     command_id: int = 0
     error: ImError | None = None
-    payload: dict[str, object] = field(default_factory=dict)
+    payload: Mapping[str, object] = _NOTHING
+
+    def __str__(self) -> str:
+        if self.kind is Kind.TOKEN:
+            return f"a token for {self.net}.{self.place}"
+        if self.kind is Kind.REPLY:
+            return f"the reply to request {self.request_id} of net {self.net}"
+        what = "the end of request" if self.payload.get("cancel") is True else "request"
+        return "nothing" if self.kind is Kind.VOID else f"{what} {self.request_id} to net {self.net}"
 
 
-@dataclass(frozen=True, slots=True)
-class Envelope:
-    """A message on its way."""
-
-    sender: str
-    receiver: str
-    epoch: int
-    sequence: int
-    message: Message
+VOID = Message(Kind.VOID, "", "")
 
 
-@dataclass(frozen=True, slots=True)
-class Ack:
-    """Acknowledges one envelope; ``refusal`` says why it was not accepted, empty if it was."""
-
-    receiver: str
-    sender: str
-    epoch: int
-    sequence: int
-    receiver_epoch: int
-    refusal: str
+@functools.lru_cache(maxsize=4096)
+def token_message(net: str, place: str) -> Message:
+    """Returns a token for a place of a net."""
+    return Message(_TOKEN, net, place)
 
 
-@dataclass(slots=True)
-class _Sent:
-    envelope: Envelope
-    due: float
-    interval: float
+def encode_message(message: Message) -> str:
+    """Writes a message as the inside of a JSON list; a token is its kind, net and place, and no more.
+
+    Raises:
+        TypeError: The payload is not JSON data.
+        ValueError: Likewise.
+    """
+    if message.kind is _TOKEN:
+        return _encode_token(message.net, message.place)
+    kind, net, place, request_id, caller_net, caller_transition, command_id, error, payload = message
+    names = (net, place, request_id, caller_net, caller_transition)
+    return _encode([int(kind), *names, command_id, encode_error(error), dict(payload)])[1:-1]
 
 
-class Sender:
-    """Numbers messages and repeats them until they are acknowledged.
+@functools.lru_cache(maxsize=4096)
+def _encode_token(net: str, place: str) -> str:
+    return f"0,{_encode(net)},{_encode(place)}"
+
+
+def decode_message(fields: list[object]) -> Message:
+    """Reads a message.
 
     Args:
-        name: Node that sends.
-        epoch: Its incarnation; larger after every restart.
-        resend_after: Time without acknowledgement after which a message is repeated [s]; doubles each time.
-        resend_at_most: Longest time between repetitions [s].
+        fields: What :func:`encode_message` wrote, read as JSON.
+
+    Raises:
+        ValueError: It is none.
     """
+    if len(fields) == 3 and fields[0] == 0:
+        _, net, place = fields
+        if isinstance(net, str) and isinstance(place, str):
+            return Message(_TOKEN, net, place)
+    match fields:
+        case [
+            int(kind), str(net), str(place), str(request), str(caller), str(transition), int(command), error, dict(data)
+        ]:  # fmt: skip
+            if kind in (Kind.REQUEST, Kind.REPLY) and is_number(command):
+                reason = decode_error(error)
+                return Message(Kind(kind), net, place, request, caller, transition, command, reason, data)
+            if kind == Kind.VOID:
+                return VOID
+    raise ValueError(f"{str(fields)[:200]} is no message")
 
-    def __init__(self, name: str, epoch: int, resend_after: float = 0.25, resend_at_most: float = 2.0) -> None:
-        self.name = name
-        self.epoch = epoch
-        self._resend_after, self._resend_at_most = resend_after, resend_at_most
-        self._count: dict[str, int] = {}
-        self._sent: dict[tuple[str, int], _Sent] = {}
 
-    def send(self, receiver: str, message: Message, now: float) -> Envelope:
-        """Numbers a message; the envelope is to be transmitted at once.
+def is_number(value: object) -> bool:
+    """Whether something is a number as messages, commands and epochs have, 0 included."""
+    return type(value) is int and 0 <= value < MOST_NUMBER
 
-        Args:
-            receiver: Node that gets it.
-            message: What it gets.
-            now: Present time [s].
-        """
-        sequence = self._count[receiver] = self._count.get(receiver, 0) + 1
-        envelope = Envelope(self.name, receiver, self.epoch, sequence, message)
-        self._sent[receiver, sequence] = _Sent(envelope, now + self._resend_after, self._resend_after)
-        return envelope
 
-    def acknowledged(self, ack: Ack) -> Message | None:
-        """Takes an acknowledgement; returns the message if it was refused, None if accepted or known already."""
-        if ack.epoch != self.epoch or ack.sender != self.name:
+def encode_error(error: ImError | None) -> list[object] | None:
+    """Writes an error as JSON data; facts that are none are written as text."""
+    if error is None:
+        return None
+    facts: object = json.loads(json.dumps(error.facts, default=str, skipkeys=True))
+    return [error.code, error.message, facts]
+
+
+def decode_error(content: object) -> ImError | None:
+    """Reads an error.
+
+    Raises:
+        ValueError: It is none.
+    """
+    match content:
+        case None:
             return None
-        sent = self._sent.pop((ack.receiver, ack.sequence), None)
-        return sent.envelope.message if sent is not None and ack.refusal else None
-
-    def due(self, now: float) -> list[Envelope]:
-        """Returns the envelopes that are to be transmitted again, oldest first."""
-        again: list[Envelope] = []
-        for sent in self._sent.values():
-            if now >= sent.due:
-                sent.interval = min(2.0 * sent.interval, self._resend_at_most)
-                sent.due = now + sent.interval
-                again.append(sent.envelope)
-        return again
-
-    def forget(self, request_id: str) -> None:
-        """Gives up everything about a request that nobody waits for any more."""
-        self._sent = {key: s for key, s in self._sent.items() if s.envelope.message.request_id != request_id}
-
-    def unacknowledged(self) -> int:
-        """Returns how many messages wait for their acknowledgement."""
-        return len(self._sent)
-
-
-class _Seen:
-    """Numbers received from one incarnation of a sender: all up to ``floor``, and those in ``above``."""
-
-    MOST = 4096
-
-    def __init__(self, epoch: int) -> None:
-        self.epoch = epoch
-        self.floor = 0
-        self.above: set[int] = set()
-        self.refusals: dict[int, str] = {}
-
-    def __contains__(self, sequence: int) -> bool:
-        return sequence <= self.floor or sequence in self.above
-
-    def add(self, sequence: int, refusal: str) -> None:
-        self.above.add(sequence)
-        if refusal:
-            self.refusals[sequence] = refusal
-        if len(self.above) > self.MOST:
-            self.floor = min(self.above)
-        while self.floor + 1 in self.above:
-            self.floor += 1
-        self.above = {number for number in self.above if number > self.floor} if len(self.above) > 64 else self.above
-        while len(self.refusals) > self.MOST:
-            del self.refusals[next(iter(self.refusals))]
-
-
-class Receiver:
-    """Accepts each message once.
-
-    Args:
-        name: Node that receives.
-        epoch: Its incarnation.
-        accept: Takes a message that is new; returns why it is refused, empty if it is not.
-    """
-
-    def __init__(self, name: str, epoch: int, accept: Callable[[str, Message], str]) -> None:
-        self.name = name
-        self.epoch = epoch
-        self._accept = accept
-        self._seen: dict[str, _Seen] = {}
-
-    def receive(self, envelope: Envelope) -> Ack:
-        """Takes an envelope, delivers its message if it is new, and returns the acknowledgement to send."""
-        seen = self._seen.get(envelope.sender)
-        if seen is None or envelope.epoch > seen.epoch:
-            seen = self._seen[envelope.sender] = _Seen(envelope.epoch)
-        if envelope.epoch < seen.epoch:
-            refusal = f"sent by an earlier incarnation of {envelope.sender}"
-        elif envelope.sequence in seen:
-            refusal = seen.refusals.get(envelope.sequence, "")
-        else:
-            refusal = self._accept(envelope.sender, envelope.message)
-            seen.add(envelope.sequence, refusal)
-        return Ack(self.name, envelope.sender, envelope.epoch, envelope.sequence, self.epoch, refusal)
+        case [str(code), str(message), dict(facts)]:
+            return ImError.restored(code, message, facts)
+    raise ValueError(f"{str(content)[:200]} is no error")

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import DataError
+from im_pnt.link import Link
 from im_pnt.netfile import parse_net
-from im_pnt.remote import Ack, Envelope, Kind, Message, Receiver, Sender
 from im_pnt.testing import Process, hold
 
 
@@ -19,42 +19,42 @@ class Network:
         self.dice = random.Random(seed)
         self.loss = loss
         self.now = 0.0
-        self.flying: list[tuple[float, Envelope | Ack]] = []
+        self.flying: list[tuple[float, str, str]] = []
         self.nodes: dict[str, Node] = {}
 
-    def carry(self, thing: Envelope | Ack) -> None:
+    def carry(self, node: str, packet: str) -> None:
         for _ in range(self.dice.choice((1, 1, 2))):
             if self.dice.random() >= self.loss:
-                self.flying.append((self.now + self.dice.uniform(0.0, 1.0), thing))
+                self.flying.append((self.now + self.dice.uniform(0.0, 1.0), node, packet))
 
     def run(self, seconds: float) -> None:
         end = self.now + seconds
         while self.now < end:
             self.now += 0.05
-            for node in self.nodes.values():
-                for envelope in node.sender.due(self.now):
-                    self.carry(envelope)
             due = [item for item in self.flying if item[0] <= self.now]
             self.flying = [item for item in self.flying if item[0] > self.now]
-            for _, thing in sorted(due, key=lambda item: item[0]):
-                self.arrive(thing)
+            for _, node, packet in sorted(due, key=lambda item: item[0]):
+                self.nodes[node].link.hear(packet)
             for node in self.nodes.values():
                 node.pump()
-
-    def arrive(self, thing: Envelope | Ack) -> None:
-        if isinstance(thing, Envelope):
-            self.carry(self.nodes[thing.receiver].receiver.receive(thing))
-        else:
-            self.nodes[thing.sender].acknowledged(thing)
+                node.link.tick()
 
 
 class Node:
     """A process on the network; also its transport."""
 
     def __init__(self, network: Network, name: str, texts: list[str], actions: dict) -> None:
-        self.network = network
-        self.sender = Sender(name, 1)
-        self.receiver = Receiver(name, 1, lambda sender, message: self.process.exchange.receive(sender, message))
+        self.link = Link(
+            name,
+            1,
+            lambda sender, message: self.process.exchange.receive(sender, message),
+            lambda message, why: self.process.exchange.refused(message, why),
+            lambda node, in_flight: self.process.exchange.node_reset(node, in_flight),
+            lambda node: self.process.exchange.node_returned(node),
+            network.carry,
+            clock=lambda: network.now,
+        )
+        self.send, self.forget, self.keeps_journal = self.link.send, self.link.forget, self.link.keeps_journal
         nets = [parse_net(text) for text in texts]
         self.process = Process(nets, actions, name=name, transport=self)
         self.pump = self.process.pump
@@ -62,17 +62,6 @@ class Node:
 
     def node_of(self, net: str) -> str:
         return net
-
-    def send(self, node: str, message: Message) -> None:
-        self.network.carry(self.sender.send(node, message, self.network.now))
-
-    def forget(self, request_id: str) -> None:
-        self.sender.forget(request_id)
-
-    def acknowledged(self, ack: Ack) -> None:
-        returned = self.sender.acknowledged(ack)
-        if returned is not None:
-            self.process.exchange.refused(returned, ack.refusal)
 
 
 RING = """
@@ -99,7 +88,7 @@ def test_tokens_circle_and_none_is_lost_or_doubled(seed, loss):
     network.run(10.0)
     tokens = sum(sum(process.marking(name).values()) for name, process in zip("abc", processes, strict=True))
     assert tokens == 3
-    assert all(node.sender.unacknowledged() == 0 for node in network.nodes.values())
+    assert all(node.link.idle() for node in network.nodes.values())
 
 
 FRONT = """
@@ -165,22 +154,3 @@ def test_the_death_of_a_coordinator_fails_its_requests_and_that_of_a_caller_canc
     assert front.process.marking("front") == {"idle": 1}
 
 
-def test_messages_of_an_earlier_life_and_for_unknown_nets_are_refused():
-    taken: list[Message] = []
-
-    def accept(sender: str, message: Message) -> str:
-        taken.append(message)
-        return "" if message.net == "known" else f"there is no net {message.net}"
-
-    receiver = Receiver("r", 7, accept)
-    old, new = Sender("s", 1), Sender("s", 2)
-    stale = old.send("r", Message(Kind.TOKEN, "known", "p"), 0.0)
-    fresh = new.send("r", Message(Kind.TOKEN, "known", "p"), 0.0)
-    wrong = new.send("r", Message(Kind.TOKEN, "unknown", "p"), 0.0)
-    assert receiver.receive(fresh).refusal == ""
-    assert receiver.receive(stale).refusal == "sent by an earlier incarnation of s"
-    refusals = {receiver.receive(wrong).refusal for _ in range(3)}
-    assert refusals == {"there is no net unknown"}
-    assert len(taken) == 2
-    assert new.acknowledged(receiver.receive(wrong)) == wrong.message
-    assert new.acknowledged(receiver.receive(wrong)) is None

@@ -1,0 +1,181 @@
+"""The files of a journal: a folder that one process holds, with files that only grow."""
+
+import fcntl
+import os
+from pathlib import Path
+from typing import Protocol
+
+from im_pnt.journal.errors import JournalError
+
+LOCK = "lock"
+
+
+class Growing(Protocol):
+    """A file that is open for appending."""
+
+    def write(self, data: bytes) -> None:
+        """Hands bytes to the operating system, where they outlive the process.
+
+        Raises:
+            OSError: They were not all taken; the file is as long as before.
+        """
+
+    def sync(self) -> None:
+        """Returns when all that was written is on the disk."""
+
+    def close(self) -> None:
+        """Closes the file."""
+
+
+class Files(Protocol):
+    """What a journal needs of a file system.
+
+    Attributes:
+        name: Where it is, for messages.
+    """
+
+    name: str
+
+    def lock(self) -> None:
+        """Takes the folder for this process.
+
+        Raises:
+            JournalError: Another process has it; names its id.
+        """
+
+    def unlock(self) -> None:
+        """Gives the folder back."""
+
+    def names(self) -> list[str]:
+        """Returns the names of the files, sorted."""
+
+    def read(self, name: str) -> bytes:
+        """Returns the content of a file."""
+
+    def create(self, name: str) -> Growing:
+        """Makes an empty file, in the place of one of that name."""
+
+    def extend(self, name: str, size: int) -> Growing:
+        """Opens a file to write behind its first ``size`` bytes; drops what is there."""
+
+    def rename(self, name: str, new: str) -> None:
+        """Renames a file, at once for whoever looks, and durably."""
+
+    def remove(self, name: str) -> None:
+        """Removes a file."""
+
+    def move_aside(self, names: list[str], folder: str) -> None:
+        """Moves files into a new folder inside this one."""
+
+
+class _File:
+    """A file of a :class:`Folder`."""
+
+    def __init__(self, path: Path, size: int, flags: int) -> None:
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | flags, 0o644)
+        self._size = size
+        os.ftruncate(self._file, size)
+        os.lseek(self._file, size, os.SEEK_SET)
+
+    def write(self, data: bytes) -> None:
+        try:
+            written = os.write(self._file, data)
+            while written < len(data):
+                written += os.write(self._file, memoryview(data)[written:])
+        except OSError:
+            os.ftruncate(self._file, self._size)
+            os.lseek(self._file, self._size, os.SEEK_SET)
+            raise
+        self._size += len(data)
+
+    def sync(self) -> None:
+        os.fdatasync(self._file)
+
+    def close(self) -> None:
+        os.close(self._file)
+
+
+class Folder:
+    """Files of a real folder, which is made if it is not there.
+
+    Args:
+        path: The folder.
+
+    Raises:
+        JournalError: It cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.name = str(path)
+        self._lock: int | None = None
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise JournalError(f"{path}: no journal can be kept there: {error}", file=self.name) from error
+
+    def lock(self) -> None:
+        """Takes the folder for this process, until it ends.
+
+        Raises:
+            JournalError: Another process has it; names its id.
+        """
+        try:
+            lock = os.open(self.path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise JournalError(f"{self.name}: the journal cannot be locked: {error}", file=self.name) from error
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = os.read(lock, 32).decode("ascii", "replace").strip() or "unknown"
+            os.close(lock)
+            text = f"{self.name}: the journal is in use by process {holder}; a journal belongs to one process"
+            raise JournalError(text, file=self.name, pid=holder) from error
+        os.ftruncate(lock, 0)
+        os.write(lock, b"%d\n" % os.getpid())
+        self._lock = lock
+
+    def unlock(self) -> None:
+        """Gives the folder back."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def names(self) -> list[str]:
+        """Returns the names of the files, sorted."""
+        return sorted(entry.name for entry in self.path.iterdir() if entry.is_file() and entry.name != LOCK)
+
+    def read(self, name: str) -> bytes:
+        """Returns the content of a file."""
+        return (self.path / name).read_bytes()
+
+    def create(self, name: str) -> Growing:
+        """Makes an empty file, in the place of one of that name."""
+        return _File(self.path / name, 0, os.O_TRUNC)
+
+    def extend(self, name: str, size: int) -> Growing:
+        """Opens a file to write behind its first ``size`` bytes; drops what is there."""
+        return _File(self.path / name, size, 0)
+
+    def rename(self, name: str, new: str) -> None:
+        """Renames a file, at once for whoever looks, and durably."""
+        (self.path / name).rename(self.path / new)
+        self._sync()
+
+    def remove(self, name: str) -> None:
+        """Removes a file."""
+        (self.path / name).unlink(missing_ok=True)
+
+    def move_aside(self, names: list[str], folder: str) -> None:
+        """Moves files into a new folder inside this one."""
+        (self.path / folder).mkdir(parents=True)
+        for name in names:
+            (self.path / name).rename(self.path / folder / name)
+        self._sync()
+
+    def _sync(self) -> None:
+        folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)

@@ -1,0 +1,250 @@
+"""The log of a journal: one file with a header, a snapshot and what happened since; a new one replaces it.
+
+``000007.journal`` is written as ``000007.new`` and synchronised before it is renamed, and ``000006.journal`` is removed
+only then: at every instant the last ``.journal`` is whole.
+"""
+
+import contextlib
+import enum
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from im_core.clock import stamp_name
+from im_pnt.journal.errors import JournalError
+from im_pnt.journal.folder import Files, Growing
+from im_pnt.journal.records import MOST_BYTES, Record, Scan, frame, scan
+
+FORMAT = "im_pnt journal"
+VERSION = 1
+_NAME = re.compile(r"(\d{6,})\.(journal|new)")
+
+encode_json = json.JSONEncoder(separators=(",", ":")).encode
+
+
+class Sync(enum.Enum):
+    """When a record counts as written."""
+
+    OS = "os"
+    """The operating system has it: it survives the death of the process."""
+    DISK = "disk"
+    """The disk has it: it survives the loss of power too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What a log held when it was opened.
+
+    Attributes:
+        file: The file, for messages.
+        header: Its header.
+        state: The snapshot it begins with.
+        batches: What was written since, batch by batch; each was written whole.
+        size: Where the last whole batch ends [bytes].
+        torn: Bytes of a batch that was not written whole, and was dropped; 0 if there was none.
+    """
+
+    file: str
+    header: Mapping[str, object]
+    state: Mapping[str, object]
+    batches: tuple[tuple[Record, list[object]], ...]
+    size: int
+    torn: int
+
+
+class Log:
+    """A log that is open for writing.
+
+    Args:
+        files: Its folder, locked by this process.
+        sync: When a record counts as written.
+    """
+
+    def __init__(self, files: Files, sync: Sync) -> None:
+        self._files, self._sync = files, sync
+        self._file: Growing | None = None
+        self._number = 0
+        self._checksum = 0
+        self._broken = ""
+        self.size = 0
+
+    def recover(self) -> Recovered | None:
+        """Reads what the folder holds, and goes on writing there.
+
+        Returns:
+            What was found; None if there is no log yet: begin with :meth:`replace`.
+
+        Raises:
+            JournalError: It cannot be read, is damaged, or was written by another version.
+        """
+        try:
+            numbers = [int(m[1]) for name in self._files.names() if (m := _NAME.fullmatch(name)) and m[2] == "journal"]
+            if not numbers:
+                return None
+            self._number = max(numbers)
+            name = f"{self._number:06d}.journal"
+            file = f"{self._files.name}/{name}"
+            found = scan(self._files.read(name), file)
+            recovered = _parse(found, file)
+            self._file = self._files.extend(name, found.size)
+        except OSError as error:
+            raise self._failed("read", error) from error
+        self._checksum, self.size = found.checksum, found.size
+        return recovered
+
+    def replace(self, header: Mapping[str, object], state: Mapping[str, object]) -> None:
+        """Begins a new file with a snapshot; what was written before it is not needed any more.
+
+        Args:
+            header: What the journal belongs to.
+            state: The snapshot.
+
+        Raises:
+            JournalError: It cannot be written; the old file is still in use.
+        """
+        head = {"format": FORMAT, "version": VERSION, **header}
+        first, checksum = frame(_body(head, self._files.name), 0)
+        second, checksum = frame(_body(state, self._files.name), checksum)
+        name = f"{self._number + 1:06d}"
+        if self._broken:
+            raise JournalError(self._broken, file=self._files.name)
+        file: Growing | None = None
+        try:
+            file = self._files.create(f"{name}.new")
+            file.write(first + second)
+            file.sync()
+            self._files.rename(f"{name}.new", f"{name}.journal")
+        except OSError as error:
+            if file is not None:
+                file.close()
+            raise self._failed("written", error) from error
+        if self._file is not None:
+            self._file.close()
+        self._file, self._checksum, self.size = file, checksum, len(first) + len(second)
+        self._number += 1
+        self._remove_others()
+
+    def append(self, batch: str) -> None:
+        """Writes a batch, whole or not at all.
+
+        Args:
+            batch: JSON list of entries, without line feeds.
+
+        Raises:
+            JournalError: It was not written, and may be tried again; or the disk has failed, and nothing can be written
+                any more.
+        """
+        assert self._file is not None
+        if self._broken:
+            raise JournalError(self._broken, file=self._files.name)
+        body = batch.encode()
+        if len(body) > MOST_BYTES:
+            raise JournalError(
+                f"{self._files.name}: a batch of {len(body)} bytes; at most {MOST_BYTES}", file=self._files.name
+            )
+        data, checksum = frame(body, self._checksum)
+        try:
+            self._file.write(data)
+        except OSError as error:
+            raise self._failed("written", error) from error
+        self._checksum = checksum
+        self.size += len(data)
+        if self._sync is Sync.DISK:
+            self._synchronise()
+
+    def close(self) -> None:
+        """Closes the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _synchronise(self) -> None:
+        assert self._file is not None
+        try:
+            self._file.sync()
+        except OSError as error:  # what the disk holds now is not known, and a second try would not tell
+            self._broken = f"{self._files.name}: the disk has failed: {error}; nothing is written any more"
+            raise JournalError(self._broken, file=self._files.name) from error
+
+    def _remove_others(self) -> None:
+        with contextlib.suppress(OSError):  # they are not read any more; the next time is early enough
+            for name in self._files.names():
+                match = _NAME.fullmatch(name)
+                if match and (int(match[1]) < self._number or match[2] == "new"):
+                    self._files.remove(name)
+
+    def _failed(self, what: str, error: OSError) -> JournalError:
+        return JournalError(f"{self._files.name}: the journal cannot be {what}: {error}", file=self._files.name)
+
+
+def discard(files: Files, stamp: Callable[[], str] = stamp_name) -> str | None:
+    """Moves a journal aside, so that the next start begins anew; nothing is deleted.
+
+    Args:
+        files: Its folder; no process may be using it.
+        stamp: Names the time.
+
+    Returns:
+        Name of the folder inside, where it is now; None if there was none.
+
+    Raises:
+        JournalError: A process is using it, or it cannot be moved.
+    """
+    files.lock()
+    try:
+        names = [name for name in files.names() if _NAME.fullmatch(name)]
+        if not names:
+            return None
+        aside = f"discarded-{stamp()}-{names[-1].partition('.')[0]}"
+        files.move_aside(names, aside)
+    except OSError as error:
+        raise JournalError(f"{files.name}: the journal cannot be moved aside: {error}", file=files.name) from error
+    finally:
+        files.unlock()
+    return aside
+
+
+def _body(content: Mapping[str, object], name: str) -> bytes:
+    try:
+        return encode_json(content).encode()
+    except (TypeError, ValueError) as error:
+        raise JournalError(f"{name}: the state cannot be written as JSON: {error}", file=name) from error
+
+
+def _parse(found: Scan, file: str) -> Recovered:
+    records = found.records
+    if len(records) < 2:
+        offset = records[0].offset + len(records[0].body) if records else 0
+        raise _bad(file, len(records) + 1, offset, "it ends there, and every journal has a header and a snapshot")
+    contents = [_loads(record, file) for record in records]
+    header, state = contents[0], contents[1]
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise _bad(file, 1, 0, f"its header is not one of an {FORMAT}")
+    if header.get("version") != VERSION:
+        raise _bad(file, 1, 0, f"it has version {header.get('version')!r}, and version {VERSION} is read here")
+    if not isinstance(state, dict):
+        raise _bad(file, 2, records[1].offset, "the snapshot is not a JSON object")
+    batches: list[tuple[Record, list[object]]] = []
+    for record, batch in zip(records[2:], contents[2:], strict=True):
+        if not isinstance(batch, list):
+            raise _bad(file, record.number, record.offset, "it is not a JSON list of entries")
+        batches.append((record, batch))
+    return Recovered(file, header, state, tuple(batches), found.size, found.torn)
+
+
+def _loads(record: Record, file: str) -> object:
+    try:
+        return json.loads(record.body)
+    except ValueError as error:
+        raise _bad(file, record.number, record.offset, f"it is not JSON: {error}") from error
+
+
+def _bad(file: str, number: int, offset: int, why: str) -> JournalError:
+    return JournalError(
+        f"{file}: record {number} at byte {offset} cannot be used: {why}; nothing was started. "
+        "Restore the file, or move the journal aside with Journal.discard and begin anew",
+        file=file,
+        offset=offset,
+        record=number,
+    )

@@ -1,0 +1,116 @@
+"""A process without ROS that keeps a journal: a test kills it, and brings it back from its files."""
+
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any
+
+from im_core.errors import StateError
+from im_pnt.events import Observer
+from im_pnt.exchange import Exchange
+from im_pnt.executive import Executive
+from im_pnt.functions import Functions, GuardFunction
+from im_pnt.journal.folder import Files
+from im_pnt.journal.process_journal import COMPACT_BYTES, Journal
+from im_pnt.link import Link
+from im_pnt.net import Net
+from im_pnt.remote import Message
+from im_pnt.runner import FunctionRunner
+
+
+class JournalledProcess:
+    """Nets of one process with their journal, from the moment in which it is started or comes back.
+
+    Args:
+        name: Name of the process.
+        nets: Its nets.
+        files: Where its journal is.
+        actions: Registered functions.
+        guards: Enabling functions.
+        nodes: Processes of the nets of others, by net; a process that is not listed has the name of its net.
+        transmit: Sends a packet to a process.
+        clock: Present time [s].
+        observer: Is told of what happens.
+        compact_bytes: Size of the journal above which a new file is begun [bytes].
+    """
+
+    def __init__(
+        self,
+        name: str,
+        nets: Sequence[Net],
+        files: Files,
+        *,
+        actions: Mapping[str, Callable[..., object]] | None = None,
+        guards: Mapping[str, GuardFunction] | None = None,
+        nodes: Mapping[str, str] | None = None,
+        transmit: Callable[[str, str], None] = lambda node, packet: None,
+        clock: Callable[[], float] = lambda: 0.0,
+        observer: Observer | None = None,
+        compact_bytes: int = COMPACT_BYTES,
+    ) -> None:
+        observer = observer or Observer()
+        self._nodes = dict(nodes or {})
+        self.journal = Journal(files, name, compact_bytes=compact_bytes, observer=observer)
+        self.link = Link(
+            name,
+            self.journal.epoch,
+            lambda sender, message: self.exchange.receive(sender, message),
+            lambda message, why: self.exchange.refused(message, why),
+            lambda node, in_flight: self.exchange.node_reset(node, in_flight),
+            lambda node: self.exchange.node_returned(node),
+            transmit,
+            observer,
+            clock,
+        )
+        self.exchange = Exchange(name, self.journal.epoch, self, observer, clock=clock)
+        functions = Functions(actions, guards)
+        runner = self.journal.guard(FunctionRunner(functions, self.exchange, _drive))
+        for net in nets:
+            record = self.journal.recorder(net.name)
+            self.exchange.add(Executive(net, functions, runner, self.exchange, observer, record=record))
+        self.recovered = self.journal.start(self.exchange, self.link)
+
+    def node_of(self, net: str) -> str:
+        """Returns the process that runs a net."""
+        return self._nodes.get(net, net)
+
+    def send(self, node: str, message: Message) -> None:
+        """Sends a message."""
+        self.link.send(node, message)
+
+    def forget(self, request_id: str) -> None:
+        """Stops repeating what was sent about a request."""
+        self.link.forget(request_id)
+
+    def keeps_journal(self, node: str) -> bool:
+        """Whether a process has said that it keeps a journal."""
+        return self.link.keeps_journal(node)
+
+    def turn(self, rounds: int = 1000) -> None:
+        """Fires until nothing happens, and lets messages go when the journal has been written.
+
+        Raises:
+            StateError: The nets do not come to rest.
+        """
+        executives = list(self.exchange.nets.values())
+        for _ in range(rounds):
+            for executive in executives:
+                executive.pump()
+            if not any(executive.due for executive in executives):
+                self.journal.commit()
+                return
+        raise StateError(f"the nets do not come to rest in {rounds} rounds")
+
+    def tick(self) -> None:
+        """Does what time demands: gives up those that do not return, sends again, acknowledges."""
+        self.exchange.tidy()
+        self.turn()
+        self.link.tick()
+
+
+def _drive(work: Coroutine[Any, Any, None]) -> None:
+    """Runs a coroutine that does not wait for anything."""
+    try:
+        work.send(None)
+    except StopIteration:
+        return
+    work.close()
+    raise StateError("an action waits for something, and without ROS nothing comes")

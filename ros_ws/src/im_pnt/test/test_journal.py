@@ -1,0 +1,413 @@
+"""The journal of a process: what belongs to it, what comes back, and what is said of what does not."""
+
+import json
+import random
+from types import SimpleNamespace
+
+import pytest
+
+from im_core.errors import ImError, LinkError
+from im_pnt.events import CommandCancelled, Observer, TokenArrived
+from im_pnt.functions import ActionContext
+from im_pnt.jobs import Command, CommandResult
+from im_pnt.journal.errors import JournalError
+from im_pnt.journal.fingerprint import fingerprint
+from im_pnt.journal.folder import Folder
+from im_pnt.journal.guarded_runner import GuardedRunner
+from im_pnt.journal.memory import MemoryFiles
+from im_pnt.journal.process_journal import Journal
+from im_pnt.journal.testing import JournalledProcess
+from im_pnt.net import FunctionAction, RequestAction, TopicAction
+from im_pnt.netfile import parse_net
+
+LINE = "net: n\nplaces: {a: {tokens: 3, remote: true}, b: }\ntransitions: {t: {in: [a, a, a], out: b}}"
+
+
+class Troubles(Observer):
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def troubled(self, net: str, text: str) -> None:
+        self.texts.append(text)
+
+
+class Pair:
+    """Two processes with journals on a perfect network, which a test kills and brings back."""
+
+    def __init__(self, **texts: list[str]) -> None:
+        self.now = 0.0
+        self.nets = {name: [parse_net(text) for text in of] for name, of in texts.items()}
+        self.files = {name: MemoryFiles(name) for name in texts}
+        self.troubles = Troubles()
+        self.actions: dict = {}
+        self.alive: dict[str, JournalledProcess] = {}
+        self.flying: list[tuple[str, str]] = []
+        for name in texts:
+            self.start(name)
+
+    def start(self, name: str) -> JournalledProcess:
+        self.alive[name] = process = JournalledProcess(
+            name,
+            self.nets[name],
+            self.files[name],
+            actions=self.actions,
+            transmit=lambda node, packet: self.flying.append((node, packet)),
+            clock=lambda: self.now,
+            observer=self.troubles,
+        )
+        return process
+
+    def kill(self, name: str) -> None:
+        del self.alive[name]
+        self.files[name] = self.files[name].reborn()
+
+    def lose_journal(self, name: str) -> None:
+        self.files[name] = MemoryFiles(name)
+
+    def run(self, seconds: float = 1.0) -> None:
+        end = self.now + seconds
+        while self.now < end:
+            self.now += 0.05
+            for process in list(self.alive.values()):
+                process.turn()
+                process.tick()
+            flying, self.flying = self.flying, []
+            for node, packet in flying:
+                if node in self.alive:
+                    self.alive[node].link.hear(packet)
+
+    def marking(self, name: str) -> dict[str, int]:
+        return self.alive[name].exchange.nets[name].marking()
+
+
+def test_a_fingerprint_tells_nets_apart_that_behave_differently_and_no_others():
+    net = parse_net(LINE)
+    same = parse_net(f"# a remark\n\n{LINE}\ndescription: another one")
+    assert fingerprint(net) == fingerprint(same)
+    others = [LINE.replace("3", "2"), LINE.replace("a, a, a", "a, a"), LINE.replace("{t:", "{u:"), LINE + "\nrest: [b]"]
+    assert len({fingerprint(parse_net(text)) for text in [LINE, *others]}) == 5
+
+
+def test_another_net_another_node_and_another_process_are_refused():
+    files = MemoryFiles()
+    JournalledProcess("x", [parse_net(LINE)], files).turn()
+    content = {name: bytes(text) for name, text in files.contents.items()}
+    with pytest.raises(JournalError, match="the journal is in use"):
+        JournalledProcess("x", [parse_net(LINE)], files)
+    with pytest.raises(JournalError, match="this is the journal of x, not of y"):
+        JournalledProcess("y", [parse_net(LINE)], files.reborn())
+    changed, more = parse_net(LINE.replace("3", "6")), parse_net(LINE.replace("net: n", "net: m"))
+    for nets, what in (
+        ([changed], "net n was changed"),
+        ([], "net n is missing"),
+        ([parse_net(LINE), more], "net m is not in it"),
+    ):
+        with pytest.raises(JournalError, match=rf"belongs to other nets: {what}\. .*Journal\.discard"):
+            JournalledProcess("x", nets, files.reborn())
+    assert {name: bytes(text) for name, text in files.contents.items()} == content
+    assert JournalledProcess("x", [parse_net(LINE)], files.reborn()).recovered
+
+
+def test_after_discard_everything_begins_anew_with_a_later_epoch(tmp_path):
+    first = JournalledProcess("x", [parse_net(LINE)], Folder(tmp_path))
+    first.turn()
+    with pytest.raises(JournalError, match="is in use by process"):
+        Journal.discard(tmp_path)
+    first.journal.close()
+    assert Journal.discard(tmp_path).startswith(str(tmp_path / "discarded-"))
+    second = JournalledProcess("x", [parse_net(LINE)], Folder(tmp_path))
+    assert not second.recovered
+    assert second.journal.epoch > first.journal.epoch
+    second.journal.close()
+    third = JournalledProcess("x", [parse_net(LINE)], Folder(tmp_path))
+    assert third.recovered
+    assert third.journal.epoch == second.journal.epoch
+    third.journal.close()
+
+
+def test_a_torn_last_record_is_dropped_and_said():
+    files = MemoryFiles()
+    process = JournalledProcess("x", [parse_net(LINE)], files)
+    process.turn()
+    assert process.exchange.nets["n"].marking() == {"b": 1}
+    name = files.names()[-1]
+    del files.contents[name][-3:]
+    troubles = Troubles()
+    size = len(files.contents[name])
+    again = JournalledProcess("x", [parse_net(LINE)], files.reborn(), observer=troubles)
+    assert again.exchange.nets["n"].marking() == {"a": 3}
+    start = files.contents[name].rindex(b"\n") + 1
+    assert troubles.texts == [
+        f"memory/{name}: the last record, at byte {start}, was not written whole ({size - start} bytes) and is dropped"
+    ]
+    again.turn()
+    assert again.exchange.nets["n"].marking() == {"b": 1}
+
+
+def test_cut_or_damaged_anywhere_a_process_comes_back_at_a_moment_that_was_or_not_at_all():
+    files, moments = MemoryFiles(), []
+    net = parse_net("net: n\nplaces: {a: 6, b: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: b}}")
+    process = JournalledProcess(
+        "x", [net], files, actions={"f": lambda ctx: moments.append(process.exchange.nets["n"].marking())}
+    )
+    process.turn()
+    moments += [{"a": 6}, process.exchange.nets["n"].marking()]
+    name = files.names()[-1]
+    whole = bytes(files.contents[name])
+    dice = random.Random(0)
+    back = 0
+    for offset in range(0, len(whole), 3):
+        changed = bytes([whole[offset] ^ 1 << dice.randrange(8)])
+        for damaged in (whole[:offset], whole[:offset] + changed + whole[offset + 1 :]):
+            trial = MemoryFiles()
+            trial.contents[name] = bytearray(damaged)
+            try:
+                again = JournalledProcess("x", [net], trial, actions={"f": lambda ctx: None})
+            except JournalError:
+                assert bytes(trial.contents[name]) == damaged
+                continue
+            marking = again.exchange.nets["n"].marking()
+            marking = {place.replace("in_doubt", "active"): count for place, count in marking.items()}
+            assert marking in moments
+            back += 1
+    assert 0 < back < len(whole) // 3
+
+
+def test_entries_that_do_not_fit_are_no_reason_to_crash():
+    files = MemoryFiles()
+    process = JournalledProcess("x", [parse_net(LINE)], files)
+    process.turn()
+    for entry in (
+        ["net", "m", ["fire", "t"]], ["net", "n", ["fire", "t"]], ["net", "n", ["fire", "z"]], ["net", "n", ["end", 9]],
+        ["net", "n", []], ["net", "n", [["x"]]], ["exchange", ["closed", "r"]], ["exchange", ["posted", "m", []]],
+        ["exchange", ["asked", "r", "n", 1, "m", ""]], ["exchange", []], ["link", ["out", "y", [7, 0, "n", "p"]]],
+        ["link", ["in", "y", 5, ""]], ["link", []], ["link", ["acked", "y", 3]], ["other"], [], 5, None, "x",
+        ["exchange", ["posted", "n", ["request", [1]]]], ["exchange", ["undeliverable", 1, 2]],
+    ):  # fmt: skip
+        other = files.reborn()
+        log = JournalledProcess("x", [parse_net(LINE)], other).journal._log
+        log.append(json.dumps([entry]))
+        with pytest.raises(JournalError, match=r"record 3 at byte \d+ does not fit what was before it"):
+            JournalledProcess("x", [parse_net(LINE)], other.reborn())
+
+
+FRONT = """
+net: front
+places: {idle: 1, asked: , good: , bad: }
+transitions:
+  begin: {in: idle, out: asked, symbol: go}
+  ask: {in: asked, out: good, request: back.work, on_failure: bad}
+  finish: {in: good, out: idle, emit: go_done}
+  give_up: {in: bad, out: idle, emit: go_failed}
+"""
+BACK = """
+net: back
+places: {wanted: , good: , bad: , waiting: , go: {remote: true}}
+services: {work: {entry: wanted, done: good, failed: bad}}
+transitions:
+  begin: {in: wanted, out: waiting}
+  end: {in: [waiting, go], out: good, guard: not cancelled}
+  stop: {in: waiting, out: bad, guard: cancelled}
+"""
+
+
+def asked(pair: Pair) -> list[CommandResult]:
+    results: list[CommandResult] = []
+    pair.alive["front"].exchange.nets["front"].command(Command(1, "go"), results.append)
+    pair.run()
+    assert pair.marking("front") == {"ask.active": 1}
+    assert pair.marking("back").get("waiting") == 1
+    return results
+
+
+def let_go(pair: Pair) -> None:
+    pair.alive["back"].exchange.nets["back"].post(TokenArrived("go", 1))
+
+
+@pytest.mark.parametrize("dying", [["back"], ["front"], ["back", "front"]])
+def test_a_request_survives_the_death_of_either_side(dying):
+    pair = Pair(front=[FRONT], back=[BACK])
+    asked(pair)
+    for name in dying:
+        pair.kill(name)
+        others = list(pair.alive.values())
+        for other in others:
+            other.exchange.node_lost(name, f"{name} is missing")
+        pair.run(10.0)
+    for name in dying:
+        pair.start(name)
+    let_go(pair)
+    pair.run(5.0)
+    assert pair.marking("front") == {"idle": 1}
+    assert pair.marking("back") == {"SI": 1, "SO": 1}
+    assert not any(process.exchange.partners() for process in pair.alive.values())
+
+
+def test_who_does_not_return_in_time_fails_what_waits_for_it_and_learns_of_it_when_it_returns():
+    pair = Pair(front=[FRONT], back=[BACK])
+    results = asked(pair)
+    pair.kill("back")
+    pair.alive["front"].exchange.node_lost("back", "back is missing")
+    pair.run(29.0)
+    assert results == []
+    pair.run(2.0)
+    assert isinstance(results[0].error, LinkError)
+    assert str(results[0].error) == "back is missing; it has not returned in 30 s"
+    pair.start("back")
+    pair.run(5.0)
+    assert pair.marking("back") == {"SI": 1, "SO": 1}
+    assert pair.marking("front") == {"idle": 1}
+
+
+def test_who_returns_without_its_journal_fails_what_waits_for_it_at_once():
+    pair = Pair(front=[FRONT], back=[BACK])
+    results = asked(pair)
+    pair.kill("back")
+    pair.lose_journal("back")
+    pair.alive["front"].exchange.node_lost("back", "back is missing")
+    pair.run(3.0)
+    pair.start("back")
+    pair.run(3.0)
+    assert str(results[0].error).startswith("back came back without its journal; in flight were: ")
+    assert pair.marking("back") == {"SI": 1, "SO": 1}
+
+
+@pytest.mark.parametrize("dying", [[], ["back"], ["front"], ["back", "front"]])
+def test_a_cancellation_is_not_lost(dying):
+    pair = Pair(front=[FRONT], back=[BACK])
+    asked(pair)
+    pair.flying.clear()
+    front = pair.alive["front"]
+    front.exchange.nets["front"].post(CommandCancelled(1, ImError("enough", code="cancelled")))
+    front.turn()
+    pair.flying.clear()  # the message is lost too
+    for name in dying:
+        pair.kill(name)
+        pair.start(name)
+    pair.run(5.0)
+    assert pair.marking("back") == {"SI": 1, "SO": 1}
+    assert pair.marking("front") == {"idle": 1}
+
+
+def test_a_token_that_nobody_wants_is_kept_counted_and_said():
+    sends = "net: sends\nplaces: {a: 2, b: }\ntransitions: {t: {in: a, out: [b, gets.nowhere]}}"
+    gets = "net: gets\nplaces: {p: {tokens: 1, remote: true}, q: }\ntransitions: {t: {in: [p, p], out: q}}"
+    pair = Pair(sends=[sends], gets=[gets])
+    pair.run(3.0)
+    for _ in range(2):
+        exchange = pair.alive["sends"].exchange
+        assert {str(place): count for place, count in exchange.undeliverable.items()} == {"gets.nowhere": 2}
+        assert pair.alive["sends"].link.idle()
+        pair.kill("sends")
+        pair.start("sends")
+        pair.run(1.0)
+    complaint = "a token for gets.nowhere is undeliverable and kept: net gets has no place nowhere (known: p, q)"
+    assert pair.troubles.texts.count(complaint) == 2
+
+
+def test_what_a_journal_cannot_keep_fails_the_action_that_made_it():
+    text = """
+net: n
+places: {a: 1, b: , bad: }
+transitions: {t: {in: a, out: b, action: f, on_failure: bad, symbol: go}}
+"""
+    for fill in (lambda ctx: ctx.memory.update(x=object()), lambda ctx: ctx.result.update(x=object())):
+        process = JournalledProcess("x", [parse_net(text)], MemoryFiles(), actions={"f": fill})
+        process.exchange.nets["n"].command(Command(1, "go"))
+        process.turn()
+        assert process.exchange.nets["n"].marking() == {"bad": 1}
+
+
+def test_the_journal_grows_no_further_than_its_limit():
+    loop = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b, symbol: go}, u: {in: b, out: a}}")
+    files = MemoryFiles()
+    process = JournalledProcess("x", [loop], files, compact_bytes=5000)
+    for number in range(500):
+        process.exchange.nets["n"].command(Command(number, "go"))
+        process.turn()
+        assert sum(len(content) for content in files.contents.values()) < 12000
+    assert len(files.names()) == 1
+    sequence = process.exchange.nets["n"].sequence
+    assert JournalledProcess("x", [loop], files.reborn()).exchange.nets["n"].sequence == sequence == 1000
+
+
+def test_while_the_journal_cannot_be_written_nothing_leaves_and_afterwards_all():
+    sends = "net: sends\nplaces: {a: 2, b: }\ntransitions: {t: {in: a, out: [b, gets.p]}}"
+    gets = "net: gets\nplaces: {p: {remote: true}, q: }\ntransitions: {t: {in: p, out: q}}"
+    pair = Pair(sends=[sends], gets=[gets])
+    for name, marking in (("sends", {}), ("gets", {"q": 2})):
+        process, files = pair.alive[name], pair.files[name]
+        files.full = True
+        for _, packet in pair.flying:
+            process.link.hear(packet)
+        pair.flying.clear()
+        with pytest.raises(JournalError, match="No space left"):
+            process.turn()
+        pair.now += 10.0
+        process.link.tick()
+        process.link.flush()
+        assert pair.flying == []
+        files.full = False
+        process.turn()
+        assert pair.alive["gets"].exchange.nets["gets"].marking() == marking
+    pair.run(3.0)
+    assert pair.marking("gets") == {"q": 2}
+    assert all(process.link.idle() for process in pair.alive.values())
+
+
+def test_what_json_cannot_carry_now_only_delays_the_compaction():
+    text = """
+net: n
+places: {a: 1, b: , c: , bad: }
+transitions:
+  t: {in: a, out: b, action: hold, on_failure: bad, symbol: go}
+"""
+    files, troubles = MemoryFiles(), Troubles()
+
+    async def hold(ctx: ActionContext) -> None:
+        ctx.memory["x"] = object()
+
+    process = JournalledProcess(
+        "x", [parse_net(text)], files, actions={"hold": hold}, observer=troubles, compact_bytes=0
+    )
+    process.exchange.nets["n"].command(Command(1, "go"))
+    process.turn()
+    assert process.exchange.nets["n"].marking() == {"bad": 1}
+    again = JournalledProcess("x", [parse_net(text)], files.reborn(), actions={"hold": hold})
+    assert again.exchange.nets["n"].marking() == {"bad": 1}
+
+
+def test_where_the_journal_cannot_be_written_nothing_begins():
+    net = parse_net("net: n\nplaces: {a: 1, b: , bad: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: bad}}")
+    files, done = MemoryFiles(), []
+
+    def act(ctx: ActionContext) -> None:
+        done.append(1)
+
+    process = JournalledProcess("x", [net], files, actions={"f": act})
+    files.full = True
+    with pytest.raises(JournalError, match="No space left"):
+        process.turn()
+    assert done == []
+    files.full = False
+    process.turn()
+    assert JournalledProcess("x", [net], files.reborn(), actions={"f": act}).exchange.nets["n"].marking() == {"bad": 1}
+
+
+def test_no_action_of_any_kind_begins_before_the_journal_is_written():
+    steps: list[str] = []
+
+    class Runner:
+        watch = waits = ask = None
+
+        def start(self, executive, activity, context) -> None:
+            steps.append(f"start {activity.action}")
+
+        def direct(self, action):
+            return lambda context: steps.append(f"call {action}")
+
+    runner = GuardedRunner(Runner(), lambda: steps.append("write"))
+    for action in (TopicAction("/t", "p/msg/T"), RequestAction("m", "s")):
+        runner.start(None, SimpleNamespace(action=action), None)
+    runner.direct(FunctionAction("f"))(None)
+    assert steps == ["write", "start topic /t", "start request m.s", "write", "call function f"]

@@ -1,0 +1,409 @@
+"""The streams between two processes: each message once and in order; lives, refusals, and packets of an enemy."""
+
+import json
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from im_core.errors import DataError
+from im_pnt.errors import NetError
+from im_pnt.events import Observer
+from im_pnt.journal.link_record import link_state, replay_link, restore_link
+from im_pnt.link import MOST_PEERS, Link
+from im_pnt.remote import VOID, Kind, Message, decode_message, encode_message
+from im_pnt.streams import WINDOW
+
+
+class Troubles(Observer):
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def troubled(self, net: str, text: str) -> None:
+        self.texts.append(text)
+
+
+class End:
+    """One end of a wire: what it got, and what it has sent."""
+
+    def __init__(self, name: str, epoch: int, journal: bool = True) -> None:
+        self.now = 0.0
+        self.entries: list[str] = []
+        self.got: list[Message] = []
+        self.returned: list[tuple[Message, str]] = []
+        self.resets: list[tuple[str, list[Message]]] = []
+        self.packets: list[tuple[str, str]] = []
+        self.observer = Troubles()
+        self.refuses = ""
+        self.link = Link(
+            name,
+            epoch,
+            self.accept,
+            lambda message, why: self.returned.append((message, why)),
+            lambda node, in_flight: self.resets.append((node, in_flight)),
+            lambda node: None,
+            lambda node, packet: self.packets.append((node, packet)),
+            self.observer,
+            clock=lambda: self.now,
+        )
+        if journal:
+            self.link.record = self.entries.append
+
+    def accept(self, sender: str, message: Message) -> str:
+        if self.refuses and message.place == self.refuses:
+            return f"there is no place {message.place}"
+        self.got.append(message)
+        return ""
+
+    def reborn(self, name: str) -> "End":
+        """The same process after its death, brought back by its journal alone."""
+        other = End(name, 1, journal=False)
+        other.now, other.got, other.refuses = self.now, list(self.got), self.refuses
+        for entry in [f'["epoch",{self.first_epoch}]', *self.entries]:
+            replay_link(other.link, json.loads(entry))
+        other.first_epoch = self.first_epoch
+        other.entries = list(self.entries)
+        other.link.record = other.entries.append
+        return other
+
+    first_epoch = 1
+
+    def send(self, node: str, *places: str) -> None:
+        for place in places:
+            self.link.send(node, token(place))
+
+    def taken(self) -> list[str]:
+        return [message.place for message in self.got]
+
+
+def token(place: str) -> Message:
+    return Message(Kind.TOKEN, "net", place)
+
+
+def exchange(*ends: End, keep=lambda packet: True, seconds: float = 0.1) -> None:
+    """Carries packets until nothing is sent any more."""
+    by_name = {end.link.name: end for end in ends}
+    for _ in range(1000):
+        for end in ends:
+            end.now += seconds
+            end.link.tick()
+        flying = [item for end in ends for item in end.packets]
+        for end in ends:
+            end.packets.clear()
+        for node, packet in flying:
+            if keep(packet):
+                by_name[node].link.hear(packet)
+        if not flying and all(end.link.idle() for end in ends):
+            return
+    raise AssertionError("the ends do not come to rest")
+
+
+def pair() -> tuple[End, End]:
+    return End("a", 1), End("b", 1)
+
+
+def test_messages_arrive_once_and_in_order_whatever_is_lost():
+    a, b = pair()
+    dice = random.Random(1)
+    a.send("b", *"xyz")
+    b.send("a", *"uvw")
+    exchange(a, b, keep=lambda packet: dice.random() < 0.4)
+    assert b.taken() == list("xyz")
+    assert a.taken() == list("uvw")
+
+
+def test_nothing_leaves_before_the_flush_and_no_acknowledgement_before_its_journal():
+    a, b = pair()
+    a.send("b", "x")
+    assert a.packets == []
+    a.link.flush()
+    b.link.hear(a.packets[0][1])
+    assert b.packets == []
+    assert [json.loads(entry)[0] for entry in b.entries] == ["begin", "in"]
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.sampled_from(["send", "a->b", "b->a", "a dies", "b dies", "drop", "wait"]), max_size=60))
+def test_death_and_return_at_any_time_neither_lose_nor_double(steps):
+    a, b = pair()
+    sent: list[str] = []
+    for step in steps:
+        if step == "send":
+            sent.append(str(len(sent)))
+            a.send("b", sent[-1])
+            b.send("a", sent[-1])
+        elif step == "a dies":
+            a = a.reborn("a")
+        elif step == "b dies":
+            b = b.reborn("b")
+        elif step == "drop":
+            a.packets.clear()
+        elif step == "wait":
+            for end in (a, b):
+                end.now += 1.0
+                end.link.tick()
+        else:
+            source, target = (a, b) if step == "a->b" else (b, a)
+            source.link.tick()
+            for _, packet in source.packets:
+                target.link.hear(packet)
+            source.packets.clear()
+    exchange(a, b)
+    assert a.taken() == sent
+    assert b.taken() == sent
+    assert a.resets == b.resets == []
+
+
+def test_a_snapshot_is_as_good_as_the_entries():
+    a, b = pair()
+    b.refuses = "no"
+    a.send("b", "x", "no", "y")
+    a.link.flush()
+    b.link.hear(a.packets[0][1])
+    for end in (a, b):
+        other, third = end.reborn(end.link.name), End(end.link.name, 5)
+        restore_link(third.link, json.loads(json.dumps(link_state(end.link))))
+        assert link_state(other.link) == link_state(third.link) == link_state(end.link)
+
+
+def test_a_refused_message_returns_once_even_if_everybody_dies_meanwhile():
+    a, b = pair()
+    b.refuses = "no"
+    a.send("b", "x", "no", "y")
+    a.link.flush()
+    b.link.hear(a.packets[0][1])
+    b = b.reborn("b")
+    a = a.reborn("a")
+    b.refuses = ""  # whatever it would say now, it has been refused
+    exchange(a, b)
+    assert b.taken() == ["x", "y"]
+    assert a.returned == [(token("no"), "there is no place no")]
+    assert link_state(b.link)["peers"]["a"]["heard"][1] == 3
+    a.send("b", "z")
+    exchange(a, b)
+    assert link_state(b.link)["peers"]["a"]["heard"][2] == []
+
+
+def test_more_refusals_than_one_acknowledgement_tells_all_return():
+    a, b = pair()
+    b.refuses = "no"
+    a.send("b", *["no"] * 300, "yes")
+    exchange(a, b)
+    assert len(a.returned) == 300
+    assert b.taken() == ["yes"]
+
+
+def test_who_lost_its_journal_begins_anew_and_the_other_side_says_what_was_in_flight():
+    a, b = pair()
+    a.send("b", "x")
+    b.send("a", "u")
+    exchange(a, b)
+    a.send("b", "y")
+    a.link.send("b", Message(Kind.REQUEST, "net", "I.s", "r-1"))
+    late = End("b", 2)
+    late.send("a", "v")
+    late.link.flush()
+    exchange(a, late)
+    assert a.resets[0][0] == "b"
+    assert [str(message) for message in a.resets[0][1]] == ["a token for net.y", "request r-1 to net net"]
+    assert late.taken() == ["y", ""]  # the token is given to its new life, and nothing in the place of the request
+    assert late.got[1] == VOID
+    assert a.taken() == ["u", "v"]
+
+
+def test_messages_of_an_earlier_life_are_not_taken():
+    a, b = pair()
+    a.send("b", "old")
+    a.link.flush()
+    stale = a.packets[0][1]
+    new = End("a", 2)
+    new.send("b", "new")
+    exchange(new, b)
+    b.link.hear(stale)
+    assert b.taken() == ["new"]
+
+
+def test_a_message_meant_for_another_life_of_the_receiver_is_not_taken_twice():
+    a, b = pair()
+    a.send("b", "x")
+    exchange(a, b)
+    a.send("b", "y")
+    a.link.flush()
+    delayed = a.packets.pop()[1]
+    a.now += 1.0
+    a.link.tick()
+    exchange(a, b)
+    late = End("b", 2)
+    late.link.hear(delayed)
+    exchange(a, late)
+    assert b.taken() == ["x", "y"]
+    assert late.taken() == []
+
+
+def test_a_process_whose_clock_went_back_becomes_the_later_one():
+    a, b = End("a", 1000), End("b", 1)
+    a.send("b", "x")
+    exchange(a, b)
+    back = End("a", 5)
+    back.send("b", "y", "z")
+    exchange(back, b)
+    assert b.taken() == ["x", "y", "z"]
+    assert back.link.epoch == 1001
+
+
+def test_what_nobody_needs_any_more_leaves_no_gap():
+    a, b = pair()
+    a.send("b", "x")
+    a.link.send("b", Message(Kind.REQUEST, "net", "I.s", "r-1"))
+    a.send("b", "y")
+    a.link.forget("r-1")
+    exchange(a, b)
+    assert [message.kind for message in b.got] == [Kind.TOKEN, Kind.VOID, Kind.TOKEN]
+
+
+def test_while_a_process_is_silent_only_a_window_is_on_its_way():
+    a, b = pair()
+    a.send("b", *map(str, range(3 * WINDOW)))
+    a.link.flush()
+    a.now += 10.0
+    a.link.tick()
+    numbers = {entry[0] for _, packet in a.packets for entry in json.loads(packet)[7:]}
+    assert numbers == set(range(1, WINDOW + 1))
+    exchange(a, b)
+    assert b.taken() == list(map(str, range(3 * WINDOW)))
+
+
+def packet(sender="x", epoch=7, journal=0, receiver="a", known=0, base=1, ack=0, *messages) -> str:
+    return json.dumps([sender, epoch, journal, receiver, known, base, ack, *messages])
+
+
+HOSTILE = [
+    "", "[", "null", "[]", "{}", "[" * 100_000, '"' + "x" * 10_000, "\0", "NaN", '[1e999]', "9" * 10_000,
+    packet(sender=""), packet(sender="x" * 10_000), packet(sender="../x"), packet(sender="x y"), packet(sender=5),
+    packet(epoch=0), packet(epoch=-1), packet(epoch=2**80), packet(epoch=1.5), packet(epoch=True), packet(epoch=None),
+    packet(base=0), packet(base=-5), packet(base="1"), packet(known=-1), packet(known=2**62), packet(journal="yes"),
+    packet(known=1, ack=[5, []]), packet(known=1, ack=[-1, []]), packet(known=1, ack=[0, [[1, "no"], [2], 3, {}]]),
+    packet("x", 7, 0, "a", 1, 1, {"a": 1}), packet("x", 7, 0, "a", 1, 1, [2**70, []]), packet("x", 7, 0, "b"),
+    packet("x", 7, 0, "a", 0, 1, 0, [1]), packet("x", 7, 0, "a", 0, 1, 0, [2, 0, "n"]),
+    packet("x", 7, 0, "a", 0, 1, 0, 5), packet("x", 7, 0, "a", 0, 1, 0, [3, 9, "n", "p"]),
+    packet("x", 7, 0, "a", 0, 1, 0, [-4, 0, "n", "p"]), packet("x", 7, 0, "a", 0, 1, 0, ["1", 0, "n", "p"]),
+    packet("x", 7, 0, "a", 0, 1, 0, [1, 2, "n", "p", 1, 2, 3, 4, 5, 6]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
+def test_packets_that_make_no_sense_do_no_harm(text):
+    a, b = pair()
+    a.send("b", "x")
+    exchange(a, b)
+    epoch = a.link.epoch
+    for _ in range(3):
+        a.link.hear(text)
+        a.now += 0.1
+        a.link.tick()
+    a.packets.clear()
+    assert a.got == []
+    assert a.link.epoch == epoch
+    a.send("b", "y")
+    exchange(a, b)
+    assert b.taken() == ["x", "y"]
+    json.dumps(link_state(a.link))
+    a.reborn("a")
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 8) | st.integers() | st.floats() | st.sampled_from("abxn"),
+    lambda inner: st.lists(inner, max_size=6) | st.dictionaries(st.text(max_size=2), inner, max_size=2),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(json_values, max_size=9), st.integers(0, 9))
+def test_fuzzed_packets_do_no_harm(fields, kept):
+    a, _ = pair()
+    a.send("b", "x")
+    valid = json.loads(packet("x", 7, 0, "a", 0, 1, 0, [1, 0, "n", "p"]))
+    a.link.hear(json.dumps(valid[:kept] + fields))
+    a.link.tick()
+    assert link_state(a.reborn("a").link) == link_state(a.link)
+
+
+def test_a_flood_of_senders_and_of_numbers_is_bounded():
+    a, b = pair()
+    for number in range(3 * MOST_PEERS):
+        a.link.hear(packet(sender=f"x{number}"))
+    assert len(link_state(a.link)["peers"]) == MOST_PEERS
+    c = End("c", 1)
+    for number in range(2, 10 * WINDOW):
+        c.link.hear(packet("x", 7, 0, "c", 0, 1, 0, [number, 0, "net", "p"]))
+    assert c.got == []
+    c.link.hear(packet("x", 7, 0, "c", 0, 1, 0, [1, 0, "net", "p"]))
+    assert len(c.got) == WINDOW
+    for _ in range(1000):
+        b.link.hear(packet("x", 7, 0, "b", 1, 1, [12345, []]))
+    assert len(link_state(b.link)["peers"]) == 1
+    assert "acknowledged [12345, []], and 0 messages were sent to it" in b.observer.texts[0]
+
+
+def test_messages_are_what_they_were_after_crossing():
+    error = DataError("no spot", camera="wall", size=(1, 2))
+    messages = [
+        token("p\n\"ü\ud800"),
+        VOID,
+        Message(Kind.REQUEST, "n", "I.s", "r", "c", "t", 7, None, {"arguments": {"x": [1, None]}}),
+        Message(Kind.REPLY, "n", "", "r", error=error, payload={"results": {}}),
+    ]
+    for message in messages:
+        back = decode_message(json.loads(f"[{encode_message(message)}]"))
+        assert back[:7] == message[:7]
+        assert dict(back.payload) == dict(message.payload)
+    assert (back.error.code, back.error.message, back.error.facts) == (
+        "data", "no spot", {"camera": "wall", "size": [1, 2]},
+    )  # fmt: skip
+
+
+def test_a_payload_that_is_not_json_is_refused_before_it_is_numbered():
+    a, _ = pair()
+    with pytest.raises(NetError, match="request r to net n is not JSON data: Object of type object"):
+        a.link.send("b", Message(Kind.REQUEST, "n", "I.s", "r", payload={"x": object()}))
+    assert a.entries == []
+    assert a.link.idle()
+
+
+_PLACES = st.sampled_from(["p", "q", "refused"])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(_PLACES, st.integers(0, 9), st.integers(0, 3)), max_size=60), st.integers(0, 2**32))
+def test_the_express_lane_takes_what_the_long_way_takes(steps, seed):
+    dice = random.Random(seed)
+    sender, quick, slow = End("a", 5), End("b", 1), End("b", 1)
+    slow.link._express.read = lambda text: None
+    sent: list[str] = []
+    for end in (quick, slow):
+        end.refuses = "refused"
+    for place, fate, pause in steps:
+        sender.send("b", place)
+        sender.now += 0.1 * pause
+        sender.link.tick()
+        sent += [packet for _, packet in sender.packets]
+        sender.packets.clear()
+        heard = [dice.choice(sent) if fate == 0 else sent[-1]]
+        if fate == 1:
+            heard.append(heard[0].replace("1", str(dice.randrange(12)), 1))
+        if fate == 2:
+            heard.append(heard[0][: dice.randrange(len(heard[0]))])
+        for end in (quick, slow):
+            for text in heard:
+                end.link.hear(text)
+            end.now = sender.now
+            end.link.tick()
+        assert quick.packets == slow.packets
+        for _, packet in quick.packets:
+            sender.link.hear(packet)
+        quick.packets.clear()
+        slow.packets.clear()
+    assert (quick.got, quick.entries) == (slow.got, slow.entries)
+    assert quick.observer.texts == slow.observer.texts
