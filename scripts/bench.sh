@@ -6,12 +6,45 @@
 #   scripts/bench.sh --real-time        and one command in real time, for the servo's period and missed deadlines
 #   scripts/bench.sh --runs 5           five commands in a row: does memory grow?
 #   scripts/bench.sh --seeds 10         instead: true errors over expected ones, over ten seeds
+#   scripts/bench.sh --nets             instead: the nets: firings, search, remote tokens, journal; against peers
+#   scripts/bench.sh --nets remote      only that; --nets --help tells what there is
 #
-# The figures are also in results/bench-<date>-<time>.json.
-# Exit codes: 0 all bars are met, 1 a bar is missed or the machine did not work, 2 bad usage, 130 interrupted.
+# The peers (SNAKES, libpetri, pm4py) are installed once, from scripts/peers.txt into .venv-peers, an environment of
+# their own; without the network their rows say so, and the others are measured.
+#
+# The figures are also in results/bench-<date>-<time>.json, or results/bench-nets-<date>-<time>.json.
+# Exit codes: 0 all bars that could be measured are met, 1 a bar is missed or something did not work, 2 bad usage,
+# 130 interrupted.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
-if wants_help "$@"; then help; exit 0; fi
+
+readonly PEERS="$IM_ROOT/.venv-peers"
+
+# install_peers: makes the environment of the peers, unless it is there; complete only when its stamp is written.
+install_peers() {
+  local wanted
+  wanted="$(sha256sum <"$IM_ROOT/scripts/peers.txt") $PEERS"
+  [[ -x "$PEERS/bin/python" && "$(cat "$PEERS/.im-installed" 2>/dev/null)" == "$wanted" ]] && return
+  say "bench: installing the peers into $PEERS (once)"
+  rm -rf "$PEERS"
+  "$IM_VENV/bin/python" -m venv "$PEERS" &&
+    "$PEERS/bin/python" -m pip install --disable-pip-version-check --quiet --requirement "$IM_ROOT/scripts/peers.txt" &&
+    printf '%s\n' "$wanted" >"$PEERS/.im-installed"
+}
+
+nets=0
+arguments=()
+for argument in "$@"; do
+  if [[ "$argument" == --nets ]]; then nets=1; else arguments+=("$argument"); fi
+done
+if wants_help "$@" && ((!nets)); then help; exit 0; fi
 "$IM_ROOT/scripts/setup.sh"
 im_env
-exec "$IM_BRINGUP/bench" "$@"
+((nets)) || exec "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
+
+peers=(--peers "$PEERS/bin/python")
+if ! wants_help "$@" && ! install_peers; then
+  peers=(--peers-missing "the peers could not be installed")
+fi
+exec "$IM_VENV/bin/python" -m im_pnt.bench "${peers[@]}" --shipped "$IM_WS"/src/*/*/nets/*.yaml \
+  --peer-programs "$IM_ROOT/scripts/peers" ${arguments[@]+"${arguments[@]}"}

@@ -7,8 +7,6 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -17,13 +15,14 @@ from rclpy.signals import SignalHandlerOptions
 from im_bringup import deployment as deployments
 from im_bringup import leftovers, stop
 from im_bringup.interrupts import interrupt_once
-from im_bringup.measure import Line, memory_mib, table
+from im_bringup.measure import memory_mib
 from im_bringup.ros.calibrate_camera import Client
 from im_bringup.ros.truth_error import get_truth
 from im_bringup.start import start
 from im_bringup.truth import truth_error
 from im_core import clock
 from im_core.errors import ImError, StateError
+from im_core.figures import Line, table, write
 from im_core.names import results_dir
 from im_core.ros import qos
 from im_core.ros.run import Spinner
@@ -192,12 +191,6 @@ def main() -> int:
     write(path, lines)
     print(f"bench: {path}")
     return 1 if any(line.met is False for line in lines) else 0
-
-
-def write(path: Path, lines: list[Line]) -> None:
-    """Write the lines as JSON."""
-    content = [{**asdict(line), "measure": line.measure, "met": line.met} for line in lines]
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

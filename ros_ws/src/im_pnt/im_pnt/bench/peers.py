@@ -1,0 +1,45 @@
+"""Other libraries of the field, in an environment of their own: never imported, only asked."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from im_core.errors import LinkError
+from im_pnt.bench.workers import Worker
+from im_pnt.net import Net
+
+
+@dataclass(frozen=True)
+class Peers:
+    """Where the peers are.
+
+    Attributes:
+        python: Interpreter of their environment; None: there is none.
+        folder: Folder of their programs, ``<peer>_peer.py``.
+        missing: Why there is no environment.
+    """
+
+    python: Path | None
+    folder: Path
+    missing: str = ""
+
+    def start(self, peer: str, *options: str) -> Worker:
+        """Starts the program of a peer.
+
+        Args:
+            peer: Its name.
+            options: Options of the program.
+
+        Raises:
+            LinkError: There is no environment, or it cannot be started.
+        """
+        if self.python is None:
+            raise LinkError(self.missing or "the peers are not installed", peer=peer)
+        return Worker(peer, [str(self.python), "-E", str(self.folder / f"{peer}_peer.py"), *options])
+
+
+def plain(net: Net) -> dict[str, object]:
+    """Returns a net as peers read it; all its arcs have weight 1."""
+    return {
+        "places": {place.name: place.tokens for place in net.places.values()},
+        "transitions": {t.name: [list(t.inputs), list(t.outputs)] for t in net.transitions.values()},
+    }

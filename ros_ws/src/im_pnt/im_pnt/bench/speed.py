@@ -1,0 +1,166 @@
+"""How fast given nets fire and are searched, whatever they are: what ``pnt bench`` shows."""
+
+import random
+from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import dataclass
+
+from im_core.clock import cpu, monotonic
+from im_core.errors import ImError
+from im_pnt.analysis.problem import problem_of
+from im_pnt.analysis.reachability import Limits, Search
+from im_pnt.analysis.semiflows import p_semiflows
+from im_pnt.analysis.structure import invariant_bounds
+from im_pnt.events import GuardsChanged
+from im_pnt.exchange import Exchange
+from im_pnt.executive import Executive
+from im_pnt.functions import ActionContext, Functions
+from im_pnt.jobs import Activity, Command, CommandResult
+from im_pnt.net import GoalAction, Net, ServiceAction, TopicAction
+from im_pnt.runner import FunctionRunner
+
+_AT_ONCE = 1000
+_TRIES = 100
+"""How often the guards are drawn again before nets that do not move are left alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """Figures of nets.
+
+    Attributes:
+        nets: Their names.
+        firings: How often transitions fired; start and end of an action are two firings.
+        firing_s: CPU time of that [s].
+        states: Markings found.
+        search_s: CPU time of that [s].
+        stopped: Why the search ended early; empty if all markings were found.
+    """
+
+    nets: tuple[str, ...]
+    firings: int
+    firing_s: float
+    states: int
+    search_s: float
+    stopped: str
+
+    @property
+    def firings_per_s(self) -> float | None:
+        """Firings a second of CPU time; None if nothing fired."""
+        return self.firings / self.firing_s if self.firings else None
+
+    @property
+    def states_per_s(self) -> float:
+        """Markings a second of CPU time."""
+        return self.states / max(1e-9, self.search_s)
+
+
+def measure(nets: Sequence[Net], firings: int, limits: Limits, seed: int = 0) -> Speed:
+    """Fires nets in their executives, and searches their composition.
+
+    Actions confirm at once, guards are drawn by lot, and whenever the nets come to rest the tape gets every symbol.
+    Nets that get stuck begin anew.
+
+    Args:
+        nets: The nets.
+        firings: How often to fire, about.
+        limits: Where the search gives up.
+        seed: Of the guards and choices.
+
+    Raises:
+        NetError: The nets do not fit together.
+    """
+    states, search_s, stopped = _search(nets, limits)
+    fired, firing_s = _fire(nets, firings, limits.seconds, seed)
+    return Speed(tuple(net.name for net in nets), fired, firing_s, states, search_s, stopped)
+
+
+def _search(nets: Sequence[Net], limits: Limits) -> tuple[int, float, str]:
+    problem = problem_of(nets)
+    bounds = invariant_bounds(problem, p_semiflows(problem.compiled))
+    began = cpu()
+    search = Search(problem.compiled, problem.initial, bounds, kinds=problem.kinds)
+    stopped = search.run(limits, monotonic() + limits.seconds)
+    return search.found.count, cpu() - began, stopped
+
+
+def _fire(nets: Sequence[Net], firings: int, seconds: float, seed: int) -> tuple[int, float]:
+    """Fires so often; nets that get stuck begin anew. Only what fires is counted, and its time."""
+    deadline = monotonic() + seconds
+    fired, used = 0, 0.0
+    for life in range(firings):
+        players = _Players(nets, seed + life)
+        in_vain = 0
+        while fired + players.fired < firings and in_vain < _TRIES and monotonic() < deadline:
+            began, before = cpu(), players.fired
+            players.pump(min(_AT_ONCE, firings - fired - before))
+            if players.fired > before:
+                used += cpu() - began
+                in_vain = 0
+            else:
+                in_vain += 1
+                players.stir()
+        fired += players.fired
+        if fired >= firings or not players.fired or monotonic() >= deadline:
+            break
+    return fired, used
+
+
+class _Players:
+    """Nets in their executives, with everything around them imagined."""
+
+    def __init__(self, nets: Sequence[Net], seed: int) -> None:
+        self._dice = random.Random(seed)
+        actions = {name: _confirm for net in nets for name in net.functions()}
+        guards = {name: self._toss for net in nets for name in net.guards()}
+        functions = Functions(actions, guards)
+        self._exchange = Exchange("bench", 1)
+        others = dict.fromkeys((ServiceAction, GoalAction, TopicAction), _perform)
+        runner = FunctionRunner(functions, self._exchange, _run, others)
+        self._at_work: set[tuple[str, str]] = set()
+        self._commands = 0
+        for net in nets:
+            self._exchange.add(Executive(net, functions, runner, self._exchange, seed=seed))
+
+    @property
+    def fired(self) -> int:
+        return sum(executive.sequence for executive in self._exchange.nets.values())
+
+    def pump(self, limit: int) -> None:
+        """Fires each net at most so often."""
+        for executive in self._exchange.nets.values():
+            executive.pump(limit)
+
+    def stir(self) -> None:
+        """Writes every symbol to the tape that is not at work, and has the guards drawn again."""
+        for name, executive in self._exchange.nets.items():
+            executive.post(GuardsChanged())
+            for symbol in executive.net.symbols():
+                key = (name, symbol)
+                if key not in self._at_work:
+                    self._at_work.add(key)
+                    self._commands += 1
+                    executive.command(Command(self._commands, symbol), self._done(key))
+
+    def _done(self, key: tuple[str, str]) -> Callable[[CommandResult], None]:
+        return lambda _: self._at_work.discard(key)
+
+    def _toss(self, _: ActionContext) -> bool:
+        return self._dice.random() < 0.5
+
+
+def _confirm(_: ActionContext) -> dict[str, object]:
+    """An action that succeeds at once, and a builder that adds nothing."""
+    return {}
+
+
+async def _perform(_: Activity, __: ActionContext) -> None:
+    """A service, goal or message that succeeds at once."""
+
+
+def _run(work: Coroutine[object, object, None]) -> None:
+    try:
+        work.send(None)
+    except StopIteration:
+        return
+    work.close()
+    raise ImError("an imagined action waits", code="bench")

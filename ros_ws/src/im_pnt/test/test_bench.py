@@ -1,0 +1,193 @@
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from im_core.errors import LinkError
+from im_pnt.bench import firings, searches
+from im_pnt.bench.__main__ import measure
+from im_pnt.bench.nets import by_name, catching_philosophers, kanban, philosophers, ring
+from im_pnt.bench.peers import Peers, plain
+from im_pnt.bench.player import Player
+from im_pnt.bench.workers import Worker, number, own
+from im_pnt.cli import main
+from im_pnt.compiled import compile_net
+from im_pnt.errors import NetError
+
+NO_PEERS = Peers(None, Path(), "the peers could not be installed")
+NETS = Path(__file__).parent / "data"
+
+
+def brute_force(net):
+    """Number of markings, and of those that are stuck."""
+    compiled = compile_net(net)
+    first = compiled.marking_vector(net.initial_marking())
+    seen, todo, stuck = {first}, [first], 0
+    while todo:
+        marking = todo.pop()
+        enabled = [t for t in range(len(compiled.transitions)) if compiled.enabled(marking, t)]
+        stuck += not enabled
+        for transition in enabled:
+            after = compiled.fire(marking, transition)
+            if after not in seen:
+                seen.add(after)
+                todo.append(after)
+    return len(seen), stuck
+
+
+def lucas(n):
+    """Ways to choose from a round table so that no two neighbours are chosen."""
+    a, b = 2, 1
+    for _ in range(n):
+        a, b = b, a + b
+    return a
+
+
+@pytest.mark.parametrize("seats", [2, 3, 6])
+def test_philosophers_who_catch_forks_have_three_to_the_n_markings_and_two_deadlocks(seats):
+    assert brute_force(catching_philosophers(seats)) == (3**seats, 2)
+
+
+@pytest.mark.parametrize(("cards", "states"), [(1, 160), (2, 4600)])
+def test_kanban_has_the_published_number_of_markings(cards, states):
+    assert brute_force(kanban(cards)) == (states, 0)
+
+
+@pytest.mark.parametrize("seats", [2, 3, 7])
+def test_philosophers_who_take_both_forks_never_eat_next_to_each_other(seats):
+    assert brute_force(philosophers(3 * seats)) == (lucas(seats) if seats > 2 else 3, 0)
+
+
+@pytest.mark.parametrize("places", [2, 9])
+def test_a_ring_has_a_marking_for_each_place(places):
+    assert brute_force(ring(places)) == (places, 0)
+
+
+@pytest.mark.parametrize("name", ["kanban:2", "catching_philosophers:8"])
+def test_what_is_timed_is_the_whole_space(name):
+    states, used = searches.search(by_name(name))
+    assert states == searches.KNOWN[name]
+    assert used > 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("kanbam:2", "there is no family of nets 'kanbam'.*kanban"),
+        ("kanban", "family kanban needs a size"),
+        ("kanban:0", "0 cards of a Kanban system: at least 1 are needed"),
+        ("ring:1", "1 places of a ring: at least 2 are needed"),
+    ],
+)
+def test_a_wrong_family_is_named(name, message):
+    with pytest.raises(NetError, match=message):
+        by_name(name)
+
+
+@pytest.mark.parametrize("make", [ring, philosophers])
+@pytest.mark.parametrize("action", [False, True])
+def test_a_player_fires_as_often_as_it_says_and_keeps_its_tokens(make, action):
+    net = make(12, action)
+    player = Player(net)
+    assert player.fire(100) >= 100
+    tokens = sum(player.executive.marking().values())
+    assert tokens == 1 if make is ring else 4 <= tokens <= 8
+
+
+def test_an_observed_player_tells_of_every_firing():
+    player = Player(philosophers(12), observed=True)
+    assert player.fire(50) == player.observer.count == player.executive.sequence
+
+
+def test_our_own_process_fires_and_an_absent_peer_is_said_to_be_absent():
+    lines = firings.action_lines(NO_PEERS, 50, 1)
+    assert len(lines) == 6
+    assert {line.against for line in lines} == {"the peers could not be installed"}
+    assert {line.met for line in lines} == {None}
+
+
+def test_rates_are_medians_of_rounds_and_a_size_is_compared_with_the_others():
+    lines = firings.plain_lines(NO_PEERS, 200, 2)
+    own_lines = [line for line in lines if line.name.startswith("firings")]
+    assert [line.value > 0 for line in own_lines] == [True] * 6
+    spread = next(line for line in lines if "slowest" in line.name)
+    assert spread.measure >= 1.0
+
+
+def test_peers_get_the_same_net():
+    content = plain(ring(3))
+    assert content["places"] == {"p0": 1, "p1": 0, "p2": 0}
+    assert content["transitions"]["t2"] == [["p2"], ["p0"]]
+
+
+def test_a_peer_program_speaks_the_protocol(tmp_path):
+    serve = Path(__file__).parents[4] / "scripts" / "peers" / "serve.py"
+    (tmp_path / "serve.py").write_text(serve.read_text())
+    program = "from serve import serve\nprint('noise')\nserve(lambda net: lambda n: n + 1)\n"
+    (tmp_path / "idle_peer.py").write_text(program)
+    with Peers(Path(sys.executable), tmp_path).start("idle") as worker:
+        assert worker.ask("load", net={}) == {}
+        assert worker.ask("fire", firings=4)["firings"] == 5
+
+
+def test_a_worker_that_dies_says_its_last_word():
+    worker = Worker("broken", [sys.executable, "-c", "raise ValueError('no such net')"])
+    with worker, pytest.raises(LinkError, match="broken ended with code 1: ValueError: no such net"):
+        worker.ask("load")
+
+
+def test_a_worker_that_is_silent_is_not_waited_for_for_ever():
+    worker = Worker("deaf", [sys.executable, "-c", "import sys; sys.stdin.read()"])
+    with worker, pytest.raises(LinkError, match=r"deaf does not answer in 0\.1 s"):
+        worker.ask("load", patience=0.1)
+
+
+def test_a_program_that_is_not_there_is_named():
+    with pytest.raises(LinkError, match="nothing cannot be started: /no/such/program: No such file"):
+        Worker("nothing", ["/no/such/program"])
+
+
+def test_an_answer_that_is_no_number_is_refused():
+    with own("im_pnt.bench.player") as worker:
+        assert worker.ask("load", family="ring", places=3, action=False, observed=False) == {}
+        assert number(worker.ask("fire", firings=10), "firings") == 10.0
+    with pytest.raises(LinkError, match="cpu_s='soon'"):
+        number({"cpu_s": "soon"}, "cpu_s")
+
+
+def test_a_group_that_fails_is_told_and_does_not_end_the_others(tmp_path):
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("net: [")
+    options = argparse.Namespace(
+        peers=None, peer_programs=tmp_path, peers_missing="none", quick=True, shipped=[broken], groups=[]
+    )
+    lines, failed = measure(["verify"], options)
+    assert failed
+    assert "broken.yaml" in next(line.against for line in lines if line.name == "verify")
+
+
+def test_pnt_bench_measures_families_and_files(capsys):
+    files = [str(path) for path in sorted(NETS.glob("*.yaml"))]
+    assert main(["bench", "--firings", "50", "--states", "5000", "--json", "ring:4", "kanban:1", *files]) == 0
+    speeds = json.loads(capsys.readouterr().out)
+    assert [speed["states"] for speed in speeds[:2]] == [4, 160]
+    assert all(speed["firings"] >= 50 for speed in speeds[:2])
+    assert main(["bench", "--firings", "50", "ring:4"]) == 0
+    assert "ring_4" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["--firings", "0"], ["--timeout", "-1"], ["nothing.yaml"], ["ring:x"]])
+def test_pnt_bench_refuses_what_it_cannot_measure(arguments, capsys):
+    assert main(["bench", *arguments]) == 2
+    assert capsys.readouterr().err.startswith("pnt: ")
+
+
+def test_the_command_of_the_table_knows_its_groups():
+    command = [sys.executable, "-m", "im_pnt.bench", "--shipped", "x.yaml", "--peer-programs", ".", "firing"]
+    path = ":".join(folder for folder in sys.path if folder)
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, env={"PYTHONPATH": path})
+    assert ended.returncode == 2
+    assert "there is no group 'firing'" in ended.stderr
