@@ -4,6 +4,7 @@ import asyncio
 import errno
 import json
 import threading
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -17,6 +18,9 @@ VIEWER_BACKLOG = 500
 PORTS_TRIED = 20
 START_TIMEOUT_S = 10.0
 
+Operate = Callable[[Mapping[str, object]], None]
+"""Takes what a viewer asks for: ``net``, ``request`` and ``argument``; called in the server's thread."""
+
 
 class DisplayServer:
     """Serves a display from a thread of its own.
@@ -24,11 +28,12 @@ class DisplayServer:
     Args:
         host: Address to listen on.
         port: Port; the next free one is taken where it is in use, any free one for 0.
+        operate: Takes what viewers want done with nets; None: they only look.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(self, host: str = "127.0.0.1", port: int = 8080, operate: Operate | None = None) -> None:
         self.state = DisplayState()
-        self._host, self._port = host, port
+        self._host, self._port, self._operate = host, port, operate
         self._viewers: dict[asyncio.Queue[str], None] = {}
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -129,7 +134,7 @@ class DisplayServer:
         self._viewers[backlog] = None
         sender = asyncio.create_task(_pass_on(backlog, socket))
         stopper = asyncio.create_task(self._stop.wait())
-        listener = asyncio.create_task(_until_closed(socket))
+        listener = asyncio.create_task(self._listen_to(socket))
         try:
             await asyncio.wait({sender, stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -139,6 +144,15 @@ class DisplayServer:
             await asyncio.gather(sender, stopper, listener, return_exceptions=True)
             await socket.close()
         return socket
+
+    async def _listen_to(self, socket: web.WebSocketResponse) -> None:
+        async for message in socket:
+            if message.type in (WSMsgType.CLOSE, WSMsgType.ERROR):
+                return
+            if message.type is WSMsgType.TEXT and self._operate is not None:
+                wanted = _wanted(message.data)
+                if wanted is not None:
+                    self._operate(wanted)
 
 
 async def _page(request: web.Request) -> web.FileResponse:
@@ -150,7 +164,11 @@ async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -
         await socket.send_str(await backlog.get())
 
 
-async def _until_closed(socket: web.WebSocketResponse) -> None:
-    async for message in socket:
-        if message.type in (WSMsgType.CLOSE, WSMsgType.ERROR):
-            return
+def _wanted(text: str) -> Mapping[str, object] | None:
+    """Returns what a viewer asks for, None if it makes no sense."""
+    try:
+        wanted = json.loads(text)
+    except ValueError:
+        return None
+    keys = ("net", "request", "argument")
+    return wanted if isinstance(wanted, dict) and all(isinstance(wanted.get(key), str) for key in keys) else None

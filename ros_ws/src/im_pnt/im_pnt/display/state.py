@@ -14,6 +14,7 @@ class DisplayState:
     def __init__(self) -> None:
         self._nets: dict[str, Mapping[str, object]] = {}
         self._markings: dict[str, Change] = {}
+        self._refusals: dict[str, Change] = {}
         self._firings: deque[Change] = deque(maxlen=FIRINGS_KEPT)
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
@@ -27,24 +28,27 @@ class DisplayState:
         self._nets[name] = {"net": name, "node": node, **content}
         return {"kind": "net", **self._nets[name]}
 
-    def marking(self, net: str, tokens: Mapping[str, int], active: list[str], sequence: int) -> Change:
-        """Enters the marking of a net.
+    def marking(self, net: str, marking: Mapping[str, object]) -> Change:
+        """Enters the marking of a net, and how it is operated.
 
         Args:
             net: Name of the net.
-            tokens: Marked places.
-            active: Transitions whose action runs.
-            sequence: Number of the firing after which it holds.
+            marking: ``tokens`` by place, ``active``, ``cancelling`` and ``in_doubt`` transitions, ``sequence`` number
+                of the firing after which it holds, ``mode``, ``paused``, and ``proposed`` transitions.
         """
-        change: Change = {
-            "kind": "marking",
-            "net": net,
-            "tokens": dict(tokens),
-            "active": active,
-            "sequence": sequence,
-        }
+        change: Change = {"kind": "marking", "net": net, **marking}
         self._markings[net] = change
         return change
+
+    def refusal(self, net: str, refusal: Mapping[str, object]) -> Change:
+        """Enters that a net was refused, with the counterexample."""
+        change: Change = {"kind": "refusal", "net": net, **refusal}
+        self._refusals[net] = change
+        return change
+
+    def answer(self, net: str, success: bool, message: str) -> Change:
+        """Returns the answer to what a viewer asked for; it is passed on and not kept."""
+        return {"kind": "answer", "net": net, "success": success, "message": message}
 
     def firing(self, firing: Mapping[str, object]) -> Change:
         """Enters a firing."""
@@ -58,5 +62,6 @@ class DisplayState:
             "kind": "snapshot",
             "nets": [self._nets[name] for name in sorted(self._nets)],
             "markings": list(self._markings.values()),
+            "refusals": list(self._refusals.values()),
             "firings": list(self._firings),
         }

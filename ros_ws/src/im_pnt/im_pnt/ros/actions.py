@@ -1,31 +1,46 @@
-"""Service calls and action goals as actions of transitions."""
+"""What service calls, action goals and publications of transitions have in common."""
 
 import inspect
-from typing import Any
-
-from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
-from rclpy.client import Client
+from collections.abc import Callable
+from typing import Any, Protocol
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
-from im_core.ros.calls import call, pause, wait
+from im_core.ros.calls import pause, wait
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import status_to_error
 from im_pnt.errors import NetError
 from im_pnt.functions import ActionContext, Functions
 from im_pnt.jobs import Activity
-from im_pnt.net import GoalAction, ServiceAction
-from im_pnt.ros.fields import fill, interface_class
+from im_pnt.net import Action, GoalAction, ServiceAction, TopicAction
 
-SERVICE_TIMEOUT_S = 30.0
-GOAL_TIMEOUT_S = 600.0
 DISCOVERY_TIMEOUT_S = 6.0
+SETTLING_S = 1.0
+"""Time in which a client and its server have certainly discovered each other, both ways [s]."""
+LATE_ANSWER_S = 30.0
 
 
-class RosActions:
-    """Carries out service calls and goals; every method raises an ImError where it fails.
+class RosAction(Protocol):
+    """Carries out the actions of one kind."""
+
+    def prepare(self, action: Action) -> None:
+        """Makes what an action needs before it is needed: discovery takes time.
+
+        Raises:
+            NetError: No such interface.
+        """
+
+    async def perform(self, activity: Activity, context: ActionContext) -> None:
+        """Carries an action out.
+
+        Raises:
+            ImError: It failed.
+        """
+
+
+class Surroundings:
+    """What actions reach other tasks with.
 
     Args:
         node: The node.
@@ -34,122 +49,97 @@ class RosActions:
     """
 
     def __init__(self, node: ManagedNode, functions: Functions, heartbeats: Heartbeats) -> None:
-        self._node = node
-        self._functions = functions
-        self._heartbeats = heartbeats
-        self._services: dict[str, Client] = {}
-        self._goals: dict[str, ActionClient] = {}
+        self.node = node
+        self.functions = functions
+        self.heartbeats = heartbeats
 
-    def prepare(self, action: ServiceAction | GoalAction) -> None:
-        """Makes the client of an action before it is needed: discovery takes time.
+    async def wait(self, future: Any, task: str | None, timeout_s: float, what: str) -> Any:
+        """Awaits what another task will complete, while it lives.
 
         Raises:
-            NetError: No such interface.
+            LinkError: The task died.
+            WaitTimeoutError: It did not complete in time.
         """
-        if isinstance(action, ServiceAction):
-            self._service_client(action)
-        else:
-            self._goal_client(action)
-
-    async def perform_service(self, activity: Activity, context: ActionContext) -> None:
-        """Calls a service; an answer with ``success`` false is a failure."""
-        action = activity.action
-        assert isinstance(action, ServiceAction)
-        client = self._service_client(action)
-        request = fill(client.srv_type.Request(), await self._fields(action, context), str(action))
-        limit = _left(activity, SERVICE_TIMEOUT_S)
-        task = self._task(action)
-        what = f"transition {activity.transition}"
         if task is None:
-            response = await call(self._node, client, request, limit, what)
-        else:
-            await self._until_ready(client.service_is_ready, task, f"the service {action.name} ({what})")
-            future = client.call_async(request)
-            response = await self._heartbeats.wait(future, task, limit, f"an answer of {action.name} ({what})")
-        _require_success(response, str(action))
-        await self._handled(action, context, response)
+            return await wait(self.node, future, timeout_s, what)
+        return await self.heartbeats.wait(future, task, timeout_s, what)
 
-    async def perform_goal(self, activity: Activity, context: ActionContext) -> None:
-        """Sends a goal and waits for its result; cancelling the activity cancels the goal."""
-        action = activity.action
-        assert isinstance(action, GoalAction)
-        client = self._goal_client(action)
-        goal = fill(interface_class(action.type).Goal(), await self._fields(action, context), str(action))
-        task = self._task(action)
-        await self._until_ready(client.server_is_ready, task, f"the action {action.name}")
-        asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
-        handle = await self._wait(client.send_goal_async(goal), task, SERVICE_TIMEOUT_S, asked)
-        if not handle.accepted:
-            raise StateError(f"{action} was rejected", action=action.name)
-        context.on_cancel(lambda: handle.cancel_goal_async())
-        waited = f"the result of {action.name} (transition {activity.transition})"
-        answer = await self._wait(handle.get_result_async(), task, _left(activity, GOAL_TIMEOUT_S), waited)
-        if answer.status == GoalStatus.STATUS_CANCELED:
-            raise _failure(answer.result, f"{action} was cancelled", "cancelled")
-        if answer.status != GoalStatus.STATUS_SUCCEEDED:
-            raise _failure(answer.result, f"{action} was aborted", "aborted")
-        _require_success(answer.result, str(action))
-        await self._handled(action, context, answer.result)
+    async def until_ready(
+        self, ready: Callable[[], bool], made: float, task: str | None, what: str, limit_s: float = DISCOVERY_TIMEOUT_S
+    ) -> None:
+        """Waits for a server to be discovered, and to have discovered us: what is sent before may be lost.
 
-    async def _wait(self, future: Any, task: str | None, timeout_s: float, what: str) -> Any:
-        if task is None:
-            return await wait(self._node, future, timeout_s, what)
-        return await self._heartbeats.wait(future, task, timeout_s, what)
+        Args:
+            ready: Whether the server is discovered.
+            made: When the client was made (monotonic) [s].
+            task: Task of the server, if it is known.
+            what: What is waited for.
+            limit_s: Longest wait [s].
 
-    async def _until_ready(self, ready: Any, task: str | None, what: str) -> None:
-        deadline = monotonic() + DISCOVERY_TIMEOUT_S
-        since = self._heartbeats.incarnation(task) if task else None
+        Raises:
+            StateError: It is not there.
+        """
+        deadline = monotonic() + limit_s
+        since = self.heartbeats.incarnation(task) if task else None
         while not ready():
-            missing = self._heartbeats.missing(task, since) if task else ""
+            missing = self.heartbeats.missing(task, since) if task else ""
             if missing or monotonic() > deadline:
                 raise StateError(f"{what} is not there" + (f": {missing}" if missing else ""))
-            await pause(self._node, 0.05)
+            await pause(self.node, 0.05)
+        heard = self.heartbeats.heard_since(task) if task else None
+        settled = SETTLING_S + max(made, heard or made)
+        if settled > monotonic():
+            await pause(self.node, settled - monotonic())
 
-    def _task(self, action: ServiceAction | GoalAction) -> str | None:
-        """The task whose heartbeat is watched while an answer is awaited."""
+    def task(self, action: ServiceAction | GoalAction) -> str | None:
+        """Returns the task whose heartbeat is watched while an answer is awaited."""
         if action.task is not None:
             return action.task
         first = action.name.strip("/").partition("/")[0]
-        return first if self._heartbeats.incarnation(first) is not None else None
+        return first if self.heartbeats.incarnation(first) is not None else None
 
-    async def _fields(self, action: ServiceAction | GoalAction, context: ActionContext) -> dict[str, object]:
+    async def fields(
+        self, action: ServiceAction | GoalAction | TopicAction, context: ActionContext
+    ) -> dict[str, object]:
+        """Returns the fields of what is sent.
+
+        Raises:
+            NetError: The builder returned something else.
+        """
         built: object = {}
         if action.build:
-            built = self._functions.actions[action.build](context)
+            built = self.functions.actions[action.build](context)
             if inspect.isawaitable(built):
                 built = await built
         if not isinstance(built, dict):
             raise NetError(f"builder {action.build} returned {built!r}, not a dict of fields")
         return {**action.fields, **built}
 
-    async def _handled(self, action: ServiceAction | GoalAction, context: ActionContext, answer: Any) -> None:
+    async def handled(self, action: ServiceAction | GoalAction, context: ActionContext, answer: Any) -> None:
+        """Has the registered handler read an answer."""
         if action.handle:
-            outcome = self._functions.actions[action.handle](context, answer)
+            outcome = self.functions.actions[action.handle](context, answer)
             if inspect.isawaitable(outcome):
                 await outcome
 
-    def _service_client(self, action: ServiceAction) -> Client:
-        if action.name not in self._services:
-            self._services[action.name] = self._node.create_client(interface_class(action.type), action.name)
-        return self._services[action.name]
 
-    def _goal_client(self, action: GoalAction) -> ActionClient:
-        if action.name not in self._goals:
-            self._goals[action.name] = ActionClient(self._node, interface_class(action.type), action.name)
-        return self._goals[action.name]
+def time_left(activity: Activity, default: float) -> float:
+    """Time to wait for an answer [s]: where the net sets a limit, that one is to strike, and a late answer counts."""
+    return default if activity.deadline is None else max(0.0, activity.deadline - monotonic()) + LATE_ANSWER_S
 
 
-def _left(activity: Activity, default: float) -> float:
-    """Time an activity has left, and a little more: the executive's own limit is to be the one that strikes [s]."""
-    return default if activity.deadline is None else max(0.05, activity.deadline - monotonic()) + 1.0
+def require_success(answer: Any, what: str) -> None:
+    """Checks the field ``success`` of an answer, if it has one.
 
-
-def _require_success(answer: Any, what: str) -> None:
+    Raises:
+        ImError: It is false; with what the answer says.
+    """
     if getattr(answer, "success", True) is False:
-        raise _failure(answer, f"{what} did not succeed", "failed")
+        raise failure_of(answer, f"{what} did not succeed", "failed")
 
 
-def _failure(answer: Any, otherwise: str, code: str) -> ImError:
+def failure_of(answer: Any, otherwise: str, code: str) -> ImError:
+    """Returns the failure that an answer tells of, by its ``status``, ``message`` or ``error_string``."""
     status = getattr(answer, "status", None)
     if status is not None and hasattr(status, "message") and status.message:
         return status_to_error(status)

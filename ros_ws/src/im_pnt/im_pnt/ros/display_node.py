@@ -2,14 +2,21 @@
 
 import json
 import sys
+from collections.abc import Mapping
+from typing import Any
 
+from im_core.errors import ImError, NotFoundError
 from im_core.names import run_dir
 from im_core.ros import qos
+from im_core.ros.calls import call
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main as run_main
-from im_msgs.msg import Firing, Marking, NetDescription
+from im_msgs.msg import Firing, Marking, NetDescription, NetRefusal
+from im_msgs.srv import ControlNet
 from im_pnt.display.server import DisplayServer
 from im_pnt.events import Phase
+
+ANSWER_S = 5.0
 
 
 class DisplayNode(ManagedNode):
@@ -22,7 +29,9 @@ class DisplayNode(ManagedNode):
         super().__init__("pnt_display", **kwargs)
         host = str(self.declare_parameter("host", "127.0.0.1").value)
         port = int(self.declare_parameter("port", 8080).value)
-        self.server = DisplayServer(host, port)
+        self.server = DisplayServer(host, port, self._wanted)
+        self._nodes: dict[str, str] = {}
+        self._operators: dict[str, Any] = {}
 
     def phase_configure(self) -> None:
         """Opens the page and follows the nets.
@@ -35,6 +44,7 @@ class DisplayNode(ManagedNode):
         self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_MANY)
         self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_MANY)
         self.create_subscription(Firing, "/pnt/firings", self._fire, qos.EVENTS)
+        self.create_subscription(NetRefusal, "/pnt/refusals", self._refuse, qos.LATCHED_MANY)
         self.get_logger().info(f"nets are shown at {self.server.url}")
 
     def phase_shutdown(self) -> None:
@@ -48,12 +58,30 @@ class DisplayNode(ManagedNode):
         except json.JSONDecodeError as error:
             self.get_logger().warning(f"the description of net {message.net} cannot be read: {error}")
             return
+        self._nodes[message.net] = message.node
         self.server.show(self.server.state.net(message.net, message.node, content))
 
+    def _refuse(self, message: NetRefusal) -> None:
+        try:
+            content = json.loads(message.json)
+        except json.JSONDecodeError as error:
+            self.get_logger().warning(f"the refusal of net {message.net} cannot be read: {error}")
+            return
+        refusal = {"message": message.message, "counterexample": content}
+        self.server.show(self.server.state.refusal(message.net, refusal))
+
     def _mark(self, message: Marking) -> None:
-        tokens = {place: int(count) for place, count in zip(message.places, message.tokens, strict=False)}
-        change = self.server.state.marking(message.net, tokens, list(message.active), int(message.sequence))
-        self.server.show(change)
+        marking = {
+            "tokens": {place: int(count) for place, count in zip(message.places, message.tokens, strict=False)},
+            "active": list(message.active),
+            "cancelling": list(message.cancelling),
+            "in_doubt": list(message.in_doubt),
+            "sequence": int(message.sequence),
+            "mode": message.mode,
+            "paused": message.paused,
+            "proposed": list(message.proposed),
+        }
+        self.server.show(self.server.state.marking(message.net, marking))
 
     def _fire(self, message: Firing) -> None:
         firing = {
@@ -69,6 +97,34 @@ class DisplayNode(ManagedNode):
             "progress": message.progress,
         }
         self.server.show(self.server.state.firing(firing))
+
+    # What viewers ask for; it comes in the server's thread.
+
+    def _wanted(self, wanted: Mapping[str, Any]) -> None:
+        self.executor.create_task(self._operate(wanted["net"], wanted["request"], wanted["argument"]))
+        self.wake()
+
+    async def _operate(self, net: str, request: str, argument: str) -> None:
+        try:
+            asked = ControlNet.Request(net=net, request=request, argument=argument)
+            answer = await call(self, self._operator(net), asked, ANSWER_S, f"{request} of net {net}")
+        except ImError as error:
+            self.server.show(self.server.state.answer(net, False, error.message))
+        else:
+            self.server.show(self.server.state.answer(net, answer.success, answer.message))
+
+    def _operator(self, net: str) -> Any:
+        """The client that operates a net.
+
+        Raises:
+            NotFoundError: There is no such net.
+        """
+        if net not in self._nodes:
+            raise NotFoundError(kind="net", name=net, known=self._nodes)
+        node = self._nodes[net]
+        if node not in self._operators:
+            self._operators[node] = self.create_client(ControlNet, f"{node}/control_net")
+        return self._operators[node]
 
 
 def main() -> int:

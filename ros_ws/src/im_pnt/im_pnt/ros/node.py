@@ -1,58 +1,63 @@
 """Base class of the nodes that execute nets: the Dispatcher and the Coordinators."""
 
-import threading
-from collections.abc import Callable, Coroutine, Mapping, Sequence
-from dataclasses import dataclass
+import gc
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from im_core.errors import DataError, ImError, NotFoundError
+from im_core.clock import wall
+from im_core.errors import ImError
+from im_core.names import results_dir, run_dir
 from im_core.ros import qos
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
-from im_core.ros.status import ok_status, to_status
-from im_msgs.msg import ObjectChange, Status
-from im_pnt.analysis.reachability import Limits
-from im_pnt.analysis.verify import Report, verify
-from im_pnt.events import CommandCancelled, Firing, GuardsChanged, ObjectInvalidated, Observer, Phase
+from im_msgs.msg import ObjectChange
+from im_pnt.analysis.report import Report
+from im_pnt.events import CommandCancelled, GuardsChanged, ObjectInvalidated
 from im_pnt.exchange import Exchange
 from im_pnt.executive import Executive
-from im_pnt.functions import Functions, GuardFunction
-from im_pnt.jobs import Command, CommandResult, Job
-from im_pnt.net import GoalAction, Net, ServiceAction
-from im_pnt.netfile import load_net
-from im_pnt.ros.actions import RosActions
+from im_pnt.functions import AskFunction, Functions, GuardFunction
+from im_pnt.journal.process_journal import Journal
+from im_pnt.net import GoalAction, Net, ServiceAction, TopicAction
+from im_pnt.ros.actions import RosAction, Surroundings
+from im_pnt.ros.commands import CommandOutcome, Commands, ProgressListener
+from im_pnt.ros.control import Operator
+from im_pnt.ros.goals import GoalActions
+from im_pnt.ros.library import Library
+from im_pnt.ros.loading import Loader
+from im_pnt.ros.loop import NetLoop
+from im_pnt.ros.observer import NodeObserver
 from im_pnt.ros.publish import PntPublisher
+from im_pnt.ros.services import ServiceActions
+from im_pnt.ros.sources import Sources
+from im_pnt.ros.topics import TopicActions
 from im_pnt.ros.transport import DdsTransport
 from im_pnt.runner import FunctionRunner
+from im_pnt.strategies import StrategyBook
 
-HOUSEKEEPING_PERIOD_S = 0.1
-PUMP_DELAY_S = 0.0001
-LOAD_LIMITS = Limits(states=100_000, seconds=10.0)
-
-ProgressListener = Callable[[str, str, float], None]
-"""Is told the transition that fired or reported, a text, and the progress 0..1 (negative: unknown)."""
-
-
-@dataclass(frozen=True)
-class CommandOutcome:
-    """How a command ended, as its client is told."""
-
-    success: bool
-    status: Status
-    results: dict[str, object]
+TIDY_PERIOD_S = 2.0
 
 
 class PntNode(ManagedNode):
     """ROS shell of nets in execution.
 
-    ``dom`` is the client of the Data Object Manager, ``heartbeats`` tells who is alive.
+    Parameters: ``seed`` of choices; ``journal_dir``, folder of the journals of nets, from which a node that died goes
+    on (default: in the run folder of the machine; empty, as for a node alone: no journal is kept).
 
     Args:
         name: Name of the node.
         net_files: Net files to load, verify and run.
         functions: Actions, builders and handlers that the nets name.
         guards: Enabling functions that the nets name.
+        asks: For actions by name, what finds out what became of them.
+
+    Attributes:
+        dom: Client of the Data Object Manager.
+        heartbeats: Tells who is alive.
+        sources: What guards look at.
+        exchange: The nets, and what they send each other.
+        commands: The commands that have not ended.
+        seed: Seed of choices.
     """
 
     def __init__(
@@ -61,47 +66,69 @@ class PntNode(ManagedNode):
         net_files: Sequence[str | Path] = (),
         functions: Mapping[str, Callable[..., object]] | None = None,
         guards: Mapping[str, GuardFunction] | None = None,
+        asks: Mapping[str, AskFunction] | None = None,
         **kwargs: object,
     ) -> None:
         super().__init__(name, **kwargs)
-        self.net_files = [Path(file) for file in net_files]
-        self.functions = Functions(functions, guards)
+        self.functions = Functions(functions, guards, asks)
         self.heartbeats = Heartbeats(self)
-        self.seed = int(self.declare_parameter("seed", 0).value)
-        self._publisher = PntPublisher(self)
-        self._observer = _NodeObserver(self)
-        self._transport = DdsTransport(self, self._accept, self._take_back)
-        self.exchange = Exchange(name, self._transport.epoch, self._transport, self._observer)
-        self._ros_actions = RosActions(self, self.functions, self.heartbeats)
-        others = {ServiceAction: self._ros_actions.perform_service, GoalAction: self._ros_actions.perform_goal}
-        self._runner = FunctionRunner(self.functions, self.exchange, self._spawn, others)
         self.dom = DomClient(self)
+        self.sources = Sources(self, self.dom, self._source_changed)
+        self.seed = int(self.declare_parameter("seed", 0).value)
+        journals = "" if self.get_parameter("standalone").value else str(run_dir() / "journal")
+        self._journal_dir = str(self.declare_parameter("journal_dir", journals).value)
+        self._publisher = PntPublisher(self)
+        self._observer = NodeObserver(self, self._publisher)
+        epoch = int(wall() * 1e6)
+        self._transport = DdsTransport(self, epoch, self.heartbeats)
+        self.exchange = Exchange(name, epoch, self._transport, self._observer)
+        self._publisher.nets = self.exchange.nets
+        self._loop = NetLoop(self, self.exchange.nets, self._may_turn, self._commit, self._publisher.publish)
+        self.commands = self._observer.commands = Commands(self, self.exchange.nets)
+        self._library = Library([Path(file) for file in net_files])
+        self._loader = Loader(self, self._library, self.exchange.nets, self._publisher)
+        around = Surroundings(self, self.functions, self.heartbeats)
+        goals = GoalActions(around, self.spawn, lambda: self.exchange.book.prefix)
+        self._kinds: dict[type, RosAction] = {
+            ServiceAction: ServiceActions(around),
+            GoalAction: goals,
+            TopicAction: TopicActions(around),
+        }
+        others = {kind: actions.perform for kind, actions in self._kinds.items()}
+        self._runner = FunctionRunner(self.functions, self.exchange, self.spawn, others, {GoalAction: goals.ask})
+        self._journal: Journal | None = None
+        self._book = StrategyBook()
         self.create_subscription(ObjectChange, "/dom/changes", self._object_changed, qos.EVENTS)
-        self._commands = 0
-        self._listeners: dict[int, ProgressListener] = {}
-        self._changed: dict[str, Executive] = {}
-        self._known_incarnation: dict[str, int] = {}
-        self._loop_thread: int | None = None
-        self._pumping = False
-        self._pump_timer = self.create_timer(PUMP_DELAY_S, self._pump_once, clock=self.steady_clock)
-        self._pump_timer.cancel()
-        self.create_timer(HOUSEKEEPING_PERIOD_S, self._keep_house, clock=self.steady_clock)
 
     # For subclasses.
 
     def phase_configure(self) -> None:
-        """Loads and verifies the nets.
+        """Loads and verifies the nets, and brings back what their journal tells.
 
         Raises:
-            ImError: A net file is wrong, or a net is refused.
+            ImError: A net file is wrong, a net is refused, or the journal is damaged.
         """
-        for file in self.net_files:
-            self.load_net(load_net(file))
+        self._book = StrategyBook(results_dir() / f"strategies-{self.task_name}.json")
+        if self._journal_dir:
+            folder = Path(self._journal_dir) / self.task_name
+            self._journal = Journal(folder, self.task_name, observer=self._observer)
+            self._library.keep_in(folder / "nets")
+        for net in self._library.nets(self._journal.found if self._journal else {}):
+            self._take_in(net, self._library.verify([net]))
+        if self._journal is not None and self._journal.start(self.exchange, self._transport.link):
+            self.commands.take_up()
+            self.get_logger().info(f"{self.task_name} goes on where its journal ends")
+            for executive in self.exchange.nets.values():
+                self._publisher.marked(executive)
+        self._transport.listen(self.exchange, self._loop)
+        self._library.follow(self)
 
     def phase_start(self) -> None:
         """Begins to fire."""
-        for executive in self.exchange.nets.values():
-            executive.post(GuardsChanged())
+        Operator(self, self.exchange.nets, self._loop.turn)
+        self.create_timer(TIDY_PERIOD_S, self.exchange.tidy, clock=self.steady_clock)
+        self.spawn(self._begin())
+        gc.freeze()  # what is there now stays: the garbage collector need not look at it again, which takes 20 ms
 
     def phase_shutdown(self) -> None:
         """Ends what is open."""
@@ -109,36 +136,29 @@ class PntNode(ManagedNode):
         for executive in self.exchange.nets.values():
             executive.post(CommandCancelled(None, error))
 
-    def load_net(self, net: Net) -> Report:
-        """Verifies a net and takes it into execution, in the place of one of the same name that is not busy.
+    def destroy_node(self) -> None:
+        """Gives back the journal; it stays on the disk."""
+        if self._journal is not None:
+            self._journal.close()
+        super().destroy_node()
+
+    async def load_net(self, net: Net, patience_s: float = 0.0) -> Report:
+        """Verifies a net, alone and with those it talks to, and takes it into execution.
+
+        Args:
+            net: The net; it takes the place of one of the same name when that one is at rest.
+            patience_s: Longest wait for that [s].
 
         Raises:
             VerificationError: The net may not run; carries the firing sequence that shows why.
-            NetFileError: It names a function that is not registered.
-            StateError: One of the same name is busy.
+            NetError: It names a function that is not registered, or does not fit to the present marking.
+            StateError: The present net of that name does not come to rest; says what keeps it.
         """
-        report = verify([net], LOAD_LIMITS)
-        report.require_ok()
-        executive = Executive(
-            net,
-            self.functions,
-            self._runner,
-            self.exchange,
-            self._observer,
-            seed=self.seed,
-            wake=self._wake_pump,
-            check_objects=self._check_objects,
-        )
-        for transition in net.transitions.values():
-            if isinstance(transition.action, ServiceAction | GoalAction):
-                self._ros_actions.prepare(transition.action)
-        self.exchange.add(executive)
-        for partner in net.partners() - self.exchange.nets.keys():
-            self._transport.prepare(partner)
-        self._publisher.description(executive)
-        self._publisher.marking(executive)
-        self.get_logger().info(f"net {net.name} verified: {report.states} markings in {report.time_s:.3f} s")
-        self._wake_pump()
+        report, state = await self._loader.prepare(net, patience_s)
+        self._take_in(self._library.kept(net), report, state)
+        if self._journal is not None:
+            self._journal.compact()
+        await self.sources.look()
         return report
 
     async def command(
@@ -159,26 +179,15 @@ class PntNode(ManagedNode):
         Raises:
             NotFoundError: No net knows the symbol.
         """
-        executive = self._net_of_symbol(symbol)
-        self._commands += 1
-        command = Command(self._commands, symbol, dict(arguments or {}))
-        promise = self.promise()
-        if listener is not None:
-            self._listeners[command.id] = listener
+        number = self.commands.write(symbol, arguments or {})
         if started is not None:
-            started(command.id)
+            started(number)
+        return await self.commands.wait(number, listener)
 
-        def closed(result: CommandResult) -> None:
-            if not promise.done():
-                promise.set_result(result)
-
-        executive.command(command, closed)
-        try:
-            result = await promise
-        finally:
-            self._listeners.pop(command.id, None)
-        status = ok_status() if result.error is None else to_status(result.error)
-        return CommandOutcome(result.success, status, result.results)
+    def net_with_servers(self, name: str) -> list[Net]:
+        """Returns a net of this node as written, with the nets of all nodes that it needs, as far as they are known."""
+        own = [executive.written for executive in self.exchange.nets.values()]
+        return self._library.with_servers(self.exchange.nets[name].written, own)
 
     def cancel(self, command_id: int, why: str = "cancelled by its client") -> None:
         """Asks a command to end early; the nets decide how."""
@@ -186,112 +195,61 @@ class PntNode(ManagedNode):
         for executive in self.exchange.nets.values():
             executive.post(CommandCancelled(command_id, error))
 
-    def symbols(self) -> list[str]:
-        """Returns the symbols that the nets of this node read from their tapes."""
-        return sorted({symbol for executive in self.exchange.nets.values() for symbol in executive.net.symbols()})
+    # Nets.
 
-    def guards_changed(self) -> None:
-        """Has guards looked at again; call it when something they read has changed. From any thread."""
-        for executive in self.exchange.nets.values():
-            executive.post(GuardsChanged())
+    def _take_in(self, net: Net, report: Report, state: dict[str, object] | None = None) -> None:
+        report.require_ok()
+        self.sources.declare(net.name, self.functions.wakes(net))
+        for transition in net.transitions.values():
+            if type(transition.action) in self._kinds:
+                self._kinds[type(transition.action)].prepare(transition.action)
+        journal = self._journal
+        executive = Executive(
+            net,
+            self.functions,
+            self._runner if journal is None else journal.guard(self._runner),
+            self.exchange,
+            self._observer,
+            seed=self.seed,
+            wake=self._loop.wake,
+            check_objects=lambda names, done: self.spawn(self.sources.check(names, done)),
+            record=None if journal is None else journal.recorder(net.name),
+            strategies=self._book,
+        )
+        if state is not None:
+            executive.restore(state)
+        self.exchange.add(executive)
+        for partner in net.partners() - self.exchange.nets.keys():
+            self._transport.prepare(partner)
+        self._publisher.described(executive)
+        self._publisher.marked(executive)
+        self.get_logger().info(f"net {net.name} verified: {report.states} markings in {report.time_s:.3f} s")
+        self._loop.wake()
 
     # The loop.
 
-    def _wake_pump(self) -> None:
-        if not self._pumping or threading.get_ident() != self._loop_thread:
-            self._pump_timer.reset()
-
-    def _pump_once(self) -> None:
-        self._pump_timer.cancel()
-        if not self.ready and not self._stopped:
-            return
-        self._loop_thread = threading.get_ident()
-        self._pumping = True
-        try:
-            more = [executive.pump() for executive in list(self.exchange.nets.values())]
-        finally:
-            self._pumping = False
-        for executive in self._changed.values():
-            self._publisher.marking(executive)
-        self._changed.clear()
-        if any(more) or any(executive.due for executive in list(self.exchange.nets.values())):
-            self._pump_timer.reset()
-
-    def _spawn(self, work: Coroutine[object, object, None]) -> None:
-        self.executor.create_task(work)
-        self.wake()
-
-    def _keep_house(self) -> None:
+    async def _begin(self) -> None:
+        await self.sources.look()
         for executive in self.exchange.nets.values():
-            executive.expire()
-        self.exchange.tidy()
-        partners = self.exchange.partners()
-        self._known_incarnation = {node: i for node, i in self._known_incarnation.items() if node in partners}
-        for node in partners:
-            incarnation = self.heartbeats.incarnation(node)
-            if incarnation is not None:
-                self._known_incarnation.setdefault(node, incarnation)
-            missing = self.heartbeats.missing(node, self._known_incarnation.get(node))
-            if missing:
-                self._known_incarnation.pop(node, None)
-                self.exchange.node_lost(node, missing)
+            executive.post(GuardsChanged())
+
+    def _may_turn(self) -> bool:
+        return (self.ready and self.sources.known) or self._stopped
+
+    def _commit(self) -> None:
+        if self._journal is not None:
+            self._journal.commit()
+        self._transport.flush()
 
     # What arrives.
 
-    def _accept(self, sender: str, message: object) -> str:
-        return self.exchange.receive(sender, message)
-
-    def _take_back(self, message: object, why: str) -> None:
-        self.exchange.refused(message, why)
+    def _source_changed(self, source: str) -> None:
+        for executive in self.exchange.nets.values():
+            if source in self.functions.wakes(executive.written):
+                executive.post(GuardsChanged(source))
 
     def _object_changed(self, change: ObjectChange) -> None:
+        self.sources.object_changed(change)
         if not change.object.valid:
             for executive in self.exchange.nets.values():
                 executive.post(ObjectInvalidated(change.object.name))
-
-    def _check_objects(self, names: tuple[str, ...], done: Callable[[ImError | None], None]) -> None:
-        self._spawn(self._look_at(names, done))
-
-    async def _look_at(self, names: tuple[str, ...], done: Callable[[ImError | None], None]) -> None:
-        try:
-            for name in names:
-                if not await self.dom.is_valid(name):
-                    raise DataError(f"data object {name} is not valid although its place is to be marked", object=name)
-        except ImError as error:
-            done(error)
-        else:
-            done(None)
-
-    def _net_of_symbol(self, symbol: str) -> Executive:
-        for executive in self.exchange.nets.values():
-            if symbol in executive.net.symbols():
-                return executive
-        raise NotFoundError(kind="command", name=symbol, known=self.symbols())
-
-    def _fired(self, firing: Firing) -> None:
-        self._publisher.firing(firing)
-        self._changed[firing.net] = self.exchange.nets[firing.net]
-        listener = self._listeners.get(firing.command_id)
-        if listener is not None and firing.phase is Phase.START:
-            listener(firing.transition, "", firing.progress)
-
-    def _progressed(self, job: Job | None, text: str, fraction: float) -> None:
-        listener = self._listeners.get(job.command.id) if job else None
-        if listener is not None:
-            listener("", text, fraction)
-
-
-class _NodeObserver(Observer):
-    """Passes what nets tell on to their node."""
-
-    def __init__(self, node: PntNode) -> None:
-        self._node = node
-
-    def fired(self, firing: Firing) -> None:
-        self._node._fired(firing)
-
-    def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
-        self._node._progressed(job, text, fraction)
-
-    def troubled(self, net: str, text: str) -> None:
-        self._node.get_logger().warning(f"net {net}: {text}" if net else text)

@@ -1,148 +1,147 @@
-"""Tokens, requests and replies between processes: topics ``/<node>/tokens`` and ``/<node>/token_acks``."""
+"""Packets of a link between processes: topics ``/<node>/tokens``."""
 
+import contextlib
 import json
 from collections.abc import Callable
 
 from rclpy.publisher import Publisher
 
-from im_core.clock import monotonic, wall
 from im_core.ros import qos
+from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
-from im_core.ros.status import ok_status, status_to_error, to_status
-from im_msgs.msg import NetDescription, Token, TokenAck
-from im_pnt.remote import Ack, Envelope, Kind, Message, Receiver, Sender
+from im_msgs.msg import NetDescription, TokenPacket
+from im_pnt.errors import NetError
+from im_pnt.exchange import Exchange
+from im_pnt.link import Link
+from im_pnt.remote import Message
+from im_pnt.ros.loop import NetLoop
+from im_pnt.ros.packet_bytes import decode_packet, encode_packet
 
-RESEND_PERIOD_S = 0.1
+TICK_PERIOD_S = 0.05
 
 
 class DdsTransport:
-    """Delivers messages once, over DDS topics.
+    """A link over DDS topics, and who runs which net.
 
     Args:
         node: The node.
-        accept: Takes a new message from a sender; returns why it is refused, empty if it is not.
-        refused: Takes back a message that its receiver refused, with the reason.
+        epoch: Its incarnation.
+        heartbeats: Tells of the death of nodes.
+
+    Attributes:
+        link: Streams to and from other processes.
     """
 
-    def __init__(
-        self,
-        node: ManagedNode,
-        accept: Callable[[str, Message], str],
-        refused: Callable[[Message, str], None],
-    ) -> None:
-        name = node.task_name
-        self.epoch = int(wall() * 1e6)
-        self._node = node
-        self._refused = refused
-        self._sender = Sender(name, self.epoch)
-        self._receiver = Receiver(name, self.epoch, accept)
+    def __init__(self, node: ManagedNode, epoch: int, heartbeats: Heartbeats) -> None:
+        self._node, self._heartbeats = node, heartbeats
+        self._watched: dict[str, Callable[[], None]] = {}
         self._directory: dict[str, str] = {}
-        self._token_publishers: dict[str, Publisher] = {}
-        self._ack_publishers: dict[str, Publisher] = {}
-        node.create_subscription(Token, f"/{name}/tokens", self._hear, qos.EVENTS)
-        node.create_subscription(TokenAck, f"/{name}/token_acks", self._hear_ack, qos.EVENTS)
+        self._journalling: set[str] = set()
+        self._publishers: dict[str, Publisher] = {}
+        self.link = Link(
+            node.task_name,
+            epoch,
+            lambda sender, message: f"{node.task_name} does not listen yet",
+            lambda message, why: self._exchange.refused(message, why),
+            lambda peer, in_flight: self._exchange.node_reset(peer, in_flight),
+            self._heard,
+            self._transmit,
+        )
+        self._tick_timer = node.create_timer(TICK_PERIOD_S, self._tick, clock=node.steady_clock)
+        self._tick_timer.cancel()
+        self._ticking = False
         node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_MANY)
-        node.create_timer(RESEND_PERIOD_S, self._resend, clock=node.steady_clock)
+
+    def listen(self, exchange: Exchange, loop: NetLoop) -> None:
+        """Begins to take packets.
+
+        Args:
+            exchange: For which; its nets are there now.
+            loop: Has the nets go on with what has arrived.
+        """
+        self._exchange, self._loop = exchange, loop
+        self.link.accept = exchange.receive
+        topic = f"/{self._node.task_name}/tokens"
+        self._node.create_subscription(TokenPacket, topic, self._hear, qos.EVENTS, raw=True)
+        self._ticking = True
+        self._tick_timer.reset()
 
     def node_of(self, net: str) -> str:
         """Returns the node that has announced a net, or the one of its name."""
         return self._directory.get(net, net)
 
     def prepare(self, net: str) -> None:
-        """Makes the publishers to a net's node before they are needed: discovery takes time."""
-        node = self.node_of(net)
-        self._publisher(self._token_publishers, node, Token, "tokens")
-        self._publisher(self._ack_publishers, node, TokenAck, "token_acks")
+        """Makes the publisher to a net's node before it is needed: discovery takes time."""
+        self._publisher(self.node_of(net))
 
     def send(self, node: str, message: Message) -> None:
-        """Sends a message, and again until it is acknowledged."""
-        self._transmit(self._sender.send(node, message, monotonic()))
+        """Sends a message; it arrives once, some time, and in order.
+
+        Raises:
+            NetError: Its payload is not JSON data.
+        """
+        if node not in self._watched:
+            self._watch(node)
+        self.link.send(node, message)
 
     def forget(self, request_id: str) -> None:
-        """Stops repeating what was sent about a request."""
-        self._sender.forget(request_id)
+        """Sends nothing more about a request."""
+        self.link.forget(request_id)
 
-    def _resend(self) -> None:
-        if self._sender.unacknowledged():
-            for envelope in self._sender.due(monotonic()):
-                self._transmit(envelope)
+    def keeps_journal(self, node: str) -> bool:
+        """Whether a node has said that it keeps a journal, in a packet or with the description of a net."""
+        return self.link.keeps_journal(node) or node in self._journalling
 
-    def _transmit(self, envelope: Envelope) -> None:
-        publisher = self._publisher(self._token_publishers, envelope.receiver, Token, "tokens")
-        publisher.publish(_to_token(envelope))
+    def flush(self) -> None:
+        """Sends what is new; call it when the journal has been written."""
+        self.link.flush()
+        if not self._ticking and not self.link.idle():
+            self._ticking = True
+            self._tick_timer.reset()
 
-    def _hear(self, token: Token) -> None:
+    def _heard(self, node: str) -> None:
+        self._exchange.node_returned(node)
+        if node not in self._watched:
+            self._watch(node)
+
+    def _watch(self, node: str) -> None:
+        """Has the exchange told when a node dies that this one has to do with."""
+        since = self._heartbeats.incarnation(node)
+        self._watched[node] = self._heartbeats.watch(node, since, lambda why: self._lost(node, why))
+
+    def _lost(self, node: str, why: str) -> None:
+        self._watched.pop(node)()
+        self._exchange.node_lost(node, why)
+        self._loop.turn()
+
+    def _hear(self, data: bytes) -> None:
         try:
-            envelope = _to_envelope(token, self._node.task_name)
-        except ValueError as error:
-            self._node.get_logger().warning(f"a token of {token.sender} cannot be read: {error}")
-            return
-        ack = self._receiver.receive(envelope)
-        message = TokenAck(
-            receiver=ack.receiver,
-            epoch=ack.epoch,
-            sequence=ack.sequence,
-            receiver_epoch=ack.receiver_epoch,
-            accepted=not ack.refusal,
-            message=ack.refusal,
-        )
-        self._publisher(self._ack_publishers, envelope.sender, TokenAck, "token_acks").publish(message)
+            text = decode_packet(data)
+        except NetError as error:
+            self._node.get_logger().warning(f"a packet was dropped: {error.message}")
+        else:
+            self._loop.take(self.link.hear, text)
 
-    def _hear_ack(self, message: TokenAck) -> None:
-        refusal = "" if message.accepted else message.message or "refused"
-        ack = Ack(
-            message.receiver,
-            self._node.task_name,
-            int(message.epoch),
-            int(message.sequence),
-            int(message.receiver_epoch),
-            refusal,
-        )
-        returned = self._sender.acknowledged(ack)
-        if returned is not None:
-            self._refused(returned, refusal)
+    def _tick(self) -> None:
+        self.link.tick()
+        if self.link.idle():
+            self._ticking = False
+            self._tick_timer.cancel()
+
+    def _transmit(self, node: str, text: str) -> None:
+        publisher = self._publishers.get(node)
+        if publisher is None:
+            publisher = self._publisher(node)
+        publisher.publish(encode_packet(text))
 
     def _learn(self, description: NetDescription) -> None:
-        self._directory[description.net] = description.node.rpartition("/")[2]
+        node = description.node.rpartition("/")[2]
+        self._directory[description.net] = node
+        with contextlib.suppress(ValueError):
+            if json.loads(description.json).get("journal") is True:
+                self._journalling.add(node)
 
-    def _publisher(self, known: dict[str, Publisher], node: str, message_type: type, topic: str) -> Publisher:
-        if node not in known:
-            known[node] = self._node.create_publisher(message_type, f"/{node}/{topic}", qos.EVENTS)
-        return known[node]
-
-
-def _to_token(envelope: Envelope) -> Token:
-    message = envelope.message
-    return Token(
-        sender=envelope.sender,
-        epoch=envelope.epoch,
-        sequence=envelope.sequence,
-        kind=int(message.kind),
-        net=message.net,
-        place=message.place,
-        request_id=message.request_id,
-        caller_net=message.caller_net,
-        caller_transition=message.caller_transition,
-        command_id=message.command_id,
-        success=message.error is None,
-        status=ok_status() if message.error is None else to_status(message.error),
-        payload=json.dumps(message.payload, default=str),
-    )
-
-
-def _to_envelope(token: Token, receiver: str) -> Envelope:
-    payload = json.loads(token.payload or "{}")
-    if not isinstance(payload, dict):
-        raise ValueError("its payload is not a JSON object")
-    message = Message(
-        Kind(token.kind),
-        token.net,
-        token.place,
-        token.request_id,
-        token.caller_net,
-        token.caller_transition,
-        int(token.command_id),
-        None if token.success else status_to_error(token.status),
-        payload,
-    )
-    return Envelope(token.sender, receiver, int(token.epoch), int(token.sequence), message)
+    def _publisher(self, node: str) -> Publisher:
+        if node not in self._publishers:
+            self._publishers[node] = self._node.create_publisher(TokenPacket, f"/{node}/tokens", qos.EVENTS)
+        return self._publishers[node]

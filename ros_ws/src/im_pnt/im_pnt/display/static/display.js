@@ -1,21 +1,27 @@
 // The page: what the server tells of, which nets are shown, and how. It is its address:
 // #nets=a,b (or nets=all) shows these nets, #overview=1&only=a.p1,b.t2 these parts, &filter=spot dims the others.
+// A counterexample that is played takes the place of the running nets.
+import { controls } from "/static/operate.js";
+import { Player, readStory, shown } from "/static/player.js";
 import { Scene } from "/static/scene.js";
 
-const KEPT = 300, LISTED = 120;
+const KEPT = 300, LISTED = 120, PLAYER = 52;
 const byId = (id) => document.getElementById(id);
 const nets = new Map();      // name -> description with drawing
-const markings = new Map();  // name -> {tokens, active}
+const markings = new Map();  // name -> {tokens, active, cancelling, in_doubt, mode, paused, proposed}
+const refusals = new Map();  // name -> {message, counterexample}
 const commands = new Map();  // name -> {progress, end} of its newest command
 const firings = [];
 let page = readPage();
 let followed = null;
+let socket = null;
 let view = { x: 0, y: 0, scale: 1 }, moved = false;
 const scene = new Scene(byId("scene"), (key) => {
   if (dragged) return;
   if (!page.only.delete(key)) page.only.add(key);
   refresh(page.overview);
 });
+const player = new Player(showStep, () => show({}));
 
 function readPage() {
   const query = new URLSearchParams(location.hash.slice(1));
@@ -56,9 +62,7 @@ function refresh(redraw) {
   keepPage();
   if (redraw) {
     followed = follow();
-    const box = byId("canvas").getBoundingClientRect();
-    scene.draw(shownNets().map((name) => nets.get(name)), page.overview ? page.only : null, box.width / box.height);
-    for (const marking of markings.values()) scene.mark(marking);
+    if (player.story) drawStory(); else drawLive();
     scene.filter(page.filter);
     if (!moved) fit();
   }
@@ -68,6 +72,70 @@ function refresh(redraw) {
   byId("overview").textContent = `overview of ${page.only.size}`;
   byId("overview").classList.toggle("on", page.overview);
   listNets();
+}
+
+function aspect() {
+  const box = byId("canvas").getBoundingClientRect();
+  return box.width / box.height;
+}
+
+function drawLive() {
+  scene.draw(shownNets().map((name) => nets.get(name)), page.overview ? page.only : null, aspect());
+  for (const marking of markings.values()) scene.mark(marking);
+}
+
+let staged = null;
+function drawStory() {
+  staged = player.story;
+  scene.draw(player.story.drawings, null, aspect());
+  markStep(player.story.steps[player.at]);
+}
+
+function markStep({ markings }) {
+  for (const [net, tokens] of Object.entries(markings)) scene.mark(shown(net, tokens));
+}
+
+function showStep(story, step) {
+  if (staged !== story) show({}); else markStep(step);
+  const several = story.drawings.length > 1, dot = step.fired.indexOf(".");
+  const net = several ? step.fired.slice(0, dot) : story.drawings[0].net;
+  scene.flashPart(net, several ? step.fired.slice(dot + 1) : step.fired);
+}
+
+function play(story) {
+  staged = null;
+  player.open(story);
+}
+
+async function playFile(file) {
+  try {
+    play(readStory(await file.text()));
+    say(true, "");
+  } catch (error) {
+    say(false, `${file.name} cannot be played: ${error.message}`);
+  }
+}
+
+function say(success, message) {
+  byId("answer").textContent = message;
+  byId("answer").classList.toggle("bad", !success);
+}
+
+function ask(net, request, argument) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ net, request, argument }));
+}
+
+function listRefusals() {
+  byId("refusals").replaceChildren(...[...refusals.values()].map(({ net, message, counterexample }) => {
+    const row = document.createElement("li");
+    row.append(Object.assign(document.createElement("span"), { textContent: `${net} was refused`, title: message }));
+    if (counterexample.steps?.length) {
+      const button = Object.assign(document.createElement("button"), { textContent: "play", title: "show why" });
+      button.addEventListener("click", () => play(counterexample));
+      row.append(button);
+    }
+    return row;
+  }));
 }
 
 function listNets() {
@@ -84,7 +152,8 @@ function listNets() {
     link.title = `${net.description} (${net.node})`;
     const running = Object.assign(document.createElement("small"), { id: `running-${name}` });
     const bar = Object.assign(document.createElement("div"), { id: `bar-${name}`, className: "bar" });
-    return [box, link, running, bar];
+    const operate = Object.assign(document.createElement("div"), { id: `operate-${name}`, className: "operate" });
+    return [box, link, running, bar, operate];
   }));
   for (const name of nets.keys()) { listRunning(name); listProgress(name); }
 }
@@ -92,6 +161,8 @@ function listNets() {
 function listRunning(name) {
   const running = byId(`running-${name}`);
   if (running) running.textContent = (markings.get(name)?.active || []).join(", ");
+  const operate = byId(`operate-${name}`);
+  if (operate) operate.replaceChildren(...(shownNets().includes(name) ? controls(name, markings.get(name), ask) : []));
 }
 
 function listProgress(name) {
@@ -123,7 +194,7 @@ function listFirings() {
     const symbol = firing.symbol && (nets.get(firing.net)?.symbols.includes(firing.symbol) ? "?" : "!") + firing.symbol;
     const ends = firing.phase === "END" && firing.duration > 0;
     add("time", firing.time.toFixed(3));
-    add("b", { START: "▸ ", FAILED: "✗ ", END: ends ? "✓ " : "· " }[firing.phase] + firing.transition);
+    add("b", { START: "▸ ", FAILED: "✗ ", CANCEL: "◂ ", DOUBT: "? ", END: ends ? "✓ " : "· " }[firing.phase] + firing.transition);
     add("em", [symbol, firing.message, firing.net].filter(Boolean).join("  "));
     add("span", firing.duration > 0 ? firing.duration.toFixed(2) : "");
     row.title = [`${firing.net}.${firing.transition}`, firing.phase.toLowerCase(), symbol, firing.message].join(" ");
@@ -141,26 +212,35 @@ function soon() {
 function take(change) {
   switch (change.kind) {
     case "snapshot":
-      nets.clear(); markings.clear(); commands.clear(); firings.length = 0;
+      nets.clear(); markings.clear(); commands.clear(); refusals.clear(); firings.length = 0;
       for (const net of change.nets) nets.set(net.net, net);
       for (const marking of change.markings) markings.set(marking.net, marking);
+      for (const refusal of change.refusals) refusals.set(refusal.net, refusal);
       firings.push(...change.firings);
       firings.forEach(noteCommand);
-      refresh(true); soon();
+      listRefusals(); refresh(true); soon();
       break;
     case "net": nets.set(change.net, change); refresh(true); break;
-    case "marking": markings.set(change.net, change); scene.mark(change); listRunning(change.net); break;
+    case "marking":
+      markings.set(change.net, change);
+      if (!player.story) scene.mark(change);
+      listRunning(change.net);
+      break;
+    case "refusal": refusals.set(change.net, change); listRefusals(); break;
+    case "answer": say(change.success, `${change.net}: ${change.message}`); break;
     case "firing":
       firings.push(change);
       if (firings.length > KEPT) firings.shift();
       noteCommand(change);
+      soon();
+      if (player.story) break;
       if (!page.nets.size && !page.overview && followed !== change.net && follow() === change.net) show({});
-      scene.flash(change); soon();
+      scene.flash(change);
   }
 }
 
 function connect() {
-  const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
   const connected = (yes) => {
     byId("link").classList.toggle("off", !yes);
     byId("link").textContent = yes ? "connected" : "disconnected";
@@ -174,9 +254,9 @@ function connect() {
 function applyView() { byId("scene").setAttribute("transform", `translate(${view.x},${view.y}) scale(${view.scale})`); }
 
 function fit() {
-  const box = byId("canvas").getBoundingClientRect(), { width, height } = scene.extent;
-  const scale = Math.min((box.width - 32) / width, (box.height - 32) / height, 1.4);
-  view = { scale, x: (box.width - width * scale) / 2, y: Math.max(16, (box.height - height * scale) / 3) };
+  const box = byId("canvas").getBoundingClientRect(), { width, height } = scene.extent, top = player.story ? PLAYER : 0;
+  const scale = Math.min((box.width - 32) / width, (box.height - top - 32) / height, 1.4);
+  view = { scale, x: (box.width - width * scale) / 2, y: Math.max(top + 16, (box.height - height * scale) / 3) };
   moved = false;
   applyView();
 }
@@ -202,6 +282,15 @@ byId("filter").value = page.filter;
 byId("filter").addEventListener("input", (event) => {
   page.filter = event.target.value;
   keepPage(); scene.filter(page.filter);
+});
+byId("file").addEventListener("change", (event) => {
+  if (event.target.files[0]) playFile(event.target.files[0]);
+  event.target.value = "";
+});
+addEventListener("dragover", (event) => event.preventDefault());
+addEventListener("drop", (event) => {
+  event.preventDefault();
+  if (event.dataTransfer.files[0]) playFile(event.dataTransfer.files[0]);
 });
 byId("fit").addEventListener("click", fit);
 byId("follow").addEventListener("click", () => show({ nets: new Set(), overview: false }));

@@ -182,10 +182,15 @@ export class Scene {
       if (of === net && (same.has(arc.source) || same.has(arc.target))) line.classList.toggle("traced", on);
   }
 
-  mark({ net, tokens, active }) {
-    const running = new Set(active);
+  mark({ net, tokens, active, cancelling, in_doubt }) {
+    const running = new Set(active), ending = new Set(cancelling), doubtful = new Set(in_doubt);
     for (const { group, node, token } of (this.nodes.get(net) || new Map()).values()) {
-      if (!token) { group.classList.toggle("active", running.has(node.name)); continue; }
+      if (!token) {
+        group.classList.toggle("active", running.has(node.name));
+        group.classList.toggle("cancelling", ending.has(node.name));
+        group.classList.toggle("doubt", doubtful.has(node.name));
+        continue;
+      }
       const count = tokens[node.place] || 0;
       group.classList.toggle("marked", count > 0);
       token.replaceChildren();
@@ -203,6 +208,13 @@ export class Scene {
     found.group.classList.remove("fired", "failed");
     found.group.getBoundingClientRect();
     found.group.classList.add(phase === "FAILED" ? "failed" : "fired");
+  }
+
+  // The same for a transition of the expanded net: the part that it belongs to is what is drawn.
+  flashPart(net, name) {
+    const phase = /\.failed\b/.test(name) ? "FAILED" : "END";
+    for (let part = name; part; part = part.slice(0, Math.max(part.lastIndexOf("."), 0)))
+      if (this.nodes.get(net)?.has(part)) { this.flash({ net, transition: part, phase }); return; }
   }
 
   pick(picked) {

@@ -1,0 +1,99 @@
+"""The operator of a node's nets: service ``/<node>/control_net``."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from im_core.errors import ImError, NotFoundError, StateError
+from im_core.ros.node import ManagedNode
+from im_msgs.srv import ControlNet
+from im_pnt.doubt import Answer, Verdict
+from im_pnt.events import Answered, Confirmed, Event, ModeSet, PauseSet, StepAsked
+from im_pnt.executive import Executive
+from im_pnt.jobs import ActivityState
+from im_pnt.modes import Mode
+
+REQUESTS = ("automatic", "supervised", "step", "pause", "resume", "confirm", "resolve")
+
+
+class Operator:
+    """Passes on what an operator wants of a net.
+
+    Args:
+        node: The node.
+        nets: Its nets by name; looked at anew for each request.
+        turn: Has the nets go on with what was asked.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        nets: Mapping[str, Executive],
+        turn: Callable[[], None],
+    ) -> None:
+        self._nets, self._turn = nets, turn
+        node.create_service(ControlNet, f"/{node.task_name}/control_net", self._control)
+
+    def _control(self, request: Any, response: Any) -> Any:
+        try:
+            executive = self._net(request.net)
+            event = _event(executive, request.request, request.argument)
+        except ImError as error:
+            response.success, response.message = False, error.message
+            return response
+        executive.post(event)
+        self._turn()
+        response.success = True
+        response.message = f"{request.request} {request.argument}".strip()
+        paused = ", paused" if executive.paused else ""
+        marked = ", ".join(f"{place}={count}" for place, count in executive.marking().items())
+        response.state = f"{executive.mode}{paused}: {marked}"
+        return response
+
+    def _net(self, name: str) -> Executive:
+        if name not in self._nets:
+            raise NotFoundError(kind="net", name=name, known=self._nets)
+        return self._nets[name]
+
+
+def _event(executive: Executive, request: str, argument: str) -> Event:
+    """Returns what a request means for a net.
+
+    Raises:
+        NotFoundError: There is no such request, or no such transition.
+        StateError: Nothing waits for it.
+    """
+    match request:
+        case "step" if executive.mode is Mode.STEP:
+            return StepAsked()
+        case "automatic" | "supervised" | "step":
+            return ModeSet(Mode(request))
+        case "pause" | "resume":
+            return PauseSet(request == "pause")
+        case "confirm":
+            return Confirmed(_proposed(executive.net.name, executive.proposed, argument))
+        case "resolve":
+            return _resolution(executive, argument)
+    raise NotFoundError(kind="request to a net", name=request, known=REQUESTS)
+
+
+def _proposed(net: str, waiting: tuple[str, ...], transition: str) -> str:
+    if not waiting:
+        raise StateError(f"nothing waits to be confirmed in net {net}", net=net)
+    if not transition and len(waiting) > 1:
+        raise StateError(f"several transitions wait to be confirmed: {', '.join(waiting)}; name one")
+    if transition and transition not in waiting:
+        raise NotFoundError(kind="transition that waits to be confirmed", name=transition, known=waiting)
+    return transition or waiting[0]
+
+
+def _resolution(executive: Executive, argument: str) -> Answered:
+    transition, _, outcome = argument.partition("=")
+    doubtful = {a.transition: a for a in executive.activities if a.state is ActivityState.IN_DOUBT}
+    if transition not in doubtful:
+        raise NotFoundError(kind="action in doubt", name=transition, known=doubtful)
+    if outcome not in ("done", "failed"):
+        raise NotFoundError(kind="outcome of an action", name=outcome, known=("done", "failed"))
+    if outcome == "done":
+        return Answered(doubtful[transition], Answer(Verdict.DONE, asked="the operator"))
+    error = ImError(f"the operator says that {doubtful[transition].action} has failed", code="operator")
+    return Answered(doubtful[transition], Answer(Verdict.FAILED, error, asked="the operator"))

@@ -1,0 +1,167 @@
+"""Action goals as actions of transitions.
+
+The id of a goal follows from the request book of the process and the number of the activity, which the journal brings
+back: a node that died asks the server about the goals that it had sent.
+"""
+
+import uuid
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from unique_identifier_msgs.msg import UUID
+
+from im_core.clock import monotonic
+from im_core.errors import ImError, StateError
+from im_core.ros.calls import pause
+from im_pnt.doubt import Answer, Verdict
+from im_pnt.functions import ActionContext
+from im_pnt.jobs import Activity
+from im_pnt.net import Action, GoalAction
+from im_pnt.ros.actions import Surroundings, failure_of, require_success, time_left
+from im_pnt.ros.fields import fill, interface_class
+
+ACCEPT_TIMEOUT_S = 30.0
+GOAL_TIMEOUT_S = 600.0
+CANCEL_TIMEOUT_S = 2.0
+CANCEL_AGAIN_S = 0.2
+ASK_DISCOVERY_S = 3.0
+ASK_S = 1.0
+
+_NAMESPACE = uuid.UUID("6f0d9f4e-5f0c-4c7e-9a83-0c4ff1f1d0c1")
+_OVER = (CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID, CancelGoal.Response.ERROR_GOAL_TERMINATED)
+
+
+class GoalActions:
+    """Sends goals and waits for their results; cancelling the activity cancels the goal.
+
+    Args:
+        surroundings: Reaches other tasks.
+        spawn: Runs coroutines in the loop.
+        life: Names the process, the same before and after it died.
+    """
+
+    def __init__(
+        self,
+        surroundings: Surroundings,
+        spawn: Callable[[Coroutine[object, object, None]], None],
+        life: Callable[[], str],
+    ) -> None:
+        self._surroundings, self._spawn, self._life = surroundings, spawn, life
+        self._clients: dict[str, tuple[ActionClient, float]] = {}
+        self._results: dict[Activity, Any] = {}
+        self._performed: set[Activity] = set()
+
+    def prepare(self, action: Action) -> None:
+        """Makes the client of an action.
+
+        Raises:
+            NetError: No such interface.
+        """
+        assert isinstance(action, GoalAction)
+        self._client(action)
+
+    async def perform(self, activity: Activity, context: ActionContext) -> None:
+        """Sends a goal, waits for its result and has it handled.
+
+        Raises:
+            ImError: It was rejected, aborted or cancelled, or the server is gone.
+        """
+        action = activity.action
+        assert isinstance(action, GoalAction)
+        self._performed.add(activity)
+        try:
+            await self._perform(activity, context, action)
+        finally:
+            self._performed.discard(activity)
+
+    async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> None:
+        around, (client, made) = self._surroundings, self._client(action)
+        task = around.task(action)
+        goal = fill(interface_class(action.type).Goal(), await around.fields(action, context), str(action))
+        await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
+        if activity.cancelled:
+            raise ImError(f"{action} was cancelled before it was sent", code="cancelled")
+        asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
+        accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
+        handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked)
+        if not handle.accepted:
+            raise StateError(f"{action} was rejected", action=action.name)
+        waited = f"the result of {action.name} (transition {activity.transition})"
+        result = self._follow(activity, handle)
+        answer = await around.wait(result, task, time_left(activity, GOAL_TIMEOUT_S), waited)
+        await self._conclude(action, context, answer)
+
+    async def ask(self, activity: Activity, context: ActionContext) -> Answer:
+        """Asks the server what became of a goal that was sent in a former life of this process."""
+        around, action = self._surroundings, activity.action
+        assert isinstance(action, GoalAction)
+        if activity in self._performed:
+            return Answer(Verdict.RUNNING, asked=f"{action.name}: its result is awaited")
+        (client, made), task = self._client(action), around.task(action)
+        try:
+            await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}", ASK_DISCOVERY_S)
+            if activity not in self._results:
+                self._results[activity] = self._follow(activity, self._handle(client, activity))
+            result = self._results[activity]
+            over = around.node.promise()  # a wait that is given up must not take the result with it
+            result.add_done_callback(lambda _: over.set_result(None))
+            await around.wait(over, task, ASK_S, f"what became of the goal of {action.name}")
+        except ImError as error:
+            running = activity in self._results and error.code == "timeout"
+            return Answer(Verdict.RUNNING if running else Verdict.UNKNOWN, asked=error.message)
+        del self._results[activity]
+        answer = result.result()
+        if answer.status == GoalStatus.STATUS_UNKNOWN:
+            return Answer(Verdict.UNKNOWN, asked=f"{action.name} does not know the goal")
+        try:
+            await self._conclude(action, context, answer)
+        except ImError as error:
+            return Answer(Verdict.FAILED, error, asked=action.name)
+        return Answer(Verdict.DONE, asked=action.name)
+
+    def _follow(self, activity: Activity, handle: ClientGoalHandle) -> Any:
+        """Begins to wait for a result, and to cancel the goal when the activity is cancelled."""
+        result = handle.get_result_async()
+        activity.when_cancelled(lambda: self._spawn(self._cancel(handle, result)))
+        return result
+
+    async def _cancel(self, handle: ClientGoalHandle, result: Any) -> None:
+        """Cancels a goal, again and again until the server has said that it winds down or is over."""
+        while not result.done():
+            try:
+                asked = self._surroundings.wait(handle.cancel_goal_async(), None, CANCEL_TIMEOUT_S, "a cancellation")
+                response = await asked
+            except ImError:
+                continue
+            if response.goals_canceling or response.return_code in _OVER:
+                return
+            await pause(self._surroundings.node, CANCEL_AGAIN_S)
+
+    async def _conclude(self, action: GoalAction, context: ActionContext, answer: Any) -> None:
+        if answer.status == GoalStatus.STATUS_CANCELED:
+            raise failure_of(answer.result, f"{action} was cancelled", "cancelled")
+        if answer.status != GoalStatus.STATUS_SUCCEEDED:
+            raise failure_of(answer.result, f"{action} was aborted", "aborted")
+        require_success(answer.result, str(action))
+        await self._surroundings.handled(action, context, answer.result)
+
+    def _handle(self, client: ActionClient, activity: Activity) -> ClientGoalHandle:
+        action = activity.action
+        assert isinstance(action, GoalAction)
+        accepted = interface_class(action.type).Impl.SendGoalService.Response(accepted=True)
+        return ClientGoalHandle(client, self._goal_id(activity), accepted)
+
+    def _goal_id(self, activity: Activity) -> UUID:
+        name = f"{self._life()}/{activity.net}/{activity.number}"
+        return UUID(uuid=list(uuid.uuid5(_NAMESPACE, name).bytes))
+
+    def _client(self, action: GoalAction) -> tuple[ActionClient, float]:
+        """The client of an action, and when it was made."""
+        if action.name not in self._clients:
+            client = ActionClient(self._surroundings.node, interface_class(action.type), action.name)
+            self._clients[action.name] = (client, monotonic())
+        return self._clients[action.name]

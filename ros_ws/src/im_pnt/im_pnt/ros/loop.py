@@ -1,0 +1,110 @@
+"""The loop of a node's nets: takes what has arrived, fires, writes the journal, and only then lets anything leave."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Mapping
+
+from rclpy.exceptions import InvalidHandle
+
+from im_core.clock import monotonic
+from im_core.ros.alarms import Alarm
+from im_core.ros.node import ManagedNode
+from im_pnt.executive import Executive
+from im_pnt.journal.errors import JournalError
+
+WAKE_DELAY_S = 0.0001
+RETRY_AFTER_S = 1.0
+
+
+class NetLoop:
+    """Pumps nets in the thread of their node's executor.
+
+    Nothing is polled: a turn follows what arrives, and one alarm waits for the next deadline or delay of all nets.
+
+    Args:
+        node: The node.
+        nets: Its nets by name; looked at anew at each turn.
+        may_turn: Whether the nets may fire now.
+        commit: Writes the journal and lets messages leave.
+        told: Called after a turn, when what is urgent has been done.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        nets: Mapping[str, Executive],
+        may_turn: Callable[[], bool],
+        commit: Callable[[], None],
+        told: Callable[[], None],
+    ) -> None:
+        self._node, self._nets, self._may_turn, self._commit, self._told = node, nets, may_turn, commit, told
+        self._thread: int | None = None
+        self._turning = self._wakened = False
+        self._wake_timer = node.create_timer(WAKE_DELAY_S, self._woken, clock=node.steady_clock)
+        self._wake_timer.cancel()
+        self._alarm: Alarm | None = None
+        self._alarm_at: float | None = None
+
+    def wake(self) -> None:
+        """Has a turn taken soon; from any thread."""
+        if not self._turning or threading.get_ident() != self._thread:
+            self._wakened = True
+            with contextlib.suppress(InvalidHandle):  # an action may end when its node is gone
+                self._wake_timer.reset()
+
+    def turn(self) -> None:
+        """Takes what has arrived and fires until nothing is enabled; in the loop."""
+        self._turn(everyone=False)
+
+    def take(self, what: Callable[[str], None], text: str) -> None:
+        """Takes something that arrives for the nets, and then a turn; in the loop."""
+        self._thread = threading.get_ident()
+        self._turning = True  # nobody need be woken for what is posted now
+        try:
+            what(text)
+        finally:
+            self._turning = False
+        self._turn(everyone=False)
+
+    def _woken(self) -> None:
+        self._wake_timer.cancel()
+        self._wakened = False
+        self.turn()
+
+    def _strike(self) -> None:
+        self._alarm_at = None
+        self._turn(everyone=True)
+
+    def _turn(self, *, everyone: bool) -> None:
+        if self._turning or not self._may_turn():
+            return
+        self._thread = threading.get_ident()
+        self._turning = True
+        try:
+            for executive in tuple(self._nets.values()):
+                if everyone or executive.due:
+                    executive.pump()
+            self._commit()
+        except JournalError as error:
+            self._node.get_logger().error(f"{error.message}; nothing leaves until it can be written")
+            self._set_alarm(monotonic() + RETRY_AFTER_S)
+            return
+        finally:
+            self._turning = False
+        self._told()
+        at: float | None = None
+        for executive in self._nets.values():
+            if executive.due and not self._wakened:
+                self.wake()
+            time = executive.next_wakeup()
+            if time is not None and (at is None or time < at):
+                at = time
+        self._set_alarm(at)
+
+    def _set_alarm(self, at: float | None) -> None:
+        if at == self._alarm_at:
+            return
+        if self._alarm is not None:
+            self._node.alarms.cancel(self._alarm)
+        self._alarm_at = at
+        self._alarm = None if at is None else self._node.alarms.after(at - monotonic(), self._strike)

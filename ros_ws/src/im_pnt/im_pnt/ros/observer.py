@@ -1,0 +1,51 @@
+"""Passes what nets tell on to whom it concerns: the topics, the clients of commands, the log."""
+
+from collections.abc import Mapping
+
+from im_core.ros.node import ManagedNode
+from im_pnt.events import Firing, Observer
+from im_pnt.jobs import Job
+from im_pnt.modes import Mode
+from im_pnt.ros.commands import Commands
+from im_pnt.ros.publish import PntPublisher
+
+
+class NodeObserver(Observer):
+    """The observer of the nets of a node.
+
+    Args:
+        node: The node.
+        publisher: Publishes what they do.
+
+    Attributes:
+        commands: Tells clients; None: there are none yet.
+    """
+
+    def __init__(self, node: ManagedNode, publisher: PntPublisher) -> None:
+        self._node, self._publisher = node, publisher
+        self.commands: Commands | None = None
+
+    def fired(self, firing: Firing) -> None:
+        """Notes a firing, and tells the clients of its command."""
+        self._publisher.fired(firing)
+        if firing.command_id and self.commands is not None:
+            self.commands.fired(firing)
+
+    def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
+        """Tells the clients of a command."""
+        if job is not None and self.commands is not None:
+            self.commands.progressed(job.command.id, text, fraction)
+
+    def troubled(self, net: str, text: str) -> None:
+        """Writes a line of the log."""
+        self._node.get_logger().warning(f"net {net}: {text}" if net else text)
+
+    def chose(
+        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
+    ) -> None:
+        """Publishes a choice among strategies."""
+        self._publisher.chose(net, probabilities, entropy, taken)
+
+    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+        """Has the marking shown anew."""
+        self._publisher.changed(net)

@@ -1,0 +1,90 @@
+"""What guards look at beside their net: the validity of data objects and the last messages of topics."""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from rclpy.qos import QoSProfile
+
+from im_core.errors import DataError, ImError
+from im_core.ros.dom import DomClient
+from im_core.ros.node import ManagedNode
+from im_msgs.msg import ObjectChange
+from im_pnt.errors import NetError, nearest
+
+
+class Sources:
+    """Follows what guards declare (:func:`im_pnt.functions.woken_by`), and says when it has changed.
+
+    Args:
+        node: The node.
+        dom: Client of the Data Object Manager.
+        changed: Is told of each source that has changed, as guards declare it.
+
+    Attributes:
+        known: Whether every object that was declared has been asked for.
+    """
+
+    def __init__(self, node: ManagedNode, dom: DomClient, changed: Callable[[str], None]) -> None:
+        self._node, self._dom, self._changed = node, dom, changed
+        self._valid: dict[str, bool] = {}
+        self._last: dict[str, Any] = {}
+        self.known = True
+
+    def follow(self, topic: str, message_type: type, profile: QoSProfile) -> None:
+        """Follows a topic, so that guards may be woken by it."""
+        self._last[topic] = None
+        self._node.create_subscription(message_type, topic, partial(self._hear, topic), profile)
+
+    def last(self, topic: str) -> Any:
+        """Returns the last message of a topic that is followed, None before the first."""
+        return self._last[topic]
+
+    def valid(self, name: str) -> bool:
+        """Whether a data object that a guard has declared is valid."""
+        return self._valid[name]
+
+    def declare(self, net: str, sources: Iterable[str]) -> None:
+        """Enters what the guards of a net are woken by.
+
+        Raises:
+            NetError: A topic that is not followed.
+        """
+        for source in sources:
+            kind, _, name = source.partition(":")
+            if kind == "topic" and name not in self._last:
+                text = f"a guard of net {net} is woken by topic {name}, which the node does not follow"
+                raise NetError(f"{text}{nearest(name, self._last)}", net=net, topic=name)
+            if kind == "data" and name not in self._valid:
+                self._valid[name] = self.known = False
+
+    async def look(self) -> None:
+        """Asks for the validity of the objects that guards have declared; changes are heard of from then on."""
+        for name in self._valid:
+            try:
+                self._valid[name] = self._valid[name] or await self._dom.is_valid(name)
+            except ImError as error:
+                self._node.get_logger().warning(f"data object {name} counts as not valid: {error.message}")
+        self.known = True
+
+    def object_changed(self, change: ObjectChange) -> None:
+        """Takes a change of a data object."""
+        name = change.object.name
+        if name in self._valid:
+            self._valid[name] = bool(change.object.valid)
+            self._changed(f"data:{name}")
+
+    async def check(self, names: Iterable[str], done: Callable[[ImError | None], None]) -> None:
+        """Looks whether data objects are valid, and calls back with what is wrong, if anything is."""
+        try:
+            for name in names:
+                if not await self._dom.is_valid(name):
+                    raise DataError(f"data object {name} is not valid although its place is to be marked", object=name)
+        except ImError as error:
+            done(error)
+        else:
+            done(None)
+
+    def _hear(self, topic: str, message: Any) -> None:
+        self._last[topic] = message
+        self._changed(f"topic:{topic}")

@@ -1,0 +1,238 @@
+"""Nodes that are killed and come back: the command survives, whichever of its nodes dies and whatever it was doing."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from im_core import clock
+from im_core.errors import WaitTimeoutError
+from im_core.ros.calls import call_blocking, pause
+from im_core.ros.node import ManagedNode
+from im_core.ros.run import main, spin_in_thread
+from im_msgs.action import Move
+from im_pnt.again import again
+from im_pnt.ros.node import PntNode
+
+NETS = {
+    "front": """
+net: front
+places: {idle: 1, asked: , happy: , sad: }
+transitions:
+  begin: {in: idle, out: asked, symbol: serve}
+  ask: {in: asked, out: happy, request: middle.fetch, on_failure: sad}
+  finish: {in: happy, out: idle, emit: serve_done}
+  give_up: {in: sad, out: idle, emit: serve_failed}
+""",
+    "middle": """
+net: middle
+places: {wanted: , fetched: , missing: }
+services: {fetch: {entry: wanted, done: fetched, failed: missing}}
+transitions:
+  plan: {in: wanted, out: fetched, request: back.plan, on_failure: missing}
+""",
+    "back": """
+net: back
+places: {wanted: , thought: , planned: , impossible: }
+services: {plan: {entry: wanted, done: planned, failed: impossible}}
+transitions:
+  think: {in: wanted, out: thought, action: think, on_failure: impossible}
+  move:
+    {in: thought, out: planned, on_failure: impossible,
+     goal: {name: /arm/move, type: im_msgs/action/Move}}
+""",
+}
+
+
+class Server(PntNode):
+    """A node with nets, whose actions wait for files of the test."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.folder = folder
+        parameters = [Parameter("standalone", value=True), Parameter("journal_dir", value=str(folder / "journal"))]
+        functions = {"think": self.think}
+        asks = {"think": again(self.think)}
+        super().__init__(name, [folder / f"{name}.yaml"], functions, asks=asks, parameter_overrides=parameters)
+
+    async def think(self, ctx):
+        """Waits for the file ``thought``; notes that it was begun, and what it remembers."""
+        with (self.folder / "begun").open("a") as file:
+            file.write(f"{ctx.memory.get('begun', 'never')}\n")
+        ctx.memory["begun"] = "before"
+        while not (self.folder / "thought").exists():
+            await pause(self, 0.02)
+        ctx.result["answer"] = 42
+
+    def phase_start(self) -> None:
+        super().phase_start()
+        if self.task_name == "front":
+            self.create_service(Trigger, "/front/serve", self._serve)
+            self.create_service(Trigger, "/front/attach", self._attach)
+
+    async def _serve(self, request, response):
+        return self._told(response, await self.command("serve"))
+
+    async def _attach(self, request, response):
+        return self._told(response, await self.commands.attach("serve"))
+
+    def _told(self, response, outcome):
+        response.success, response.message = outcome.success, outcome.status.message
+        return response
+
+
+class Arm(ManagedNode):
+    """Moves until the file ``moved`` is there."""
+
+    def __init__(self, folder: Path, **kwargs) -> None:
+        super().__init__("arm", **kwargs)
+        self.folder, self.goals = folder, []
+        ActionServer(self, Move, "/arm/move", self._move, cancel_callback=lambda _: CancelResponse.ACCEPT)
+
+    async def _move(self, goal):
+        self.goals.append(bytes(goal.goal_id.uuid))
+        while not (self.folder / "moved").exists():
+            if goal.is_cancel_requested:
+                goal.canceled()
+                return Move.Result()
+            await pause(self, 0.02)
+        goal.succeed()
+        return Move.Result(success=True)
+
+
+class Machine:
+    """Processes of the nets, an arm, and a client."""
+
+    def __init__(self, folder: Path, arm: Arm) -> None:
+        self.folder, self.arm = folder, arm
+        self.processes = {name: self.start(name) for name in NETS}
+
+    def start(self, name: str) -> subprocess.Popen:
+        return subprocess.Popen([sys.executable, __file__, name, str(self.folder)])
+
+    def kill(self, name: str) -> None:
+        self.processes[name].send_signal(signal.SIGKILL)
+        self.processes[name].wait()
+
+    def restart(self, name: str) -> None:
+        self.kill(name)
+        self.processes[name] = self.start(name)
+
+    def attach(self) -> Trigger.Response:
+        """Asks for the command; a request that meets the server of the former life is made again."""
+        client = self.arm.create_client(Trigger, "/front/attach")
+        for _ in range(10):
+            with contextlib.suppress(WaitTimeoutError):
+                return call_blocking(client, Trigger.Request(), 4.0, "attach of the test")
+        return pytest.fail("the command did not end")
+
+    def serve(self):
+        """Gives a command; its answer may never come."""
+        client = self.arm.create_client(Trigger, "/front/serve")
+        assert client.wait_for_service(20.0)
+        clock.sleep(1.0)  # until the server knows the client too; what is sent before may be lost
+        return client.call_async(Trigger.Request())
+
+    def begun(self) -> list[str]:
+        path = self.folder / "begun"
+        return path.read_text().split() if path.exists() else []
+
+    def allow(self, name: str) -> None:
+        (self.folder / name).touch()
+
+    def until(self, condition, what: str, seconds: float = 20.0) -> None:
+        deadline = clock.monotonic() + seconds
+        while not condition():
+            assert clock.monotonic() < deadline, f"waited {seconds} s for {what}, in vain"
+            clock.sleep(0.02)
+
+
+@pytest.fixture
+def machine(tmp_path):
+    for name, text in NETS.items():
+        (tmp_path / f"{name}.yaml").write_text(text)
+    rclpy.init()
+    arm = Arm(tmp_path, parameter_overrides=[Parameter("standalone", value=True)])
+    with spin_in_thread(arm):
+        machine = Machine(tmp_path, arm)
+        yield machine
+        for process in machine.processes.values():
+            process.kill()
+            process.wait()
+    rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize("victim", ["middle", "back"])
+def test_a_command_survives_the_death_of_a_coordinator(machine, victim):
+    answer = machine.serve()
+    machine.until(machine.begun, "the action to begin")
+    machine.restart(victim)
+    machine.allow("thought")
+    machine.until(lambda: machine.arm.goals, "the goal")
+    machine.allow("moved")
+    machine.until(answer.done, "the answer", 30.0)
+    assert answer.result().success, answer.result().message
+    assert len(machine.arm.goals) == 1
+
+
+def test_a_command_survives_the_death_of_the_node_that_was_given_it(machine):
+    machine.serve()
+    machine.until(machine.begun, "the action to begin")
+    machine.restart("front")
+    machine.allow("thought")
+    machine.allow("moved")
+    answer = machine.attach()
+    assert answer.success, answer.message
+    assert machine.begun() == ["never"]
+
+
+def test_a_goal_is_asked_about_and_not_sent_again(machine):
+    machine.allow("thought")
+    answer = machine.serve()
+    machine.until(lambda: machine.arm.goals, "the goal")
+    machine.restart("back")
+    clock.sleep(3.0)
+    machine.allow("moved")
+    machine.until(answer.done, "the answer", 30.0)
+    assert answer.result().success, answer.result().message
+    assert len(machine.arm.goals) == 1
+
+
+def test_everything_may_die_at_once(machine):
+    machine.serve()
+    machine.until(machine.begun, "the action to begin")
+    for name in NETS:
+        machine.kill(name)
+    for name in NETS:
+        machine.processes[name] = machine.start(name)
+    machine.allow("thought")
+    machine.allow("moved")
+    answer = machine.attach()
+    assert answer.success, answer.message
+    assert machine.begun() == ["never", "never"]
+
+
+def test_a_damaged_journal_is_named_and_nothing_starts(machine):
+    machine.serve()
+    machine.until(machine.begun, "the action to begin")
+    machine.kill("back")
+    journal = max((machine.folder / "journal" / "back").glob("*.journal"))
+    content = bytearray(journal.read_bytes())
+    content[len(content) // 2] ^= 1
+    journal.write_bytes(content)
+    node = Server("back", machine.folder)
+    with spin_in_thread(node):
+        machine.until(lambda: node.failed, "the node to refuse", 5.0)
+        assert str(journal) in node.failed
+        assert "record" in node.failed
+
+
+if __name__ == "__main__":
+    name, folder = sys.argv[1:]
+    sys.exit(main(lambda: Server(name, Path(folder))))

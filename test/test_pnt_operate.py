@@ -1,0 +1,293 @@
+"""Nets under the hands of an operator: paused, stepped, confirmed; actions in doubt resolved; nets replaced."""
+
+import json
+import math
+import threading
+
+import pytest
+import rclpy
+from rclpy.parameter import Parameter
+
+from im_core import clock
+from im_core.errors import ImError
+from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+from im_core.ros.node import ManagedNode
+from im_core.ros.run import spin_in_thread
+from im_msgs.msg import Marking, NetRefusal, StrategyChoice
+from im_msgs.srv import ControlNet
+from im_pnt.doubt import Answer, Verdict
+from im_pnt.netfile import parse_net
+from im_pnt.ros.node import PntNode
+
+WALKER = """
+net: walker
+places: {idle: 1, here: , there: , lost: }
+transitions:
+  go: {in: idle, out: here, symbol: go}
+  walk: {in: here, out: there, action: walk, timeout: 0.2, on_failure: lost}
+  back: {in: there, out: idle, emit: go_done}
+  give_up: {in: lost, out: idle, emit: go_failed}
+"""
+LAMP = """
+net: lamp
+places: {dark: 1, bright: , broken: }
+rest: [dark, bright]
+transitions:
+  light: {in: dark, out: bright, symbol: light, emit: light_done, action: press, strategy: {}, on_failure: broken}
+  shine: {in: dark, out: bright, symbol: light, emit: light_done, action: press, strategy: {}, on_failure: broken}
+  mend: {in: broken, out: dark, emit: light_failed}
+  dim: {in: bright, out: dark, symbol: dim, emit: dim_done}
+"""
+BIN = """
+net: bin
+places: {thrown: {remote: true}}
+transitions:
+  burn: {in: thrown, out: []}
+"""
+THROWER = """
+net: thrower
+places: {hand: 1}
+transitions:
+  throw: {in: hand, out: [hand, bin.thrown], symbol: throw, emit: throw_done}
+"""
+
+
+class Operator(ManagedNode):
+    """Asks for what an operator wants, and sees what the page shows."""
+
+    def __init__(self, **kwargs):
+        super().__init__("operator", **kwargs)
+        self.markings, self.refusals, self.choices = {}, [], []
+        self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_MANY)
+        self.create_subscription(NetRefusal, "/pnt/refusals", self.refusals.append, qos.LATCHED_MANY)
+        self.create_subscription(StrategyChoice, "/pnt/strategies", self.choices.append, qos.EVENTS)
+        self.control = self.create_client(ControlNet, "/walker/control_net")
+
+    def _mark(self, message):
+        self.markings[message.net] = message
+
+    def tokens(self, net="walker"):
+        message = self.markings.get(net)
+        return dict(zip(message.places, message.tokens, strict=True)) if message else {}
+
+    def ask(self, request, argument="", net="walker"):
+        asked = ControlNet.Request(net=net, request=request, argument=argument)
+        return call_blocking(self.control, asked, 10.0, "test")
+
+    def until(self, condition, what, seconds=10.0):
+        deadline = clock.monotonic() + seconds
+        while not condition():
+            assert clock.monotonic() < deadline, f"waited {seconds} s for {what}, in vain; {self.markings}"
+            clock.sleep(0.02)
+
+
+class Walker(PntNode):
+    """Walks at once, or for ever."""
+
+    def __init__(self, folder, **kwargs):
+        self.hold, self.held = False, []
+        super().__init__(
+            "walker",
+            [folder / f"{name}.yaml" for name in ("walker", "lamp", "bin")],
+            {"walk": self.walk, "press": lambda ctx: None},
+            asks={"walk": lambda ctx: Answer(Verdict.RUNNING, asked="its legs")},
+            **kwargs,
+        )
+
+    async def walk(self, ctx):
+        if self.hold:
+            self.held.append(self.promise())
+            await self.held[-1]
+
+    def go(self, symbol="go"):
+        """Gives a command; returns the list that will hold its outcome."""
+        outcomes = []
+
+        async def work():
+            outcomes.append(await self.command(symbol))
+
+        self.executor.create_task(work())
+        self.wake()
+        return outcomes
+
+    def load(self, text, patience_s=0.0):
+        """Loads a net; returns what it is refused for, or an empty string."""
+        ended, said = threading.Event(), []
+
+        async def work():
+            try:
+                await self.load_net(parse_net(text), patience_s)
+            except ImError as error:
+                said.append(error.message)
+            ended.set()
+
+        self.executor.create_task(work())
+        self.wake()
+        assert ended.wait(20.0)
+        return said[0] if said else ""
+
+
+def make_walker(folder):
+    parameters = [Parameter("standalone", value=True), Parameter("journal_dir", value=str(folder / "journal"))]
+    return Walker(folder, parameter_overrides=parameters)
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
+    for name, text in (("walker", WALKER), ("lamp", LAMP), ("bin", BIN)):
+        (tmp_path / f"{name}.yaml").write_text(text)
+    rclpy.init()
+    operator = Operator(parameter_overrides=[Parameter("standalone", value=True)])
+    walker = make_walker(tmp_path)
+    with spin_in_thread(operator, walker):
+        operator.until(lambda: operator.tokens() == {"idle": 1}, "the net")
+        operator.control.wait_for_service(10.0)
+        clock.sleep(0.3)
+        yield operator, walker
+        for promise in walker.held:
+            promise.set_result(None)
+        clock.sleep(0.1)
+    rclpy.try_shutdown()
+
+
+def test_a_paused_net_starts_nothing_until_it_is_resumed(machine):
+    operator, walker = machine
+    answer = operator.ask("pause")
+    assert answer.success
+    assert answer.state == "automatic, paused: idle=1"
+    outcomes = walker.go()
+    clock.sleep(0.3)
+    assert operator.tokens() == {"idle": 1}
+    assert operator.markings["walker"].paused
+    operator.ask("resume")
+    operator.until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].success
+
+
+def test_step_by_step_each_request_fires_one_transition(machine):
+    operator, walker = machine
+    assert operator.ask("step").state.startswith("step: ")
+    outcomes = walker.go()
+    for place in ("here", "there"):
+        clock.sleep(0.1)
+        operator.ask("step")
+        operator.until(lambda wanted=place: operator.tokens() == {wanted: 1}, f"a token on {place}")
+    operator.ask("step")
+    operator.until(lambda: outcomes, "the end of the command")
+    assert operator.markings["walker"].mode == "step"
+
+
+def test_under_supervision_each_firing_is_proposed_and_confirmed(machine):
+    operator, walker = machine
+    operator.ask("supervised")
+    refused = operator.ask("confirm")
+    assert (refused.success, refused.message) == (False, "nothing waits to be confirmed in net walker")
+    outcomes = walker.go()
+    for transition in ("go", "walk", "back"):
+        operator.until(lambda wanted=transition: operator.markings["walker"].proposed == [wanted], f"{transition}")
+        assert f"known: {transition}" in operator.ask("confirm", "nothing").message
+        assert operator.ask("confirm", transition).success
+    operator.until(lambda: outcomes, "the end of the command")
+
+
+@pytest.mark.parametrize(("outcome", "success"), [("done", True), ("failed", False)])
+def test_an_operator_says_what_became_of_an_action_in_doubt(machine, outcome, success):
+    operator, walker = machine
+    walker.hold = True
+    outcomes = walker.go()
+    operator.until(lambda: operator.markings["walker"].in_doubt == ["walk"], "the doubt")
+    assert operator.tokens() == {"walk.in_doubt": 1}
+    assert "known: walk" in operator.ask("resolve", "wlk=done").message
+    assert operator.ask("resolve", f"walk={outcome}").success
+    operator.until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].success is success
+
+
+@pytest.mark.parametrize(
+    ("request_", "net", "reason"),
+    [("stop", "walker", "there is no request to a net 'stop'"), ("pause", "wlker", "did you mean 'walker'")],
+)
+def test_what_makes_no_sense_is_refused_by_name(machine, request_, net, reason):
+    answer = machine[0].ask(request_, net=net)
+    assert not answer.success
+    assert reason in answer.message
+
+
+def test_a_net_is_replaced_when_it_comes_to_rest_and_else_it_is_said_what_keeps_it(machine):
+    operator, walker = machine
+    changed = WALKER.replace("go_done", "[go_done, walked]")
+    walker.hold = True
+    outcomes = walker.go()
+    operator.until(lambda: operator.markings["walker"].in_doubt, "the doubt")
+    refusal = walker.load(changed)
+    assert "net walker is not at rest and cannot be replaced now" in refusal
+    assert "function walk of transition walk is in doubt" in refusal
+    assert "command go (number 1) is open" in refusal
+    threading.Timer(0.5, lambda: operator.ask("resolve", "walk=done")).start()
+    assert walker.load(changed, patience_s=10.0) == ""
+    operator.until(lambda: outcomes, "the end of the command")
+    assert walker.exchange.nets["walker"].written.transitions["back"].emit == ("go_done", "walked")
+    walker.hold = False
+    assert walker.load(WALKER) == ""
+
+
+def test_a_net_that_does_harm_only_together_with_another_is_refused_with_the_way_there(machine):
+    operator, walker = machine
+    refusal = walker.load(THROWER)
+    assert "place bin.thrown.underway can grow without end" in refusal
+    operator.until(lambda: operator.refusals, "the refusal")
+    message = operator.refusals[0]
+    story = json.loads(message.json)
+    assert (message.net, message.node) == ("thrower", "/walker")
+    assert {net["net"] for net in story["drawings"]} == {"thrower", "bin"}
+    assert [step["fired"] for step in story["steps"]][:2] == ["", "thrower.throw"]
+
+
+def test_a_net_takes_over_the_tokens_of_one_at_rest(machine):
+    operator, walker = machine
+    outcomes = walker.go("light")
+    operator.until(lambda: outcomes, "the end of the command")
+    assert walker.load(LAMP.replace("dim_done", "[dim_done, dimmed]")) == ""
+    operator.until(lambda: operator.tokens("lamp") == {"bright": 1}, "the token")
+    assert "bright=1: it has no such place" in walker.load(LAMP.replace("bright", "glaring"))
+    outcomes = walker.go("dim")
+    operator.until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].success
+
+
+def test_a_choice_among_strategies_is_published_with_its_entropy_and_learned(machine):
+    operator, walker = machine
+    for symbol in ("light", "dim", "light", "dim"):
+        outcomes = walker.go(symbol)
+        operator.until(lambda ended=outcomes: ended, "the end of the command")
+    operator.until(lambda: len(operator.choices) == 2, "the choices")
+    first, second = operator.choices
+    assert (first.net, sorted(first.alternatives)) == ("lamp", ["light", "shine"])
+    assert list(first.probabilities) == pytest.approx([0.5, 0.5])
+    assert first.entropy == pytest.approx(math.log(2.0))
+    assert first.taken in first.alternatives
+    favoured = dict(zip(second.alternatives, second.probabilities, strict=True))
+    assert favoured[first.taken] > 0.5
+    assert second.entropy < first.entropy
+
+
+def test_a_net_that_was_loaded_later_is_there_after_a_restart(tmp_path):
+    for name, text in (("walker", WALKER), ("lamp", LAMP), ("bin", BIN)):
+        (tmp_path / f"{name}.yaml").write_text(text)
+    rclpy.init()
+    try:
+        changed = LAMP.replace("dim_done", "[dim_done, dimmed]")
+        for life in range(2):
+            walker = make_walker(tmp_path)
+            with spin_in_thread(walker):
+                deadline = clock.monotonic() + 10.0
+                while not walker.ready and clock.monotonic() < deadline:
+                    clock.sleep(0.02)
+                assert walker.ready, walker.failed
+                if life == 0:
+                    assert walker.load(changed) == ""
+                assert walker.exchange.nets["lamp"].written.transitions["dim"].emit == ("dim_done", "dimmed")
+    finally:
+        rclpy.try_shutdown()
