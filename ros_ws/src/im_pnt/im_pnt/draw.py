@@ -34,6 +34,7 @@ class Drawing:
                 "notes": node.notes,
                 "place": node.place,
                 "link": node.link,
+                "timed": node.timed,
                 "box": [round(side, 1) for side in node.box],
                 "x": round(layout.positions[node.name][0] + _MARGIN, 1),
                 "y": round(layout.positions[node.name][1] + _MARGIN, 1),
@@ -129,16 +130,17 @@ def svg(drawing: Drawing, tokens: Mapping[str, int] | None = None) -> str:
 
 def dot(drawing: Drawing) -> str:
     """Returns a drawing in the DOT language."""
-    lines = [f'digraph "{drawing.net}" {{', "  rankdir=TB; node [fontsize=10];"]
+    lines = [f'digraph "{_quoted(drawing.net)}" {{', "  rankdir=TB; node [fontsize=10];"]
     for node in drawing.nodes:
         shape = "box" if node.kind == "transition" else "circle"
         mark = [str(node.tokens)] if node.tokens else []
         label = "\\n".join(_quoted(line) for line in (node.label, *mark, *node.notes))
-        lines.append(f'  "{node.name}" [shape={shape} label="{label}"];')
+        lines.append(f'  "{_quoted(node.name)}" [shape={shape} label="{label}"];')
     styles = {"flow": "", "failure": " style=dashed", "either": " style=bold", "inhibitor": " arrowhead=odot"}
     for arc in drawing.arcs:
         weight = f' label="{arc.weight}"' if arc.weight > 1 else ""
-        lines.append(f'  "{arc.source}" -> "{arc.target}" [{(styles[arc.kind] + weight).strip()}];')
+        ends = f'"{_quoted(arc.source)}" -> "{_quoted(arc.target)}"'
+        lines.append(f"  {ends} [{(styles[arc.kind] + weight).strip()}];")
     return "\n".join([*lines, "}", ""])
 
 
@@ -167,14 +169,15 @@ def _svg_arc(arc: DrawnArc, points: list[Point]) -> str:
     if arc.kind == "inhibitor":
         line += f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="white" stroke="#555"/>'
     if arc.weight > 1:
-        line += f'<text x="{x + 5:.1f}" y="{y - 6:.1f}">{arc.weight}</text>'
+        beside = y - 6 if points[0][1] < y else y + 14
+        line += f'<text x="{x + 5:.1f}" y="{beside:.1f}">{arc.weight}</text>'
     return line
 
 
 def _svg_node(node: DrawnNode, at: Point, tokens: int) -> str:
     x, y = at
     if node.kind == "transition":
-        upper = y - node.box.height / 2
+        upper, fill = y - node.box.height / 2, "white" if node.timed else "#dfe8f2"
         notes = "".join(
             f'<text x="{x:.1f}" y="{upper + 15 + LINE * line:.1f}" font-size="9" fill="#456" text-anchor="middle">'
             f"{escape(note)}</text>"
@@ -182,7 +185,7 @@ def _svg_node(node: DrawnNode, at: Point, tokens: int) -> str:
         )
         return (
             f'<g><rect x="{x - node.box.left:.1f}" y="{upper:.1f}" width="{2 * node.box.left:.1f}" '
-            f'height="{node.box.height:g}" rx="2" fill="#dfe8f2" stroke="#245"/>'
+            f'height="{node.box.height:g}" rx="2" fill="{fill}" stroke="#245"/>'
             f'<text x="{x:.1f}" y="{upper + 15:.1f}" text-anchor="middle">{escape(node.label)}</text>{notes}</g>'
         )
     radius = REFERENCE_RADIUS if node.kind == "reference" else RADIUS

@@ -1,37 +1,58 @@
 """Which transitions are enabled, kept up to date by what a firing changes and nothing else.
 
 Each transition counts its unmet inputs; a place that crosses an arc's weight changes the counters of its neighbours
-only, so that the cost of a firing does not grow with the net.
+only, so that the cost of a firing does not grow with the net. A transition that becomes enabled is put on the agenda,
+and stays there while it is enabled, except where something else than tokens holds it back (a guard, a symbol, a clock,
+the operator): then whatever that is puts it there again.
 """
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 from im_pnt.compiled import Compiled
 
 
 class Enabling:
-    """Tokens, counters of unmet inputs, and the conflict sets that are worth a decision.
+    """Tokens, counters of unmet inputs, and the transitions that are worth a decision.
 
     Args:
         compiled: The expanded net.
-        free: Transitions that fire when enabled; the others (end, failed, withdrawn) wait for an event.
+        free: Transitions that fire when enabled; the others (end, failed, withdrawn, ...) wait for an event.
         tokens: Tokens of each place to begin with.
+
+    Attributes:
+        compiled: The expanded net.
+        tokens: Tokens of each place.
+        unmet: For each transition the number of input and inhibitor arcs that hold it back.
+        agenda: Transitions to decide about, in order.
+        listed: For each transition whether it is on the agenda; always, for those that are not free.
+        contended: For each free transition the free consumers of each of its input places that has several.
+        stalled: Enabled transitions that only their guards hold back; tokens that come or go wake them.
+        clocks: Transitions with a delay whose time runs.
+        crossed: Those of them that a firing has disabled, perhaps only for its own duration.
     """
 
     def __init__(self, compiled: Compiled, free: Collection[int], tokens: Collection[int]) -> None:
         self.compiled = compiled
         self.tokens = [0] * len(compiled.places)
         self.unmet = [len(inputs) for inputs in compiled.inputs]
-        self._free = frozenset(free)
-        self.members, self.conflict_set = _conflict_sets(compiled, sorted(self._free))
-        self._agenda: deque[int] = deque()
-        self._listed = [False] * len(self.members)
+        self.agenda: deque[int] = deque()
+        self.listed = [True] * len(compiled.transitions)
+        for transition in free:
+            self.listed[transition] = False
+        sharing = [tuple(t for t, _ in row if not self.listed[t]) for row in compiled.consumers]
+        contended = [
+            tuple(sharing[place] for place, _ in inputs if len(sharing[place]) > 1) for inputs in compiled.inputs
+        ]
+        self.contended = tuple(() if self.listed[t] else sharing for t, sharing in enumerate(contended))
+        self.stalled: set[int] = set()
+        self.clocks: set[int] = set()
+        self.crossed: list[int] = []
+        for transition in free:
+            if not compiled.inputs[transition]:
+                self.consider(transition)
         for place, count in enumerate(tokens):
             self.add(place, count)
-        for transition in self._free:
-            if not self.unmet[transition]:
-                self.consider(self.conflict_set[transition])
 
     def add(self, place: int, count: int) -> None:
         """Puts tokens on a place."""
@@ -41,12 +62,19 @@ class Enabling:
         unmet = self.unmet
         for transition, weight in self.compiled.consumers[place]:
             if before < weight <= after:
-                unmet[transition] -= 1
-            if not unmet[transition] and transition in self._free:
-                self.consider(self.conflict_set[transition])
+                left = unmet[transition] - 1
+                unmet[transition] = left
+                if not left and not self.listed[transition]:  # it was disabled, so it is not stalled
+                    self.listed[transition] = True
+                    self.agenda.append(transition)
+            elif transition in self.stalled:
+                self.consider(transition)
         for transition, weight in self.compiled.inhibited[place]:
             if before < weight <= after:
                 unmet[transition] += 1
+                if transition in self.clocks:
+                    self.crossed.append(transition)
+                self.stalled.discard(transition)
 
     def take(self, place: int, count: int) -> None:
         """Takes tokens from a place that has them."""
@@ -57,53 +85,47 @@ class Enabling:
         for transition, weight in self.compiled.consumers[place]:
             if after < weight <= before:
                 unmet[transition] += 1
+                if transition in self.clocks:
+                    self.crossed.append(transition)
+                self.stalled.discard(transition)
+            elif transition in self.stalled:
+                self.consider(transition)
         for transition, weight in self.compiled.inhibited[place]:
             if after < weight <= before:
                 unmet[transition] -= 1
-                if not unmet[transition] and transition in self._free:
-                    self.consider(self.conflict_set[transition])
+                if not unmet[transition]:
+                    self.consider(transition)
 
-    def consider(self, conflict_set: int) -> None:
-        """Asks for a decision about a conflict set."""
-        if not self._listed[conflict_set]:
-            self._listed[conflict_set] = True
-            self._agenda.append(conflict_set)
+    def consider(self, transition: int) -> None:
+        """Asks for a decision about a transition."""
+        self.stalled.discard(transition)
+        if not self.listed[transition]:
+            self.listed[transition] = True
+            self.agenda.append(transition)
 
-    def next_decision(self) -> int | None:
-        """Takes the next conflict set to decide about, None where there is none."""
-        if not self._agenda:
-            return None
-        conflict_set = self._agenda.popleft()
-        self._listed[conflict_set] = False
-        return conflict_set
+    def consider_stalled(self, transitions: Iterable[int]) -> None:
+        """Asks for a decision about those of some transitions that their guards hold back."""
+        for transition in transitions:
+            if transition in self.stalled:
+                self.consider(transition)
 
-    @property
-    def pending(self) -> bool:
-        """Whether a decision is due."""
-        return bool(self._agenda)
+    def next_candidate(self) -> int | None:
+        """Takes the next enabled transition to decide about, None where there is none."""
+        while self.agenda:
+            transition = self.agenda.popleft()
+            self.listed[transition] = False
+            if not self.unmet[transition] and transition not in self.stalled:
+                return transition
+        return None
 
-    def enabled(self, conflict_set: int) -> list[int]:
-        """Returns the transitions of a conflict set that are enabled by their arcs."""
-        unmet = self.unmet
-        return [transition for transition in self.members[conflict_set] if not unmet[transition]]
-
-
-def _conflict_sets(compiled: Compiled, free: list[int]) -> tuple[list[list[int]], dict[int, int]]:
-    """Groups transitions that share an input place, directly or through others."""
-    leader = {transition: transition for transition in free}
-
-    def find(transition: int) -> int:
-        while leader[transition] != transition:
-            leader[transition] = leader[leader[transition]]
-            transition = leader[transition]
-        return transition
-
-    for rows in compiled.consumers:
-        sharing = [transition for transition, _ in rows if transition in leader]
-        for transition in sharing[1:]:
-            leader[find(transition)] = find(sharing[0])
-    groups: dict[int, list[int]] = {}
-    for transition in free:
-        groups.setdefault(find(transition), []).append(transition)
-    members = list(groups.values())
-    return members, {transition: number for number, group in enumerate(members) for transition in group}
+    def rivals(self, transition: int) -> list[int]:
+        """Returns the free transitions that share an input place with a transition, and are enabled by their arcs."""
+        contended, unmet = self.contended[transition], self.unmet
+        if not contended:
+            return []
+        found: list[int] = []
+        for sharing in contended:
+            for rival in sharing:
+                if not unmet[rival] and rival != transition:
+                    found.append(rival)  # noqa: PERF401 - a comprehension is a call more
+        return list(dict.fromkeys(found)) if len(contended) > 1 else found

@@ -5,6 +5,8 @@ from collections.abc import Iterable
 
 from im_core.errors import ImError
 
+_LONGEST_NAME, _MOST_NAMES = 100, 30
+
 
 class NetError(ImError):
     """A net that is wrong in itself, whatever file it came from."""
@@ -14,10 +16,11 @@ class NetError(ImError):
 
 
 class NetFileError(ImError):
-    """A net file that cannot be read; the message starts with ``file:line``."""
+    """A net file that cannot be read; the message starts with ``file:line``, and the column where it is known."""
 
-    def __init__(self, file: str, line: int, message: str, **facts: object) -> None:
-        super().__init__(f"{file}:{line}: {message}", code="net_file", file=file, line=line, **facts)
+    def __init__(self, file: str, line: int, message: str, column: int | None = None, **facts: object) -> None:
+        where = f"{file}:{line}" if column is None else f"{file}:{line}:{column}"
+        super().__init__(f"{where}: {message}", code="net_file", file=file, line=line, column=column, **facts)
 
 
 class VerificationError(ImError):
@@ -42,7 +45,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
         Text to append to a message, empty where nothing is known.
     """
     names = sorted(set(known))
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    short = [each for each in names if len(each) <= _LONGEST_NAME] if len(name) <= _LONGEST_NAME else []
+    close = difflib.get_close_matches(name, short, n=1, cutoff=0.6)
     if close:
         return f" (did you mean '{close[0]}'?)"
-    return f" (known: {', '.join(names)})" if names else ""
+    listed = names if len(names) <= _MOST_NAMES else [*names[:_MOST_NAMES], "..."]
+    return f" (known: {', '.join(listed)})" if names else ""

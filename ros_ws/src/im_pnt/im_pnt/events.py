@@ -1,22 +1,30 @@
 """What happens to a net, and what a net tells of itself."""
 
 import enum
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from im_core.errors import ImError
+from im_pnt.doubt import Answer
 from im_pnt.jobs import Activity, Job, Lineage, Request
+from im_pnt.modes import Mode
 
 
 class Phase(enum.IntEnum):
-    """Phase of a firing, numbered as in ``im_msgs/msg/Firing``. Instantaneous transitions have an END only."""
+    """Phase of a firing, numbered as in ``im_msgs/msg/Firing``. Instantaneous transitions have an END only.
+
+    CANCEL: an action was asked to end early and winds down. DOUBT: nobody has said yet what became of it.
+    """
 
     START = 0
     END = 1
     FAILED = 2
+    CANCEL = 3
+    DOUBT = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Firing:
+class Firing(NamedTuple):
     """One firing of the expanded net.
 
     Attributes:
@@ -26,7 +34,7 @@ class Firing:
         phase: What happened.
         symbol: Symbol read from the tape, or the first one written to it; empty if none.
         command_id: Command it was done for, 0 if none.
-        message: Why it failed.
+        message: Why it failed, is cancelled or in doubt.
         duration: Wall time since START [s], 0 for instantaneous transitions.
         progress: Progress of the command 0..1, negative where unknown.
     """
@@ -97,8 +105,44 @@ class ObjectInvalidated:
 
 
 @dataclass(frozen=True, slots=True)
+class Answered:
+    """The answer to the question what became of an action that is in doubt."""
+
+    activity: Activity
+    answer: Answer
+
+
+@dataclass(frozen=True, slots=True)
 class GuardsChanged:
-    """Something that guards look at may have changed."""
+    """Something that guards look at may have changed: a source as they declare it, or who knows what (empty)."""
+
+    source: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ModeSet:
+    """An operator sets the mode; whatever was proposed or held back is decided about again."""
+
+    mode: Mode
+
+
+@dataclass(frozen=True, slots=True)
+class PauseSet:
+    """An operator has nothing new started, or everything go on."""
+
+    paused: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StepAsked:
+    """An operator lets one transition fire (mode step)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmed:
+    """An operator lets a proposed transition fire (mode supervised)."""
+
+    transition: str
 
 
 Event = (
@@ -109,7 +153,12 @@ Event = (
     | TokenArrived
     | ActionEnded
     | ObjectInvalidated
+    | Answered
     | GuardsChanged
+    | ModeSet
+    | PauseSet
+    | StepAsked
+    | Confirmed
 )
 
 
@@ -127,3 +176,19 @@ class Observer:
 
     def troubled(self, net: str, text: str) -> None:
         """Called for what should be in a log: refused tokens, late completions, guards that fail."""
+
+    def chose(
+        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
+    ) -> None:
+        """Called for each choice among strategies, before the firing.
+
+        Args:
+            net: Name of the net.
+            places: Input places of the transition taken that others contend for.
+            probabilities: Of each contending transition.
+            entropy: Of the choice [nats].
+            taken: The transition that fires.
+        """
+
+    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+        """Called when the mode, the pause or the transitions that wait to be confirmed have changed."""

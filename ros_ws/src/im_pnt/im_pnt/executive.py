@@ -2,40 +2,54 @@
 
 The executive owns the marking. Whatever happens outside reaches it through one queue, from any thread; :meth:`pump`
 takes the events in order and fires until nothing is enabled. It never blocks: actions are started by a runner and
-confirm later.
+confirm later; :meth:`Executive.next_wakeup` tells when time alone has something happen.
 """
 
-import queue
-from collections.abc import Callable, Collection
+from collections import deque
+from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 from im_core.clock import monotonic
-from im_core.errors import ImError, WaitTimeoutError
+from im_core.errors import ImError
+from im_pnt.acting import Actions, CheckObjects
+from im_pnt.choosing import Chooser
+from im_pnt.doubt import Answer
 from im_pnt.errors import NetError, nearest
-from im_pnt.events import (
-    ActionEnded,
-    CommandCancelled,
-    CommandWritten,
-    Event,
-    GuardsChanged,
-    ObjectInvalidated,
-    Observer,
-    RequestArrived,
-    RequestCancelled,
-    TokenArrived,
-)
-from im_pnt.expand import input_place
-from im_pnt.firing import FiringRule, Outlet
-from im_pnt.functions import ActionContext, Functions
-from im_pnt.jobs import NO_LINEAGE, Activity, Command, CommandResult, Job, Lineage
-from im_pnt.net import Net
+from im_pnt.events import ActionEnded, Answered, CommandWritten, Event, Observer
+from im_pnt.firing import FiringRule
+from im_pnt.functions import ActionContext, ActionFunction, Functions
+from im_pnt.jobs import Activities, Activity, Command, CommandResult, Job
+from im_pnt.modes import Mode
+from im_pnt.net import Action, Net
+from im_pnt.operation import Operation
+from im_pnt.record import Entry, Record, encode_command
+from im_pnt.replaying import replay
+from im_pnt.rest import Rest, rest_of
+from im_pnt.snapshot import restore, snapshot
+from im_pnt.strategies import StrategyBook
+from im_pnt.telling import Outlet
+from im_pnt.timers import Timers
 
 
 class Runner(Protocol):
-    """Starts actions; calls :meth:`Executive.ended` when they have confirmed or failed."""
+    """Has actions done; calls :meth:`Executive.ended` when they have confirmed or failed."""
 
     def start(self, executive: "Executive", activity: Activity, context: ActionContext) -> None:
         """Starts an action; must not block and not raise."""
+
+    def direct(self, action: Action) -> ActionFunction | None:
+        """Returns the function that does an action when it is called, None where the action must be started."""
+
+    def watch(self, executive: "Executive", activity: Activity, work: Awaitable[object]) -> None:
+        """Waits for what a function that was called directly has left to do."""
+
+    def waits(self, activity: Activity) -> bool:
+        """Whether a request has been sent, and its reply is still to come."""
+
+    def ask(
+        self, executive: "Executive", activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
+    ) -> None:
+        """Asks what became of an action that is in doubt; the answer may come from any thread."""
 
 
 class Executive:
@@ -50,6 +64,12 @@ class Executive:
         seed: Seed of the choices among contending transitions.
         wake: Called when an event was posted; whoever owns the loop calls :meth:`pump` then.
         check_objects: Looks whether data objects are valid and calls back with the error, if any; None: not checked.
+        strategies: What was learned about strategies; None: begins anew.
+        clock: Present time, monotonic [s].
+        record: Takes what happens before it does, see :mod:`im_pnt.record`; None: no journal.
+
+    Attributes:
+        written: The net as written.
 
     Raises:
         NetFileError: A function that the net names is not registered.
@@ -65,14 +85,21 @@ class Executive:
         *,
         seed: int = 0,
         wake: Callable[[], None] = lambda: None,
-        check_objects: Callable[[tuple[str, ...], Callable[[ImError | None], None]], None] | None = None,
+        check_objects: CheckObjects | None = None,
+        strategies: StrategyBook | None = None,
+        clock: Callable[[], float] = monotonic,
+        record: Record | None = None,
     ) -> None:
         functions.check(net)
         self.written = net
-        self._runner, self._observer = runner, observer or Observer()
-        self._wake, self._check_objects = wake, check_objects
-        self._rule = FiringRule(net, functions, self._begin, outlet, self._observer, seed)
-        self._inbox: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._wake = wake
+        self._inbox: deque[Event] = deque()
+        self._rule = FiringRule(net, outlet, observer or Observer(), clock)
+        self._rule.record = record
+        chooser = Chooser(self._rule, functions, strategies or StrategyBook(), seed)
+        self._timers = Timers()
+        actions = Actions(self, self._rule, chooser, runner, self._timers, clock, check_objects)
+        self._operation = Operation(self._rule, chooser, actions, self._timers, self._inbox, clock)
 
     @property
     def net(self) -> Net:
@@ -82,20 +109,40 @@ class Executive:
     @property
     def sequence(self) -> int:
         """Number of the last firing."""
-        return self._rule.sequence
+        return self._rule.teller.sequence
 
     @property
-    def activities(self) -> Collection[Activity]:
+    def activities(self) -> Activities:
         """The actions that run, in the order in which they began."""
-        return self._rule.activities.keys()
+        return Activities(self._rule.activities)
 
-    # What any thread may call.
+    @property
+    def mode(self) -> Mode:
+        """How the net is operated."""
+        return self._operation.operator.mode
+
+    @property
+    def paused(self) -> bool:
+        """Whether nothing new is started."""
+        return self._operation.operator.paused
+
+    @property
+    def proposed(self) -> tuple[str, ...]:
+        """Transitions that wait to be confirmed."""
+        return self._operation.proposed()
+
+    @property
+    def record(self) -> Record | None:
+        """Takes what happens before it does; None: no journal."""
+        return self._rule.record
+
+    # From any thread.
 
     def command(self, command: Command, on_closed: Callable[[CommandResult], None] | None = None) -> Job:
         """Writes a command to the input tape.
 
         Raises:
-            NetError: The net never reads that symbol.
+            NetError: The net never reads that symbol, or a journal cannot keep its arguments.
         """
         if command.symbol not in self._rule.readers:
             raise NetError(
@@ -103,6 +150,8 @@ class Executive:
                 f"{nearest(command.symbol, self._rule.readers)}",
                 symbol=command.symbol,
             )
+        if self.record is not None:
+            encode_command(command)
         job = Job(command, command.arguments, on_closed=on_closed)
         self.post(CommandWritten(job))
         return job
@@ -111,15 +160,17 @@ class Executive:
         """Says that an action has confirmed, or failed with an error."""
         self.post(ActionEnded(activity, error, results or {}))
 
+    def answered(self, activity: Activity, answer: Answer) -> None:
+        """Says what became of an action that is in doubt."""
+        self.post(Answered(activity, answer))
+
     def post(self, event: Event) -> None:
-        """Puts an event into the queue."""
-        self._inbox.put(event)
+        """Puts an event into the queue; like all that does so, from any thread."""
+        self._inbox.append(event)
         self._wake()
 
-    # What only the owner of the loop may call.
-
     def pump(self, limit: int = 1000) -> bool:
-        """Takes all events and fires until nothing is enabled.
+        """Takes all events and fires until nothing is enabled; a call from inside does nothing.
 
         Args:
             limit: Firings after which to return, so that a net without actions cannot hold the loop.
@@ -127,108 +178,72 @@ class Executive:
         Returns:
             Whether there is more to do at once.
         """
-        fired = 0
-        while fired < limit:
-            try:
-                event = self._inbox.get_nowait()
-            except queue.Empty:
-                step = self._rule.step()
-                if step is None:
-                    self._close_forgotten()
-                    return False
-                fired += step
-            else:
-                self._handle(event)
-                self._rule.reconsider()
-        return True
+        return self._operation.pump(limit)
 
     def expire(self) -> None:
-        """Fails the actions whose time is over."""
-        now = monotonic()
-        for activity in list(self.activities):
-            if activity.deadline is not None and now >= activity.deadline:
-                activity.deadline = None
-                self._cancel_activity(activity)
-                what = f"{activity.action} of transition {activity.transition}"
-                self.ended(activity, WaitTimeoutError(what=what, seconds=round(now - activity.began, 3)))
+        """Does what is due by the clock; :meth:`pump` does it too."""
+        self._operation.strike()
+
+    def next_wakeup(self) -> float | None:
+        """Returns when :meth:`pump` is to be called though no event was posted (monotonic) [s]; None: never."""
+        return self._timers.next()
 
     def marking(self) -> dict[str, int]:
         """Returns the marked places by name."""
-        return self._rule.tokens.marking()
+        return self._operation.marking()
 
     @property
     def due(self) -> bool:
         """Whether an event or a decision waits for :meth:`pump`."""
-        return self._rule.pending or not self._inbox.empty()
+        return self._operation.due
 
     def busy(self) -> bool:
         """Whether an action runs or a job is open."""
-        return bool(self.activities or len(self._rule.ledger))
+        return bool(self.activities or len(self._rule.ledger) or self._operation.calling)
 
-    # Events.
+    def at_rest(self) -> Rest:
+        """Returns whether the net may be replaced now, and if not, why: an action, a job, a token on its way."""
+        return rest_of(self._rule, self.marking(), len(self._inbox), self._operation.calling)
 
-    def _handle(self, event: Event) -> None:
-        match event:
-            case CommandWritten(job):
-                self._rule.write(job)
-            case CommandCancelled(command_id, error):
-                self._cancel_command(command_id, error)
-            case RequestArrived(request):
-                job = Job(request.command, request.arguments, request)
-                self._rule.ledger.add(job)
-                self._rule.put(input_place(request.service), 1, Lineage(job, None))
-            case RequestCancelled(request_id, error):
-                for job in self._rule.ledger.of_request(request_id):
-                    self._cancel_job(job, error)
-            case TokenArrived(place, count):
-                self._rule.put(place, count, NO_LINEAGE)
-            case ActionEnded(activity, error, results):
-                self._end(activity, error, results)
-            case ObjectInvalidated(name):
-                self._rule.withdraw(name)
-            case GuardsChanged():
-                pass
+    def jobs(self) -> list[Job]:
+        """Returns the open jobs, in the order of their arrival."""
+        return self._rule.ledger.jobs()
 
-    def _begin(self, activity: Activity, context: ActionContext) -> None:
-        self._runner.start(self, activity, context)
+    def activity(self, number: int) -> Activity:
+        """Returns an action that runs, by its number.
 
-    def _end(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
-        if activity not in self._rule.activities:
-            outcome = f"failed ({error})" if error else "confirmed"
-            text = f"{activity.action} of transition {activity.transition} {outcome} after it had been given up"
-            self._observer.troubled(self.net.name, text)
-        elif error is None and activity.objects and self._check_objects is not None and not activity.checked:
-            activity.checked = True
-            self._check_objects(activity.objects, lambda invalid: self.ended(activity, invalid, results))
-        else:
-            self._rule.end(activity, error, results)
+        Raises:
+            NetError: None of that number runs.
+        """
+        found = self._rule.activities.get(number)
+        if found is None:
+            raise NetError(f"net {self.net.name} has no action of number {number} running", number=number)
+        return found
 
-    def _cancel_command(self, command_id: int | None, error: ImError) -> None:
-        for job in self._rule.ledger.of_command(command_id):
-            if job.request is None and job in self._rule.ledger.tape.withdraw(job.command.id):
-                self._rule.ledger.close(job, error)
-            else:
-                self._cancel_job(job, error)
+    def state(self) -> dict[str, object]:
+        """Returns what the net is in the middle of, as JSON data; this and what follows is for a journal.
 
-    def _cancel_job(self, job: Job, error: ImError) -> None:
-        job.cancelled = True
-        job.last_failure = error
-        for activity in self.activities:
-            if activity.lineage.job is job:
-                self._cancel_activity(activity)
+        Raises:
+            NetError: JSON cannot carry it.
+        """
+        return snapshot(self._rule, self._operation.operator)
 
-    def _cancel_activity(self, activity: Activity) -> None:
-        for error in activity.cancel():
-            self._observer.troubled(self.net.name, f"cancelling {activity.action} broke: {error!r}")
+    def restore(self, state: dict[str, object]) -> None:
+        """Takes a state back, before anything has happened.
 
-    def _close_forgotten(self) -> None:
-        """Ends the commands that a net at rest can acknowledge no more, so that no client waits in vain."""
-        if not len(self._rule.ledger) or self.activities:
-            return
-        rest = self.net.rest_places()
-        if any(place not in rest for place in self.marking()):
-            return
-        for job in self._rule.ledger.begun_commands():
-            symbol = job.command.symbol
-            text = f"net {self.net.name} came to rest and emitted neither {symbol}_done nor {symbol}_failed"
-            self._rule.ledger.close(job, job.last_failure or ImError(text, code="net", symbol=symbol))
+        Raises:
+            NetError: It is no state of this net.
+        """
+        restore(self._rule, self._operation.operator, state)
+
+    def replay(self, entry: Entry) -> None:
+        """Does again what an entry tells.
+
+        Raises:
+            NetError: It does not fit the net, or what has happened to it.
+        """
+        replay(self._rule, self._operation.operator, entry)
+
+    def resume(self) -> None:
+        """Goes on after :meth:`restore` and :meth:`replay`: what ran has to be asked about."""
+        self._operation.resume()

@@ -2,7 +2,10 @@
 
 A transition with an action hides its tokens while the action runs. In the expanded net they are seen: ``t.start``
 takes the inputs and marks ``t.active``; ``t.end`` or ``t.failed`` takes that token and gives the outputs or the
-``on_failure`` places. A P-invariant of the expanded net therefore holds at every instant, whatever the outcome.
+``on_failure`` places. An action that is asked to end early moves its token to ``t.cancelling`` (``t.cancel``); one
+that nobody knows about, to ``t.in_doubt`` (``t.lost``); from there it ends by ``t.end.cancelling``,
+``t.failed.in_doubt`` and so on, or, where nobody can tell, by ``t.given_up`` to the ``on_doubt`` places. A
+P-invariant of the expanded net therefore holds at every instant, whatever the outcome.
 
 A service ``s`` adds the places I.s, SI, O.s and SO of the paper's coordination structure: ``accept.s`` takes the
 request and the input semaphore SI, ``t_f.s`` gives SI back and marks O.s, ``return.s`` answers the caller and gives SO
@@ -23,6 +26,16 @@ OUTPUT_SEMAPHORE = "SO"
 def active_place(transition: str) -> str:
     """Returns the name of the place that is marked while the action of a transition runs."""
     return f"{transition}.active"
+
+
+def cancelling_place(transition: str) -> str:
+    """Returns the name of the place that is marked while a cancelled action winds down."""
+    return f"{transition}.cancelling"
+
+
+def doubt_place(transition: str) -> str:
+    """Returns the name of the place that is marked while nobody knows what became of an action."""
+    return f"{transition}.in_doubt"
 
 
 def input_place(service: str) -> str:
@@ -55,8 +68,8 @@ def expand(net: Net) -> Net:
         for part in _phases(net, transition):
             transitions[part.name] = part
         if transition.action is not None:
-            active = active_place(transition.name)
-            places[active] = Place(active)
+            for phase in (active_place, cancelling_place, doubt_place):
+                places[phase(transition.name)] = Place(phase(transition.name))
     for place in net.places.values():
         if place.on_invalid:
             withdrawn = _withdrawn(place)
@@ -102,7 +115,8 @@ def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
     if transition.action is None:
         yield replace(transition, origin=transition.name)
         return
-    name, active = transition.name, {active_place(transition.name): 1}
+    name = transition.name
+    active, cancelling, in_doubt = ({phase(name): 1} for phase in (active_place, cancelling_place, doubt_place))
     yield replace(
         transition,
         name=f"{name}.start",
@@ -113,22 +127,33 @@ def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
         role=Role.START,
         origin=name,
     )
-    yield Transition(
-        name=f"{name}.end",
-        inputs=active,
-        outputs=transition.outputs,
-        remote_outputs=transition.remote_outputs,
-        emit=transition.emit,
-        role=Role.END,
-        origin=name,
-        line=transition.line,
-    )
-    yield Transition(
-        name=f"{name}.failed",
-        inputs=active,
-        outputs=failure_arcs(net, transition),
-        role=Role.FAILED,
-        origin=name,
+    failure = failure_arcs(net, transition)
+    for suffix, inputs in (("", active), (".cancelling", cancelling), (".in_doubt", in_doubt)):
+        yield Transition(
+            name=f"{name}.end{suffix}",
+            inputs=inputs,
+            outputs=transition.outputs,
+            remote_outputs=transition.remote_outputs,
+            emit=transition.emit,
+            role=Role.END,
+            origin=name,
+            line=transition.line,
+        )
+        yield _phase(transition, f"failed{suffix}", inputs, failure, Role.FAILED)
+    yield _phase(transition, "cancel", active, cancelling, Role.CANCEL)
+    yield _phase(transition, "lost", active, in_doubt, Role.LOST)
+    yield _phase(transition, "lost.cancelling", cancelling, in_doubt, Role.LOST)
+    if transition.on_doubt:
+        yield _phase(transition, "given_up", in_doubt, transition.on_doubt, Role.GIVEN_UP)
+
+
+def _phase(transition: Transition, name: str, inputs: Arcs, outputs: Arcs, role: Role) -> Transition:
+    return Transition(
+        name=f"{transition.name}.{name}",
+        inputs=inputs,
+        outputs=outputs,
+        role=role,
+        origin=transition.name,
         line=transition.line,
     )
 

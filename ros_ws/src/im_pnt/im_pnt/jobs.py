@@ -1,11 +1,13 @@
 """What a net works for: commands of the tape and requests of other nets; and the actions it has running for them."""
 
-from collections.abc import Callable
+import enum
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from im_core.errors import ImError
 from im_pnt.net import Action
+from im_pnt.timers import Timer
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +78,16 @@ class Job:
         request: The request, for a job that another net asked for.
         results: What is returned in the end; actions write it.
         replies: Results of the requests made for this job, by transition.
+        memory: What its actions keep for each other; never sent to the caller.
         last_failure: The last failure of an action done for it.
         progress: Progress 0..1, negative where unknown.
         cancelled: Whether it should come to an end early.
+        unwanted: Whether that was so before it was accepted: then its first action is to end as soon as it begins.
         closed: Whether it has ended.
+        number: Counts the jobs of its net from 1; 0 before the net has taken it.
+        from_tape: Whether it came over the input tape: a command, or a request of another net that is one.
+        waiting: Whether it is still on the tape.
+        recorded: Its memory, results and progress as they were written to the journal last, as JSON.
         on_closed: Called once with the result.
     """
 
@@ -88,11 +96,22 @@ class Job:
     request: Request | None = None
     results: dict[str, object] = field(default_factory=dict)
     replies: dict[str, dict[str, object]] = field(default_factory=dict)
+    memory: dict[str, object] = field(default_factory=dict)
     last_failure: ImError | None = None
     progress: float = -1.0
     cancelled: bool = False
+    unwanted: bool = False
     closed: bool = False
+    number: int = 0
+    from_tape: bool = False
+    waiting: bool = False
+    recorded: str = "[{},{},-1.0]"
     on_closed: Callable[[CommandResult], None] | None = None
+
+    @property
+    def symbol(self) -> str:
+        """What it is asked for: the symbol of the command, or the service of the request."""
+        return self.command.symbol if self.request is None else self.request.service
 
     def close(self, error: ImError | None) -> None:
         """Ends the job, once."""
@@ -113,35 +132,72 @@ class Lineage(NamedTuple):
 NO_LINEAGE = Lineage(None, None)
 
 
-@dataclass(slots=True, eq=False)
-class Activity:
-    """An action that runs: a marked ``t.active``.
+class ActivityState(enum.StrEnum):
+    """How far an action is: which of its places is marked."""
+
+    ACTIVE = "active"
+    CANCELLING = "cancelling"
+    IN_DOUBT = "in_doubt"
+
+
+class Reply(NamedTuple):
+    """How an action has ended.
 
     Attributes:
+        error: Why it failed, None if it has not.
+        results: Results of a request.
+    """
+
+    error: ImError | None
+    results: dict[str, object]
+
+
+@dataclass(slots=True, eq=False)
+class Activity:
+    """An action that runs: a token on ``t.active``, ``t.cancelling`` or ``t.in_doubt``.
+
+    Attributes:
+        number: Sequence number of its START, by which a journal knows it.
         net: Net it belongs to.
         transition: Transition as written.
-        index: Index of ``t.start`` in the expanded net.
         action: What is done.
         lineage: What the tokens taken carried.
         began: When it began (monotonic) [s].
-        deadline: When it counts as failed (monotonic) [s], None: never.
+        deadline: When it comes in doubt (monotonic) [s], None: never.
         objects: Data objects that must be valid when it has succeeded.
+        state: How far it is.
         cancelled: Whether it was asked to end early.
         checked: Whether the data objects have been looked at.
+        reply: How it has ended, when that is known and the net has not yet fired.
+        doubt: Why it is in doubt, None if it is not.
+        doubted: When it came in doubt (monotonic) [s].
+        timer: What strikes next: its deadline, or the next question about it.
         on_cancel: Called when it is asked to end early.
     """
 
+    number: int
     net: str
     transition: str
-    index: int
     action: Action
     lineage: Lineage
     began: float
-    deadline: float | None
+    deadline: float | None = None
     objects: tuple[str, ...] = ()
+    state: ActivityState = ActivityState.ACTIVE
     cancelled: bool = False
     checked: bool = False
+    reply: Reply | None = None
+    doubt: ImError | None = None
+    doubted: float = 0.0
+    timer: Timer | None = None
     on_cancel: list[Callable[[], None]] = field(default_factory=list)
+
+    def when_cancelled(self, callback: Callable[[], None]) -> None:
+        """Has something called when the action is asked to end early; at once if it already was."""
+        if self.cancelled:
+            callback()
+        else:
+            self.on_cancel.append(callback)
 
     def cancel(self) -> list[Exception]:
         """Asks the action to end early, once; how it ends still decides what is marked.
@@ -159,3 +215,35 @@ class Activity:
             except Exception as error:  # foreign code must not keep the others from being told
                 raised.append(error)
         return raised
+
+
+class Activities(Collection[Activity]):
+    """The actions that run in a net, in the order in which they began; whether one is among them is known at once.
+
+    Args:
+        by_number: The actions by their numbers.
+    """
+
+    def __init__(self, by_number: Mapping[int, Activity]) -> None:
+        self._by_number = by_number
+
+    def __contains__(self, activity: object) -> bool:
+        return isinstance(activity, Activity) and self._by_number.get(activity.number) is activity
+
+    def __iter__(self) -> Iterator[Activity]:
+        return iter(self._by_number.values())
+
+    def __len__(self) -> int:
+        return len(self._by_number)
+
+
+def as_failure(activity: Activity, error: Exception) -> ImError:
+    """Returns an exception of an action as the failure that the net will carry."""
+    if isinstance(error, ImError):
+        return error
+    return ImError(
+        f"{activity.action} of transition {activity.transition} broke: {type(error).__name__}: {error}",
+        code="action",
+        net=activity.net,
+        transition=activity.transition,
+    )

@@ -4,6 +4,7 @@ Cycles are broken along a depth-first search, layers are longest paths, the orde
 and the horizontal places by an isotonic fit to the neighbours' means.
 """
 
+from bisect import bisect_right, insort
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -105,7 +106,8 @@ def depths(nodes: list[str], edges: Sequence[Edge], backward: set[Edge]) -> dict
             waiting[after] -= 1
             if waiting[after] == 0:
                 ready.append(after)
-    sources = [node for node in nodes if follows[node] and not any(b == node for _, b in forward)]
+    targets = {b for _, b in forward}
+    sources = [node for node in nodes if follows[node] and node not in targets]
     for node in sources:
         depth[node] = min(depth[after] for after in follows[node]) - 1
     return depth
@@ -161,9 +163,12 @@ def _crossings(graph: Layered) -> int:
     count = 0
     for upper, lower in pairwise(graph.layers):
         place = {node: index for index, node in enumerate(lower)}
-        ends = [sorted(place[below] for below in graph.down.get(node, ())) for node in upper]
-        flat = [end for group in ends for end in group]
-        count += sum(left > right for index, left in enumerate(flat) for right in flat[index + 1 :])
+        seen: list[int] = []
+        for node in upper:
+            ends = [place[below] for below in graph.down.get(node, ())]
+            count += sum(len(seen) - bisect_right(seen, end) for end in ends)
+            for end in ends:
+                insort(seen, end)
     return count
 
 

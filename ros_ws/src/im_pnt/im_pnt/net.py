@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from im_pnt.delay import Delay
+
 Arcs = Mapping[str, int]
 """Place name to arc weight (>= 1)."""
 
@@ -120,7 +122,42 @@ class RequestAction:
         return f"request {self.net}.{self.service}"
 
 
-Action = FunctionAction | ServiceAction | GoalAction | RequestAction
+@dataclass(frozen=True, slots=True)
+class TopicAction:
+    """Publishes one message; confirms when it has been handed to the middleware.
+
+    Attributes:
+        name: Name of the topic.
+        type: Its type, ``package/msg/Type``.
+        fields: Fields of the message.
+        build: Registered function that makes further fields.
+    """
+
+    name: str
+    type: str
+    fields: Mapping[str, object] = field(default_factory=dict)
+    build: str | None = None
+
+    def __str__(self) -> str:
+        return f"topic {self.name}"
+
+
+Action = FunctionAction | ServiceAction | GoalAction | RequestAction | TopicAction
+
+
+@dataclass(frozen=True, slots=True)
+class Strategy:
+    """Probability of success that is learned from outcomes, as Beta counts (paper, section 2).
+
+    Attributes:
+        successes: Successes counted before the first run (alpha).
+        failures: Failures counted before the first run (beta).
+        decay: Factor on both counts at each outcome, 0..1; 1 forgets nothing.
+    """
+
+    successes: float = 1.0
+    failures: float = 1.0
+    decay: float = 1.0
 
 
 class Role(enum.Enum):
@@ -130,6 +167,9 @@ class Role(enum.Enum):
     START = "start"
     END = "end"
     FAILED = "failed"
+    CANCEL = "cancel"
+    LOST = "lost"
+    GIVEN_UP = "given_up"
     ACCEPT = "accept"
     FINISH = "finish"
     FINISH_FAILED = "finish_failed"
@@ -153,7 +193,13 @@ class Transition:
         emit: Symbols it writes to the output tape when it ends.
         action: What is done between taking and giving.
         on_failure: Tokens it gives instead when the action fails.
+        on_doubt: Tokens it gives when nobody can tell what became of its action; empty: it counts as failed.
         timeout: Wall time the action may take [s]; None: the runner's own limit, if any.
+        delay: Time that the action takes, for analysis and simulation; of a transition without action, the time for
+            which it must be enabled before it fires.
+        success: Probability that the action succeeds, for analysis and simulation.
+        weight: How often it is taken among contending transitions, relative to the others.
+        strategy: Its probability of success is learned, and weighs in the choice; None: it is not.
         priority: Larger goes first among contending transitions.
         role: What it is in an expanded net.
         origin: Transition, service or place it was expanded from; its own name otherwise.
@@ -170,7 +216,12 @@ class Transition:
     emit: tuple[str, ...] = ()
     action: Action | None = None
     on_failure: Arcs = field(default_factory=dict)
+    on_doubt: Arcs = field(default_factory=dict)
     timeout: float | None = None
+    delay: Delay | None = None
+    success: float = 1.0
+    weight: float = 1.0
+    strategy: Strategy | None = None
     priority: int = 0
     role: Role = Role.PLAIN
     origin: str = ""
@@ -245,7 +296,7 @@ class Net:
                     names.add(function)
                 case ServiceAction(build=build, handle=handle) | GoalAction(build=build, handle=handle):
                     names.update(name for name in (build, handle) if name)
-                case RequestAction(build=build) if build:
+                case RequestAction(build=build) | TopicAction(build=build) if build:
                     names.add(build)
         return frozenset(names)
 

@@ -7,15 +7,24 @@ It stands where an arc to a distant place, to a place that many transitions lead
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from im_pnt.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE, expand, input_place
-from im_pnt.layers import Box, Edge, backward_edges, connected, depths
-from im_pnt.net import FunctionAction, Net, Place, RequestAction, Role, Transition
+from im_pnt.expand import (
+    INPUT_SEMAPHORE,
+    OUTPUT_SEMAPHORE,
+    active_place,
+    cancelling_place,
+    doubt_place,
+    expand,
+    input_place,
+)
+from im_pnt.layers import Box, Edge
+from im_pnt.net import Arcs, FunctionAction, Net, Place, RequestAction, Role, Transition
+from im_pnt.references import far_edges
 
 RADIUS = 11.0
 REFERENCE_RADIUS = 6.5
 LINE = 12.0
 _WIDE, _NARROW = 6.2, 5.1
-_FAILURE_SPAN, _RETURN_SPAN, _JUNCTION, _LAYERS = 3, 6, 4, 18
+_STRUCTURE = (Role.ACCEPT, Role.FINISH, Role.FINISH_FAILED, Role.RETURN, Role.WITHDRAWN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +40,7 @@ class DrawnNode:
         box: Room it takes.
         place: Place whose tokens it shows; empty for transitions.
         link: The ``net.place`` of another net that it leads to.
+        timed: Whether it is a transition that fires after a time of its own.
     """
 
     name: str
@@ -41,6 +51,7 @@ class DrawnNode:
     box: Box
     place: str = ""
     link: str = ""
+    timed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +76,10 @@ def parts(net: Net, *, phases: bool = False) -> tuple[tuple[DrawnNode, ...], tup
         phases: Draw start, active, end and failed of timed transitions; otherwise one box each.
     """
     whole = expand(net)
-    shown = whole if phases else _folded(net, whole)
+    shown, renamed = _distinct(whole if phases else _folded(net, whole))
     nodes = {node.name: node for node in _nodes(shown)}
+    for name, place in renamed.items():
+        nodes[name] = replace(nodes[name], label=place, place=place)
     arcs: list[DrawnArc] = []
     far = _far(shown, list(_arcs(shown)))
     for arc in _arcs(shown):
@@ -82,47 +95,44 @@ def parts(net: Net, *, phases: bool = False) -> tuple[tuple[DrawnNode, ...], tup
 
 
 def _far(net: Net, arcs: list[DrawnArc]) -> set[Edge]:
-    """The arcs that end at a reference."""
-    semaphores = {INPUT_SEMAPHORE, OUTPUT_SEMAPHORE} & {name for name, place in net.places.items() if place.tokens}
+    """The arcs that end at a reference: those of semaphores, and those that would be long."""
+    marked = [name for name, place in net.places.items() if place.tokens]
+    semaphores = {INPUT_SEMAPHORE, OUTPUT_SEMAPHORE} & set(marked)
     far = {(arc.source, arc.target) for arc in arcs if {arc.source, arc.target} & semaphores}
     rest = [arc for arc in arcs if (arc.source, arc.target) not in far]
-    into: dict[str, int] = {}
-    for arc in rest:
-        into[arc.target] = into.get(arc.target, 0) + (arc.target in net.places)
-    edges = [(arc.source, arc.target) for arc in rest]
-    names = [*(name for name, place in net.places.items() if place.tokens), *net.transitions, *net.places]
-    names = list(dict.fromkeys([*names, *(arc.target for arc in rest)]))
-    top = [name for name, place in net.places.items() if place.tokens]
-    depth = depths(names, edges, backward_edges(names, edges, top))
-    for arc in rest:
-        span = abs(depth[arc.source] - depth[arc.target])
-        limit = _FAILURE_SPAN if arc.kind in ("failure", "either") else _RETURN_SPAN if arc.target in top else 1000
-        if span > limit or into[arc.target] >= _JUNCTION:
-            far.add((arc.source, arc.target))
-    edges = [edge for edge in edges if edge not in far]
-    while cut := _waist(net, names, edges, top):
-        far.update(cut)
-        edges = [edge for edge in edges if edge not in cut]
-    return far
+    names = list(dict.fromkeys([*marked, *net.transitions, *net.places, *(arc.target for arc in rest)]))
+    failures = {(arc.source, arc.target) for arc in rest if arc.kind in ("failure", "either")}
+    return far | far_edges(names, [(arc.source, arc.target) for arc in rest], net.places, set(marked), failures)
 
 
-def _waist(net: Net, names: list[str], edges: list[Edge], top: list[str]) -> set[Edge]:
-    """Where a drawing would be too tall: the arcs into the place at which it is best continued in another column."""
-    best: set[Edge] = set()
-    least = _height(names, edges, top) - 3
-    if least + 3 < _LAYERS:
-        return best
-    for place in net.places:
-        cut = {(a, b) for a, b in edges if b == place}
-        rest = [edge for edge in edges if edge not in cut]
-        part = next(part for part in connected(names, rest) if place in part)
-        if cut and not any(a in part for a, _ in cut) and (height := _height(names, rest, top)) < least:
-            best, least = cut, height
-    return best
+def _distinct(net: Net) -> tuple[Net, dict[str, str]]:
+    """The net with other names for places that are named like a transition, and the names they had."""
+    new: dict[str, str] = {}
+    for name in net.places:
+        new[name] = name
+        while new[name] in net.transitions or (new[name] != name and new[name] in net.places):
+            new[name] += "_"
+    if all(name == other for name, other in new.items()):
+        return net, {}
 
+    def arcs(old: Arcs) -> dict[str, int]:
+        return {new[name]: weight for name, weight in old.items()}
 
-def _height(names: list[str], edges: list[Edge], top: list[str]) -> int:
-    return max(depths(names, edges, backward_edges(names, edges, top)).values())
+    places = {new[name]: replace(place, name=new[name]) for name, place in net.places.items()}
+    transitions = {
+        t.name: replace(
+            t,
+            inputs=arcs(t.inputs),
+            outputs=arcs(t.outputs),
+            inhibitors=arcs(t.inhibitors),
+            on_failure=arcs(t.on_failure),
+            on_doubt=arcs(t.on_doubt),
+        )
+        for t in net.transitions.values()
+    }
+    escalate = None if net.escalate is None else new[net.escalate]
+    changed = replace(net, places=places, transitions=transitions, escalate=escalate)
+    return changed, {other: name for name, other in new.items() if other != name}
 
 
 def _reference(name: str, node: DrawnNode) -> DrawnNode:
@@ -132,12 +142,9 @@ def _reference(name: str, node: DrawnNode) -> DrawnNode:
 
 def _folded(net: Net, whole: Net) -> Net:
     """The net as written, with the coordination structures of the expanded one."""
-    structure = {
-        name: t
-        for name, t in whole.transitions.items()
-        if t.role not in (Role.PLAIN, Role.START, Role.END, Role.FAILED)
-    }
-    hidden = {f"{name}.active" for name, t in net.transitions.items() if t.action is not None}
+    structure = {name: t for name, t in whole.transitions.items() if t.role in _STRUCTURE}
+    phases = (active_place, cancelling_place, doubt_place)
+    hidden = {place(name) for name, t in net.transitions.items() if t.action is not None for place in phases}
     places = {name: place for name, place in whole.places.items() if name not in hidden}
     return Net(net.name, places, {**net.transitions, **structure}, escalate=net.escalate)
 
@@ -171,7 +178,8 @@ def _transition(transition: Transition) -> DrawnNode:
     notes = tuple(_notes(transition))
     half = max([40.0, _WIDE * len(label), *(_NARROW * len(note) for note in notes)]) / 2 + 7
     box = Box(half, half, 22.0 + LINE * len(notes))
-    return DrawnNode(label, "transition", label, notes, 0, box, link=link)
+    timed = transition.delay is not None and action is None and transition.role is Role.PLAIN
+    return DrawnNode(label, "transition", label, notes, 0, box, link=link, timed=timed)
 
 
 def _notes(transition: Transition) -> Iterator[str]:
@@ -187,6 +195,10 @@ def _notes(transition: Transition) -> Iterator[str]:
         yield f"{action.function}()"
     elif action is not None:
         yield action.name
+    if transition.delay is not None:
+        delay = transition.delay
+        time = f"{delay.values[0]:g} s" if delay.kind == "constant" else str(delay)
+        yield f"after {time}" if action is None else f"takes {time}"
     for symbol in transition.emit:
         yield f"!{symbol}"
 

@@ -9,21 +9,22 @@ FAILED_SUFFIX = "_failed"
 
 
 class InputTape:
-    """Symbols that wait to be read, with the commands they stand for; a transition reads the oldest of its symbol."""
+    """Symbols that wait to be read, with the jobs they stand for; a transition reads the oldest of its symbol."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[Job]] = {}
 
     def write(self, job: Job) -> None:
-        """Puts a command at the end."""
-        self._waiting.setdefault(job.command.symbol, deque()).append(job)
+        """Puts a job at the end."""
+        job.from_tape = job.waiting = True
+        self._waiting.setdefault(job.symbol, deque()).append(job)
 
     def has(self, symbol: str) -> bool:
         """Whether a symbol is on the tape."""
         return bool(self._waiting.get(symbol))
 
     def first(self, symbol: str) -> Job:
-        """Returns the oldest command of a symbol, and leaves it on the tape.
+        """Returns the oldest job of a symbol, and leaves it on the tape.
 
         Raises:
             LookupError: The symbol is not there.
@@ -31,23 +32,25 @@ class InputTape:
         return self._waiting[symbol][0]
 
     def read(self, symbol: str) -> Job:
-        """Takes the oldest command of a symbol from the tape.
+        """Takes the oldest job of a symbol from the tape.
 
         Raises:
             LookupError: The symbol is not there.
         """
-        return self._waiting[symbol].popleft()
+        job = self._waiting[symbol].popleft()
+        job.waiting = False
+        return job
 
-    def withdraw(self, command_id: int) -> list[Job]:
-        """Takes the commands with a number from the tape, wherever they are."""
-        taken: list[Job] = []
-        for symbol, jobs in self._waiting.items():
-            taken.extend(job for job in jobs if job.command.id == command_id)
-            self._waiting[symbol] = deque(job for job in jobs if job.command.id != command_id)
-        return taken
+    def withdraw(self, job: Job) -> bool:
+        """Takes a job from the tape, wherever it is; returns whether it was there."""
+        if not job.waiting:
+            return False
+        self._waiting[job.symbol].remove(job)
+        job.waiting = False
+        return True
 
     def waiting(self) -> list[Job]:
-        """Returns the commands on the tape, symbol by symbol."""
+        """Returns the jobs on the tape, symbol by symbol."""
         return [job for jobs in self._waiting.values() for job in jobs]
 
 

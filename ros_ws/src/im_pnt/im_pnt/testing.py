@@ -1,22 +1,42 @@
 """A process without ROS: runs nets with their functions in a test, which may hold actions and end them by hand."""
 
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 
+from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
+from im_pnt.doubt import Answer, Verdict
 from im_pnt.events import Firing, Observer, Phase
 from im_pnt.exchange import Exchange, Transport
 from im_pnt.executive import Executive
-from im_pnt.functions import ActionContext, Functions, GuardFunction
+from im_pnt.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
 from im_pnt.jobs import Activity, Command, CommandResult, Job
-from im_pnt.net import FunctionAction, Net
-from im_pnt.runner import FunctionRunner
+from im_pnt.modes import Mode
+from im_pnt.net import Action, FunctionAction, Net
+from im_pnt.record import Record
+from im_pnt.runner import FunctionRunner, Spawn
+from im_pnt.strategies import StrategyBook
 
-_MARKS = {Phase.START: "+", Phase.END: "", Phase.FAILED: "!"}
+_MARKS = {Phase.START: "+", Phase.END: "", Phase.FAILED: "!", Phase.CANCEL: "~", Phase.DOUBT: "?"}
 
 
 def hold(ctx: ActionContext) -> None:
     """Stands for an action that the test ends by hand; never called."""
     raise StateError(f"transition {ctx.transition} is held by a test and cannot run")
+
+
+class Clock:
+    """Time that a test moves.
+
+    Attributes:
+        time: Present time [s].
+    """
+
+    def __init__(self) -> None:
+        self.time = 0.0
+
+    def __call__(self) -> float:
+        """Returns the present time [s]."""
+        return self.time
 
 
 class Recorder(Observer):
@@ -26,6 +46,8 @@ class Recorder(Observer):
         self.firings: list[Firing] = []
         self.troubles: list[str] = []
         self.progress: list[tuple[str, float]] = []
+        self.choices: list[tuple[tuple[str, ...], dict[str, float], float, str]] = []
+        self.operation: list[tuple[Mode, bool, tuple[str, ...]]] = []
 
     def fired(self, firing: Firing) -> None:
         """Keeps a firing."""
@@ -39,8 +61,18 @@ class Recorder(Observer):
         """Keeps a complaint."""
         self.troubles.append(text)
 
+    def chose(
+        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
+    ) -> None:
+        """Keeps a choice among strategies."""
+        self.choices.append((places, dict(probabilities), entropy, taken))
+
+    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+        """Keeps how a net is operated."""
+        self.operation.append((mode, paused, proposed))
+
     def names(self, net: str) -> list[str]:
-        """Returns the firings of a net by transition: ``t+`` for START, ``t`` for END, ``t!`` for FAILED."""
+        """Returns the firings of a net: ``t+`` START, ``t`` END, ``t!`` FAILED, ``t~`` CANCEL, ``t?`` DOUBT."""
         return [f"{firing.transition}{_MARKS[firing.phase]}" for firing in self.firings if firing.net == net]
 
 
@@ -54,6 +86,19 @@ class Process:
         name: Name of the process' node.
         transport: To other processes.
         seed: Seed of the choices.
+        asks: Functions that find out what became of actions.
+        clock: Present time [s].
+        spawn: Runs coroutines; otherwise they must not wait for anything.
+        observer: Is told what happens, in the place of the recorder.
+        strategies: What was learned about strategies.
+        record: Takes what happens before it does, for all nets.
+
+    Attributes:
+        recorder: Keeps what the nets tell.
+        clock: Present time [s].
+        held: Actions that wait to be ended.
+        results: Results of the commands that have ended.
+        answers: What is answered when a held action is asked about, by transition; otherwise that it runs.
     """
 
     def __init__(
@@ -65,16 +110,36 @@ class Process:
         name: str = "node",
         transport: Transport | None = None,
         seed: int = 0,
+        asks: Mapping[str, AskFunction] | None = None,
+        clock: Callable[[], float] = monotonic,
+        spawn: Spawn | None = None,
+        observer: Observer | None = None,
+        strategies: StrategyBook | None = None,
+        record: Record | None = None,
     ) -> None:
         self.recorder = Recorder()
-        self.functions = Functions(actions, guards)
+        self.clock = clock
+        self.functions = Functions(actions, guards, asks)
         self.exchange = Exchange(name, 1, transport, self.recorder)
         self.held: list[tuple[Executive, Activity, ActionContext]] = []
         self.results: list[CommandResult] = []
-        self._runner = FunctionRunner(self.functions, self.exchange, _drive)
+        self.answers: dict[str, Answer] = {}
+        self._runner = FunctionRunner(self.functions, self.exchange, spawn or _drive, clock=clock)
         self._commands = 0
         for net in nets:
-            self.exchange.add(Executive(net, self.functions, self, self.exchange, self.recorder, seed=seed))
+            self.exchange.add(
+                Executive(
+                    net,
+                    self.functions,
+                    self,
+                    self.exchange,
+                    observer or self.recorder,
+                    seed=seed,
+                    strategies=strategies,
+                    clock=clock,
+                    record=record,
+                )
+            )
 
     def start(self, executive: Executive, activity: Activity, context: ActionContext) -> None:
         """Starts an action, or holds it."""
@@ -83,6 +148,30 @@ class Process:
             self.held.append((executive, activity, context))
         else:
             self._runner.start(executive, activity, context)
+
+    def direct(self, action: Action) -> ActionFunction | None:
+        """Returns the function that does an action when it is called, None for those that are held."""
+        function = self._runner.direct(action)
+        return None if function is hold else function
+
+    def watch(self, executive: Executive, activity: Activity, work: Awaitable[object]) -> None:
+        """Waits for what an action has left to do."""
+        self._runner.watch(executive, activity, work)
+
+    def waits(self, activity: Activity) -> bool:
+        """Whether a request has been sent, and its reply is still to come."""
+        return self._runner.waits(activity)
+
+    def ask(
+        self, executive: Executive, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
+    ) -> None:
+        """Asks what became of an action."""
+        action = activity.action
+        asked = isinstance(action, FunctionAction) and action.function in self.functions.asks
+        if any(held[1] is activity for held in self.held) and not asked:
+            answered(self.answers.get(activity.transition, Answer(Verdict.RUNNING, asked="the test")))
+        else:
+            self._runner.ask(executive, activity, context, answered)
 
     def end(self, transition: str, error: ImError | None = None) -> None:
         """Ends the action that has been held longest for a transition.
@@ -96,6 +185,18 @@ class Process:
         self.held.remove(entry)
         entry[0].ended(entry[1], error)
         self.pump()
+
+    def wait(self, seconds: float) -> None:
+        """Lets the time of a :class:`Clock` pass, and does all that is due meanwhile, each at its time."""
+        assert isinstance(self.clock, Clock)
+        end = self.clock.time + seconds
+        while True:
+            self.pump()
+            due = [time for net in self.exchange.nets.values() if (time := net.next_wakeup()) is not None]
+            if not due or min(due) > end:
+                break
+            self.clock.time = max(self.clock.time, min(due))
+        self.clock.time = end
 
     def command(self, net: str, symbol: str, **arguments: object) -> int:
         """Writes a command to a net's tape and fires; its result goes to ``results``. Returns its number."""

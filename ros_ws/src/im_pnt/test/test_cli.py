@@ -1,7 +1,8 @@
 import json
 from xml.etree import ElementTree
 
-from im_pnt.cli import BAD_INPUT, OK, REFUSED, main
+from im_pnt.cli import main
+from im_pnt.cli.exits import BAD_INPUT, OK, REFUSED
 
 
 def test_verify_prints_one_object_with_every_answer(data, capsys):
@@ -28,7 +29,7 @@ def test_bad_input_is_one_sentence_with_file_and_line(tmp_path, capsys):
     file = tmp_path / "bad.yaml"
     file.write_text("net: bad\nplaces: {a: 1}\ntransitions: {t: {in: b}}\n")
     assert main(["verify", str(file)]) == BAD_INPUT
-    assert "bad.yaml:3: transitions.t.in: there is no place 'b' (known: a)" in capsys.readouterr().err
+    assert "bad.yaml:3:23: transitions.t.in: there is no place 'b' (known: a)" in capsys.readouterr().err
     assert main(["draw", str(file), "-o", "x.png"]) == BAD_INPUT
 
 
@@ -49,3 +50,35 @@ def test_draw_writes_svg_and_dot(data, tmp_path):
     output = tmp_path / "net.dot"
     assert main(["draw", str(data / "coordinator.yaml"), "-o", str(output)]) == OK
     assert '"asked" -> "search"' in output.read_text()
+
+
+def test_verify_answers_everything_and_says_how(data, capsys):
+    main(["verify", str(data / "coordinator.yaml"), "--json"])
+    report = json.loads(capsys.readouterr().out)
+    wanted = (
+        "states labelled_arcs distinct_edges max_token_in_place max_token_per_marking place_bounds bounded safe "
+        "has_deadlock deadlock_states live live_transitions quasi_live reversible terminal_sccs "
+        "never_enabled_transitions never_enabled p_semiflows t_semiflows siphons traps"
+    )
+    for answer in wanted.split():
+        assert report[answer] is not None
+        assert report["methods"][answer]
+    assert report["unknown"] == {}
+    assert report["time_s"] >= 0.0
+
+
+def test_a_counterexample_is_written_and_can_be_played(tmp_path, capsys):
+    net = tmp_path / "grows.yaml"
+    net.write_text("net: grows\nplaces: {a: 1, b: , c: }\ntransitions: {s: {in: a, out: c}, t: {in: c, out: [c, b]}}\n")
+    written = tmp_path / "way.json"
+    assert main(["verify", str(net), "--counterexample", str(written)]) == REFUSED
+    out = capsys.readouterr().out
+    assert "place b can grow without end" in out
+    way = json.loads(written.read_text())
+    assert way["nets"] == ["grows"]
+    assert way["sequence"] == ["s", "t"]
+    assert way["repeat_from"] == 1
+    assert way["marking"] == {"b": 1, "c": 1}
+    assert main(["simulate", str(net), "--replay", str(written)]) == OK
+    assert main(["verify", str(net), "--counterexample", str(tmp_path / "no" / "way.json")]) == BAD_INPUT
+    assert "No such file" in capsys.readouterr().err

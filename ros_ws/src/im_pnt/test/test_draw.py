@@ -1,10 +1,12 @@
 from itertools import combinations, pairwise
+from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.draw import draw
+from im_pnt.delay import Delay
+from im_pnt.draw import dot, draw, svg
 from im_pnt.layout import Box, layered
 from im_pnt.net import FunctionAction, Net, Place, Transition
 from im_pnt.netfile import load_net
@@ -93,3 +95,57 @@ def test_a_tall_net_goes_on_in_another_column():
     assert len(continued) == 1
     assert drawing.layout.height < 1000
     assert drawing.layout.positions[continued[0].place][1] < 50
+
+
+def test_a_large_net_is_drawn_in_pieces_that_lose_nothing():
+    places, transitions = {}, {}
+    for k in range(250):
+        for kind in ("think", "fork", "left", "eat"):
+            places[f"{kind}{k}"] = Place(f"{kind}{k}", tokens=int(kind in ("think", "fork")))
+        other = f"fork{(k + 1) % 250}"
+        for step in (
+            Transition(f"first{k}", {f"think{k}": 1, f"fork{k}": 1}, {f"left{k}": 1}),
+            Transition(f"second{k}", {f"left{k}": 1, other: 1}, {f"eat{k}": 1}),
+            Transition(f"drop{k}", {f"eat{k}": 1}, {f"think{k}": 1, f"fork{k}": 1, other: 1}),
+        ):
+            transitions[step.name] = step
+    drawing = draw(Net("ring", places, transitions))
+    nodes = {node.name: node for node in drawing.nodes}
+    shown = [tuple(nodes[end].place or end for end in (arc.source, arc.target)) for arc in drawing.arcs]
+    arcs = [(place, t.name) for t in transitions.values() for place in t.inputs]
+    arcs += [(t.name, place) for t in transitions.values() for place in t.outputs]
+    assert sorted(shown) == sorted(arcs)
+    assert {node.place for node in drawing.nodes if node.kind == "place"} == places.keys()
+    assert drawing.layout.width < 8 * drawing.layout.height
+
+
+def test_a_place_and_a_transition_of_one_name_are_two_nodes():
+    net = Net("n", {"a": Place("a", tokens=1), "b": Place("b")}, {"a": Transition("a", {"a": 1}, {"b": 1})})
+    drawing = draw(net)
+    assert sorted((node.kind, node.label, node.place) for node in drawing.nodes) == [
+        ("place", "a", "a"),
+        ("place", "b", "b"),
+        ("transition", "a", ""),
+    ]
+    assert len(drawing.arcs) == 2
+
+
+def test_a_transition_that_waits_is_an_open_bar_with_its_time():
+    waits = Transition("waits", {"a": 1}, {"a": 1}, delay=Delay("constant", (2.5,)))
+    acts = Transition("acts", {"a": 1}, {"a": 1}, action=FunctionAction("f"), on_failure={"a": 1}, delay=waits.delay)
+    drawing = draw(Net("n", {"a": Place("a", tokens=1)}, {"waits": waits, "acts": acts}))
+    assert [node.name for node in drawing.nodes if node.timed] == ["waits"]
+    picture = svg(drawing)
+    assert "after 2.5 s" in picture
+    assert "takes 2.5 s" in picture
+    assert picture.count('rx="2" fill="white"') == 1
+
+
+@pytest.mark.parametrize("name", ['a"b', "a\\", "a<b&c>", "a b.c"])
+def test_any_name_makes_a_sound_drawing(name):
+    drawing = draw(Net(name, {name: Place(name, tokens=1)}, {"t": Transition("t", {name: 1})}))
+    title = ElementTree.fromstring(svg(drawing)).find("{http://www.w3.org/2000/svg}title")
+    assert title is not None
+    assert title.text == name
+    quoted = name.replace("\\", "\\\\").replace('"', '\\"')
+    assert f'"{quoted}" -> "t"' in dot(drawing)

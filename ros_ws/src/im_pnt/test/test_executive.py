@@ -2,8 +2,10 @@ import pytest
 
 from im_core.errors import DataError, ImError
 from im_pnt.errors import NetError, NetFileError
-from im_pnt.events import CommandCancelled, GuardsChanged, ObjectInvalidated
+from im_pnt.events import CommandCancelled, GuardsChanged, ObjectInvalidated, RequestArrived
+from im_pnt.executive import Executive
 from im_pnt.functions import ActionContext
+from im_pnt.jobs import Command, Request
 from im_pnt.netfile import load_net, parse_net
 from im_pnt.testing import Process, hold
 
@@ -156,6 +158,73 @@ transitions:
     assert process.marking("n") == {"u.active": 1}
 
 
+def test_weights_say_how_often_a_transition_is_taken():
+    text = (
+        "net: n\nplaces: {a: 1000, b: , c: }\ntransitions: {often: {in: a, out: b, weight: 9}, seldom: {in: a, out: c}}"
+    )
+    process = Process([parse_net(text)], seed=5)
+    process.pump()
+    assert 850 < process.marking("n")["b"] < 950
+
+
+def test_the_winner_gives_way_to_its_own_rival_of_higher_priority():
+    text = """
+net: n
+places: {a: 1, b: 1, c: , d: , e: }
+transitions:
+  first: {in: a, out: c}
+  second: {in: [a, b], out: d}
+  third: {in: b, out: e, priority: 1}
+"""
+    for seed in range(20):
+        process = Process([parse_net(text)], seed=seed)
+        process.pump()
+        assert process.marking("n") == {"c": 1, "e": 1}
+
+
+def test_one_symbol_resolves_several_contending_transitions():
+    text = """
+net: n
+places: {left: 1, right: , here: 1, a: , b: }
+transitions:
+  go_left: {in: [left, here], out: [a, right], symbol: go}
+  go_right: {in: [right, here], out: [b, left], symbol: go}
+  back: {in: a, out: here, emit: go_done}
+  back_too: {in: b, out: here, emit: go_done}
+"""
+    process = Process([parse_net(text)])
+    process.command("n", "go")
+    process.command("n", "go")
+    assert process.recorder.names("n") == ["go_left", "back", "go_right", "back_too"]
+
+
+def test_a_request_that_names_a_symbol_is_a_command_of_the_tape_of_another_net():
+    net = parse_net(
+        "net: n\nplaces: {idle: 1, a: }\n"
+        "transitions:\n  t: {in: idle, out: a, symbol: s}\n"
+        "  u: {in: a, out: idle, action: f, on_failure: idle, emit: s_done}"
+    )
+    replies = []
+
+    class Outlet:
+        def send_reply(self, request, error, results):
+            replies.append((request.id, error, results))
+
+    def f(ctx: ActionContext) -> None:
+        assert ctx.request_arguments == {"x": 1}
+        ctx.result["y"] = 2
+
+    process = Process([], {"f": f})
+    executive = Executive(net, process.functions, process, Outlet(), process.recorder)
+    executive.post(RequestArrived(Request("r", "n", "s", "", "m", "ask", Command(), {"x": 1})))
+    executive.post(RequestArrived(Request("q", "n", "nothing", "", "m", "ask", Command(), {})))
+    executive.pump()
+    assert replies[0][0] == "q"
+    assert "reads no symbol nothing" in str(replies[0][1])
+    assert replies[1] == ("r", None, {"y": 2})
+    assert executive.at_rest()
+
+
 def test_any_number_of_actions_in_flight_end_in_any_order():
     net = parse_net("net: n\nplaces: {a: 3, b: , bad: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: bad}}")
     process = Process([net], {"f": hold})
@@ -166,20 +235,6 @@ def test_any_number_of_actions_in_flight_end_in_any_order():
     process.end("t", ImError("no"))
     process.end("t")
     assert process.marking("n") == {"b": 2, "bad": 1}
-
-
-def test_a_completion_after_the_time_out_changes_nothing():
-    timed = "{in: a, out: b, action: f, on_failure: bad, timeout: 0.000001}"
-    net = parse_net(f"net: n\nplaces: {{a: 1, b: , bad: }}\ntransitions: {{t: {timed}}}")
-    process = Process([net], {"f": hold})
-    process.pump()
-    process.exchange.nets["n"].expire()
-    process.pump()
-    assert process.marking("n") == {"bad": 1}
-    assert "waited" in process.recorder.firings[-1].message
-    process.end("t")
-    assert process.marking("n") == {"bad": 1}
-    assert "after it had been given up" in process.recorder.troubles[0]
 
 
 def test_a_net_without_actions_does_not_hold_the_loop():
@@ -302,6 +357,46 @@ transitions:
         process.pump()
         assert process.marking("client") == {"a_done": 1, "b_failed": 1}
         assert process.marking("server") == {"SI": 1, "SO": 1}
+
+
+def test_a_net_says_why_it_is_not_at_rest():
+    net = parse_net(
+        "net: n\nplaces: {idle: 1, a: }\n"
+        "transitions:\n  t: {in: idle, out: a, symbol: s, action: f, on_failure: idle}\n"
+        "  u: {in: a, out: idle, emit: s_done}"
+    )
+    process = Process([net], {"f": hold})
+    executive = process.exchange.nets["n"]
+    assert executive.at_rest()
+    assert str(executive.at_rest()) == "at rest"
+    process.command("n", "s")
+    assert executive.at_rest().reasons == (
+        "function f of transition t is active",
+        "command s (number 1) is open",
+    )
+    process.end("t")
+    assert executive.at_rest()
+
+
+def test_what_a_job_keeps_in_memory_is_found_by_its_later_actions_and_not_by_its_caller():
+    net = parse_net(
+        "net: n\nplaces: {idle: 1, a: , b: }\ntransitions:\n"
+        "  t: {in: idle, out: a, symbol: s, action: keeps, on_failure: idle}\n"
+        "  u: {in: a, out: idle, action: finds, on_failure: b, emit: s_done}\n"
+        "  v: {in: b, out: idle, emit: s_failed}"
+    )
+
+    def keeps(ctx: ActionContext) -> None:
+        assert ctx.memory == {}
+        ctx.memory["poses"] = [1, 2]
+
+    def finds(ctx: ActionContext) -> None:
+        ctx.result["sum"] = sum(ctx.memory["poses"])
+
+    process = Process([net], {"keeps": keeps, "finds": finds})
+    for _ in range(2):
+        process.command("n", "s")
+    assert [result.results for result in process.results] == [{"sum": 3}, {"sum": 3}]
 
 
 def test_a_command_that_its_net_forgets_is_ended_when_the_net_comes_to_rest():

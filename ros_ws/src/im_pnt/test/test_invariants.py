@@ -6,10 +6,12 @@ from hypothesis import strategies as st
 from im_core.errors import ImError
 from im_pnt.analysis.semiflows import p_semiflows
 from im_pnt.compiled import compile_net
-from im_pnt.events import CommandCancelled, ObjectInvalidated
+from im_pnt.doubt import Answer, Verdict
+from im_pnt.events import CommandCancelled, Firing, ObjectInvalidated
 from im_pnt.expand import expand
+from im_pnt.functions import ActionContext
 from im_pnt.netfile import parse_net
-from im_pnt.testing import Process, hold
+from im_pnt.testing import Clock, Process, Recorder, hold
 
 NET = """
 net: n
@@ -20,27 +22,61 @@ places:
   path: {data_object: path, on_invalid: [ready]}
   done:
   bad:
+  lost:
 transitions:
   begin: {in: idle, out: ready, symbol: go}
-  plan: {in: ready, out: path, action: act, on_failure: bad}
-  move: {in: [path, tool], out: [done, tool], action: act, on_failure: [bad, tool]}
+  plan: {in: ready, out: path, action: plan, on_failure: bad}
+  move: {in: [path, tool], out: [done, tool], action: act, on_failure: [bad, tool], on_doubt: [lost, tool], timeout: 1}
   again: {in: done, out: ready, guard: again}
   finish: {in: done, out: idle, guard: not again, emit: go_done}
+  found: {in: lost, out: bad}
   give_up: {in: bad, out: idle, emit: go_failed}
 """
-STEPS = ("go", "end", "fail", "cancel", "invalid", "toggle")
+STEPS = ("go", "end", "fail", "cancel", "invalid", "toggle", "wait", "done", "unknown")
 
 
-@settings(max_examples=60, deadline=None)
+class Watchful(Recorder):
+    """Looks at the invariants at every firing."""
+
+    def __init__(self, look) -> None:
+        super().__init__()
+        self.look = look
+
+    def fired(self, firing: Firing) -> None:
+        super().fired(firing)
+        self.look()
+
+
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.sampled_from(STEPS), max_size=40), st.integers(0, 3))
-def test_invariants_hold_after_every_event(steps, seed):
+def test_invariants_hold_at_every_instant(steps, seed):
     again = [False]
-    process = Process([parse_net(NET)], {"act": hold}, {"again": lambda ctx: again[0]}, seed=seed)
-    executive = process.exchange.nets["n"]
     flows = p_semiflows(compile_net(expand(parse_net(NET)))).flows
     assert len(flows) == 2
-    initial = process.marking("n")
-    wanted = [sum(weight * initial.get(place, 0) for place, weight in flow.items()) for flow in flows]
+    process: Process | None = None
+
+    def sums() -> list[int]:
+        marking = process.marking("n")
+        return [sum(weight * marking.get(place, 0) for place, weight in flow.items()) for flow in flows]
+
+    def plan(ctx: ActionContext) -> None:
+        assert sums() == wanted
+        if seed == 1:
+            raise ImError("no plan")
+
+    def look() -> None:
+        assert sums() == wanted
+
+    process = Process(
+        [parse_net(NET)],
+        {"plan": plan, "act": hold},
+        {"again": lambda ctx: again[0]},
+        seed=seed,
+        clock=Clock(),
+        observer=Watchful(look),
+    )
+    executive = process.exchange.nets["n"]
+    initial, wanted = process.marking("n"), sums()
     numbers = [0]
     for step in steps:
         match step:
@@ -54,13 +90,16 @@ def test_invariants_hold_after_every_event(steps, seed):
                 executive.post(ObjectInvalidated("path"))
             case "toggle":
                 again[0] = not again[0]
+            case "wait":
+                process.wait(0.7)
+            case "done" | "unknown":
+                process.answers["move"] = Answer(Verdict(step))
         process.pump()
-        marking = process.marking("n")
-        found = [sum(weight * marking.get(place, 0) for place, weight in flow.items()) for flow in flows]
-        assert found == wanted
+        look()
     again[0] = False
     while process.held:
         process.end(process.held[0][1].transition)
     process.pump()
+    look()
     assert len(process.results) == len(numbers) - 1
     assert process.marking("n") == initial

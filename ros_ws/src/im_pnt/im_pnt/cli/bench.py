@@ -1,0 +1,82 @@
+"""``pnt bench``: how fast nets fire and are searched."""
+
+import argparse
+import json
+
+from im_core.errors import ImError
+from im_pnt.analysis.reachability import Limits
+from im_pnt.bench.nets import FAMILIES, by_name
+from im_pnt.bench.speed import Speed, measure
+from im_pnt.cli.exits import OK, Subcommands
+from im_pnt.netfile import load_net
+
+_DEFAULT = ("ring:100", "philosophers:100", "catching_philosophers:8", "kanban:2")
+
+_DESCRIPTION = f"""Fires nets as nodes do and searches their markings, and prints how fast that is, in CPU time.
+
+  pnt bench                                  nets whose answers are known: {", ".join(_DEFAULT)}
+  pnt bench kanban:5 ring:1000               other sizes; families are {", ".join(FAMILIES)}
+  pnt bench dispatcher.yaml motion.yaml      your nets, composed
+
+Actions confirm at once, guards are drawn by lot, and whenever nothing can fire the tape gets every symbol. Start and
+end of an action are two firings. How this compares with other libraries, scripts/bench.sh --nets tells."""
+
+
+def add(commands: Subcommands) -> None:
+    """Adds the command to the parser."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = commands.add_parser("bench", help="how fast are nets?", description=_DESCRIPTION, formatter_class=raw)
+    parser.set_defaults(run=run)
+    parser.add_argument("nets", nargs="*", metavar="FILE", help="net files, composed; or nets of families")
+    parser.add_argument("--firings", type=int, default=100_000, metavar="N", help="firings of each (100000)")
+    parser.add_argument("--states", type=int, default=1_000_000, metavar="N", help="markings to search (1000000)")
+    parser.add_argument("--timeout", type=float, default=30.0, metavar="S", help="time of a search or run [s] (30)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same firings (0)")
+    parser.add_argument("--json", action="store_true", help="print one JSON list instead of a table")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measures nets.
+
+    Raises:
+        ImError: An option is out of range, or a file is wrong.
+    """
+    for name in ("firings", "states", "timeout"):
+        if not getattr(options, name) > 0:
+            raise ImError(f"--{name} {getattr(options, name)} must be larger than 0", code="input")
+    names = options.nets or _DEFAULT
+    families = [name for name in names if _is_family(name)]
+    files = [name for name in names if not _is_family(name)]
+    groups = [[by_name(name)] for name in families]
+    if files:
+        groups.append([load_net(file) for file in files])
+    limits = Limits(states=options.states, seconds=options.timeout)
+    speeds = [measure(nets, options.firings, limits, options.seed) for nets in groups]
+    print(json.dumps([_plain(speed) for speed in speeds], indent=1) if options.json else _table(speeds))
+    return OK
+
+
+def _is_family(name: str) -> bool:
+    return name.partition(":")[0] in FAMILIES
+
+
+def _plain(speed: Speed) -> dict[str, object]:
+    return {
+        "nets": speed.nets,
+        "firings": speed.firings,
+        "firings_per_s": speed.firings_per_s,
+        "states": speed.states,
+        "states_per_s": speed.states_per_s,
+        "search_stopped": speed.stopped or None,
+    }
+
+
+def _table(speeds: list[Speed]) -> str:
+    names = ["+".join(speed.nets) for speed in speeds]
+    width = max(len(name) for name in (*names, "net"))
+    lines = [f"{'net':{width}}  {'firings/s':>12}  {'markings/s':>12}  {'markings':>12}"]
+    for name, speed in zip(names, speeds, strict=True):
+        firings = "-" if speed.firings_per_s is None else f"{speed.firings_per_s:,.0f}"
+        line = f"{name:{width}}  {firings:>12}  {speed.states_per_s:>12,.0f}  {speed.states:>12,}"
+        lines.append(f"{line}  {speed.stopped}".rstrip())
+    return "\n".join(lines)

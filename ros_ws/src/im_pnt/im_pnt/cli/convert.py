@@ -1,0 +1,134 @@
+"""``pnt convert``: YAML to PNML and back."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from im_core.clock import monotonic
+from im_core.errors import ImError
+from im_pnt.cli.exits import OK, Subcommands
+from im_pnt.cli.output import write_whole
+from im_pnt.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
+from im_pnt.net import Net
+from im_pnt.netfile import PNML_SUFFIXES, load_net, parse_net
+from im_pnt.netfile.names import as_name, is_name
+from im_pnt.netfile.writer import yaml_text
+from im_pnt.pnml import pnml_text
+
+_BOUNDS_S = 60.0
+_YAML_SUFFIXES = (".yaml", ".yml")
+_DESCRIPTION = """Writes a net file in the other format: YAML (.yaml, .yml) or PNML (.pnml, .xml).
+
+PNML from here is valid by the grammar of ISO/IEC 15909-2. What that cannot say (tape symbols, guards, actions,
+inhibitor arcs, capacities, times, services) is kept in 'toolspecific' elements: pnt reads it back without loss, other
+tools do not see it, and it is named here. With --plain nothing is kept that other tools do not see: the net is written
+as analysis sees it, with its phases, coordination structures and surroundings, and inhibitor arcs become arcs to
+complement places.
+
+Names of a PNML file that YAML cannot have are changed, and said; a net that no YAML file may hold (a transition that
+nothing holds back) is refused. Comments, includes and templates are not kept."""
+
+
+def add(commands: Subcommands) -> None:
+    """Adds the command to the parser."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = commands.add_parser("convert", help="YAML to PNML and back", description=_DESCRIPTION, formatter_class=raw)
+    parser.set_defaults(run=run)
+    parser.add_argument("file", metavar="IN", help="net file; FILE.pnml#NET for one net of several")
+    parser.add_argument("output", metavar="OUT", help="file to write, .yaml, .yml, .pnml or .xml")
+    parser.add_argument("--plain", action="store_true", help="PNML that says everything to every tool")
+    parser.add_argument("--force", action="store_true", help="overwrite OUT if it is there")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Converts a net file."""
+    output = Path(options.output)
+    suffix = output.suffix.lower()
+    if suffix not in (*_YAML_SUFFIXES, *PNML_SUFFIXES):
+        raise ImError(f"cannot convert to '{output}': the name must end in .yaml, .yml, .pnml or .xml", code="input")
+    if options.plain and suffix in _YAML_SUFFIXES:
+        raise ImError(f"--plain is for PNML; '{output}' is YAML, which can say everything", code="input")
+    net = load_net(options.file)
+    if options.plain:
+        from im_pnt.pnml.plain import plain_net
+
+        net, notes = plain_net(net, monotonic() + _BOUNDS_S)
+        text = pnml_text(net, plain=True)
+    elif suffix in _YAML_SUFFIXES:
+        net, notes = _with_our_names(net)
+        text = yaml_text(net)
+        parse_net(text, str(output))
+    else:
+        text, notes = pnml_text(net), tuple(_unseen(net))
+    write_whole(output, text, overwrite=options.force)
+    for note in notes:
+        print(f"pnt: {note}", file=sys.stderr)
+    print(f"{output}: net {net.name}, {len(net.places)} places, {len(net.transitions)} transitions")
+    return OK
+
+
+def _unseen(net: Net) -> Iterator[str]:
+    """What other tools will not see of a net, a line each."""
+    transitions = net.transitions.values()
+    kept = {
+        "inhibitor arcs of transitions": [t.name for t in transitions if t.inhibitors],
+        "capacities of places": [place.name for place in net.places.values() if place.capacity is not None],
+        "tape symbols of transitions": [t.name for t in transitions if t.symbol],
+        "guards of transitions": [t.name for t in transitions if t.guard],
+        "failures of actions of transitions": [t.name for t in transitions if t.action],
+        "delays of transitions": [t.name for t in transitions if t.delay],
+        "priorities of transitions": [t.name for t in transitions if t.priority],
+        "services": list(net.services),
+    }
+    for what, names in kept.items():
+        if names:
+            shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+            yield f"only pnt will see {what}: {shown}"
+
+
+def _with_our_names(net: Net) -> tuple[Net, tuple[str, ...]]:
+    """Gives a net names that YAML nets can have; only nets of other tools have others, and no actions."""
+    places = _renamed(net.places, (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE))
+    transitions = _renamed(net.transitions, ())
+    changed = [(old, new) for names in (places, transitions) for old, new in names.items() if old != new]
+    if not changed:
+        return net, ()
+
+    def arcs(old: Mapping[str, int]) -> dict[str, int]:
+        return {places[name]: weight for name, weight in old.items()}
+
+    renamed = replace(
+        net,
+        places={places[name]: replace(place, name=places[name]) for name, place in net.places.items()},
+        transitions={
+            transitions[t.name]: replace(
+                t,
+                name=transitions[t.name],
+                inputs=arcs(t.inputs),
+                outputs=arcs(t.outputs),
+                inhibitors=arcs(t.inhibitors),
+            )
+            for t in net.transitions.values()
+        },
+        rest=None if net.rest is None else tuple(places[name] for name in net.rest),
+    )
+    return renamed, tuple(f"'{old}' is named {new}" for old, new in changed)
+
+
+def _renamed(names: Mapping[str, object], reserved: tuple[str, ...]) -> dict[str, str]:
+    """Maps each name to one that is allowed and not taken."""
+    taken = {name for name in names if is_name(name) and name not in reserved} | set(reserved)
+    result: dict[str, str] = {}
+    for name in names:
+        new = name
+        if not is_name(name) or name in reserved:
+            base, number = as_name(name), 1
+            new = base
+            while new in taken:
+                number += 1
+                new = f"{base}_{number}"
+            taken.add(new)
+        result[name] = new
+    return result

@@ -1,0 +1,218 @@
+"""``pnt time``: how often, how full, how busy in the long run; how long a command takes, and why."""
+
+import argparse
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from fractions import Fraction
+from pathlib import Path
+
+from im_core.errors import ImError
+from im_pnt.cli.exits import OK, Subcommands
+from im_pnt.net import Net
+from im_pnt.netfile import load_net
+from im_pnt.timed.comparison import Comparison, compare
+from im_pnt.timed.durations import CommandDuration, expected_command
+from im_pnt.timed.fit import fit_delays
+from im_pnt.timed.measured import Measurement, read_measurement
+from im_pnt.timed.steady import Number, SteadyState, steady_state
+
+_DESCRIPTION = """Computes the steady state of timed nets: throughput of transitions, mean tokens and use of places.
+
+Exact for exponential delays, and for others where one thing happens at a time; 'pnt simulate --summary' estimates the
+rest. With --command: the expected duration of a command from its symbol to its answer, where its time goes, and its
+bottleneck, exact where means decide and by simulation otherwise. Symbols and callers come as soon as the nets have
+nothing else to do; guards are true as often as 'weight' says."""
+
+_MARKINGS_SHOWN = 1000
+_DIGITS_SHOWN = 9
+_DIGITS_WRITTEN = 80
+
+
+def add(commands: Subcommands) -> None:
+    """Adds the command to the parser."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = commands.add_parser("time", help="how fast is a net?", description=_DESCRIPTION, formatter_class=raw)
+    parser.set_defaults(run=run)
+    parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--timeout", type=float, default=60.0, metavar="S", help="time for the markings [s] (60)")
+    parser.add_argument("--approximate", action="store_true", help="take all delays for exponential ones")
+    parser.add_argument("--command", dest="symbol", metavar="SYMBOL", help="expected duration of this command")
+    parser.add_argument("--measured", metavar="FILE", help="with --command: firings to compare with (JSON)")
+    parser.add_argument("--fit", action="store_true", help="take delays, success and weights from --measured")
+    parser.add_argument("--runs", type=int, default=1000, metavar="N", help="with --command: simulated runs (1000)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="with --command: seed of the runs (0)")
+    parser.add_argument("-o", "--output", metavar="OUT", help="draw it into this file, .svg or .png")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Computes times of net files."""
+    output = None if options.output is None else Path(options.output)
+    if output is not None and output.suffix not in (".svg", ".png"):
+        raise ImError(f"cannot draw into '{output}': the name must end in .svg or .png", code="input")
+    measured = None if options.measured is None else read_measurement(options.measured)
+    nets = [load_net(file) for file in options.files]
+    if options.fit:
+        if measured is None:
+            raise ImError("--fit needs times to take delays from: --measured FILE", code="input")
+        nets = list(fit_delays(nets, measured.observations))
+    if options.symbol is None:
+        if measured is not None and not options.fit:
+            raise ImError("--measured is compared with a command: --command SYMBOL is missing", code="input")
+        _steady(nets, options, output)
+    else:
+        _command(nets, options, measured, output)
+    return OK
+
+
+def _steady(nets: list[Net], options: argparse.Namespace, output: Path | None) -> None:
+    state = steady_state(nets, approximate=options.approximate, seconds=options.timeout)
+    name = "+".join(net.name for net in nets)
+    print(json.dumps(_plain(state), indent=1) if options.json else f"{name}: {_readable(state)}")
+    if output is not None:
+        from im_pnt.timed.plot import plot_steady
+
+        plot_steady(name, state, output)
+
+
+def _command(nets: list[Net], options: argparse.Namespace, measured: Measurement | None, output: Path | None) -> None:
+    expected = expected_command(nets, options.symbol, seed=options.seed, runs=options.runs)
+    comparison = None
+    if measured is not None:
+        times = measured.commands.get(options.symbol)
+        comparison = compare(expected, measured.by_transition(), sum(times) / len(times) if times else None)
+    if options.json:
+        data = {**asdict(expected), "bottleneck": expected.bottleneck.transition}
+        if comparison is not None:
+            data["comparison"] = asdict(comparison)
+        print(json.dumps(data, indent=1))
+    else:
+        print(_duration(expected))
+        if comparison is not None:
+            print(_comparison(comparison))
+    if output is not None:
+        from im_pnt.timed.plot import plot_command
+
+        plot_command(expected, comparison, output)
+
+
+def _plain(state: SteadyState) -> dict[str, object]:
+    def floats(values: Mapping[str, Number]) -> dict[str, float]:
+        return {name: float(value) for name, value in values.items()}
+
+    data: dict[str, object] = {
+        "tangible": state.tangible,
+        "vanishing": state.vanishing,
+        "throughput": floats(state.throughput),
+        "mean_tokens": floats(state.mean_tokens),
+        "marked": floats(state.marked),
+        "busy": floats(state.busy),
+        "tokens": {
+            place: {str(count): float(share) for count, share in sorted(shares.items())}
+            for place, shares in state.tokens.items()
+        },
+        "probability": None,
+        "classes": [{**asdict(c), "probability": float(c.probability)} for c in state.classes],
+        "method": state.method,
+        "approximation": list(state.approximation),
+        "assumptions": list(state.assumptions),
+        "time_s": round(state.time_s, 4),
+    }
+    if len(state.probability) <= _MARKINGS_SHOWN:
+        data["probability"] = [
+            {"marking": marking, "share": float(share), "fraction": _fraction(share, _DIGITS_WRITTEN)}
+            for marking, share in state.probability
+        ]
+    if any(isinstance(value, Fraction) for value in state.throughput.values()):
+        data["fractions"] = {
+            "throughput": {name: _fraction(value, _DIGITS_WRITTEN) for name, value in state.throughput.items()},
+            "mean_tokens": {name: _fraction(value, _DIGITS_WRITTEN) for name, value in state.mean_tokens.items()},
+        }
+    return data
+
+
+def _fraction(value: Number, digits: int) -> str | None:
+    """Returns a fraction as text, None if it is none or has more digits than anybody reads."""
+    if not isinstance(value, Fraction) or value.denominator.bit_length() > 4 * digits:
+        return None
+    text = str(value)
+    return text if len(text) <= digits else None
+
+
+def _number(value: Number) -> str:
+    decimal = f"{float(value):.6g}"
+    exact = _fraction(value, _DIGITS_SHOWN)
+    return decimal if exact is None or "/" not in exact else f"{exact} = {decimal}"
+
+
+def _readable(state: SteadyState) -> str:
+    lines = [
+        f"steady state of {state.tangible} tangible and {state.vanishing} vanishing markings, {state.time_s:.3f} s",
+        f"  method         {state.method}",
+    ]
+    if state.approximation:
+        lines.append(f"  APPROXIMATION  taken for exponential, by their mean: {', '.join(state.approximation)}")
+    for number, c in enumerate(state.classes, start=1):
+        marking = ", ".join(f"{place}={count}" for place, count in c.marking.items())
+        if c.dead:
+            lines.append(f"  stuck          with probability {_number(c.probability)} with {marking or 'no tokens'}")
+        elif len(state.classes) > 1:
+            lines.append(
+                f"  class {number:<8d} with probability {_number(c.probability)}, {c.markings} markings, e.g. {marking}"
+            )
+    width = max(len(name) for name in (*state.throughput, *state.mean_tokens))
+    lines.append(f"  {'transition':{width}}  {'firings [1/s]':>22}  {'busy':>10}")
+    for name, value in state.throughput.items():
+        if value:
+            share = state.busy.get(name.removesuffix(".start"))
+            busy = "" if share is None else f"{float(share):10.4f}"
+            lines.append(f"  {name:{width}}  {_number(value):>22}  {busy}".rstrip())
+    silent = sum(not value for value in state.throughput.values())
+    lines.append(f"  {'place':{width}}  {'mean tokens':>22}  {'marked':>10}")
+    for name, value in state.mean_tokens.items():
+        if value:
+            lines.append(f"  {name:{width}}  {_number(value):>22}  {float(state.marked[name]):10.4f}")
+    if silent:
+        lines.append(f"  ({silent} transitions never fire in the long run)")
+    lines.extend(f"  assumed        {text}" for text in state.assumptions)
+    return "\n".join(lines)
+
+
+def _duration(expected: CommandDuration) -> str:
+    low, median, high = expected.quantiles
+    error = f" +- {expected.half_width:.3g}" if expected.half_width else ""
+    lines = [
+        f"{expected.symbol}: {expected.mean:.6g}{error} s expected, {expected.method}",
+        f"  {expected.runs} runs    5 % took up to {low:.4g} s, half {median:.4g} s, 95 % {high:.4g} s",
+        f"  done         with probability {expected.done:.4g}",
+        f"  bottleneck   {expected.bottleneck.transition}: {expected.bottleneck.critical:.4g} s hang on it",
+    ]
+    width = max(len(action.transition) for action in expected.actions)
+    lines.append(f"  {'action':{width}}  {'times':>8}  {'each [s]':>9}  {'share':>7}  {'critical [s]':>12}")
+    lines.extend(
+        f"  {action.transition:{width}}  {action.firings:8.3f}  {action.mean:9.4g}  {action.share:7.1%}"
+        f"  {action.critical:12.4g}"
+        for action in expected.actions
+        if action.mean > 0.0
+    )
+    lines.extend(f"  assumed      {text}" for text in expected.assumptions)
+    return "\n".join(lines)
+
+
+def _comparison(comparison: Comparison) -> str:
+    lines = []
+    if comparison.measured is not None:
+        verdict = "between" if comparison.plausible else "NOT between"
+        lines.append(f"  measured     {comparison.measured:.6g} s, {verdict} the expected 5 % and 95 %")
+    width = max((len(row.transition) for row in comparison.actions), default=0)
+    lines.append(f"  {'expected / measured':{width}}  {'times':>19}  {'each [s]':>23}")
+    for row in comparison.actions:
+        if not (row.expected_mean or row.measured_mean):
+            continue
+        each = "-" if row.measured_mean is None else f"{row.measured_mean:.4g}"
+        lines.append(
+            f"  {row.transition:{width}}  {row.expected_firings:10.3f} {row.measured_firings:8d}"
+            f"  {row.expected_mean:12.4g} {each:>10}"
+        )
+    return "\n".join(lines)

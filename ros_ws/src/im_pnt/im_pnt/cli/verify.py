@@ -1,0 +1,106 @@
+"""``pnt verify``: may the nets run together?"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from im_core.clock import monotonic
+from im_pnt.analysis.reachability import Limits
+from im_pnt.analysis.readable import readable
+from im_pnt.analysis.report import Report
+from im_pnt.analysis.verify import verify
+from im_pnt.cli.exits import OK, REFUSED, Subcommands, count, seconds
+from im_pnt.cli.interrupt import EndOnInterrupt
+from im_pnt.errors import NetError
+from im_pnt.net import Net
+from im_pnt.netfile import load_net
+from im_pnt.replay import Script
+
+_DESCRIPTION = """Searches every marking that the nets can reach, alone or composed over remote places and services.
+
+Nets are refused
+  when a place can grow without end or over its capacity;
+  when they can get stuck (waiting for a symbol or a caller at rest is not stuck; 'rest:' in the file names the places
+  that may hold tokens then);
+  when a command or service that was possible can become impossible for ever;
+  when a place that is marked at first may never get its tokens back (in nets without 'rest:').
+The shortest firing sequence that shows it is printed. Guards are taken to be either true or false; the tape is free:
+any symbol may come at any time."""
+
+_QUIET = 2.0
+_EVERY = 0.5
+
+
+def add(commands: Subcommands) -> None:
+    """Adds the command to the parser."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = commands.add_parser("verify", help="may the nets run?", description=_DESCRIPTION, formatter_class=raw)
+    parser.set_defaults(run=run)
+    parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
+    parser.add_argument("--json", action="store_true", help="print one JSON object with every answer")
+    parser.add_argument("--timeout", type=seconds, default=60.0, metavar="S", help="time for everything [s] (60)")
+    parser.add_argument("--states", type=count, default=20_000_000, metavar="N", help="markings to list (20000000)")
+    parser.add_argument(
+        "--counterexample", metavar="FILE", help="where nets are refused, write what 'pnt simulate --replay' plays"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Verifies net files."""
+    progress = _Progress() if sys.stderr.isatty() else None
+    with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"):
+        nets = [load_net(file) for file in options.files]
+        report = verify(
+            nets,
+            Limits(states=options.states, seconds=options.timeout),
+            structure=options.json,
+            progress=progress or (lambda text: None),
+        )
+    if progress is not None:
+        progress.clear()
+    if options.counterexample and report.refusals:
+        _write_counterexample(options.counterexample, options.files, nets, report)
+    print(json.dumps(report.to_dict(), indent=1) if options.json else readable(report))
+    return OK if report.ok else REFUSED
+
+
+def _write_counterexample(path: str, files: list[str], nets: list[Net], report: Report) -> None:
+    from im_pnt.display.story import story
+
+    refusal = report.refusals[0]
+    shown = story(nets, Script(refusal.sequence, refusal.repeat, refusal.reason))
+    content = {
+        **shown,
+        "nets": report.nets,
+        "files": files,
+        "kind": refusal.kind,
+        "reason": refusal.reason,
+        "sequence": [*refusal.sequence, *refusal.repeat],
+        "repeat_from": len(refusal.sequence) if refusal.repeat else None,
+        "marking": refusal.marking,
+    }
+    try:
+        Path(path).write_text(json.dumps(content, indent=1) + "\n")
+    except OSError as error:
+        raise NetError(f"counterexample {path} cannot be written: {error.strerror}", file=path) from None
+
+
+class _Progress:
+    """Shows what goes on in one line of the terminal, once it takes long."""
+
+    def __init__(self) -> None:
+        self._begin = self._last = monotonic()
+        self._shown = False
+
+    def __call__(self, text: str) -> None:
+        """Shows a text, if the last one was shown long enough."""
+        now = monotonic()
+        if now - self._begin >= _QUIET and now - self._last >= _EVERY:
+            print(f"\r\033[K{now - self._begin:4.0f} s  {text}", end="", file=sys.stderr, flush=True)
+            self._last, self._shown = now, True
+
+    def clear(self) -> None:
+        """Removes the line."""
+        if self._shown:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,112 @@
+"""What becomes of actions whose time is over, or whose process has died: they are in doubt, and asked about."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+from im_core.errors import ImError, WaitTimeoutError
+from im_pnt.doubt import Answer, Verdict
+from im_pnt.firing import DOUBT_CODE, FiringRule
+from im_pnt.jobs import Activity, ActivityState, as_failure
+from im_pnt.timers import Timers
+
+FIRST_PERIOD_S, LAST_PERIOD_S = 0.1, 10.0
+"""An action that still runs is asked about again after as long as it is in doubt already, within these limits [s]."""
+ANSWER_LIMIT_S = 5.0
+"""Time that an answer may take [s]."""
+
+
+class Asker(Protocol):
+    """Asks, ends and cancels actions for an :class:`Inquiry`."""
+
+    def ask(self, activity: Activity, answered: Callable[[Answer], None]) -> None:
+        """Asks what became of an action; the answer may come from any thread."""
+
+    def finish(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
+        """Ends an action."""
+
+    def call_off(self, activity: Activity) -> None:
+        """Asks an action to end early."""
+
+
+class Inquiry:
+    """Watches deadlines, and asks about actions until it is known what became of them.
+
+    Args:
+        rule: The marking, and the actions.
+        timers: Strike.
+        clock: Present time [s].
+        asker: Asks.
+        answered: Takes answers, from any thread; has :meth:`take` called with them in the loop.
+    """
+
+    def __init__(
+        self,
+        rule: FiringRule,
+        timers: Timers,
+        clock: Callable[[], float],
+        asker: Asker,
+        answered: Callable[[Activity, Answer], None],
+    ) -> None:
+        self._rule, self._timers, self._clock, self._asker, self._answered = rule, timers, clock, asker, answered
+
+    def watch(self, activity: Activity) -> None:
+        """Has an action come in doubt when its deadline strikes."""
+        if activity.deadline is not None and self._runs(activity) and activity.state is not ActivityState.IN_DOUBT:
+            activity.timer = self._timers.at(activity.deadline, lambda: self._strike(activity))
+
+    def doubt(self, activity: Activity, why: ImError) -> None:
+        """Brings an action in doubt, and asks about it."""
+        if not self._runs(activity):
+            return
+        if activity.state is not ActivityState.IN_DOUBT:
+            self._rule.move(activity, ActivityState.IN_DOUBT, why)
+        self._ask(activity)
+
+    def take(self, activity: Activity, answer: Answer) -> None:
+        """Takes an answer; one that comes when the action has ended, or was answered before, changes nothing."""
+        if not self._runs(activity) or activity.state is not ActivityState.IN_DOUBT:
+            return
+        match answer.verdict:
+            case Verdict.DONE:
+                self._asker.finish(activity, None, answer.results)
+            case Verdict.FAILED:
+                what = f"{activity.action} of transition {activity.transition} failed"
+                self._asker.finish(activity, answer.error or ImError(what, code="failed"), {})
+            case Verdict.RUNNING:
+                self._timers.cancel(activity.timer)
+                wait = min(LAST_PERIOD_S, max(FIRST_PERIOD_S, self._clock() - activity.doubted))
+                activity.timer = self._timers.at(self._clock() + wait, lambda: self._ask(activity))
+            case Verdict.UNKNOWN:
+                self._asker.finish(activity, self._unknown(activity, answer), {})
+
+    def _strike(self, activity: Activity) -> None:
+        what = f"{activity.action} of transition {activity.transition}"
+        self._asker.call_off(activity)
+        self.doubt(activity, WaitTimeoutError(what=what, seconds=round(self._clock() - activity.began, 3)))
+
+    def _ask(self, activity: Activity) -> None:
+        if not self._runs(activity):
+            return
+        silent = Answer(Verdict.UNKNOWN, asked=f"no answer came in {ANSWER_LIMIT_S:g} s")
+        self._timers.cancel(activity.timer)
+        activity.timer = self._timers.at(self._clock() + ANSWER_LIMIT_S, lambda: self.take(activity, silent))
+        try:
+            self._asker.ask(activity, lambda answer: self._answered(activity, answer))
+        except Exception as error:  # asking is foreign code, like the action
+            failure = as_failure(activity, error)
+            self.take(activity, Answer(Verdict.UNKNOWN, asked=f"asking broke: {failure}"))
+
+    def _unknown(self, activity: Activity, answer: Answer) -> ImError:
+        now = self._clock()
+        return ImError(
+            f"nobody can tell what became of {activity.action} of transition {activity.transition}: "
+            f"{activity.doubt}; asked for {now - activity.doubted:.3g} s: {answer.asked or 'no answer'}",
+            code=DOUBT_CODE,
+            net=activity.net,
+            transition=activity.transition,
+            asked=answer.asked,
+            seconds=round(now - activity.began, 3),
+        )
+
+    def _runs(self, activity: Activity) -> bool:
+        return self._rule.activities.get(activity.number) is activity

@@ -1,0 +1,258 @@
+"""What a net records, done again, gives the same net: at every point of its history, and from every snapshot."""
+
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from im_core.errors import ImError
+from im_pnt.doubt import Answer, Verdict
+from im_pnt.errors import NetError
+from im_pnt.events import (
+    CommandCancelled,
+    ModeSet,
+    ObjectInvalidated,
+    PauseSet,
+    RequestArrived,
+    RequestCancelled,
+    TokenArrived,
+)
+from im_pnt.functions import ActionContext
+from im_pnt.jobs import ActivityState, Command, Request
+from im_pnt.modes import Mode
+from im_pnt.netfile import parse_net
+from im_pnt.testing import Clock, Process, hold
+
+NET = """
+net: n
+places:
+  idle: 2
+  tool: 1
+  spare: {remote: true}
+  ready:
+  path: {data_object: path, on_invalid: [ready]}
+  done:
+  bad:
+  lost:
+  asked:
+  answered:
+services: {serve: {entry: asked, done: answered, failed: bad}}
+transitions:
+  begin: {in: idle, out: ready, symbol: go}
+  plan: {in: ready, out: path, action: now, on_failure: bad}
+  move: {in: [path, tool], out: [done, tool], action: act, on_failure: [bad, tool], on_doubt: [lost, tool], timeout: 1}
+  found: {in: lost, out: bad}
+  again: {in: done, out: ready, guard: again}
+  finish: {in: done, out: idle, guard: not again, emit: go_done}
+  give_up: {in: [bad, idle], out: [idle, idle], emit: go_failed}
+  use: {in: [spare, tool], out: tool, delay: 2}
+  work: {in: asked, out: answered, action: act, on_failure: bad}
+"""
+STEPS = (
+    "go",
+    "end",
+    "fail",
+    "cancel",
+    "invalid",
+    "toggle",
+    "token",
+    "request",
+    "unwanted",
+    "wait",
+    "unknown",
+    "mode",
+    "pause",
+)
+
+
+def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
+    """Does some steps; returns the process, and its state after each with the number of entries up to there."""
+    again = [False]
+    entries: list[list[object]] = []
+
+    def now(ctx: ActionContext) -> None:
+        ctx.memory["plans"] = ctx.memory.get("plans", 0) + 1
+        ctx.result["last"] = (1, ctx.failure and str(ctx.failure))
+        ctx.progress("planned", 0.5)
+
+    process = Process(
+        [parse_net(NET)],
+        {"now": now, "act": hold},
+        {"again": lambda ctx: again[0]},
+        clock=Clock(),
+        record=lambda entry: entries.append(json.loads(json.dumps(entry, allow_nan=False))),
+    )
+    executive = process.exchange.nets["n"]
+    process.pump()
+    states = [(0, json.loads(json.dumps(executive.state())))]
+    numbers = [0]
+    for count, step in enumerate(steps):
+        match step:
+            case "go":
+                numbers.append(process.command("n", "go"))
+            case "end" | "fail" if process.held:
+                process.end(process.held[-1][1].transition, ImError("no", count=count) if step == "fail" else None)
+            case "cancel":
+                executive.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
+            case "invalid":
+                executive.post(ObjectInvalidated("path"))
+            case "toggle":
+                again[0] = not again[0]
+            case "token":
+                executive.post(TokenArrived("spare", 1))
+            case "request":
+                executive.post(
+                    RequestArrived(Request(f"r{count}", "n", "serve", "", "m", "t", Command(7, "far"), {"x": 1}))
+                )
+            case "unwanted":
+                executive.post(RequestArrived(Request("u", "n", "serve", "", "m", "t", Command(), {})))
+                executive.post(RequestCancelled("u", ImError("not wanted any more")))
+            case "wait":
+                process.wait(0.7)
+            case "unknown":
+                process.answers["move"] = Answer(Verdict.UNKNOWN)
+            case "mode":
+                executive.post(ModeSet(Mode.STEP if executive.mode is Mode.AUTOMATIC else Mode.AUTOMATIC))
+            case "pause":
+                executive.post(PauseSet(not executive.paused))
+        process.pump()
+        states.append((len(entries), json.loads(json.dumps(executive.state()))))
+    process.entries = entries
+    return process, states
+
+
+def fresh() -> Process:
+    return Process([parse_net(NET)], {"now": hold, "act": hold}, {"again": lambda ctx: False}, clock=Clock())
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.sampled_from(STEPS), max_size=25))
+def test_entries_done_again_give_the_same_state_at_every_point_and_from_every_snapshot(steps):
+    process, states = run(steps)
+    executive = fresh().exchange.nets["n"]
+    done = 0
+    for count, state in states:
+        for entry in process.entries[done:count]:
+            executive.replay(entry)
+        done = count
+        assert executive.state() == state
+    for first, snapshot in states[:: max(1, len(states) // 4)]:
+        executive = fresh().exchange.nets["n"]
+        executive.restore(snapshot)
+        assert executive.state() == snapshot
+        for entry in process.entries[first:]:
+            executive.replay(entry)
+        assert executive.state() == states[-1][1]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.sampled_from(STEPS), max_size=25))
+def test_what_was_brought_back_is_asked_about_and_goes_on(steps):
+    process, states = run(steps)
+    running = sorted(activity.transition for activity in process.exchange.nets["n"].activities)
+    back = fresh()
+    executive = back.exchange.nets["n"]
+    executive.restore(states[-1][1])
+    executive.resume()
+    assert sorted(activity.transition for activity in executive.activities) == running
+    assert {activity.state for activity in executive.activities} <= {ActivityState.IN_DOUBT}
+    executive.post(ModeSet(Mode.AUTOMATIC))
+    executive.post(PauseSet(False))
+    back.wait(10.0)
+    while back.held:
+        back.end(back.held[0][1].transition)
+    back.wait(10.0)
+    assert not executive.activities
+    told = [firing.message for firing in back.recorder.firings[: len(running)]]
+    assert all("died" in message or "waited" in message for message in told)
+    assert executive.marking()["tool"] == 1
+
+
+def test_the_entry_comes_before_what_it_tells():
+    order: list[str] = []
+
+    def act(ctx: ActionContext) -> None:
+        order.append(f"action {ctx.transition}")
+
+    net = parse_net("net: n\nplaces: {a: 1, b: , bad: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: bad}}")
+    process = Process([net], {"f": act}, record=lambda entry: order.append(f"{entry[0]} {process.marking('n')}"))
+    process.pump()
+    assert order == ["fire {'a': 1}", "action t", "end {'t.active': 1}"]
+
+
+def test_a_record_that_cannot_be_made_leaves_everything_as_it_was():
+    def full(entry: list[object]) -> None:
+        raise OSError("no space left")
+
+    net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b}}")
+    process = Process([net], record=full)
+    with pytest.raises(OSError, match="no space"):
+        process.exchange.nets["n"].pump()
+    assert process.marking("n") == {"a": 1}
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (object(), r"ctx\.memory\.x is <object object"),
+        ({1: 2}, r"ctx\.memory\.x has the key 1"),
+        ([0.0, float("nan")], r"ctx\.memory\.x\[1\] is nan"),
+        (b"bytes", r"\(bytes\); a journal keeps"),
+    ],
+)
+def test_what_json_cannot_carry_fails_the_action_that_made_it(value, message):
+    net = parse_net(
+        "net: n\nplaces: {idle: 1, a: , bad: }\ntransitions:\n"
+        "  t: {in: idle, out: a, symbol: go, action: f, on_failure: bad}\n"
+        "  u: {in: a, out: idle, emit: go_done}\n  v: {in: bad, out: idle, emit: go_failed}"
+    )
+
+    def f(ctx: ActionContext) -> None:
+        ctx.memory["x"] = value
+        ctx.result["good"] = 1
+
+    process = Process([net], {"f": f}, record=lambda entry: json.dumps(entry, allow_nan=False))
+    process.command("n", "go")
+    with pytest.raises(NetError, match=message):
+        raise process.results[0].error
+    assert process.results[0].results == {}
+    with pytest.raises(NetError, match="arguments of command go"):
+        process.command("n", "go", x=value)
+
+
+def test_a_value_that_contains_itself_is_refused_like_any_other():
+    process = Process(
+        [parse_net(NET)], {"now": hold, "act": hold}, {"again": lambda ctx: False}, record=lambda entry: None
+    )
+    value: list[object] = []
+    value.append(value)
+    with pytest.raises(NetError, match="contains itself"):
+        process.command("n", "go", x=value)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [[], ["no"], ["fire", "no"], ["fire", "plan.start"], ["fire", "begin"], ["phase", 1, "move.cancel", ["a", "b", {}]],
+     ["end", 1, "move.end", None, None], ["token", "nowhere", 1], ["token", "spare"], ["command", 1, "no", {}],
+     ["forgotten", 1, None], ["cancel", 1, None], ["mode", "fast"], ["pause", 1], ["guard", 3, ["a", "b", {}]]],
+)  # fmt: skip
+def test_an_entry_that_does_not_fit_is_refused(entry):
+    executive = fresh().exchange.nets["n"]
+    before = executive.state()
+    with pytest.raises(NetError):
+        executive.replay(entry)
+    assert executive.state() == before
+
+
+@given(
+    st.sampled_from(sorted(fresh().exchange.nets["n"].state())),
+    st.sampled_from([None, "x", -1, [[1]], {"no": 1}, [{}]]),
+)
+def test_a_state_that_does_not_fit_is_refused(key, value):
+    executive = fresh().exchange.nets["n"]
+    state = executive.state()
+    if (key, value) in (("serving", None), ("sequence", -1), ("entered", -1)):
+        return
+    with pytest.raises(NetError, match="no state of net n"):
+        executive.restore({**state, key: value})

@@ -1,0 +1,193 @@
+"""The loop without ceremony fires what the observed one fires, and its work does not grow with the net."""
+
+import asyncio
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from im_core.errors import ImError
+from im_pnt.events import CommandCancelled, Observer
+from im_pnt.functions import ActionContext
+from im_pnt.net import FunctionAction, Guard, Net, Place, Transition
+from im_pnt.testing import Process
+
+PLACES = tuple("abcdef")
+
+
+@st.composite
+def nets(draw) -> Net:
+    """Small nets with actions and self-loops; half of them with weights, inhibitors, guards and priorities too."""
+    plain = draw(st.booleans())
+    some = st.lists(st.sampled_from(PLACES), min_size=1, max_size=3, unique=True)
+    weight = st.just(1) if plain else st.sampled_from([1, 1, 1, 1, 2])
+    transitions = {}
+    for number in range(draw(st.integers(1, 9))):
+        name = f"t{number}"
+        acts = draw(st.sampled_from([None, None, "f", "fails", "maybe"]))
+        transitions[name] = Transition(
+            name,
+            inputs={place: draw(weight) for place in draw(some)},
+            outputs={place: draw(weight) for place in draw(some)},
+            inhibitors={} if plain else draw(st.sampled_from([{}, {}, {}, {draw(st.sampled_from(PLACES)): 3}])),
+            guard=None
+            if plain
+            else draw(st.sampled_from([None, None, None, Guard("odd"), Guard("odd", negated=True)])),
+            action=FunctionAction(acts) if acts else None,
+            on_failure={draw(st.sampled_from(PLACES)): 1} if acts else {},
+            priority=0 if plain else draw(st.sampled_from([0, 0, 0, 1])),
+            weight=draw(st.sampled_from([1.0, 1.0, 3.0])),
+        )
+    return Net("n", {name: Place(name, tokens=draw(st.integers(0, 3))) for name in PLACES}, transitions)
+
+
+def run(net: Net, seed: int, limits: list[int], observer: Observer | None) -> list[object]:
+    """Returns the calls of actions, and the marking and sequence after each pump."""
+    seen: list[object] = []
+
+    def f(ctx: ActionContext) -> None:
+        assert ctx.memory == {}
+        assert ctx.result == {}
+        seen.append((ctx.transition, process.exchange.nets["n"].marking()))
+        ctx.memory["left"] = True
+
+    def fails(ctx: ActionContext) -> None:
+        seen.append(ctx.transition)
+        raise ImError("no")
+
+    def maybe(ctx: ActionContext) -> object:
+        seen.append((ctx.transition, str(ctx.failure)))
+        if len(seen) % 3 == 0:
+            raise ImError("sometimes")
+        return len(seen)
+
+    process = Process(
+        [net],
+        {"f": f, "fails": fails, "maybe": maybe},
+        {"odd": lambda ctx: len(seen) % 2 == 1},
+        seed=seed,
+        observer=observer,
+    )
+    executive = process.exchange.nets["n"]
+    for limit in limits:
+        executive.pump(limit)
+        seen.append((executive.sequence, executive.marking()))
+    return seen
+
+
+@settings(max_examples=250, deadline=None)
+@given(nets(), st.integers(0, 3), st.lists(st.integers(1, 60), min_size=1, max_size=3))
+def test_it_fires_what_the_observed_loop_fires(net, seed, limits):
+    assert run(net, seed, limits, Observer()) == run(net, seed, limits, None)
+
+
+def ring(size: int, action: str | None = None) -> Net:
+    """One token that goes round."""
+    acts = {"action": FunctionAction(action), "on_failure": {"p0": 1}} if action else {}
+    places = {f"p{i}": Place(f"p{i}", tokens=int(i == 0)) for i in range(size)}
+    names = list(places)
+    transitions = {
+        f"t{i}": Transition(f"t{i}", inputs={names[i]: 1}, outputs={names[(i + 1) % size]: 1}, **acts)
+        for i in range(size)
+    }
+    return Net("n", places, transitions)
+
+
+def philosophers(size: int) -> Net:
+    """Dining philosophers who take both forks at once."""
+    places = {f"{kind}{i}": Place(f"{kind}{i}", tokens=int(kind != "e")) for i in range(size) for kind in "tfe"}
+    transitions = {}
+    for i in range(size):
+        free, eats = {f"t{i}": 1, f"f{i}": 1, f"f{(i + 1) % size}": 1}, {f"e{i}": 1}
+        transitions[f"take{i}"] = Transition(f"take{i}", inputs=free, outputs=eats)
+        transitions[f"put{i}"] = Transition(f"put{i}", inputs=eats, outputs=free)
+    return Net("n", places, transitions)
+
+
+class Counting(list):
+    """A list that counts how often it is looked into."""
+
+    touched = 0
+
+    def __getitem__(self, index):
+        self.touched += 1
+        return super().__getitem__(index)
+
+
+@pytest.mark.parametrize("observer", [Observer(), None])
+@pytest.mark.parametrize("make", [ring, philosophers])
+def test_a_firing_touches_the_transitions_next_to_the_places_that_changed_and_no_others(make, observer):
+    touched = {}
+    for size in (10, 100, 1000):
+        process = Process([make(size)], observer=observer)
+        executive = process.exchange.nets["n"]
+        executive.pump(3 * size)
+        enabling = executive._rule.enabling
+        enabling.unmet = Counting(enabling.unmet)
+        executive.pump(1000)
+        touched[size] = enabling.unmet.touched / 1000
+    assert touched[1000] <= 1.3 * touched[10]
+    assert touched[1000] < 20
+
+
+def test_an_action_that_goes_on_after_its_function_has_returned_is_one_like_any_other():
+    loop = asyncio.new_event_loop()
+    asked: list[str] = []
+    waits = []
+
+    async def later(ctx: ActionContext) -> None:
+        ctx.on_cancel(lambda: asked.append("inside"))
+        future = loop.create_future()
+        waits.append(future)
+        await future
+
+    def begins(ctx: ActionContext) -> object:
+        ctx.on_cancel(lambda: asked.append("before"))
+        return later(ctx)
+
+    process = Process([ring(3, "f")], {"f": begins}, observer=Observer(), spawn=loop.create_task)
+    executive = process.exchange.nets["n"]
+    executive.pump()
+    loop.run_until_complete(asyncio.sleep(0))
+    assert executive.marking() == {"t0.active": 1}
+    assert [activity.transition for activity in executive.activities] == ["t0"]
+    executive.post(CommandCancelled(None, ImError("enough")))
+    executive.pump()
+    assert executive.marking() == {"t0.cancelling": 1}
+    assert sorted(asked) == ["before", "inside"]
+    waits[0].set_result(None)
+    loop.run_until_complete(asyncio.sleep(0))
+    executive.pump()
+    loop.run_until_complete(asyncio.sleep(0))
+    assert executive.marking() == {"t1.active": 1}
+    for task in asyncio.all_tasks(loop):
+        task.cancel()
+    loop.run_until_complete(asyncio.sleep(0))
+    loop.close()
+
+
+def test_what_an_action_sees_of_its_own_net_is_whole():
+    seen: list[tuple[dict[str, int], bool, bool, str]] = []
+
+    def looks(ctx: ActionContext) -> None:
+        executive = process.exchange.nets["n"]
+        assert not executive.pump()
+        assert not executive.due
+        seen.append((executive.marking(), executive.busy(), bool(executive.at_rest()), str(executive.at_rest())))
+
+    process = Process([ring(2, "f")], {"f": looks}, observer=Observer())
+    process.exchange.nets["n"].pump(2)
+    assert seen[0] == ({"t0.active": 1}, True, False, "the action of transition t0 is running")
+    assert seen[1][0] == {"t1.active": 1}
+    assert process.marking("n") == {"p0": 1}
+
+
+def test_an_interrupt_loses_no_token():
+    def interrupted(ctx: ActionContext) -> None:
+        raise KeyboardInterrupt
+
+    for observer in (Observer(), None):
+        process = Process([ring(2, "f")], {"f": interrupted}, observer=observer)
+        with pytest.raises(KeyboardInterrupt):
+            process.exchange.nets["n"].pump()
+        assert process.marking("n") == {"t0.active": 1}
