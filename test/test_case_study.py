@@ -346,24 +346,68 @@ def test_an_estop_ends_the_command_with_its_reason_and_reset_mends_it(machine, f
     assert again.success, again.message
 
 
-@pytest.mark.parametrize("victim", ["vision_coordinator", "motion_coordinator", "mcs"])
-def test_a_killed_node_is_named_within_ten_seconds_and_comes_back(machine, few_poses, victim):
+def kill(machine, victim):
+    """Kills a task; returns when the one that takes its place is ready."""
+    before = machine.tasks[victim].incarnation
+    os.kill(machine.tasks[victim].pid, signal.SIGKILL)
+    return lambda: machine.wait_for(
+        lambda: machine.tasks[victim].incarnation != before and machine.tasks[victim].phase == "ready",
+        f"{victim} to come back",
+        40.0,
+    )
+
+
+@pytest.mark.parametrize("victim", ["vision_coordinator", "motion_coordinator", "path_planning_coordinator", "dom"])
+def test_a_command_survives_the_death_of_a_coordinator(machine, few_poses, victim):
+    """What is journalled goes on; each pose is visited once, and a pose is lost only for what the cameras saw."""
     machine.wait_for(lambda: machine.tasks and all(t.phase == "ready" for t in machine.tasks.values()), "all tasks")
     thread, answers = machine.in_background(few_poses)
     machine.wait_for_firing("motion_coordinator", "move_manip", 3)
-    before = machine.tasks[victim].incarnation
-    os.kill(machine.tasks[victim].pid, signal.SIGKILL)
+    back = kill(machine, victim)
+    thread.join(COMMAND_S)
+    assert answers, "the command did not end"
+    assert answers[0].success, answers[0].message
+    report = report_of(answers[0])
+    assert report["points_used"] + len(report["points_rejected"]) == FEW
+    assert report["points_used"] >= FEW - 3
+    back()
+
+
+def test_a_command_survives_the_death_of_the_dispatcher_and_its_client_is_told(machine, few_poses, run_script):
+    machine.wait_for(lambda: all(t.phase == "ready" for t in machine.tasks.values()), "all tasks")
+    done = []
+    thread = threading.Thread(
+        target=lambda: done.append(run_script("calibrate_camera", "--poses", few_poses, "--json")), daemon=True
+    )
+    thread.start()
+    machine.wait_for_firing("motion_coordinator", "move_manip", 3)
+    kill(machine, "dispatcher")()
+    clock.sleep(1.0)
+    refused = machine.calibrate(few_poses)
+    assert "already running" in refused.message
+    thread.join(COMMAND_S)
+    assert done, "the client did not end"
+    assert done[0].returncode == 0, done[0].stderr
+    assert "the dispatcher died and is back" in done[0].stderr
+    report = json.loads(done[0].stdout)
+    assert report["points_used"] + len(report["points_rejected"]) == FEW
+    folder = Path(os.environ["IM_RESULTS_DIR"]) / "latest"
+    assert json.loads((folder / "report.json").read_text()) == report
+    assert list(folder.glob("*.png"))
+
+
+def test_a_killed_mcs_is_named_within_ten_seconds_and_comes_back(machine, few_poses):
+    machine.wait_for(lambda: all(t.phase == "ready" for t in machine.tasks.values()), "all tasks")
+    thread, answers = machine.in_background(few_poses)
+    machine.wait_for_firing("motion_coordinator", "move_manip", 3)
+    back = kill(machine, "mcs")
     begun = clock.monotonic()
     thread.join(30.0)
     assert answers, "the command did not end"
     assert clock.monotonic() - begun < 10.0
     assert not answers[0].success
-    assert victim in answers[0].message
-    machine.wait_for(
-        lambda: machine.tasks[victim].incarnation != before and machine.tasks[victim].phase == "ready",
-        f"{victim} to come back",
-        40.0,
-    )
+    assert "mcs" in answers[0].message
+    back()
     again = machine.calibrate(few_poses)
     assert again.success, again.message
 

@@ -27,7 +27,7 @@ _FOREVER = QosTime(9223372036, 854775807)
 
 #: Topics that start and end machines, and that carry tokens between nets: recorded, but replayed only by name.
 CONTROL_TOPICS = ("/im/phase", "/im/task_status")
-CONTROL_SUFFIXES = ("/tokens", "/token_acks")
+CONTROL_SUFFIXES = ("/tokens",)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ class FiringPhase(IntEnum):
     START = 0
     END = 1
     FAILED = 2
+    CANCEL = 3
+    DOUBT = 4
 
 
 #: The net ``calibrate_camera``: what takes the next pose, what ends one, and what needs no line of its own.
@@ -30,13 +32,17 @@ class ProgressLines:
 
         Args:
             transition: What fired.
-            phase: Start, end or failure.
-            message: Reason of a failure.
+            phase: What happened to it.
+            message: Reason of a failure or a doubt.
             fraction: Progress of the command 0..1, negative where unknown.
             duration_s: Wall time between start and end [s].
         """
         if phase is FiringPhase.START:
             return self._begun(transition, fraction)
+        if phase is FiringPhase.CANCEL:
+            return None
+        if phase is FiringPhase.DOUBT:
+            return _told(fraction, f"{transition} is in doubt: {message}")
         step = f"{transition} failed: {message}" if phase is FiringPhase.FAILED else f"{transition} {duration_s:.2f} s"
         if self._steps is None:
             return _told(fraction, step) if phase is FiringPhase.FAILED else None

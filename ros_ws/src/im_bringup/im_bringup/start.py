@@ -110,7 +110,7 @@ def clear_the_way() -> None:
     leftovers.kill(leftovers.processes(), timeout_s=2.0)
     leftovers.remove_shared_memory()
     run_dir = names.run_dir()
-    for folder in ("log", "parameters"):
+    for folder in ("log", "parameters", "journal"):  # a new machine is a new mission
         shutil.rmtree(run_dir / folder, ignore_errors=True)
     (run_dir / "log").mkdir()
 

@@ -1,6 +1,6 @@
 from im_bringup.progress import FiringPhase, ProgressLines
 
-START, END, FAILED = FiringPhase
+START, END, FAILED, CANCEL, DOUBT = FiringPhase
 
 
 def told(*firings):
@@ -54,3 +54,11 @@ def test_an_abort_ends_the_pose():
         *both("abort_unreached", 0.0, 0.0),
         *both("abort_light_off", 0.0, 0.1),
     ) == ["[  0 %] pose 1: move_robot failed: e-stop", "[  0 %] abort_light_off"]
+
+
+def test_a_doubt_is_told_at_once_and_a_cancellation_when_it_has_ended():
+    assert told(
+        ("read_next_pos", START, "", 0.0, 0.0),
+        ("move_robot", CANCEL, "", 0.0, 0.0),
+        ("move_robot", DOUBT, "its process ended", 0.0, 0.0),
+    ) == ["[  0 %] move_robot is in doubt: its process ended"]

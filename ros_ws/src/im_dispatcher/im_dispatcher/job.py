@@ -1,8 +1,12 @@
-"""The data of one calibrate_camera command: the loop variable and what has been collected."""
+"""The data of one calibrate_camera command: the loop variable, and what became of each pose.
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+It is plain data and lives in the memory of the command, so that a dispatcher that died goes on where it was. The
+observations themselves are data objects; here are the names of their poses.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from im_core.errors import DataError, NotFoundError
 from im_dispatcher.poses_file import WristPose
@@ -12,8 +16,6 @@ FEWEST_POSES = 12
 
 #: Failures that concern one pose only; everything else concerns the machine.
 POSE_FAILURES = frozenset({"unreachable", "collision", "limit", "not_settled", "spot_not_found"})
-
-ObservationT = TypeVar("ObservationT")
 
 
 @dataclass(frozen=True)
@@ -29,9 +31,8 @@ class Skipped:
     reason: str
 
 
-@dataclass
-class CalibrationJob(Generic[ObservationT]):
-    """Loop over the poses of one calibrate_camera command.
+def check(cameras: Sequence[str], poses: Sequence[WristPose], known_cameras: Sequence[str]) -> None:
+    """Checks what a command asks for.
 
     Args:
         cameras: Names of the cameras to calibrate.
@@ -42,28 +43,40 @@ class CalibrationJob(Generic[ObservationT]):
         NotFoundError: An unknown camera.
         DataError: No camera, a camera named twice, or fewer poses than :data:`FEWEST_POSES`.
     """
+    if not cameras:
+        raise DataError("calibrate_camera needs at least one camera")
+    for name in cameras:
+        if name not in known_cameras:
+            raise NotFoundError(kind="camera", name=name, known=known_cameras)
+        if list(cameras).count(name) > 1:
+            raise DataError(f"camera '{name}' is named twice", camera=name)
+    if len(poses) < FEWEST_POSES:
+        raise DataError(
+            f"{len(poses)} poses are too few to calibrate a camera; at least {FEWEST_POSES} are needed",
+            poses=len(poses),
+            limit=FEWEST_POSES,
+        )
 
-    cameras: Sequence[str]
-    poses: Sequence[WristPose]
-    known_cameras: Sequence[str]
-    observations: list[ObservationT] = field(default_factory=list)
+
+@dataclass
+class CalibrationJob:
+    """Loop over the poses of one calibrate_camera command.
+
+    Attributes:
+        cameras: Names of the cameras to calibrate.
+        poses: All poses, in order.
+        directory: Folder of the report.
+        kept: Names of the poses that were observed.
+        skipped: Poses that were left out.
+        taken: How many poses have been visited, the present one included.
+    """
+
+    cameras: list[str]
+    poses: list[WristPose]
+    directory: str
+    kept: list[str] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
     taken: int = 0
-
-    def __post_init__(self) -> None:
-        if not self.cameras:
-            raise DataError("calibrate_camera needs at least one camera")
-        for name in self.cameras:
-            if name not in self.known_cameras:
-                raise NotFoundError(kind="camera", name=name, known=self.known_cameras)
-            if list(self.cameras).count(name) > 1:
-                raise DataError(f"camera '{name}' is named twice", camera=name)
-        if len(self.poses) < FEWEST_POSES:
-            raise DataError(
-                f"{len(self.poses)} poses are too few to calibrate a camera; at least {FEWEST_POSES} are needed",
-                poses=len(self.poses),
-                limit=FEWEST_POSES,
-            )
 
     @property
     def remaining(self) -> int:
@@ -73,7 +86,7 @@ class CalibrationJob(Generic[ObservationT]):
     @property
     def progress(self) -> float:
         """Share of the poses that are done, 0..1."""
-        return (len(self.observations) + len(self.skipped)) / len(self.poses)
+        return (len(self.kept) + len(self.skipped)) / len(self.poses)
 
     @property
     def current(self) -> WristPose:
@@ -101,9 +114,9 @@ class CalibrationJob(Generic[ObservationT]):
         self.taken += 1
         return self.current
 
-    def keep(self, observation: ObservationT) -> None:
-        """Add the observation of the current pose."""
-        self.observations.append(observation)
+    def keep(self) -> None:
+        """Note that the current pose has been observed."""
+        self.kept.append(self.current.name)
 
     def skip(self, reason: str) -> None:
         """Leave out the current pose."""
@@ -111,4 +124,27 @@ class CalibrationJob(Generic[ObservationT]):
 
     def dispensable(self, failure_code: str) -> bool:
         """Whether a failure concerns this pose only, and enough poses remain without it."""
-        return failure_code in POSE_FAILURES and len(self.observations) + self.remaining >= FEWEST_POSES
+        return failure_code in POSE_FAILURES and len(self.kept) + self.remaining >= FEWEST_POSES
+
+    def to_dict(self) -> dict[str, object]:
+        """The job as JSON data."""
+        return {
+            "cameras": self.cameras,
+            "poses": [pose.model_dump(mode="json") for pose in self.poses],
+            "directory": self.directory,
+            "kept": self.kept,
+            "skipped": [asdict(skipped) for skipped in self.skipped],
+            "taken": self.taken,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "CalibrationJob":
+        """The job that :meth:`to_dict` wrote."""
+        return cls(
+            cameras=list(data["cameras"]),
+            poses=[WristPose.model_validate(pose) for pose in data["poses"]],
+            directory=str(data["directory"]),
+            kept=list(data["kept"]),
+            skipped=[Skipped(**skipped) for skipped in data["skipped"]],
+            taken=int(data["taken"]),
+        )

@@ -3,7 +3,7 @@
 import json
 import os
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -42,6 +42,18 @@ class StepTimes:
         step.count += 1
         step.wall_s += wall_s
         step.simulated_s += stamp_s - self._started.pop(transition, stamp_s)
+
+    def to_dict(self) -> dict[str, list[float]]:
+        """The times as JSON data; what runs is not in them."""
+        return {name: [step.count, step.wall_s, step.simulated_s] for name, step in self.steps.items()}
+
+    def add(self, times: Mapping[str, Sequence[float]]) -> None:
+        """Adds the times that :meth:`to_dict` wrote."""
+        for name, (count, wall_s, simulated_s) in times.items():
+            step = self.steps[name]
+            step.count += int(count)
+            step.wall_s += wall_s
+            step.simulated_s += simulated_s
 
     def summary(self, wall_s: float, simulated_s: float) -> dict[str, object]:
         """For the report; the longest step first."""

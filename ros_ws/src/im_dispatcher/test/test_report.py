@@ -33,3 +33,13 @@ def test_times_add_up_by_step() -> None:
     summary = times.summary(wall_s=2.0, simulated_s=10.0)
     assert summary["simulated_over_wall"] == 5.0
     assert summary["steps"] == {"net.move": {"count": 2, "wall_s": 1.0, "simulated_s": 4.0}}
+
+
+def test_times_go_on_where_a_former_life_ended() -> None:
+    former, present = StepTimes(), StepTimes()
+    for times, wall_s in ((former, 0.5), (present, 0.25)):
+        times.start("net.move", 1.0)
+        times.end("net.move", 3.0, wall_s)
+    present.add(json.loads(json.dumps(former.to_dict())))
+    summary = present.summary(wall_s=2.0, simulated_s=10.0)
+    assert summary["steps"] == {"net.move": {"count": 2, "wall_s": 0.75, "simulated_s": 4.0}}

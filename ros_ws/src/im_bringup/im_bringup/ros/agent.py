@@ -3,6 +3,7 @@
 import argparse
 import os
 import re
+import shutil
 import sys
 
 import rclpy
@@ -33,6 +34,7 @@ class AgentNode(Node):
     def __init__(self, deployment: Deployment, host: str) -> None:
         super().__init__("agent_" + re.sub(r"\W", "_", host))
         run_dir = names.run_dir().resolve() / host
+        shutil.rmtree(run_dir / "journal", ignore_errors=True)  # a new machine is a new mission
         self._agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir))
         self._started = False
         self.finished = False

@@ -1,15 +1,22 @@
-"""``calibrate_camera``: the service call ``/dispatcher/calibrate_camera``, with progress from ``/pnt/firings``."""
+"""``calibrate_camera``: the service call ``/dispatcher/calibrate_camera``, with progress from ``/pnt/firings``.
+
+A dispatcher that dies and is started again goes on with the command, but its answer has nobody to go to. This client
+then attaches to the command with a goal of ``/dispatcher/execute``.
+"""
 
 import argparse
 import json
+import math
 import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -21,14 +28,19 @@ from im_core.errors import ImError, LinkError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.node import STATUS_TOPIC
 from im_core.ros.run import Spinner
+from im_msgs.action import ExecuteCommand
 from im_msgs.msg import Firing, TaskStatus
 from im_msgs.srv import CalibrateCamera
 
 SERVICE = "/dispatcher/calibrate_camera"
+ACTION = "/dispatcher/execute"
 NET = "calibrate_camera"
-#: Longest wait for the service to be found, and longest silence of the dispatcher [s] of wall time.
+#: Longest wait for the service to be found, and longest silence of the dispatcher [s] of wall time: a dispatcher that
+#: died is started again within a few seconds.
 DISCOVERY_S = 10.0
-SILENCE_S = 6.0
+SILENCE_S = 20.0
+#: Time after which a goal that met the server of a former life is sent again [s].
+ACCEPT_S = 2.0
 
 DONE, FAILED, BAD_USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -48,6 +60,7 @@ class Client(Node):
         self._incarnation = 0
         self._interrupted = threading.Event()
         self._client = self.create_client(CalibrateCamera, SERVICE)
+        self._attach = ActionClient(self, ExecuteCommand, ACTION)
         self.create_subscription(Firing, "/pnt/firings", self._show, qos.EVENTS)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
 
@@ -56,30 +69,61 @@ class Client(Node):
         self._interrupted.set()
 
     def calibrate(self, cameras: list[str], poses_file: str) -> Any:
-        """Call the service and wait for its answer.
+        """Call the service and wait for its answer, or for the end of the command if its dispatcher died meanwhile.
 
         Raises:
             KeyboardInterrupt: :meth:`interrupt` was called.
-            LinkError: The dispatcher fell silent or was started again; its answer will not come.
+            LinkError: The dispatcher fell silent.
             WaitTimeoutError: There is no such service.
         """
-        deadline = clock.monotonic() + DISCOVERY_S
-        while not self._client.service_is_ready():
-            self._pause()
-            if clock.monotonic() > deadline:
-                raise WaitTimeoutError(what=f"the service {SERVICE}", seconds=DISCOVERY_S)
+        self._until(self._client.service_is_ready, f"the service {SERVICE}")
         self._lines = ProgressLines()
-        future = self._client.call_async(CalibrateCamera.Request(cameras=cameras, poses_file=poses_file))
-        self._heard, known = clock.monotonic(), self._incarnation
+        request = CalibrateCamera.Request(cameras=cameras, poses_file=poses_file)
+        response = self._answer(self._client.call_async(request))
+        if response is None:
+            print("calibrate_camera: the dispatcher died and is back; waiting for the command to end", file=sys.stderr)
+        while response is None:
+            response = self._attached()
+        return response
+
+    def _attached(self) -> Any | None:
+        """The answer to the command that is running or ended last, None if the dispatcher died again."""
+        self._until(self._attach.server_is_ready, f"the action {ACTION}")
+        goal = ExecuteCommand.Goal(symbol=NET, attach=True)
+        handle = self._answer(self._attach.send_goal_async(goal), ACCEPT_S)
+        answer = None if handle is None else self._answer(handle.get_result_async())
+        if answer is None:
+            return None
+        result, results = answer.result, json.loads(answer.result.results or "{}")
+        message = str(results.get("message", result.status.message))
+        response = CalibrateCamera.Response(success=result.success, message=message)
+        if result.success:
+            response.message = str(results["report"]["message"])
+            response.report.json, response.report.directory = json.dumps(results["report"]), results["directory"]
+        return response
+
+    def _answer(self, future: Any, limit_s: float = math.inf) -> Any | None:
+        """The result of a future that the dispatcher completes, None if it was started again or does not in time."""
+        begun, known = clock.monotonic(), self._incarnation
+        self._heard = begun
         while not future.done():
             self._pause()
+            if clock.monotonic() - begun > limit_s:
+                return None
             silent = clock.monotonic() - self._heard
             if silent > SILENCE_S:
                 raise LinkError(f"the dispatcher is missing (last heard {silent:.1f} s ago)")
             known = known or self._incarnation
             if self._incarnation != known:
-                raise LinkError("the dispatcher died and was started again; the command is lost")
+                return None
         return future.result()
+
+    def _until(self, ready: Callable[[], bool], what: str) -> None:
+        deadline = clock.monotonic() + DISCOVERY_S
+        while not ready():
+            self._pause()
+            if clock.monotonic() > deadline:
+                raise WaitTimeoutError(what=what, seconds=DISCOVERY_S)
 
     def _pause(self) -> None:
         if self._interrupted.wait(0.02):

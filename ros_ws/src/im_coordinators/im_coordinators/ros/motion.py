@@ -9,8 +9,12 @@ from im_coordinators.strategies import HOLDING_STATES, POWERED_STATES
 from im_core.config import package_file
 from im_core.errors import StateError
 from im_core.ros import qos, run
-from im_msgs.msg import McsState, ObjectChange
+from im_msgs.msg import McsState
+from im_pnt.functions import woken_by
 from im_pnt.ros.node import PntNode
+
+MCS_STATE = "/mcs/state"
+of_mcs = woken_by(f"topic:{MCS_STATE}")
 
 
 class MotionCoordinator(PntNode):
@@ -26,17 +30,14 @@ class MotionCoordinator(PntNode):
                 "store_position": self.store_position,
             },
             guards={
-                "mcs_cold": lambda _: self._mcs_state == "cold",
-                "mcs_powered": lambda _: self._mcs_state in POWERED_STATES,
-                "mcs_in_motion": lambda _: self._mcs_state == "motion",
-                "mcs_holds_group": lambda _: self._mcs_state in HOLDING_STATES,
-                "path_given": lambda _: self._path_given,
+                "mcs_cold": of_mcs(lambda _: self._mcs_state == "cold"),
+                "mcs_powered": of_mcs(lambda _: self._mcs_state in POWERED_STATES),
+                "mcs_in_motion": of_mcs(lambda _: self._mcs_state == "motion"),
+                "mcs_holds_group": of_mcs(lambda _: self._mcs_state in HOLDING_STATES),
+                "path_given": woken_by("data:given_path")(lambda _: self.sources.valid("given_path")),
             },
         )
-        self._mcs_state = "unconfigured"
-        self._path_given = False
-        self.create_subscription(McsState, "/mcs/state", self._note_state, qos.LATCHED)
-        self.create_subscription(ObjectChange, "/dom/changes", self._note_object, qos.EVENTS)
+        self.sources.follow(MCS_STATE, McsState, qos.LATCHED)
 
     async def path_to_follow(self, ctx: Any) -> dict[str, object]:
         """The goal of a move: the path in the DOM."""
@@ -52,14 +53,10 @@ class MotionCoordinator(PntNode):
             raise StateError(f"{answer.state.group} is not at rest; a position measured in motion is of no use")
         await self.dom.put("current_position", answer.state, place="motion_coordinator.pos_found")
 
-    def _note_state(self, message: McsState) -> None:
-        self._mcs_state = message.state
-        self.guards_changed()
-
-    def _note_object(self, message: ObjectChange) -> None:
-        if message.object.name == "given_path":
-            self._path_given = bool(message.object.valid)
-            self.guards_changed()
+    @property
+    def _mcs_state(self) -> str:
+        message = self.sources.last(MCS_STATE)
+        return "unconfigured" if message is None else str(message.state)
 
 
 def main() -> None:

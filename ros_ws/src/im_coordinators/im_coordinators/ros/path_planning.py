@@ -14,6 +14,9 @@ from im_core.ros import run
 from im_core.ros.status import status_to_error
 from im_msgs.msg import GroupState
 from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
+from im_pnt.again import again
+from im_pnt.doubt import Answer, Verdict
+from im_pnt.functions import woken_by
 from im_pnt.ros.node import PntNode
 
 GROUP = "left"
@@ -25,16 +28,18 @@ class PathPlanningCoordinator(PntNode):
     """Functions of ``nets/path_planning_coordinator.yaml``; the net decides what comes when."""
 
     def __init__(self) -> None:
+        functions = {
+            "find_configuration": self.find_configuration,
+            "plan_direct": self.plan_direct,
+            "plan_detour": self.plan_detour,
+            "check_given": self.check_given,
+        }
         super().__init__(
             "path_planning_coordinator",
             [package_file("im_coordinators", "nets/path_planning_coordinator.yaml")],
-            functions={
-                "find_configuration": self.find_configuration,
-                "plan_direct": self.plan_direct,
-                "plan_detour": self.plan_detour,
-                "check_given": self.check_given,
-            },
-            guards={"detour_may_help": lambda ctx: ctx.failure.code in DETOUR_FAILURES},
+            functions=functions,
+            guards={"detour_may_help": woken_by()(lambda ctx: ctx.failure.code in DETOUR_FAILURES)},
+            asks={**{name: again(function) for name, function in functions.items()}, "check_given": self.given_checked},
         )
         self._tucked = list(load_cell().sides[GROUP].home)
         self._state = self.create_client(GetGroupState, "/mcs/get_group_state")
@@ -68,6 +73,12 @@ class PathPlanningCoordinator(PntNode):
         here = await self._here()
         await self._store(here, [list(point.positions) for point in given.points])
         await self.dom.invalidate("given_path")
+
+    async def given_checked(self, ctx: Any) -> Answer:
+        """What became of :meth:`check_given`: the given path is taken back when it has been stored as the path."""
+        if not await self.dom.is_valid("given_path"):
+            return Answer(Verdict.DONE, asked="/dom: the given path was used")
+        return await again(self.check_given)(ctx)
 
     async def _here(self) -> GroupState:
         request = GetGroupState.Request(group=GROUP)

@@ -8,6 +8,7 @@ from im_core.config import package_file
 from im_core.errors import DataError, ImError
 from im_core.ros import run
 from im_msgs.msg import CameraNames, ObservationSet, SpotSet
+from im_pnt.functions import woken_by
 from im_pnt.ros.node import PntNode
 
 
@@ -25,7 +26,7 @@ class VisionCoordinator(PntNode):
                 "observations": self.observations,
                 "store_calibration": self.store_calibration,
             },
-            guards={"another_look_may_help": lambda ctx: _mendable(ctx.failure)},
+            guards={"another_look_may_help": woken_by()(lambda ctx: _mendable(ctx.failure))},
         )
         self._long_exposure = self.declare_parameter("long_exposure", 0.018).value
 

@@ -10,7 +10,7 @@ from im_core.config import package_file
 from im_core.errors import DataError, ImError, StateError
 from im_core.ros import run
 from im_core.ros.status import to_status
-from im_dispatcher.ros.calibrate_camera import CEILING, SYMBOL, CalibrateCamera
+from im_dispatcher.ros.calibrate_camera import CEILING, SYMBOL, CalibrateCamera, standing
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CalibrationReport
 from im_msgs.srv import CalibrateCamera as CalibrateCameraSrv
@@ -27,12 +27,12 @@ class Dispatcher(PntNode):
 
     def __init__(self) -> None:
         self._calibration = CalibrateCamera()
-        self._running: set[str] = set()
         super().__init__(
             "dispatcher",
             [package_file("im_dispatcher", f"nets/{name}.yaml") for name in NETS],
             functions=self._calibration.functions,
             guards=self._calibration.guards,
+            asks=self._calibration.asks,
         )
         self._calibration.attach(self)
 
@@ -51,14 +51,11 @@ class Dispatcher(PntNode):
 
     async def _run(self, symbol: str, arguments: dict[str, object], **following: Any) -> CommandOutcome:
         """Runs a command; refuses a second one of the same symbol."""
-        if symbol in self._running:
-            standing = f" ({self._calibration.standing()})" if symbol == SYMBOL else ""
-            raise StateError(f"{symbol} is already running{standing}; ask again when it has ended", command=symbol)
-        self._running.add(symbol)
-        try:
-            return await self.command(symbol, arguments, **following)
-        finally:
-            self._running.discard(symbol)
+        running = self.commands.running(symbol)
+        if running is not None:
+            text = f"{symbol} is already running ({standing(running)}); ask again when it has ended"
+            raise StateError(text, command=symbol)
+        return await self.command(symbol, arguments, **following)
 
     async def _calibrate_camera(self, request: Any, response: Any) -> Any:
         arguments = {"cameras": list(request.cameras) or list(CEILING), "poses_file": request.poses_file}
@@ -90,8 +87,12 @@ class Dispatcher(PntNode):
 
         timer = self.create_timer(CANCEL_CHECK_S, check_cancel, clock=self.steady_clock)
         try:
-            arguments = _arguments(goal.request.arguments)
-            outcome = await self._run(goal.request.symbol, arguments, listener=tell, started=command_ids.append)
+            symbol = goal.request.symbol
+            if goal.request.attach:
+                outcome = await self.commands.attach(symbol, tell, command_ids.append)
+            else:
+                arguments = _arguments(goal.request.arguments)
+                outcome = await self._run(symbol, arguments, listener=tell, started=command_ids.append)
         except ImError as error:
             result.status = to_status(error)
             goal.abort()
@@ -107,10 +108,10 @@ class Dispatcher(PntNode):
             goal.abort()
         return result
 
-    def _load_net(self, request: Any, response: Any) -> Any:
+    async def _load_net(self, request: Any, response: Any) -> Any:
         try:
             net = parse_net(request.net_yaml) if request.net_yaml else load_net(request.net_file)
-            report = self.load_net(net)
+            report = await self.load_net(net, request.wait)
         except ImError as error:
             response.success, response.message = False, error.message
             response.counterexample = [str(step) for step in getattr(error, "sequence", ())]
