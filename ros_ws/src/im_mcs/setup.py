@@ -24,6 +24,7 @@ setup(
         "console_scripts": [
             "mcs = im_mcs.ros.node:main",
             "poses = im_mcs.poses.command:main",
+            "model = im_mcs.model.command:main",
         ]
     },
 )

@@ -78,6 +78,13 @@ class Control(Model):
     parameters: dict[str, Any] = Field(default_factory=dict)
 
 
+class Switching(Model):
+    """Control laws that a group may be switched to at run time, beside the one it starts with."""
+
+    handover_s: float = Field(gt=0, le=10, description="the torque of the law before fades over this time [s]")
+    laws: dict[str, dict[str, Any]] = Field(default_factory=dict, description="parameters by module:Class")
+
+
 class Planning(Model):
     """Defaults of the motion planning layer."""
 
@@ -94,6 +101,10 @@ class McsConfig(Model):
     limits: Limits
     control: Control
     group_control: dict[str, Control] = Field(default_factory=dict)
+    switching: Switching
+    model_error: float = Field(
+        default=0.0, gt=-1, le=10, description="share by which masses and inertias of the controller's model are wrong"
+    )
     planning: Planning
     presets: dict[str, dict[str, Group]]
     preset: str

@@ -1,5 +1,5 @@
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -8,11 +8,13 @@ import pytest
 from numpy.typing import NDArray
 
 from im_core.robot import Cell, load_cell, urdf
+from im_core.testbed_link import Command
 from im_mcs.config import McsConfig, load_config
 from im_mcs.model import Model
 from im_mcs.servo.core import Mcs
 from im_mcs.testbed import Drive, Measured, TestbedInterface
 from im_mcs.testbed.loopback import LoopbackDriver
+from im_sim.plant import Plant
 
 
 @pytest.fixture(scope="session")
@@ -74,15 +76,29 @@ class Bench:
 
 @pytest.fixture
 def frictionless(config: McsConfig) -> McsConfig:
-    """For the loopback driver, which has no friction to be compensated."""
-    parameters = {**config.control.parameters, "feedforward": {"gravity": 1.0, "inertia": 1.0}}
+    """For the loopback driver, which has no friction to be compensated, or to hold a joint at rest."""
+    parameters = {
+        **config.control.parameters,
+        "rest_deadband": 1e-9,
+        "feedforward": {"gravity": 1.0, "inertia": 1.0},
+    }
     return config.model_copy(update={"control": config.control.model_copy(update={"parameters": parameters})})
 
 
 @pytest.fixture
-def bench(frictionless: McsConfig, model: Model, cell: Cell) -> Bench:
-    driver = LoopbackDriver(model.inertia_diagonal(cell.home), cell.home, bias=Model(cell).gravity)
-    return Bench(frictionless, model, driver)
+def make_bench(model: Model, cell: Cell) -> Callable[[McsConfig], Bench]:
+    """Benches over the loopback driver."""
+
+    def make(config: McsConfig) -> Bench:
+        driver = LoopbackDriver(model.inertia_diagonal(cell.home), cell.home, bias=Model(cell).gravity)
+        return Bench(config, model, driver)
+
+    return make
+
+
+@pytest.fixture
+def bench(frictionless: McsConfig, make_bench: Callable[[McsConfig], Bench]) -> Bench:
+    return make_bench(frictionless)
 
 
 class LeftArm:
@@ -161,3 +177,46 @@ def _slide(mass: NDArray[np.float64], momentum: NDArray[np.float64], bound: NDAr
 @pytest.fixture
 def arm_bench(config: McsConfig, model: Model, cell: Cell) -> Bench:
     return Bench(config, model, LeftArm(cell, seed=5))
+
+
+class PlantDriver:
+    """The simulated testbed's physics in this process, in lockstep."""
+
+    n_joints, n_grippers, wall_period_s = 18, 2, 0.0
+
+    def __init__(self, cell: Cell, seed: int) -> None:
+        self.period_s = cell.period
+        self.plant = Plant(cell, seed)
+        self._tick = 0
+
+    def connect(self) -> None: ...
+
+    def after_tick(self, tick: int) -> None: ...
+
+    def wait(self, timeout_s: float) -> bool:
+        return True
+
+    def read(self) -> Measured:
+        plant, tick = self.plant, self._tick
+        return Measured(tick, tick * 4_500_000, plant.encoders(tick), plant.power, plant.brakes, plant.gripper)
+
+    def write(self, drive: Drive) -> None:
+        self.plant.run_tick(Command(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time))
+        self._tick += 1
+
+    def close(self) -> None:
+        self.plant.close()
+
+
+@pytest.fixture
+def plant_bench(model: Model, cell: Cell) -> Iterator[Callable[[McsConfig, int], Bench]]:
+    """Benches over the simulated testbed's physics, with friction and encoders."""
+    made: list[PlantDriver] = []
+
+    def make(config: McsConfig, seed: int) -> Bench:
+        made.append(PlantDriver(cell, seed))
+        return Bench(config, model, made[-1])
+
+    yield make
+    for driver in made:
+        driver.close()

@@ -29,12 +29,18 @@ def test_tracks_and_rests_with_friction_and_encoder_noise(arm_bench, cell):
     np.testing.assert_allclose(bench.driver.q, before, atol=1e-9)
 
 
+def seen(q_all, target, gravity):
+    """What the left group's law sees of an arm that stands still."""
+    setpoint = Setpoint.at_rest(target)
+    return ControlInput(q_all[:9], np.zeros(9), setpoint, gravity, q_all, Setpoint.at_rest(q_all))
+
+
 def test_gravity_is_what_pid_gravity_adds(model, cell, config):
     index = np.arange(9)
     setup = ControllerSetup(index, 0.0045, model, np.full(9, 1e3), cell.home, dict(config.control.parameters))
     controller = load_controller("im_mcs.control.pid_gravity:PidGravity", setup)
     gravity = model.gravity(cell.home)[:9]
-    given = ControlInput(cell.home[:9], np.zeros(9), Setpoint.at_rest(cell.home[:9]), gravity)
+    given = seen(cell.home, cell.home[:9], gravity)
     np.testing.assert_allclose(controller.torque(given), gravity)
 
 
@@ -42,7 +48,7 @@ def test_pid_pushes_towards_the_setpoint_and_integrates(model, cell, config):
     parameters = {k: v for k, v in config.control.parameters.items() if k != "feedforward"}
     setup = ControllerSetup(np.arange(9), 0.0045, model, np.full(9, 1e3), cell.home, parameters)
     controller = load_controller("im_mcs.control.pid:Pid", setup)
-    given = ControlInput(cell.home[:9] - 1e-3, np.zeros(9), Setpoint.at_rest(cell.home[:9]), np.zeros(9))
+    given = seen(cell.home - 1e-3, cell.home[:9], np.zeros(9))
     torques = [controller.torque(given) for _ in range(5)]
     assert (torques[0] > 0).all()
     assert (torques[-1] > torques[1]).all()

@@ -17,6 +17,7 @@ _FIELDS = {
     Event.MOVE: {"group", "points", "speed_scale"},
     Event.CANCEL: {"goal"},
     Event.SET_GRIPPER: {"gripper", "opening"},
+    Event.SET_CONTROLLER: {"group", "controller"},
     Event.ESTOP: {"reason"},
 }
 _SERVO_EVENTS = frozenset(Event) - {Event.CONFIGURE, Event.CLEANUP, Event.RELEASE_LAST}

@@ -1,8 +1,7 @@
-"""Contract of a control law, and how one is loaded by name."""
+"""Contract of a control law."""
 
-import importlib
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import pydantic
@@ -36,19 +35,23 @@ class ControllerSetup:
 
 @dataclass(frozen=True)
 class ControlInput:
-    """What a control law sees in a tick; ``n`` joints of its group.
+    """What a control law sees in a tick; ``n`` joints of its group, and the whole cell for laws that model coupling.
 
     Attributes:
         q: Measured positions, shape (n,) [rad or m].
         v: Estimated velocities, shape (n,) [rad/s or m/s].
         setpoint: Wanted motion, shape (n,) each.
         gravity: Torques that hold the group against gravity at the measured positions, shape (n,) [Nm or N].
+        q_all: Measured positions of all joints, shape (18,) [rad or m].
+        wanted_all: Wanted motion of all joints, shape (18,) each; joints that no group holds stand still.
     """
 
     q: NDArray[np.float64]
     v: NDArray[np.float64]
     setpoint: Setpoint
     gravity: NDArray[np.float64]
+    q_all: NDArray[np.float64]
+    wanted_all: Setpoint
 
 
 class Controller(Protocol):
@@ -82,19 +85,3 @@ def checked(model: type[ParametersT], parameters: dict[str, Any]) -> ParametersT
         fault = error.errors()[0]
         where = ".".join(str(part) for part in fault["loc"])
         raise ConfigError(f"controller parameter '{where}': {fault['msg']}", parameter=where) from None
-
-
-def load_controller(name: str, setup: ControllerSetup) -> Controller:
-    """Make the control law that the configuration names ``module:Class``.
-
-    Raises:
-        ConfigError: There is no such module or class, or it refuses its parameters.
-    """
-    module_name, _, class_name = name.partition(":")
-    try:
-        factory = getattr(importlib.import_module(module_name), class_name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(
-            f"controller '{name}' cannot be loaded: {error}; it is written module:Class", controller=name
-        ) from None
-    return cast(Controller, factory(setup))

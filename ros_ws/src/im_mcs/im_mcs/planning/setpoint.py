@@ -25,3 +25,7 @@ class Setpoint:
     def at_rest(cls, q: NDArray[np.float64]) -> Self:
         """Standing still at ``q``, shape (n,)."""
         return cls(q.copy(), np.zeros_like(q), np.zeros_like(q))
+
+    def put(self, index: NDArray[np.intp], part: "Setpoint") -> None:
+        """Enter the motion of the joints ``index`` into that of all joints."""
+        self.q[index], self.v[index], self.a[index] = part.q, part.v, part.a

@@ -10,7 +10,8 @@ from im_core import clock
 from im_core.errors import ImError, LinkError, StateError
 from im_core.robot import load_cell
 from im_core.ros import run as ros_run
-from im_core.ros.node import ManagedNode, Promise
+from im_core.ros.coroutines import Promise
+from im_core.ros.node import ManagedNode
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, Reply, ServoClient
 from im_mcs.config import McsConfig, load_config

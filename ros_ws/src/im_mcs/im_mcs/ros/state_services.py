@@ -1,4 +1,4 @@
-"""Services of the state manager and of the grippers."""
+"""Services of the state manager, of the grippers and of the control laws."""
 
 from typing import TYPE_CHECKING
 
@@ -6,7 +6,7 @@ from std_srvs.srv import Trigger
 
 from im_core.errors import ImError
 from im_mcs.state import Event
-from im_msgs.srv import ReserveGroup, SetGripper
+from im_msgs.srv import ReserveGroup, SetController, SetGripper
 
 if TYPE_CHECKING:
     from im_mcs.ros.node import McsNode
@@ -22,7 +22,7 @@ _TRIGGERS = (
 
 
 class StateServices:
-    """``/mcs/reserve``, ``/mcs/release``, a ``std_srvs/Trigger`` an event, and ``/mcs/set_gripper``.
+    """``/mcs/reserve``, ``/mcs/release``, a ``std_srvs/Trigger`` an event, ``set_gripper`` and ``set_controller``.
 
     Args:
         node: The node that offers them.
@@ -35,6 +35,7 @@ class StateServices:
         for event in _TRIGGERS:
             node.create_service(Trigger, f"/mcs/{event.value}", self._on_trigger(event))
         node.create_service(SetGripper, "/mcs/set_gripper", self._set_gripper)
+        node.create_service(SetController, "/mcs/set_controller", self._set_controller)
 
     def _on_group(self, event: Event) -> object:
         async def serve(request: ReserveGroup.Request, response: ReserveGroup.Response) -> ReserveGroup.Response:
@@ -63,6 +64,17 @@ class StateServices:
         try:
             results = await self._node.request(Event.SET_GRIPPER, {"gripper": request.gripper, "opening": opening})
             response.success, response.opening = True, float(results["opening"])
+        except ImError as error:
+            response.success, response.message = False, error.message
+        return response
+
+    async def _set_controller(
+        self, request: SetController.Request, response: SetController.Response
+    ) -> SetController.Response:
+        try:
+            arguments = {"group": request.group, "controller": request.controller}
+            await self._node.request(Event.SET_CONTROLLER, arguments)
+            response.success, response.message = True, f"{request.controller} takes over {request.group}"
         except ImError as error:
             response.success, response.message = False, error.message
         return response

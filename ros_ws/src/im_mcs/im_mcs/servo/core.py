@@ -8,10 +8,11 @@ import numpy as np
 from im_core.errors import ImError, LimitError, LinkError, NotFoundError, StateError
 from im_mcs.client.requests import Request, check_path, check_speed_scale, parse_request
 from im_mcs.config import McsConfig
+from im_mcs.control.guard import ControlLawError
 from im_mcs.control.velocity import VelocityEstimator
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
-from im_mcs.planning import JointPath
+from im_mcs.planning import JointPath, Setpoint
 from im_mcs.servo.gripper import GripperMotion
 from im_mcs.servo.group import ControlledGroup, Goal, make_group
 from im_mcs.state import Event, State
@@ -26,6 +27,7 @@ class Mcs:
     """The four layers and the state manager; knows neither processes nor clocks.
 
     Attributes:
+        control_model: Dynamics in the eyes of the control laws; wrong where the configuration wants it so.
         manager: State manager.
         groups: Every group of the preset.
         tau: Torques of the last tick, shape (n,).
@@ -41,6 +43,7 @@ class Mcs:
     def __init__(self, config: McsConfig, model: Model, testbed: TestbedInterface, emit: Emit) -> None:
         self.config = config
         self.model = model
+        self.control_model = model.wrong_by(config.model_error)
         self.testbed = testbed
         self.limits = JointLimits(model, config.limits)
         self.measured = testbed.read()
@@ -52,7 +55,9 @@ class Mcs:
         self.wants_time = False
         self._emit = emit
         self._velocity = VelocityEstimator(model.n, config.servo.period_s, config.servo.velocity_bandwidth_rad_s)
-        self.groups = {name: make_group(name, config, model, self.limits, self.measured.q) for name in config.groups}
+        self.groups = {
+            name: make_group(name, config, self.control_model, self.limits, self.measured.q) for name in config.groups
+        }
         self.manager = StateManager(
             groups={name: group.joints for name, group in config.groups.items()},
             index={name: group.index for name, group in self.groups.items()},
@@ -159,6 +164,8 @@ class Mcs:
             case Event.SET_GRIPPER:
                 self._set_gripper(request)
                 return
+            case Event.SET_CONTROLLER:
+                self._set_controller(str(arguments["group"]), str(arguments["controller"]))
             case _:
                 self.manager.begin(event, lambda error: self._answer(request.id, error))
                 return
@@ -186,6 +193,11 @@ class Mcs:
                 group.stop(ImError("the motion was cancelled", code="cancelled", group=group.name))
                 return
         raise StateError(f"goal {goal_id} is not under way", goal=goal_id)
+
+    def _set_controller(self, name: str, law: str) -> None:
+        self.manager.check(Event.SET_CONTROLLER)
+        self.manager.reservations.require(name)
+        self.groups[name].switch(law)
 
     def _set_gripper(self, request: Request) -> None:
         self.manager.check(Event.SET_GRIPPER)
@@ -227,13 +239,19 @@ class Mcs:
 
     def _control(self, m: Measured) -> None:
         tau = np.zeros(self.model.n)
-        self.setpoint = m.q.copy()
+        wanted = Setpoint.at_rest(m.q)
+        self.setpoint = wanted.q
         engaged = [group for group in self.groups.values() if group.engaged]
         if engaged:
-            gravity = self.model.gravity(m.q)
             for group in engaged:
-                tau[group.index] = group.torque(m.tick, m.q, self.v, gravity)
-                self.setpoint[group.index] = group.planner.setpoint.q
+                wanted.put(group.index, group.planner.advance())
+            gravity = self.control_model.gravity(m.q)
+            try:
+                for group in engaged:
+                    tau[group.index] = group.torque(m.tick, m.q, self.v, gravity, wanted)
+            except ControlLawError as fault:
+                self._protect(f"{fault.message}, at tick {m.tick}", **fault.facts)
+                tau[:] = 0.0
             tau, cut = self.limits.clip_torque(tau)
             self.saturations += cut
         for group in self.groups.values():

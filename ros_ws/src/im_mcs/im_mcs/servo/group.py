@@ -1,16 +1,16 @@
 """One group under control: from setpoints to torques, and from a goal to its result."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, StateError
 from im_mcs.config import McsConfig
-from im_mcs.control import ControlInput, Controller, ControllerSetup, load_controller
+from im_mcs.control import ControlInput, ControlLaws, ControllerSetup, load_controller
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
-from im_mcs.planning import GroupPlanner, JointPath
+from im_mcs.planning import GroupPlanner, JointPath, Setpoint
 from im_mcs.servo.rest import RestMonitor, RestPhase
 
 _ESTOP_FACTOR = 2.0
@@ -38,7 +38,7 @@ class ControlledGroup:
         name: Name of the group.
         index: Its joints among all, shape (n,).
         planner: Motion planning layer.
-        controller: Motion control layer.
+        controller: Motion control layer; a law in force of several.
         monitor: Judge of rest.
         limits: Limits of all joints.
     """
@@ -48,7 +48,7 @@ class ControlledGroup:
         name: str,
         index: NDArray[np.intp],
         planner: GroupPlanner,
-        controller: Controller,
+        controller: ControlLaws,
         monitor: RestMonitor,
         limits: JointLimits,
     ) -> None:
@@ -109,23 +109,46 @@ class ControlledGroup:
             self.controller.hold_integral(False)
             self.planner.stop()
 
+    def switch(self, law: str) -> None:
+        """Let another control law take over, without a bump; the group is then to come to rest anew.
+
+        Raises:
+            NotFoundError: The configuration has no such law.
+        """
+        before = self.controller.name
+        self.controller.switch(law)
+        if not self.engaged:
+            self.controller.reset()
+        elif law != before:
+            self.monitor.restart()
+
     def torque(
-        self, tick: int, q: NDArray[np.float64], v: NDArray[np.float64], gravity: NDArray[np.float64]
+        self,
+        tick: int,
+        q: NDArray[np.float64],
+        v: NDArray[np.float64],
+        gravity: NDArray[np.float64],
+        wanted: Setpoint,
     ) -> NDArray[np.float64]:
-        """Torques of this tick, shape (n,).
+        """Torques of this tick, shape (n,), for the setpoint that the planner has come to.
 
         Args:
             tick: Number of the tick.
             q: Measured positions of all joints.
             v: Estimated velocities of all joints.
             gravity: Gravity torques of all joints.
+            wanted: Wanted motion of all joints.
+
+        Raises:
+            ControlLawError: The control law failed.
         """
-        position = q[self.index]
-        setpoint = self.planner.advance()
-        if self.planner.finished:
+        position, setpoint = q[self.index], self.planner.setpoint
+        if self.planner.finished and not self.controller.switching:
             self.monitor.update(tick, position, setpoint.q)
             self.controller.hold_integral(self.monitor.phase in (RestPhase.MEASURING, RestPhase.AT_REST))
-        return self.controller.torque(ControlInput(position, v[self.index], setpoint, gravity[self.index]))
+        return self.controller.torque(
+            ControlInput(position, v[self.index], setpoint, gravity[self.index], q, wanted)
+        )
 
     def following_fault(self, tick: int, q: NDArray[np.float64]) -> ImError | None:
         """Stop the motion if a joint is too far off its setpoint; the fault is returned only if that is not enough."""
@@ -175,24 +198,26 @@ def make_group(
         q_all: Where all joints are, shape (18,) [rad or m].
 
     Raises:
-        ConfigError: Its control law cannot be loaded.
+        ConfigError: One of its control laws cannot be loaded.
     """
     index = np.array([model.index(joint) for joint in config.groups[name].joints], dtype=np.intp)
-    control = config.group_control.get(name, config.control)
+    first = config.group_control.get(name, config.control)
+    parameters = {**config.switching.laws, first.controller: first.parameters}
     setup = ControllerSetup(
         joints=index,
         period_s=config.servo.period_s,
         model=model,
         torque_limit=limits.torque[index],
         q_nominal=model.cell.home,
-        parameters=control.parameters,
+        parameters={},
     )
+    laws = {law: load_controller(law, replace(setup, parameters=given)) for law, given in parameters.items()}
     cell, servo = model.cell, config.servo
     return ControlledGroup(
         name=name,
         index=index,
         planner=GroupPlanner(q_all[index], servo.period_s, servo.planning_divisor, limits.motion.of(index)),
-        controller=load_controller(control.controller, setup),
+        controller=ControlLaws(laws, first.controller, servo.period_s, config.switching.handover_s),
         monitor=RestMonitor(cell.per_joint("resolution")[index], cell.per_joint("noise")[index], servo),
         limits=limits,
     )

@@ -38,6 +38,7 @@ class Event(StrEnum):
     MOVE = "move"
     CANCEL = "cancel"
     SET_GRIPPER = "set_gripper"
+    SET_CONTROLLER = "set_controller"
     ESTOP = "estop"
     RESET = "reset"
 
@@ -67,15 +68,18 @@ TABLE: tuple[Transition, ...] = (
     Transition(State.RESERVED, Event.RELEASE, State.RESERVED, "the group is reserved"),
     Transition(State.RESERVED, Event.RELEASE_LAST, State.COLD, "the group is reserved"),
     Transition(State.RESERVED, Event.POWER_ON, State.ACTIVE, "power on, brakes on; measured state valid"),
+    Transition(State.RESERVED, Event.SET_CONTROLLER, State.RESERVED, "the group is reserved, and has such a law"),
     Transition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
     Transition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, "gravity torque present before the brakes release"),
     Transition(State.ACTIVE, Event.POWER_OFF, State.RESERVED),
     Transition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE),
+    Transition(State.ACTIVE, Event.SET_CONTROLLER, State.ACTIVE, "the group is reserved, and has such a law"),
     Transition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
     Transition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, "at rest first"),
     Transition(State.MOTION, Event.MOVE, State.MOTION, "the group is reserved and not moving"),
     Transition(State.MOTION, Event.CANCEL, State.MOTION),
     Transition(State.MOTION, Event.SET_GRIPPER, State.MOTION),
+    Transition(State.MOTION, Event.SET_CONTROLLER, State.MOTION, "the group is reserved, and has such a law"),
     Transition(State.MOTION, Event.ESTOP, State.ESTOPPED),
     Transition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone; nothing moves"),
 )

@@ -13,15 +13,19 @@ class Model:
 
     Args:
         cell: Parameters.
+        error: Share by which masses and inertias, those of the rotors too, are made wrong; 0.1: 10 % too large.
     """
 
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, cell: Cell, error: float = 0.0) -> None:
         self.cell = cell
         self.names: tuple[str, ...] = cell.joint_names
         self.n = len(self.names)
         self.pin = pin.buildModelFromXML(urdf(cell, shapes=False))
         self.pin.gravity.linear = np.array([0.0, 0.0, -cell.gravity])
-        self.rotor_inertia = cell.per_joint("rotor_inertia")
+        self.rotor_inertia = cell.per_joint("rotor_inertia") * (1.0 + error)
+        if error != 0.0:
+            for body in self.pin.inertias:
+                body.mass, body.inertia = body.mass * (1.0 + error), body.inertia * (1.0 + error)
         self.pin.armature = self.rotor_inertia
         self.viscous_friction = cell.per_joint("viscous")
         self.coulomb_positive = cell.per_joint("coulomb_positive")
@@ -30,6 +34,10 @@ class Model:
         order = tuple(self.pin.names)[1:]
         if order != self.names:
             raise NotFoundError(kind="joint order", name=", ".join(order), known=self.names)
+
+    def wrong_by(self, error: float) -> "Model":
+        """The same with masses and inertias ``1 + error`` times as large, to study how robust a control law is."""
+        return Model(self.cell, error) if error != 0.0 else self
 
     def index(self, joint: str) -> int:
         """Rank of a joint.
@@ -62,7 +70,7 @@ class Model:
 
     def inertia_diagonal(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Each joint's own inertia at ``q`` while the others stand still, shape (18,)."""
-        return np.diag(self.inertia(q)).copy()
+        return np.diag(pin.crba(self.pin, self._data, q)).copy()
 
     def inverse_dynamics(
         self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]

@@ -1,0 +1,99 @@
+"""Feedback of the position error: proportional, derivative and integral, and stillness at rest."""
+
+import math
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from im_core.config import Model as ConfigModel
+from im_mcs.control.velocity import VelocityEstimator
+
+_SMOOTHING_S = 0.02
+
+
+class FeedbackParameters(ConfigModel):
+    """Gains as the poles of a joint of its own inertia, so that one line serves joints of any size.
+
+    With inertia ``I`` the gains are ``kp = I w^2``, ``kd = 2 zeta w I``, ``ki = kp w_i``.
+    """
+
+    bandwidth_rad_s: float = pydantic.Field(gt=0)
+    damping: float = pydantic.Field(gt=0)
+    integral_rad_s: float = pydantic.Field(ge=0)
+    derivative_bandwidth_rad_s: float = pydantic.Field(gt=0)
+    integral_limit: float = pydantic.Field(gt=0, le=1, description="share of the torque limit")
+    deadband: float = pydantic.Field(gt=0, description="error that is not integrated [rad or m]")
+    rest_deadband: float = pydantic.Field(gt=0, description="change of error that an arm at rest ignores [rad or m]")
+
+
+class Feedback:
+    """Independent PID of each joint; the derivative acts on the error, through a low pass.
+
+    At rest (:meth:`hold`) the integral is frozen and errors that are encoder noise are ignored: the answer does
+    not change, friction holds the joint, and it stands exactly still. A disturbance meets the full PID.
+
+    Args:
+        parameters: Poles and dead bands.
+        inertia: What the poles are multiplied with, shape (n,): inertias for torques, ones for accelerations.
+        integral_limit: Bound of the integral part, shape (n,), in the unit of the answer.
+        period_s: Servo period [s].
+
+    Attributes:
+        smooth_error: Error without most of its noise, shape (n,) [rad or m].
+        holding: Whether the arm is at rest.
+    """
+
+    def __init__(
+        self,
+        parameters: FeedbackParameters,
+        inertia: NDArray[np.float64],
+        integral_limit: NDArray[np.float64],
+        period_s: float,
+    ) -> None:
+        p = self.parameters = parameters
+        self._kp = inertia * p.bandwidth_rad_s**2
+        self._kd = 2.0 * p.damping * p.bandwidth_rad_s * inertia
+        self._ki_dt = self._kp * p.integral_rad_s * period_s
+        self._integral_limit = integral_limit
+        self._smoothing = 1.0 - math.exp(-period_s / _SMOOTHING_S)
+        self._rate = VelocityEstimator(len(inertia), period_s, p.derivative_bandwidth_rad_s)
+        self._zero = np.zeros_like(inertia)
+        self.reset()
+
+    def reset(self) -> None:
+        """No integral, no past."""
+        self._rate.reset()
+        self._error = self._integral = self.smooth_error = self._zero
+        self.holding = False
+
+    def hold(self, hold: bool) -> None:
+        """Freeze or free the integral."""
+        self.holding = hold
+
+    def update(self, error: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The answer to an error, shape (n,)."""
+        if self.holding:
+            error = self.smooth_error + beyond(error - self.smooth_error, self.parameters.rest_deadband)
+        else:
+            self.smooth_error = self.smooth_error + self._smoothing * (error - self.smooth_error)
+        self._error = error
+        return self._kp * error + self._kd * self._rate.update(error) + self._integral
+
+    def integrate(self, tau: NDArray[np.float64], torque_limit: NDArray[np.float64]) -> None:
+        """Take the last error into the integral; no wind-up: a joint whose torque saturates integrates only back.
+
+        Args:
+            tau: Torques that followed from the answer, shape (n,) [Nm or N].
+            torque_limit: Largest torques, shape (n,) [Nm or N].
+        """
+        if self.holding:
+            return
+        free = (np.abs(tau) < torque_limit) | (tau * self._error < 0.0)
+        step = np.where(free, self._ki_dt * beyond(self._error, self.parameters.deadband), 0.0)
+        self._integral = np.clip(self._integral + step, -self._integral_limit, self._integral_limit)
+
+
+def beyond(x: NDArray[np.float64], deadband: float) -> NDArray[np.float64]:
+    """What of ``x`` lies beyond a dead band around 0, shape (n,)."""
+    return np.asarray(x - np.clip(x, -deadband, deadband))

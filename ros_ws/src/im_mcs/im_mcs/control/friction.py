@@ -1,0 +1,59 @@
+"""Feed-forward of the model's friction: what the drives lose on the way to the joints."""
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from im_core.config import Model as ConfigModel
+from im_mcs.control.controller import ControllerSetup
+from im_mcs.control.feedback import Feedback
+
+
+class FrictionParameters(ConfigModel):
+    """Shares of the modelled friction that are fed forward, 0 to 1."""
+
+    friction: float = pydantic.Field(default=0.0, ge=0, le=1)
+    stiction: float = pydantic.Field(
+        default=0.0, ge=0, lt=1, description="of dry friction, towards the setpoint at rest"
+    )
+    friction_speed: float = pydantic.Field(
+        default=0.001, gt=0, description="wanted velocity above which Coulomb friction is full [rad/s or m/s]"
+    )
+
+
+class FrictionFeedforward:
+    """Coulomb and viscous friction at the wanted velocity: a wanted velocity has no noise and a sure sign.
+
+    Args:
+        parameters: Shares.
+        setup: Joints and model.
+    """
+
+    def __init__(self, parameters: FrictionParameters, setup: ControllerSetup) -> None:
+        self._share = parameters.friction
+        self._stiction = parameters.stiction
+        self._speed = parameters.friction_speed
+        self._positive = setup.model.coulomb_positive[setup.joints]
+        self._negative = setup.model.coulomb_negative[setup.joints]
+        self._viscous = parameters.friction * setup.model.viscous_friction[setup.joints]
+
+    def torque(self, v: NDArray[np.float64], feedback: Feedback | None = None) -> NDArray[np.float64]:
+        """Friction torques, shape (n,) [Nm or N].
+
+        Args:
+            v: Wanted velocities, shape (n,) [rad/s or m/s].
+            feedback: Whose error a joint at rest is helped to leave; none: it is not helped.
+        """
+        direction = self._share * np.tanh(v / self._speed)
+        if feedback is not None and not feedback.holding:
+            direction = np.where(v != 0.0, direction, self._push(feedback))
+        coulomb = np.where(direction > 0.0, self._positive, self._negative)
+        return np.asarray(coulomb * direction + self._viscous * v)
+
+    def _push(self, feedback: Feedback) -> NDArray[np.float64]:
+        """Share of dry friction that brings a joint stuck beside its setpoint to the verge of breaking loose.
+
+        The integral does the rest. At rest there is no push: friction alone holds the joint, far from the verge.
+        """
+        excess = np.clip(np.abs(feedback.smooth_error) / feedback.parameters.deadband - 1.0, 0.0, 1.0)
+        return np.asarray(self._stiction * np.copysign(excess, feedback.smooth_error))

@@ -1,0 +1,68 @@
+"""Joint impedance: the arm as springs and dampers around the setpoint; it yields to what pushes it."""
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from im_core.config import Model as ConfigModel
+from im_core.errors import ConfigError
+from im_mcs.control.controller import ControlInput, ControllerSetup, checked
+from im_mcs.control.friction import FrictionFeedforward, FrictionParameters
+from im_mcs.control.velocity import VelocityEstimator
+
+
+class ImpedanceParameters(ConfigModel):
+    """Springs and dampers."""
+
+    stiffness: dict[str, float] = pydantic.Field(description="[Nm/rad or N/m] by joint, without the side's prefix")
+    damping: float = pydantic.Field(gt=0, description="1: critical, with the joint's own inertia")
+    derivative_bandwidth_rad_s: float = pydantic.Field(gt=0)
+    feedforward: FrictionParameters = pydantic.Field(default_factory=FrictionParameters)
+
+
+class JointImpedance:
+    """``tau = K e + D e' + M(q) a_d + C(q, v_d) v_d + g(q) + friction(v_d)``; no integral, by intent.
+
+    N. Hogan, "Impedance control", J. Dyn. Sys. Meas. Control 107 (1985), in joint space and without changing the
+    inertia that is felt: a torque pushes joint i away by its ``K_i``-th part. The damping of a joint with its own
+    inertia ``I`` is ``D = 2 zeta sqrt(K I)``.
+
+    Args:
+        setup: Joints, model and parameters (:class:`ImpedanceParameters`).
+
+    Raises:
+        ConfigError: A parameter is missing, unknown or out of range, or a joint has no stiffness.
+    """
+
+    def __init__(self, setup: ControllerSetup) -> None:
+        parameters = checked(ImpedanceParameters, setup.parameters)
+        self._model, self._joints = setup.model, setup.joints
+        self._stiffness = np.array([_stiffness(parameters, setup.model.names[i]) for i in setup.joints])
+        inertia = setup.model.inertia_diagonal(setup.q_nominal)[setup.joints]
+        self._damping = 2.0 * parameters.damping * np.sqrt(self._stiffness * inertia)
+        self._rate = VelocityEstimator(len(setup.joints), setup.period_s, parameters.derivative_bandwidth_rad_s)
+        self._friction = FrictionFeedforward(parameters.feedforward, setup)
+
+    def reset(self) -> None:
+        """No past."""
+        self._rate.reset()
+
+    def hold_integral(self, hold: bool) -> None:
+        """Nothing accumulates."""
+
+    def torque(self, given: ControlInput) -> NDArray[np.float64]:
+        """Torques of the wanted motion and of springs and dampers, shape (n,)."""
+        error = given.setpoint.q - given.q
+        wanted = given.wanted_all
+        known = self._model.inverse_dynamics(given.q_all, wanted.v, wanted.a)[self._joints]
+        felt = self._stiffness * error + self._damping * self._rate.update(error)
+        return np.asarray(known + felt + self._friction.torque(given.setpoint.v))
+
+
+def _stiffness(parameters: ImpedanceParameters, joint: str) -> float:
+    kind = joint.partition("_")[2]
+    value = parameters.stiffness.get(kind)
+    if value is None or value <= 0.0:
+        given, where = "none" if value is None else f"{value:g}", f"stiffness.{kind}"
+        raise ConfigError(f"controller parameter '{where}': {joint} needs one > 0, not {given}", parameter=where)
+    return value

@@ -1,0 +1,122 @@
+"""The control laws of one group, of which one is in force; changed at run time without a bump."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import NotFoundError
+from im_mcs.control.controller import ControlInput, Controller
+
+_SHADOW_S = 0.036
+
+
+@dataclass
+class _Share:
+    """A law at work, and what is left of the law before it.
+
+    Attributes:
+        law: The law.
+        error: Position error that it found, shape (n,) [rad or m].
+        torque: What the torque before differed by from its own when it took over, shape (n,) [Nm or N].
+        left: Share of both that is left, 1 to 0.
+        ticks: How long it has been in the shadow, then in force [ticks].
+    """
+
+    law: Controller
+    error: NDArray[np.float64] | None = None
+    torque: NDArray[np.float64] | None = None
+    left: float = 0.0
+    ticks: int = 0
+
+    def answer(self, given: ControlInput) -> NDArray[np.float64]:
+        """Torques of the law, shape (n,), with what is left of the law before."""
+        if self.left > 0.0 and self.error is not None:
+            setpoint = replace(given.setpoint, q=given.setpoint.q - self.left * self.error)
+            given = replace(given, setpoint=setpoint)
+        tau = self.law.torque(given)
+        return tau if self.torque is None or self.left == 0.0 else tau + self.left * self.torque
+
+
+class ControlLaws:
+    """A controller made of several.
+
+    A law that is asked for first runs for 36 ms in the shadow of the one in force, so that its filters know the past.
+    Then it takes over. What its torque differs by from the last one is added, so that the torque goes on where it was;
+    and its setpoint begins where the arm is, so that no error makes its integral run. Both fade along half a cosine
+    within ``handover_s``, while integral and arm adapt: the handover changes the torque by at most
+    ``pi / 2 * difference / handover_s`` in a second.
+
+    Args:
+        laws: Every law that may be asked for, by its name ``module:Class``; not empty.
+        name: The one in force at first.
+        period_s: Servo period [s].
+        handover_s: Time in which the difference fades [s].
+
+    Attributes:
+        name: The law in force, or about to be.
+    """
+
+    def __init__(self, laws: Mapping[str, Controller], name: str, period_s: float, handover_s: float) -> None:
+        self._laws = dict(laws)
+        self._shadow_ticks = math.ceil(_SHADOW_S / period_s)
+        self._fade_ticks = math.ceil(handover_s / period_s)
+        self.name = name
+        self._present = _Share(self._laws[name])
+        self._next: _Share | None = None
+
+    @property
+    def switching(self) -> bool:
+        """Whether a handover is under way: the arm is not at rest then, whatever it looks like."""
+        return self._next is not None or self._present.left > 0.0
+
+    def switch(self, name: str) -> None:
+        """Let another law take over from the next tick on; nothing happens if it is in force.
+
+        Raises:
+            NotFoundError: The configuration has no such law.
+        """
+        if name not in self._laws:
+            raise NotFoundError(kind="control law", name=name, known=self._laws)
+        if name == self.name:
+            return
+        self.name = name
+        law = self._laws[name]
+        if law is self._present.law:  # called back while the other was still in the shadow
+            self._next = None
+            return
+        self._next = _Share(law, left=1.0)
+        law.reset()
+
+    def reset(self) -> None:
+        """Start anew with the law asked for last, at once; the arm stands still."""
+        self._present, self._next = _Share(self._laws[self.name]), None
+        self._present.law.reset()
+
+    def hold_integral(self, hold: bool) -> None:
+        """Freeze or free what accumulates."""
+        self._present.law.hold_integral(hold)
+
+    def torque(self, given: ControlInput) -> NDArray[np.float64]:
+        """Torques for this tick, shape (n,) [Nm or N].
+
+        Raises:
+            ControlLawError: A law failed, be it the one in the shadow.
+        """
+        present, coming = self._present, self._next
+        if coming is None and present.left > 0.0:
+            present.ticks += 1
+            past = present.ticks / self._fade_ticks
+            present.left = 0.5 * (1.0 + math.cos(math.pi * past)) if past < 1.0 else 0.0
+        tau = present.answer(given)
+        if coming is not None:
+            coming.ticks += 1
+            if coming.error is None:
+                coming.error = given.setpoint.q - given.q
+            own = coming.answer(given)
+            if coming.ticks >= self._shadow_ticks:
+                coming.torque, coming.ticks = tau - own, 0
+                self._present, self._next = coming, None
+        return tau
