@@ -21,7 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "vss = im_vss.ros.node:main",
-            "calibrate_dataset = im_vss.calibration.dataset:main",
+            "calibrate_dataset = im_vss.calibration.calibrate_dataset:main",
         ]
     },
 )

@@ -1,12 +1,17 @@
-"""Data sets in files: read without the truth, answered trial by trial, refused with a reason."""
+"""Data sets in files: read without the truth, answered trial by trial, refused with a reason that names the place."""
 
+import copy
 import json
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from im_core.errors import DataError
-from im_vss.calibration.dataset import answer, main
+from im_vss.calibration import calibrate_dataset
+from im_vss.calibration.answer import answer
+from im_vss.calibration.dataset import problems
 from im_vss.calibration.synthetic import Design, make_scene
 
 
@@ -35,66 +40,156 @@ def dataset(design, seeds, **changes):
     return scenes, {**content, **changes}
 
 
+SMALL = dataset(Design(poses=10, joint_offset_prior_sd=0.003), [4])[1]
+
+
+def first_answer(content):
+    return answer(problems(content)[0])
+
+
 def test_a_trial_is_answered_with_cameras_and_flags():
     scenes, content = dataset(Design(missing_share=0.1, joint_offset_prior_sd=0.003), [1])
-    trial = answer(content)["trials"][0]
+    trial = first_answer(content)
     assert trial["flags"] == []
     assert len(trial["cameras"]) == 2
     np.testing.assert_allclose(trial["cameras"][0]["K"], scenes[0].cameras[0].K, atol=25.0)
     np.testing.assert_allclose(trial["led_offset_error_m"], scenes[0].led_offset_error, atol=2e-3)
     assert 0.5 < trial["chi2_per_dof"] < 1.5
     assert len(trial["joint_offsets_rad"]) == 6
+    covariance = np.array(trial["covariance"])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), trial["standard_deviations"])
+    assert len(trial["parameters"]) == len(covariance) == 2 * 14 + 3 + 6
+    assert all(value > 0.0 for value in trial["checks"].values())
+
+
+def test_the_truth_in_a_file_changes_nothing():
+    _, content = dataset(Design(poses=20), [6])
+    told = {"truth": "nonsense", "heldout_points_base_m": [1], "bounds_crlb_rms": None, "reference_rms": {}}
+    trials = [{**trial, "truth": 3} for trial in content["trials"]]
+    assert first_answer({**content, **told, "trials": trials}) == first_answer(content)
 
 
 def test_a_known_led_offset_needs_no_wrist_rotations():
     _, content = dataset(Design(led_offset_prior_sd=0.0), [2])
     del content["wrist_R_base"]
-    trial = answer(content)["trials"][0]
+    trial = first_answer(content)
     assert trial["flags"] == []
     assert "led_offset_error_m" not in trial
 
 
 def test_where_there_is_no_estimate_the_flag_says_why():
     _, content = dataset(Design(poses=5), [3])
-    trial = answer(content)["trials"][0]
+    trial = first_answer(content)
     assert trial["cameras"] == []
     assert trial["flags"] == ["UNOBSERVABLE"]
     assert "at least 7" in trial["message"]
+    assert trial["verdicts"][0]["parameters"]
+
+
+def without(content, key):
+    del content[key]
+
+
+def put(value, *path):
+    def change(content):
+        for step in path[:-1]:
+            content = content[step]
+        content[path[-1]] = value
+
+    return change
 
 
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"schema": "other"}, "has the schema 'other', 'vislab-calib-1' is needed"),
-        ({"trials": []}, "has no trials"),
-        ({"image_size": "big"}, "wrong kind"),
-        ({"sigma_u_px": [[0.1]]}, r"sigma_u_px has shape \(1, 1\)"),
-        ({"trials": [{"u_px": []}]}, "no field 'x_base_m'"),
+        (put("other", "schema"), "schema is 'other', 'vislab-calib-1' is needed"),
+        (lambda content: without(content, "cov_x_m2"), "the data set has no field 'cov_x_m2'"),
+        (put([], "trials"), "at least one trial"),
+        (put("big", "image_size"), "image_size is a text, a list of 2 is needed"),
+        (put([640, -1], "image_size"), "image_size is 640 x -1"),
+        (put([[0.1]], "sigma_u_px"), r"sigma_u_px\[0\] has 1 elements, 10 are needed"),
+        (put(0, "sigma_u_px", 1, 3), r"sigma_u_px\[1\]\[3\] is 0, it must be > 0"),
+        (put(None, "wrist_R_base"), "wrist_R_base is null"),
+        (put("yes", "led_offset_nominal_known"), "true or false is needed"),
+        (put(-1.0, "led_offset_prior_sd_m"), "led_offset_prior_sd_m is -1"),
+        (put(None, "J_joint"), "J_joint is null"),
+        (put([1, 2], "trials", 0), r"trials\[0\] is a list, an object with the field 'x_base_m' is needed"),
+        (lambda content: without(content["trials"][0], "u_px"), r"trials\[0\] has no field 'u_px'"),
+        (put([1.0], "trials", 0, "u_px", 1, 7), r"trials\[0\]\.u_px\[1\]\[7\] has 1 elements, 2 are needed"),
+        (put(True, "trials", 0, "u_px", 0, 7, 1), r"trials\[0\]\.u_px\[0\]\[7\]\[1\] is a truth value"),
+        (put(10**400, "trials", 0, "x_base_m", 2, 1), r"trials\[0\]\.x_base_m\[2\]\[1\] is inf"),
+        (put([[1, 0, 0], [0, 1, 0], [0, 0, -1]], "cov_x_m2", 5), "covariance of pose 5 is not a covariance"),
+        (put([[2, 0, 0], [0, 1, 0], [0, 0, 1]], "wrist_R_base", 5), "wrist rotation of pose 5 is not a rotation"),
     ],
 )
-def test_malformed_files_are_refused(change, sentence):
-    _, content = dataset(Design(poses=10), [4], **change)
+def test_malformed_data_sets_are_refused(change, sentence):
+    content = copy.deepcopy(SMALL)
+    change(content)
     with pytest.raises(DataError, match=sentence):
-        answer(content)
+        problems(content)
 
 
-def test_the_script_writes_the_answers(tmp_path, capsys):
+SCALARS = st.none() | st.booleans() | st.integers(-3, 3) | st.floats() | st.text(max_size=3)
+ANYTHING = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=2)
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.sampled_from(sorted(SMALL)), st.lists(st.integers(0, 9), max_size=4), ANYTHING)
+def test_whatever_stands_in_a_field_there_is_a_problem_or_a_sentence(key, path, value):
+    content = copy.deepcopy(SMALL)
+    inner, last = content, key
+    for step in path:
+        if not isinstance(inner[last], list) or step >= len(inner[last]):
+            break
+        inner, last = inner[last], step
+    inner[last] = value
+    try:
+        found = problems(content)
+    except DataError as error:
+        refusal = error.message
+    else:
+        refusal = ""
+        assert len(found) == len(content["trials"])
+    assert not refusal or len(refusal) > 10
+
+
+def test_the_command_writes_the_answers(tmp_path, capsys):
     _, content = dataset(Design(), [5])
     source, target = tmp_path / "in.json", tmp_path / "out.json"
     source.write_text(json.dumps(content))
-    assert main([str(source), str(target)]) == 0
+    assert calibrate_dataset.main([str(source), str(target)]) == calibrate_dataset.OK
     assert len(json.loads(target.read_text())["trials"]) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.json", "out.json"]
     assert "trial 0: Calibrated camera_0, camera_1" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("text", "sentence"), [("{", "in.json:1: not JSON"), ("[]", "schema 'list'")])
-def test_the_script_says_what_is_wrong_with_a_file(tmp_path, capsys, text, sentence):
-    source = tmp_path / "in.json"
-    source.write_text(text)
-    assert main([str(source), str(tmp_path / "out.json")]) == 1
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (b"{\n", "in.json:2: not JSON"),
+        (b"[]", "in.json: the data set is a list"),
+        (b"[NaN]", "NaN is no number of JSON"),
+        (b"[" * 100_000, "nested too deeply"),
+        (b"\xff\xfe", "in.json: not JSON"),
+    ],
+)
+def test_the_command_says_what_is_wrong_with_a_file(tmp_path, capsys, text, sentence):
+    source, target = tmp_path / "in.json", tmp_path / "out.json"
+    source.write_bytes(text)
+    target.write_text("before")
+    assert calibrate_dataset.main([str(source), str(target)]) == calibrate_dataset.BAD_INPUT
     assert sentence in capsys.readouterr().err
+    assert target.read_text() == "before"
 
 
-def test_the_script_names_a_missing_file(tmp_path, capsys):
-    assert main([str(tmp_path / "none.json"), str(tmp_path / "out.json")]) == 1
+def test_the_command_names_a_file_it_cannot_use(tmp_path, capsys):
+    assert calibrate_dataset.main([str(tmp_path / "none.json"), str(tmp_path / "out.json")]) == 1
     assert "none.json: No such file" in capsys.readouterr().err
+    source = tmp_path / "in.json"
+    source.write_text(json.dumps(SMALL))
+    for target in (tmp_path, tmp_path / "no" / "out.json", source):
+        assert calibrate_dataset.main([str(source), str(target)]) == 1
+        assert str(target) in capsys.readouterr().err
+    assert json.loads(source.read_text()) == SMALL

@@ -78,8 +78,8 @@ def test_noise_free_data_give_the_truth_back():
     np.testing.assert_allclose(fit.unknowns.intrinsics[:, :4], truth.intrinsics[:, :4], atol=2e-2)
     np.testing.assert_allclose(fit.unknowns.translations, truth.translations, atol=2e-4)
     np.testing.assert_allclose(fit.unknowns.led_offset, truth.led_offset, atol=1e-5)
-    prior = float((fit.unknowns.led_offset**2).sum()) / honest.led_offset_prior_sd**2
-    assert fit.chi2 - prior < 1e-2
+    deviation = fit.unknowns.prior_vector(layout)
+    assert fit.chi2 - deviation @ (layout.prior_precision * deviation) < 1e-2
 
 
 def test_it_finds_the_maximum_that_scipy_finds_on_the_full_problem():

@@ -130,3 +130,25 @@ def test_good_data_get_no_verdict(seed):
     )
     calibration = calibrate(make_scene(design, seed).problem)
     assert calibration.success, calibration.message
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_positions_on_a_line_are_unobservable_even_with_stale_readings(seed):
+    along = np.random.default_rng(seed).uniform(-1.0, 1.0, (40, 1))
+    points = np.array([0.0, 0.0, 1.1]) + along * np.array([0.9, 0.3, 0.3])
+    with pytest.raises(DegenerateDataError, match="on a line"):
+        calibrate(make_scene(Design(outlier_share=0.1), seed, positions=points).problem)
+
+
+def test_poses_on_two_floors_with_few_on_the_upper_are_not_on_a_plane():
+    points = np.random.default_rng(12).uniform((-1.0, -0.5, 0.7), (1.0, 0.5, 0.7), (40, 3))
+    points[::6, 2] = 1.5
+    calibration = calibrate(make_scene(Design(), 12, positions=points).problem)
+    assert calibration.success, calibration.message
+
+
+def test_noise_below_the_arithmetic_is_refused():
+    problem = make_scene(Design(poses=20), 13).problem
+    tiny = np.tile(1e-18 * np.eye(2), (2, 20, 1, 1))
+    with pytest.raises(InconsistentDataError):
+        calibrate(replace(problem, spot_covariances=tiny))

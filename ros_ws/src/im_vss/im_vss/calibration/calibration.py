@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.camera_model import CameraModel
+from im_vss.calibration.checks import Checks
 from im_vss.calibration.expected import ExpectedError
 
 Array = NDArray[np.float64]
@@ -95,6 +96,7 @@ class Calibration:
         rejections: What was left out, and why.
         verdicts: Reasons not to trust the result; empty for a good one.
         expected: Errors to expect in the workspace.
+        checks: How well parts of the data predict each other.
     """
 
     cameras: tuple[CameraEstimate, ...]
@@ -112,6 +114,7 @@ class Calibration:
     rejections: tuple[Rejection, ...]
     verdicts: tuple[Verdict, ...]
     expected: ExpectedError
+    checks: Checks
 
     @property
     def success(self) -> bool:

@@ -1,153 +1,136 @@
-"""Calibration data sets in files: the format ``vislab-calib-1``, and what the solver answers to one."""
+"""Calibration data sets in the format ``vislab-calib-1``, one problem a trial; the truth in them is not looked at."""
 
-import argparse
 import json
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import DataError, ImError
+from im_core.errors import DataError
 from im_core.workspace import Workspace
-from im_vss.calibration.errors import DegenerateDataError, InconsistentDataError
-from im_vss.calibration.pipeline import calibrate
+from im_vss.calibration.fields import ANY, array, field, scalar
 from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.report import number, numbers
+
+Array = NDArray[np.float64]
 
 SCHEMA = "vislab-calib-1"
 
-
-def problem_of_trial(dataset: dict[str, Any], trial: dict[str, Any]) -> CalibrationProblem:
-    """The problem of one trial; nothing of the truth in the file is looked at.
-
-    Args:
-        dataset: Contents of the file.
-        trial: One entry of its ``trials``.
-
-    Raises:
-        DataError: A field is missing or has the wrong shape.
-    """
-    try:
-        spots = np.array([[uv or (np.nan, np.nan) for uv in camera] for camera in trial["u_px"]], dtype=float)
-        sigma = np.array(dataset["sigma_u_px"], dtype=float)
-        positions = np.array(trial["x_base_m"], dtype=float)
-        width, height = (int(side) for side in dataset["image_size"])
-        known = bool(dataset.get("led_offset_nominal_known", True))
-        led_prior = 0.0 if known else float(dataset["led_offset_prior_sd_m"])
-        joint_prior = float(dataset.get("joint_offset_prior_sd_rad") or 0.0)
-        jacobians = dataset.get("J_joint") if joint_prior > 0.0 else None
-        covariances = np.array(dataset["cov_x_m2"], dtype=float)
-        wrists = dataset.get("wrist_R_base")
-        rotations = np.broadcast_to(np.eye(3), covariances.shape) if wrists is None else np.array(wrists, dtype=float)
-    except KeyError as error:
-        raise DataError(f"The data set has no field {error}.", field=str(error)) from error
-    except (TypeError, ValueError) as error:
-        raise DataError(f"The data set has a field of the wrong kind: {error}.") from error
-    if sigma.shape != spots.shape[:2]:
-        raise DataError(f"sigma_u_px has shape {sigma.shape}, the spots have {spots.shape[:2]}.", field="sigma_u_px")
-    return CalibrationProblem(
-        camera_names=tuple(f"camera_{c}" for c in range(len(spots))),
-        image_sizes=((width, height),) * len(spots),
-        positions=positions,
-        position_covariances=covariances,
-        wrist_rotations=rotations,
-        spots=spots,
-        spot_covariances=sigma[..., None, None] ** 2 * np.eye(2),
-        led_offset_prior_sd=led_prior,
-        joint_offset_prior_sd=joint_prior,
-        joint_jacobians=None if jacobians is None else np.array(jacobians, dtype=float),
-        workspace=_box_around(positions),
-    )
+_LARGEST_IMAGE = 100_000
 
 
-def answer_to_trial(dataset: dict[str, Any], trial: dict[str, Any]) -> dict[str, Any]:
-    """What the calibrator writes for one trial; where no estimate is possible, no cameras, and the flag says why."""
-    problem = problem_of_trial(dataset, trial)
-    try:
-        result = calibrate(problem)
-    except (DegenerateDataError, InconsistentDataError) as error:
-        flag = "UNOBSERVABLE" if isinstance(error, DegenerateDataError) else "MISFIT"
-        return {"cameras": [], "chi2_per_dof": None, "flags": [flag], "message": error.message}
-    answer: dict[str, Any] = {
-        "cameras": [
-            {
-                "K": camera.model.K.tolist(),
-                "D": camera.model.D.tolist(),
-                "R_cam_base": camera.model.R_cam_base.tolist(),
-                "t_cam_base_m": camera.model.t_cam_base.tolist(),
-            }
-            for camera in result.cameras
-        ],
-        "chi2_per_dof": number(result.chi2_per_dof),
-        "p_value": number(result.p_value),
-        "flags": sorted({verdict.kind for verdict in result.verdicts}, reverse=True),
-        "message": result.message,
-        "outlier": (problem.detected & ~result.used).astype(int).tolist(),
-        "parameters": list(result.parameter_names),
-        "standard_deviations": numbers(result.standard_deviations),
-        "expected_error": {
-            "triangulation_mm": number(result.expected.triangulation_rms_mm),
-            "reprojection_px": number(result.expected.reprojection_rms_px),
-        },
-    }
-    if problem.led_offset_prior_sd > 0.0:
-        answer["led_offset_error_m"] = numbers(result.led_offset_error)
-    if len(result.joint_offsets):
-        answer["joint_offsets_rad"] = numbers(result.joint_offsets)
-    return answer
-
-
-def answer(dataset: dict[str, Any]) -> dict[str, Any]:
-    """Calibrate every trial of a data set.
+def load_problems(path: Path) -> tuple[CalibrationProblem, ...]:
+    """The problems of a file.
 
     Args:
-        dataset: Contents of the file.
+        path: The file.
 
     Raises:
-        DataError: It is not of this format.
+        DataError: It cannot be read, is no JSON, or not of this format; file, line or field are named.
     """
-    if not isinstance(dataset, dict) or dataset.get("schema") != SCHEMA:
-        found = dataset.get("schema") if isinstance(dataset, dict) else type(dataset).__name__
-        raise DataError(f"The data set has the schema {found!r}, {SCHEMA!r} is needed.")
-    trials = dataset.get("trials")
-    if not isinstance(trials, list) or not trials:
-        raise DataError("The data set has no trials.")
-    return {"trials": [answer_to_trial(dataset, trial) for trial in trials]}
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of ``calibrate_dataset IN.json OUT.json``."""
-    parser = argparse.ArgumentParser(prog="calibrate_dataset", description="Calibrate every trial of a data set.")
-    parser.add_argument("input", type=Path, metavar="IN.json", help=f"data set in the format {SCHEMA}")
-    parser.add_argument("output", type=Path, metavar="OUT.json", help="where the estimates go")
-    options = parser.parse_args(arguments)
     try:
-        dataset = json.loads(options.input.read_text(encoding="utf-8"))
-        result = answer(dataset)
-        options.output.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:
-        print(f"{error.filename}: {error.strerror}", file=sys.stderr)
-        return 1
+        raise DataError(f"{path}: {error.strerror}.", file=str(path)) from error
     except json.JSONDecodeError as error:
-        print(f"{options.input}:{error.lineno}: not JSON: {error.msg}", file=sys.stderr)
-        return 1
-    except ImError as error:
-        print(f"{options.input}: {error.message}", file=sys.stderr)
-        return 1
-    for i, trial in enumerate(result["trials"]):
-        print(f"trial {i}: {trial['message']}")
-    return 0
+        raise DataError(f"{path}:{error.lineno}: not JSON: {error.msg}.", file=str(path), line=error.lineno) from error
+    except (UnicodeDecodeError, RecursionError, ValueError) as error:
+        reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
+        raise DataError(f"{path}: not JSON: {reason}.", file=str(path)) from error
+    try:
+        return problems(content)
+    except DataError as error:
+        raise _placed(str(path), error) from error
 
 
-def _box_around(positions: NDArray[np.float64]) -> Workspace:
+def problems(content: Any) -> tuple[CalibrationProblem, ...]:
+    """The problem of each trial of a data set.
+
+    Args:
+        content: Contents of the file.
+
+    Raises:
+        DataError: A field is missing, or has the wrong shape or an impossible value; field, trial and pose are named.
+    """
+    schema = field(content, "schema")
+    if schema != SCHEMA:
+        raise DataError(f"schema is {schema!r}, {SCHEMA!r} is needed.", field="schema")
+    trials = field(content, "trials")
+    if not isinstance(trials, list) or not trials:
+        raise DataError("trials must be a list of at least one trial.", field="trials")
+    covariances = array(field(content, "cov_x_m2"), (ANY, 3, 3), "cov_x_m2")
+    n = len(covariances)
+    sigma = array(field(content, "sigma_u_px"), (ANY, n), "sigma_u_px")
+    c = len(sigma)
+    for camera, pose in np.argwhere(sigma <= 0.0):
+        value = sigma[camera, pose]
+        raise DataError(f"sigma_u_px[{camera}][{pose}] is {value:g}, it must be > 0 [px].", field="sigma_u_px")
+    led_prior = _led_prior(content)
+    joint_prior = scalar(content.get("joint_offset_prior_sd_rad") or 0.0, "joint_offset_prior_sd_rad")
+    jacobians = array(field(content, "J_joint"), (n, 3, ANY), "J_joint") if joint_prior != 0.0 else None
+    if content.get("wrist_R_base") is not None or led_prior > 0.0:
+        wrists = array(field(content, "wrist_R_base"), (n, 3, 3), "wrist_R_base")
+    else:
+        wrists = np.tile(np.eye(3), (n, 1, 1))
+    found = []
+    for i, trial in enumerate(trials):
+        place = f"trials[{i}]"
+        positions = array(field(trial, "x_base_m", place), (n, 3), f"{place}.x_base_m")
+        spots = array(field(trial, "u_px", place), (c, n, 2), f"{place}.u_px", holes=True)
+        try:
+            problem = CalibrationProblem(
+                camera_names=tuple(f"camera_{j}" for j in range(c)),
+                image_sizes=(_image_size(content),) * c,
+                positions=positions,
+                position_covariances=covariances,
+                wrist_rotations=wrists,
+                spots=spots,
+                spot_covariances=sigma[..., None, None] ** 2 * np.eye(2),
+                led_offset_prior_sd=led_prior,
+                joint_offset_prior_sd=joint_prior,
+                joint_jacobians=jacobians,
+                workspace=_box_around(positions),
+            )
+        except DataError as error:
+            raise _placed(place, error) from error
+        found.append(problem)
+    return tuple(found)
+
+
+def _placed(place: str, error: DataError) -> DataError:
+    """The same error, its message led by where it is."""
+    placed = DataError(f"{place}: {error.message}", code=error.code)
+    placed.facts.update({"place": place, **error.facts})
+    return placed
+
+
+def _led_prior(content: Any) -> float:
+    known = content.get("led_offset_nominal_known", True)
+    if not isinstance(known, bool):
+        raise DataError(f"led_offset_nominal_known is {known!r}, true or false is needed.")
+    if known:
+        return 0.0
+    prior = scalar(field(content, "led_offset_prior_sd_m"), "led_offset_prior_sd_m")
+    if prior <= 0.0:
+        raise DataError(f"led_offset_prior_sd_m is {prior:g}, it must be > 0 [m] where the LED offset is not known.")
+    return prior
+
+
+def _image_size(content: Any) -> tuple[int, int]:
+    width, height = array(field(content, "image_size"), (2,), "image_size")
+    if not all(side == int(side) and 1 <= side <= _LARGEST_IMAGE for side in (width, height)):
+        raise DataError(f"image_size is {width:g} x {height:g}, whole numbers of pixels from 1 are needed.")
+    return int(width), int(height)
+
+
+def _box_around(positions: Array) -> Workspace:
     """Box of most positions: errors are predicted where data are, which a file says nothing else about."""
+    if not len(positions):
+        return Workspace()
     low, high = np.quantile(positions, 0.03, axis=0), np.quantile(positions, 0.97, axis=0)
-    high = np.maximum(high, low + 1e-3)
+    high = np.maximum(high, low + np.maximum(1e-3, 1e-6 * np.abs(low)))
     return Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")

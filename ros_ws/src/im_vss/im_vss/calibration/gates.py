@@ -10,7 +10,7 @@ from im_vss.calibration.agreement import FALSE_ALARM, Agreement, Prediction
 from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.residuals import camera_blocks, linearise, projectable
 from im_vss.calibration.solve import Fit, maximise_likelihood, spot_distances
-from im_vss.calibration.unknowns import Layout
+from im_vss.calibration.unknowns import Layout, Unknowns
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,7 +39,7 @@ class Gated:
     scale: float
 
 
-def fit_with_gates(first: Fit, problem: CalibrationProblem, layout: Layout) -> Gated:
+def fit_with_gates(first: Unknowns, problem: CalibrationProblem, layout: Layout) -> Gated:
     """Alternate between gates and maximum likelihood until the set of spots no longer changes.
 
     Where gates at the stated noise would leave out more than outliers explain, the noise is larger than stated (or the
@@ -47,7 +47,7 @@ def fit_with_gates(first: Fit, problem: CalibrationProblem, layout: Layout) -> G
     sorted away.
 
     Args:
-        first: A robust fit.
+        first: What a robust fit found.
         problem: The observations.
         layout: Places of the unknowns.
     """
@@ -85,14 +85,15 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Layout, u
     return Prediction(errors, line.covariances + spread @ np.swapaxes(line.jacobians, 1, 2), line.by_point)
 
 
-def _iterate(first: Fit, problem: CalibrationProblem, layout: Layout, *, widen: bool) -> Gated:
+def _iterate(first: Unknowns, problem: CalibrationProblem, layout: Layout, *, widen: bool) -> Gated:
     """Iterate to a stable set; once sets recur, spots may only leave, so that it ends."""
     detected = problem.detected
-    fit, used, scale = first, _first_gate(first, problem, layout), 1.0
+    unknowns, used, scale = first, _first_gate(first, problem, layout), 1.0
     history: set[bytes] = set()
     recurring = False
     while True:
-        fit = maximise_likelihood(fit.unknowns, problem, layout, used)
+        fit = maximise_likelihood(unknowns, problem, layout, used)
+        unknowns = fit.unknowns
         prediction = predict_from_others(fit, problem, layout, used)
         if widen:
             scale = _noise_scale(prediction, used)
@@ -120,10 +121,10 @@ def _noise_scale(prediction: Prediction, used: Mask) -> float:
     return scale if scale > 1.0 + 3.0 / np.sqrt(len(poses)) else 1.0
 
 
-def _first_gate(fit: Fit, problem: CalibrationProblem, layout: Layout) -> Mask:
+def _first_gate(unknowns: Unknowns, problem: CalibrationProblem, layout: Layout) -> Mask:
     """Generous gate on the robust fit: a spot by itself, widened by the scatter of the typical spot."""
-    seen = problem.detected & projectable(fit.unknowns, problem)
-    unknowns = replace(fit.unknowns, displacements=np.zeros_like(problem.positions))
+    seen = problem.detected & projectable(unknowns, problem)
+    unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
     distances = spot_distances(linearise(unknowns, problem, layout, seen))
     typical = float(np.median(distances[seen])) / scipy.stats.chi2.median(2)
     gate = scipy.stats.chi2.isf(FALSE_ALARM, 2) * max(1.0, typical)

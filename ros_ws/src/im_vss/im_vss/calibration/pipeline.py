@@ -8,21 +8,18 @@ from numpy.typing import NDArray
 
 from im_core.camera_model import CameraModel
 from im_vss.calibration.calibration import Calibration, CameraEstimate, Rejection
+from im_vss.calibration.checks import Checks, check
 from im_vss.calibration.covariance import covariance_of
 from im_vss.calibration.errors import InconsistentDataError
-from im_vss.calibration.expected import expected_error
-from im_vss.calibration.gates import Gated, fit_with_gates
-from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
+from im_vss.calibration.expected import expected_error, rms
+from im_vss.calibration.gates import Gated
+from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.projection import project
-from im_vss.calibration.residuals import projectable
-from im_vss.calibration.solve import Fit, robust_cost, robust_fit
-from im_vss.calibration.start import start
+from im_vss.calibration.search import best_explanation
 from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
 from im_vss.calibration.verdicts import judge
 
 Array = NDArray[np.float64]
-
-_RESTARTS = 1
 
 
 def calibrate(problem: CalibrationProblem) -> Calibration:
@@ -39,38 +36,31 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
 
     Raises:
         DegenerateDataError: There is no estimate at all: a camera with fewer than 7 spots, or positions on a line.
-        InconsistentDataError: There is no estimate at all: spots that fit no camera.
+        InconsistentDataError: There is no estimate at all: spots that fit no camera, or noise stated so small that
+            double precision cannot tell it from zero.
     """
+    try:
+        return _calibrate(problem)
+    except np.linalg.LinAlgError as error:
+        raise InconsistentDataError(
+            "The stated noise is too small beside the other numbers to compute with; check its units."
+        ) from error
+
+
+def _calibrate(problem: CalibrationProblem) -> Calibration:
     order = _canonical_order(problem)
-    sorted_problem = _reordered(problem, order)
+    sorted_problem = problem.taking(order)
     layout = Layout.of(problem)
-    gated = fit_with_gates(_robust_start(sorted_problem, layout), sorted_problem, layout)
+    gated = best_explanation(sorted_problem, layout)
     if not np.isfinite(gated.fit.chi2):
         raise InconsistentDataError("No set of cameras explains the spots; check that they belong to these poses.")
+    checks = check(gated, sorted_problem, layout)
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
-    return _describe(problem, layout, gated)
+    return _describe(problem, layout, gated, checks)
 
 
-def _robust_start(problem: CalibrationProblem, layout: Layout) -> Fit:
-    """Robust fit from a linear start; with unknown offsets started again from those found, and the better one kept."""
-    fits = [robust_fit(start(problem, layout), problem, layout, problem.detected)]
-    if layout.led or layout.joints:
-        for _ in range(_RESTARTS):
-            again = start(problem, layout, fits[-1].unknowns)
-            fits.append(robust_fit(again, problem, layout, problem.detected))
-    best = min(fits, key=lambda fit: robust_cost(fit.unknowns, problem, layout))
-    seen = problem.detected & projectable(best.unknowns, problem)
-    for camera, spots in zip(problem.camera_names, seen.sum(axis=1), strict=True):
-        if spots < MINIMUM_SPOTS:
-            raise InconsistentDataError(
-                f"No camera explains where {camera} saw the LED; check that the spots belong to these poses.",
-                camera=camera,
-            )
-    return best
-
-
-def _describe(problem: CalibrationProblem, layout: Layout, gated: Gated) -> Calibration:
+def _describe(problem: CalibrationProblem, layout: Layout, gated: Gated, checks: Checks) -> Calibration:
     fit, used, unknowns = gated.fit, gated.used, gated.fit.unknowns
     covariance = covariance_of(fit.information)
     robot_positions = unknowns.robot_positions(problem)
@@ -80,10 +70,12 @@ def _describe(problem: CalibrationProblem, layout: Layout, gated: Gated) -> Cali
     cameras = []
     for c, name in enumerate(problem.camera_names):
         block = layout.camera_slice(c)
-        rms_px = float(np.sqrt((residuals[c][used[c]] ** 2).sum(axis=1).mean()))
+        rms_px = rms(np.linalg.norm(residuals[c][used[c]], axis=1))
         model = _camera_model(unknowns, c, problem.image_sizes[c])
         cameras.append(CameraEstimate(name, model, covariance.matrix[block, block], int(used[c].sum()), rms_px))
-    dof = 2 * int(used.sum()) - PER_CAMERA * layout.cameras
+    # What a lens prior contributes is no freedom of the fit: its share of what is known of a parameter counts back.
+    from_prior = float((np.diag(covariance.matrix) * layout.lens_precision).sum())
+    dof = round(2 * int(used.sum()) - PER_CAMERA * layout.cameras + from_prior)
     calibration = Calibration(
         cameras=tuple(cameras),
         led_offset_error=unknowns.led_offset,
@@ -100,8 +92,10 @@ def _describe(problem: CalibrationProblem, layout: Layout, gated: Gated) -> Cali
         rejections=_rejections(problem, gated),
         verdicts=(),
         expected=expected_error(unknowns, covariance.matrix, problem.image_sizes, problem.workspace),
+        checks=checks,
     )
-    return replace(calibration, verdicts=judge(calibration, problem, layout, covariance))
+    by_data = covariance_of(fit.information - np.diag(layout.lens_precision))
+    return replace(calibration, verdicts=judge(calibration, problem, layout, by_data))
 
 
 def _camera_model(unknowns: Unknowns, c: int, image_size: tuple[int, int]) -> CameraModel:
@@ -147,17 +141,3 @@ def _canonical_order(problem: CalibrationProblem) -> NDArray[np.intp]:
         )
     )
     return np.lexsort(np.nan_to_num(keys, nan=-1.0).T[::-1])
-
-
-def _reordered(problem: CalibrationProblem, order: NDArray[np.intp]) -> CalibrationProblem:
-    jacobians = problem.joint_jacobians
-    return replace(
-        problem,
-        positions=problem.positions[order],
-        position_covariances=problem.position_covariances[order],
-        wrist_rotations=problem.wrist_rotations[order],
-        spots=problem.spots[:, order],
-        spot_covariances=problem.spot_covariances[:, order],
-        joint_jacobians=None if jacobians is None else jacobians[order],
-        pose_names=tuple(problem.pose_names[i] for i in order),
-    )

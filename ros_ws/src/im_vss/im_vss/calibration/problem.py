@@ -1,6 +1,6 @@
 """What a calibration starts from: where the LED was by the robot, and where the cameras saw it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +115,23 @@ class CalibrationProblem:
     def detected(self) -> Mask:
         """Where a camera saw the LED, shape (c, n)."""
         return np.asarray(~np.isnan(self.spots[..., 0]))
+
+    def taking(self, poses: NDArray[np.intp]) -> "CalibrationProblem":
+        """The problem of some poses, in the order given.
+
+        Args:
+            poses: Their indices.
+        """
+        return replace(
+            self,
+            positions=self.positions[poses],
+            position_covariances=self.position_covariances[poses],
+            wrist_rotations=self.wrist_rotations[poses],
+            spots=self.spots[:, poses],
+            spot_covariances=self.spot_covariances[:, poses],
+            joint_jacobians=None if self.joint_jacobians is None else self.joint_jacobians[poses],
+            pose_names=tuple(self.pose_names[i] for i in poses),
+        )
 
 
 def _check_covariances(what: str, covariances: Array, poses: tuple[str, ...], *, strict: bool) -> None:

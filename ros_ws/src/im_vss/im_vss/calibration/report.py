@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
             {"kind": v.kind, "parameters": list(v.parameters), "reason": v.reason, "advice": v.advice}
             for v in calibration.verdicts
         ],
+        "checks": {name: number(value) for name, value in asdict(calibration.checks).items()},
         "expected_error": {
             "triangulation_mm": number(calibration.expected.triangulation_rms_mm),
             "reprojection_px": number(calibration.expected.reprojection_rms_px),
@@ -103,6 +105,8 @@ def summary(report: Mapping[str, Any]) -> str:
         f" (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
         f"expected error      {_text(report['expected_error']['reprojection_px'], '.3f')} px reprojection,"
         f" {_text(report['expected_error']['triangulation_mm'], '.2f')} mm triangulation, RMS over the workspace",
+        f"held-out poses      {_found(report['checks'], 'held_out')}",
+        f"two halves          {_found(report['checks'], 'split_half')}",
         "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
     ]
     if report["joint_offsets_rad"]:
@@ -141,6 +145,11 @@ def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
     lines.append(f"  rotation [mrad]   known to {spread}")
     lines.append(f"  stands at [m]     {', '.join(f'{value:.3f}' for value in centre)}")
     return lines
+
+
+def _found(checks: Mapping[str, float | None], name: str) -> str:
+    """A check beside what to expect of it."""
+    return f"{_text(checks[f'{name}_px'], '.3f')} px, {_text(checks[f'{name}_expected_px'], '.3f')} px expected"
 
 
 def _text(value: float | None, form: str) -> str:

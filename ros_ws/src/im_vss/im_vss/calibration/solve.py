@@ -15,6 +15,7 @@ Mask = NDArray[np.bool_]
 _MEDIAN_CHI2_2 = 2.0 * np.log(2.0)
 _ROBUST_ROUNDS = 40
 _ROBUST_SCALE_FLOOR = 9.0
+_ROBUST_CONVERGED = 1e-4
 _MAX_STEPS = 100
 _CONVERGED = 1e-7
 _DAMPING_LIMIT = 1e10
@@ -111,7 +112,7 @@ def robust_fit(start: Unknowns, problem: CalibrationProblem, layout: Layout, use
         fit = maximise_likelihood(unknowns, problem, layout, visible, inflation, max_steps=3)
         cost = float((distances[visible] / (distances[visible] + scale)).sum()) + scale
         unknowns = fit.unknowns
-        if abs(previous - cost) < 1e-6 * cost:
+        if abs(previous - cost) < _ROBUST_CONVERGED * cost:
             break
         previous = cost
     return fit

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from im_vss.calibration.affine_start import affine_start
 from im_vss.calibration.errors import DegenerateDataError, InconsistentDataError
 from im_vss.calibration.planar_start import planar_start
 from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
@@ -19,8 +20,10 @@ _SAMPLES = 400
 _SAMPLE_SIZE = 7
 _SEED = 1989
 _REFITS = 6
-_FLAT = 0.02
-_THIN = 0.005
+FLAT = 0.02
+"""Thickness over length of a cloud of positions below which it counts as a plane."""
+_THIN = 0.02
+_CORE_SHARE, _CORE_ROUNDS = 0.85, 6
 
 
 @dataclass(frozen=True)
@@ -76,17 +79,24 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
             spots=int(seen.sum()),
         )
     points, pixels = positions[seen], problem.spots[c][seen]
-    extent = robust_extent(points)
-    if extent[1] < _THIN * extent[0] or extent[0] <= 0.0:
+    extent = core_extent(points)
+    if extent[1] <= max(_THIN * extent[0], 1e-9):
         raise DegenerateDataError(
             f"The LED positions seen by {name} lie on a line or in a point; spread the poses over a volume.",
             parameters=everything,
             camera=name,
         )
     tolerance = _pixel_tolerance(problem, c, points, pixels, 1.0 - known)
-    found = None if extent[2] < _FLAT * extent[0] else _ransac(points, pixels, tolerance, width)
-    if found is None:
+    if extent[2] < FLAT * extent[0]:
         found = planar_start(points, pixels, (width, height), tolerance)
+    else:
+        found = _ransac(points, pixels, tolerance, width) or affine_start(points, pixels, (width, height), tolerance)
+    if found is None and extent[2] < FLAT * extent[0]:
+        raise DegenerateDataError(
+            f"The LED positions seen by {name} lie in a plane, and no camera was found; vary the height of the poses.",
+            parameters=everything,
+            camera=name,
+        )
     if found is None:
         raise InconsistentDataError(
             f"No camera explains where {name} saw the LED; check that the spots belong to these poses.", camera=name
@@ -98,6 +108,19 @@ def robust_extent(points: Array) -> Array:
     """Standard deviations of a cloud without its farthest fifth, by principal axis, largest first, shape (3,) [m]."""
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     core = points[distance <= np.quantile(distance, 0.8)]
+    values = np.linalg.eigvalsh(np.cov((core - core.mean(axis=0)).T, ddof=0))
+    return np.asarray(np.sqrt(np.maximum(values[::-1], 0.0)))
+
+
+def core_extent(points: Array) -> Array:
+    """Standard deviations of the points near most points' line or plane, whatever the others do, shape (3,) [m]."""
+    core = points
+    for _ in range(_CORE_ROUNDS):
+        centre = core.mean(axis=0)
+        values, axes = np.linalg.eigh(np.cov((core - centre).T, ddof=0))
+        across = (points - centre) @ axes / np.sqrt(np.maximum(values, 1e-12 + 1e-9 * values[-1]))
+        distance = np.linalg.norm(across, axis=1)
+        core = points[distance <= np.quantile(distance, _CORE_SHARE)]
     values = np.linalg.eigvalsh(np.cov((core - core.mean(axis=0)).T, ddof=0))
     return np.asarray(np.sqrt(np.maximum(values[::-1], 0.0)))
 

@@ -27,6 +27,7 @@ class Design:
         sigma_px: Standard deviation of each spot coordinate [px].
         sigma_m: Standard deviation of each coordinate of the LED position by the robot [m].
         anisotropy: Ratio of the largest to the smallest standard deviation of position and spot noise, axes random.
+        heteroscedasticity: Ratio of the largest to the smallest standard deviation between poses, for both noises.
         outlier_share: Share of the poses that are gross outliers.
         missing_share: Share of the spots that were not detected.
         led_offset_prior_sd: Standard deviation of the LED offset error, drawn from it and told to the solver [m].
@@ -39,6 +40,7 @@ class Design:
     sigma_px: float = 0.1
     sigma_m: float = 4e-4
     anisotropy: float = 1.0
+    heteroscedasticity: float = 1.0
     outlier_share: float = 0.0
     missing_share: float = 0.0
     led_offset_prior_sd: float = 5e-3
@@ -91,6 +93,10 @@ def make_scene(
 
     position_covariances = _covariances(rng, (n,), 3, design.sigma_m, design.anisotropy)
     spot_covariances = _covariances(rng, (c, n), 2, design.sigma_px, design.anisotropy)
+    if design.heteroscedasticity > 1.0:
+        spread = 2.0 * np.log(design.heteroscedasticity)
+        position_covariances *= np.exp(rng.uniform(-0.5, 0.5, (n, 1, 1)) * spread)
+        spot_covariances *= np.exp(rng.uniform(-0.5, 0.5, (c, n, 1, 1)) * spread)
     noise = np.linalg.cholesky(position_covariances) @ rng.normal(size=(n, 3, 1))
     measured = truth - rotations @ offset - jacobians @ joint_offsets + noise[..., 0]
     spots = np.stack([camera.project(truth) for camera in cameras])

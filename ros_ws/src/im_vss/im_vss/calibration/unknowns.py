@@ -14,6 +14,11 @@ CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "rx", "ry",
 
 PER_CAMERA = len(CAMERA_PARAMETERS)
 
+LENS_PRIOR_SD = {"cx": 0.075, "cy": 0.075, "k1": 0.7, "k2": 1.5, "p1": 0.015, "p2": 0.015}
+"""What any machine-vision lens keeps to: the principal point near the middle of the image [image widths], moderate
+distortion [-]. Far wider than what data of a good design say, so that it matters only where they say little: there the
+likelihood is so flat and bent that its maximum runs away to lenses nobody can buy."""
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -23,12 +28,14 @@ class Layout:
         cameras: Number of cameras.
         led: Whether the LED offset is estimated.
         joints: Number of joint offsets that are estimated.
+        prior_mean: Prior means, 0 where there is no prior, shape (size,).
         prior_precision: Inverse prior variances, 0 where there is no prior, shape (size,).
     """
 
     cameras: int
     led: bool
     joints: int
+    prior_mean: Array
     prior_precision: Array
 
     @staticmethod
@@ -39,17 +46,28 @@ class Layout:
         if problem.joint_jacobians is not None and problem.joint_offset_prior_sd > 0.0:
             joints = problem.joint_jacobians.shape[2]
         c = len(problem.camera_names)
-        precision = np.zeros(PER_CAMERA * c + 3 * led + joints)
+        size = PER_CAMERA * c + 3 * led + joints
+        mean, precision = np.zeros(size), np.zeros(size)
+        for camera, (width, height) in enumerate(problem.image_sizes):
+            block = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1))
+            mean[block][2:4] = (width - 1.0) / 2.0, (height - 1.0) / 2.0
+            for name, sd in LENS_PRIOR_SD.items():
+                precision[block][CAMERA_PARAMETERS.index(name)] = (sd * width if name in ("cx", "cy") else sd) ** -2
         if led:
             precision[PER_CAMERA * c : PER_CAMERA * c + 3] = problem.led_offset_prior_sd**-2
         if joints:
             precision[-joints:] = problem.joint_offset_prior_sd**-2
-        return Layout(c, led, joints, precision)
+        return Layout(c, led, joints, mean, precision)
 
     @property
     def size(self) -> int:
         """Number of unknowns."""
         return len(self.prior_precision)
+
+    @property
+    def lens_precision(self) -> Array:
+        """Inverse variances of the lens priors alone, 0 elsewhere, shape (size,)."""
+        return np.asarray(np.where(np.arange(self.size) < PER_CAMERA * self.cameras, self.prior_precision, 0.0))
 
     @property
     def led_slice(self) -> slice:
@@ -125,10 +143,12 @@ class Unknowns:
     def prior_vector(self, layout: Layout) -> Array:
         """Deviation of each unknown from its prior mean, 0 where there is no prior, shape (size,)."""
         vector = np.zeros(layout.size)
+        for c in range(layout.cameras):
+            vector[layout.camera_slice(c)][:8] = self.intrinsics[c]
         if layout.led:
             vector[layout.led_slice] = self.led_offset
         vector[layout.joint_slice] = self.joint_offsets
-        return vector
+        return np.where(layout.prior_precision > 0.0, vector - layout.prior_mean, 0.0)
 
 
 def skew(v: Array) -> Array:

@@ -8,7 +8,7 @@ from im_vss.calibration.calibration import Calibration, Verdict
 from im_vss.calibration.covariance import Covariance
 from im_vss.calibration.gates import TRUSTED_SHARE
 from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.start import robust_extent
+from im_vss.calibration.start import FLAT, core_extent, robust_extent
 from im_vss.calibration.unknowns import CAMERA_PARAMETERS, PER_CAMERA, Layout
 
 Array = NDArray[np.float64]
@@ -16,13 +16,12 @@ Array = NDArray[np.float64]
 UNOBSERVABLE, MISFIT = "UNOBSERVABLE", "MISFIT"
 
 _FEWEST_SPOTS = 10
-_FLAT = 0.02
 _SAME_WRIST = 0.05
 _FALSE_ALARM = 1e-3
 _DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejections together are a misfit as well
-_FOCAL_LIMIT = 0.08
-_CENTRE_LIMIT = 0.15
-_LIMITS = {"k1": 1.0, "k2": 10.0, "p1": 0.1, "p2": 0.1, "rx": 0.25, "ry": 0.25, "rz": 0.25}
+_FOCAL_LIMIT = 0.12
+_CENTRE_LIMIT = 0.25
+_LIMITS = {"k1": 2.0, "k2": 20.0, "p1": 0.1, "p2": 0.1, "rx": 0.25, "ry": 0.25, "rz": 0.25}
 
 
 def judge(
@@ -34,12 +33,13 @@ def judge(
         calibration: The estimate, without verdicts.
         problem: What it was made from.
         layout: Places of the unknowns.
-        covariance: Covariance of the unknowns.
+        covariance: Covariance of the unknowns by the data alone, without the priors of the lens.
     """
     verdicts = []
     misfit = _misfit(calibration, problem)
     for c in range(layout.cameras):
-        verdict = _few_spots(calibration, c) or _flat(calibration, c)
+        doubtful = misfit is not None
+        verdict = _few_spots(calibration, problem, c, doubtful) or _flat(calibration, problem, c, doubtful)
         if verdict is None and misfit is None:  # the standard deviations of a misfit mean nothing
             verdict = _unknown(calibration, covariance, c)
         if verdict:
@@ -51,9 +51,11 @@ def judge(
     return tuple(verdicts)
 
 
-def _few_spots(calibration: Calibration, c: int) -> Verdict | None:
+def _few_spots(calibration: Calibration, problem: CalibrationProblem, c: int, misfit: bool) -> Verdict | None:
+    """Too few spots; where the noise is not as stated, gates leave few of many, and more poses would not help."""
     camera = calibration.cameras[c]
-    if camera.spots_used >= _FEWEST_SPOTS:
+    enough = problem.detected[c].sum() if misfit else camera.spots_used
+    if enough >= _FEWEST_SPOTS:
         return None
     return Verdict(
         UNOBSERVABLE,
@@ -63,11 +65,16 @@ def _few_spots(calibration: Calibration, c: int) -> Verdict | None:
     )
 
 
-def _flat(calibration: Calibration, c: int) -> Verdict | None:
-    """LED positions in a plane: focal length and distance, principal point and tilt cannot be told apart."""
+def _flat(calibration: Calibration, problem: CalibrationProblem, c: int, misfit: bool) -> Verdict | None:
+    """LED positions in a plane: focal length and distance, principal point and tilt cannot be told apart.
+
+    Which spots a misfit believes means little, so that there most of the positions decide.
+    """
     camera = calibration.cameras[c]
     extent = robust_extent(calibration.led_positions[calibration.used[c]])
-    if extent[2] >= _FLAT * extent[0]:
+    if extent[2] >= FLAT * extent[0] and misfit:
+        extent = core_extent(problem.positions[problem.detected[c]])
+    if extent[2] >= FLAT * extent[0]:
         return None
     return Verdict(
         UNOBSERVABLE,
@@ -83,9 +90,9 @@ def _unknown(calibration: Calibration, covariance: Covariance, c: int) -> Verdic
     camera = calibration.cameras[c]
     limits = dict.fromkeys(("fx", "fy"), _FOCAL_LIMIT * float(camera.model.K[0, 0]))
     limits |= dict.fromkeys(("cx", "cy"), _CENTRE_LIMIT * camera.model.width) | _LIMITS
-    null = covariance.null[PER_CAMERA * c : PER_CAMERA * (c + 1)]
-    deviations = dict(zip(CAMERA_PARAMETERS, camera.standard_deviations, strict=True))
-    lost = dict(zip(CAMERA_PARAMETERS, null, strict=True))
+    block = slice(PER_CAMERA * c, PER_CAMERA * (c + 1))
+    deviations = dict(zip(CAMERA_PARAMETERS, covariance.standard_deviations[block], strict=True))
+    lost = dict(zip(CAMERA_PARAMETERS, covariance.null[block], strict=True))
     names = tuple(name for name in CAMERA_PARAMETERS if lost[name] or deviations[name] > limits.get(name, np.inf))
     if not names:
         return None

@@ -1,0 +1,104 @@
+"""``calibrate_dataset IN.json OUT.json``: calibrate the cameras of each trial of a data set."""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from im_core.clock import monotonic
+from im_core.errors import ImError
+from im_vss.calibration.answer import answer
+from im_vss.calibration.dataset import load_problems
+
+OK, BAD_INPUT, INTERRUPTED = 0, 1, 130
+
+_QUIET_S = 2.0
+
+_EPILOG = """\
+IN.json (format vislab-calib-1) holds, for n poses of the robot and c cameras:
+  image_size [w, h]              sigma_u_px[c][n] [px]       cov_x_m2[n][3][3] [m^2]
+  wrist_R_base[n][3][3], led_offset_nominal_known, led_offset_prior_sd_m [m]
+  J_joint[n][3][k], joint_offset_prior_sd_rad [rad]          where joint offsets are to be estimated
+  trials[].x_base_m[n][3] [m]    trials[].u_px[c][n] = [u, v] [px], or null where the LED was not seen
+Truth, held-out points and bounds that such a file may hold as well are not read.
+
+OUT.json holds an entry for each trial, in order:
+  cameras[].K, D, R_cam_base, t_cam_base_m   led_offset_error_m   joint_offsets_rad   chi2_per_dof   p_value
+  flags: UNOBSERVABLE (the poses cannot tell some parameters; verdicts[] names them) and
+         MISFIT (the stated noise cannot explain the residuals); both with what to do about it in verdicts[].advice
+  covariance of all parameters, outlier[c][n], checks, expected_error
+
+exit codes: 0 OUT.json is written, whatever the flags; 1 IN.json or OUT.json cannot be used, and OUT.json is as before;
+            2 wrong arguments; 130 interrupted
+
+example:  scripts/run.sh im_vss calibrate_dataset data.json cameras.json
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point.
+
+    Args:
+        arguments: Of the command line; None: those of the process.
+
+    Returns:
+        The exit code.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        _calibrate(options.input, options.output)
+    except ImError as error:
+        print(f"calibrate_dataset: {error.message}", file=sys.stderr)
+        return BAD_INPUT
+    except OSError as error:
+        print(f"calibrate_dataset: {options.output}: {error.strerror}.", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("calibrate_dataset: interrupted, nothing is written", file=sys.stderr)
+        return INTERRUPTED
+    return OK
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="calibrate_dataset",
+        description="Calibrate the cameras of each trial of a data set of wrist-LED observations.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("input", type=Path, metavar="IN.json", help="data set")
+    parser.add_argument("output", type=Path, metavar="OUT.json", help="where the answers go, whole or not at all")
+    return parser
+
+
+def _calibrate(source: Path, target: Path) -> None:
+    problems = load_problems(source)
+    if target.is_dir() or not target.parent.is_dir():
+        raise ImError(f"{target}: a file in an existing directory is needed.", file=str(target))
+    if target.exists() and target.samefile(source):
+        raise ImError(f"{target}: the answers would replace the data set; name another file.", file=str(target))
+    begin = told = monotonic()
+    trials = []
+    for i, problem in enumerate(problems):
+        trials.append(answer(problem))
+        if monotonic() - told > _QUIET_S:
+            told = monotonic()
+            print(f"{i + 1} of {len(problems)} trials, {told - begin:.0f} s", file=sys.stderr, flush=True)
+    _write_whole(target, json.dumps({"trials": trials}, indent=1, allow_nan=False) + "\n")
+    for i, trial in enumerate(trials):
+        print(f"trial {i}: {trial['message']}")
+
+
+def _write_whole(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

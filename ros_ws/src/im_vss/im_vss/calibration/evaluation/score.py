@@ -1,0 +1,105 @@
+"""Errors of many trials of one kind as ratios to the bound and to OpenCV, and how often intervals hold the truth."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from im_core.calibration_error import evaluate
+from im_core.camera_model import CameraModel
+from im_vss.calibration.calibration import Calibration
+from im_vss.calibration.evaluation.bound import cramer_rao
+from im_vss.calibration.evaluation.opencv import opencv_cameras
+from im_vss.calibration.expected import rms
+from im_vss.calibration.pipeline import calibrate
+from im_vss.calibration.synthetic import Design, SyntheticScene, make_scene
+
+Array = NDArray[np.float64]
+
+_LOST = 1e3
+"""Error [px, mm] that counts for a trial without an answer."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """Ratios of RMS errors over trials: reprojection first, triangulation second (NaN for one camera).
+
+    Attributes:
+        to_bound: Over the Cramer-Rao bound of the inliers.
+        to_opencv: Over the best that OpenCV reaches.
+        coverage: Share of trials whose 95 % interval holds the truth, by parameter.
+        verdicts: Trials that got a verdict.
+    """
+
+    to_bound: tuple[float, float]
+    to_opencv: tuple[float, float]
+    coverage: Array
+    verdicts: int
+
+
+def score(design: Design, seeds: Iterable[int]) -> Score:
+    """Simulate and calibrate.
+
+    Args:
+        design: What to simulate.
+        seeds: One a trial.
+
+    Raises:
+        DataError: A trial has no answer at all.
+    """
+    ours, bounds, inside, verdicts = [], [], [], 0
+    plain: list[tuple[float, float]] = []
+    trimmed: list[tuple[float, float]] = []
+    for seed in seeds:
+        scene = make_scene(design, seed)
+        calibration = calibrate(scene.problem)
+        verdicts += not calibration.success
+        ours.append(_errors(tuple(camera.model for camera in calibration.cameras), scene))
+        bound = cramer_rao(scene)
+        bounds.append((bound.reprojection_rms_px, bound.triangulation_rms_mm))
+        for answers, trim in ((plain, False), (trimmed, True)):
+            cameras = opencv_cameras(scene.problem, scene.cameras[0], trim=trim)
+            answers.append(_errors(cameras, scene))
+        inside.append(np.abs(deviations(calibration, scene)) < 1.959964 * calibration.standard_deviations)
+    own = _rms(ours)
+    opencv = np.minimum(_rms(plain), _rms(trimmed))
+    to_bound, to_opencv = own / _rms(bounds), own / opencv
+    return Score(
+        (float(to_bound[0]), float(to_bound[1])),
+        (float(to_opencv[0]), float(to_opencv[1])),
+        np.asarray(np.mean(inside, axis=0)),
+        verdicts,
+    )
+
+
+def deviations(calibration: Calibration, scene: SyntheticScene) -> Array:
+    """Estimate minus truth of each unknown, in the order of ``parameter_names``."""
+    parts: list[Array] = []
+    for estimate, true in zip(calibration.cameras, scene.cameras, strict=True):
+        model = estimate.model
+        turned = Rotation.from_matrix(model.R_cam_base @ true.R_cam_base.T).as_rotvec()
+        matrix = model.K - true.K
+        parts += [np.diag(matrix)[:2], matrix[:2, 2], (model.D - true.D)[:4], turned]
+        parts.append(model.t_cam_base - true.t_cam_base)
+    if scene.problem.led_offset_prior_sd > 0.0:
+        parts.append(calibration.led_offset_error - scene.led_offset_error)
+    if len(calibration.joint_offsets):
+        parts.append(calibration.joint_offsets - scene.joint_offsets)
+    return np.concatenate(parts)
+
+
+def _errors(cameras: tuple[CameraModel, ...] | None, scene: SyntheticScene) -> tuple[float, float]:
+    if cameras is None:
+        return _LOST, _LOST
+    try:
+        found = evaluate(cameras, scene.cameras, scene.problem.workspace.grid())
+    except np.linalg.LinAlgError:
+        return _LOST, _LOST
+    return min(found.reprojection_rms_px, _LOST), min(found.triangulation_rms_mm, _LOST)
+
+
+def _rms(pairs: list[tuple[float, float]]) -> Array:
+    values = np.array(pairs)
+    return np.array([rms(values[:, 0]), rms(values[:, 1])])

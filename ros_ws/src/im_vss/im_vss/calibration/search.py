@@ -1,0 +1,99 @@
+"""The explanation of all spots: which to believe and the cameras that follow, from several starts.
+
+Chi-square gates lead to the nearest set of spots that is consistent with itself. With few poses an outlier that bent
+the first fit can have honest spots rejected for good. So where there is little redundancy, fits of parts of the poses
+are tried as well, and the set wins that explains most at the stated noise.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from im_vss.calibration.agreement import FALSE_ALARM
+from im_vss.calibration.errors import DegenerateDataError, InconsistentDataError
+from im_vss.calibration.gates import Gated, fit_with_gates
+from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
+from im_vss.calibration.residuals import projectable
+from im_vss.calibration.solve import robust_cost, robust_fit
+from im_vss.calibration.start import FLAT, core_extent, start
+from im_vss.calibration.unknowns import Layout, Unknowns
+
+_PARTS = 6
+_PART = 0.67
+_SEED = 1989
+_REDUNDANT_SPOTS = 25
+"""Spots of a camera from which on the gates have not been seen to end in a wrong set."""
+
+
+def best_explanation(problem: CalibrationProblem, layout: Layout) -> Gated:
+    """The fit with gates of the best start.
+
+    Args:
+        problem: The observations, in canonical order if the result shall not depend on the order.
+        layout: Places of the unknowns.
+
+    Raises:
+        DegenerateDataError: A camera has too few spots, or the positions lie on a line.
+        InconsistentDataError: No camera explains the spots.
+    """
+    best = fit_with_gates(_robust_start(problem, layout), problem, layout)
+    if np.array_equal(best.used, problem.detected) or best.used.sum(axis=1).min() >= _REDUNDANT_SPOTS:
+        return best
+    least = unexplained(best, problem)
+    for unknowns in _starts_from_parts(problem, layout, best.fit.unknowns):
+        gated = fit_with_gates(unknowns, problem, layout)
+        cost = unexplained(gated, problem)
+        if cost < least:
+            best, least = gated, cost
+    return best
+
+
+def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
+    """Chi-square of what is believed, plus the gate for each spot or whole pose that is not."""
+    seen, used = problem.detected.sum(axis=0), gated.used.sum(axis=0)
+    whole = (used == 0) & (seen > 0)
+    blamed = np.where(whole, 0, seen - used).sum()
+    gates = scipy.stats.chi2.isf(FALSE_ALARM, 2 * seen[whole]).sum() + blamed * scipy.stats.chi2.isf(FALSE_ALARM, 2)
+    return float(gated.fit.chi2 + gates) if np.isfinite(gated.fit.chi2) else float("inf")
+
+
+def _robust_start(problem: CalibrationProblem, layout: Layout) -> Unknowns:
+    """Robust fit from a linear start; with unknown offsets started again from those found, and the better one kept."""
+    fits = [robust_fit(start(problem, layout), problem, layout, problem.detected)]
+    if layout.led or layout.joints:
+        again = start(problem, layout, fits[0].unknowns)
+        fits.append(robust_fit(again, problem, layout, problem.detected))
+    best = min(fits, key=lambda fit: robust_cost(fit.unknowns, problem, layout)).unknowns
+    seen = problem.detected & projectable(best, problem)
+    for camera, spots in zip(problem.camera_names, seen.sum(axis=1), strict=True):
+        if spots < MINIMUM_SPOTS:
+            extent = core_extent(problem.positions)
+            if extent[2] < FLAT * extent[0]:
+                raise DegenerateDataError(
+                    "Most LED positions lie in a plane, and no camera was found; vary the height of the poses.",
+                    parameters=(f"{camera}.intrinsics", f"{camera}.pose"),
+                    camera=camera,
+                )
+            raise InconsistentDataError(
+                f"No camera explains where {camera} saw the LED; check that the spots belong to these poses.",
+                camera=camera,
+            )
+    return best
+
+
+def _starts_from_parts(problem: CalibrationProblem, layout: Layout, offsets: Unknowns) -> Iterator[Unknowns]:
+    """Robust fits of random parts of the poses; every other one from the offsets found before."""
+    rng, n = np.random.default_rng(_SEED), len(problem.positions)
+    for i in range(_PARTS):
+        chosen = np.sort(rng.permutation(n)[: max(MINIMUM_SPOTS, round(_PART * n))])
+        part = problem.taking(chosen)
+        try:
+            begin = start(part, layout, offsets if i % 2 else None)
+            unknowns = robust_fit(begin, part, layout, part.detected).unknowns
+        except (DegenerateDataError, InconsistentDataError):
+            continue  # this part says nothing; the others may
+        unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
+        if (problem.detected & projectable(unknowns, problem)).sum(axis=1).min() >= MINIMUM_SPOTS:
+            yield unknowns
