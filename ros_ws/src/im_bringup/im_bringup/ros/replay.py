@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
@@ -16,9 +17,12 @@ from im_bringup.ros.record import message_class_of, to_profile
 from im_core import clock
 from im_core.errors import ImError
 
-#: Time for subscribers to find the publishers before the first message, and to take the last [s].
+#: Time for subscribers to find the publishers before the first message: at least, and while none has [s].
 DISCOVERY_S = 1.0
+DISCOVERY_AT_MOST_S = 4.0
+#: Time for subscribers to take the last messages: at least, and while they have not acknowledged them [s].
 DRAIN_S = 0.5
+DRAIN_AT_MOST_S = 5.0
 _LONGEST_SLEEP_S = 0.2
 
 
@@ -32,7 +36,7 @@ class Replay:
     """
 
     def __init__(self, node: Node, bag: BagReader, topics: list[str]) -> None:
-        self._bag = bag
+        self._node, self._bag = node, bag
         self._stop = threading.Event()
         self._publishers: dict[str, Publisher] = {
             topic: node.create_publisher(message_class_of(bag.types[topic]), topic, to_profile(bag.deliveries[topic]))
@@ -52,7 +56,7 @@ class Replay:
         Returns:
             Number of messages published.
         """
-        self._sleep_until(clock.monotonic() + DISCOVERY_S)
+        self._await_subscribers()
         count, first_ns, began = 0, None, clock.monotonic()
         for topic, stamp_ns, data in self._bag.messages(self._publishers):
             first_ns = stamp_ns if first_ns is None else first_ns
@@ -62,7 +66,23 @@ class Replay:
             self._publishers[topic].publish(data)
             count += 1
         self._sleep_until(clock.monotonic() + DRAIN_S)
+        deadline = clock.monotonic() + DRAIN_AT_MOST_S
+        for publisher in self._publishers.values():
+            if not self._stop.is_set():
+                publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - clock.monotonic())))
         return count
+
+    def _await_subscribers(self) -> None:
+        began = clock.monotonic()
+        self._sleep_until(began + DISCOVERY_S)
+        while not self._found() and not self._stop.is_set() and clock.monotonic() < began + DISCOVERY_AT_MOST_S:
+            self._sleep_until(clock.monotonic() + 0.05)
+
+    def _found(self) -> bool:
+        """Whether there are subscribers, and all that are known of are connected."""
+        known = {topic: self._node.count_subscribers(topic) for topic in self._publishers}
+        connected = (self._publishers[topic].get_subscription_count() >= count for topic, count in known.items())
+        return any(known.values()) and all(connected)
 
     def _sleep_until(self, deadline: float) -> None:
         while not self._stop.is_set() and (left := deadline - clock.monotonic()) > 0.0:
