@@ -17,22 +17,7 @@ from im_msgs.msg import Firing
 from im_pnt.ros.node import PntNode
 
 NETS = {
-    "front": """
-net: front
-places: {idle: 1, asked: , happy: , sad: }
-transitions:
-  begin: {in: idle, out: asked, symbol: serve}
-  ask: {in: asked, out: happy, request: middle.fetch, on_failure: sad}
-  finish: {in: happy, out: idle, emit: serve_done}
-  give_up: {in: sad, out: idle, emit: serve_failed}
-""",
-    "middle": """
-net: middle
-places: {wanted: , fetched: , missing: }
-services: {fetch: {entry: wanted, done: fetched, failed: missing}}
-transitions:
-  plan: {in: wanted, out: fetched, request: back.plan, on_failure: missing}
-""",
+    **{name: (Path(__file__).parent / "nets" / f"{name}.yaml").read_text() for name in ("front", "middle")},
     "back": """
 net: back
 places: {wanted: , planned: , impossible: }

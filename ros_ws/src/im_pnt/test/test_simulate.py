@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections import deque
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -16,6 +17,7 @@ from im_pnt.analysis.verify import verify
 from im_pnt.delay import Delay, exponential
 from im_pnt.errors import NetError
 from im_pnt.net import FunctionAction, Net, Place, RequestAction, Service, Strategy, Transition
+from im_pnt.netfile import load_net
 from im_pnt.replay import Script, read_script, replay
 from im_pnt.simulate import simulate
 from im_pnt.timed.model import timed_net
@@ -38,15 +40,7 @@ def constant(value):
 
 
 EXAMPLES = [
-    net(
-        "molloy",
-        {"p1": 1},
-        t("t1", "p1", "p2 p3", exponential(2.0)),
-        t("t2", "p2", "p4", exponential(1.0)),
-        t("t3", "p3", "p5", exponential(1.0)),
-        t("t4", "p4", "p2", exponential(3.0)),
-        t("t5", "p4 p5", "p1", exponential(2.0)),
-    ),
+    load_net(Path(__file__).parent / "data" / "molloy.yaml"),
     net("mm15", {"free": 5}, t("arrive", "free", "queue", exponential(2)), t("serve", "queue", "free", exponential(3))),
     net(
         "two_machines",

@@ -2,6 +2,7 @@
 
 import math
 from fractions import Fraction
+from pathlib import Path
 
 import networkx as nx
 import numpy as np
@@ -13,6 +14,7 @@ from im_pnt.compiled import compile_net
 from im_pnt.delay import Delay, exponential
 from im_pnt.errors import NetError
 from im_pnt.net import FunctionAction, Net, Place, RequestAction, Service, Transition
+from im_pnt.netfile import load_net
 from im_pnt.timed.steady import steady_state
 
 
@@ -28,15 +30,7 @@ def net(name, marking, *transitions, **more):
     return Net(name, places, {one.name: one for one in transitions}, **more)
 
 
-MOLLOY = net(
-    "molloy",
-    {"p1": 1},
-    t("t1", "p1", "p2 p3", exponential(2.0)),
-    t("t2", "p2", "p4", exponential(1.0)),
-    t("t3", "p3", "p5", exponential(1.0)),
-    t("t4", "p4", "p2", exponential(3.0)),
-    t("t5", "p4 p5", "p1", exponential(2.0)),
-)
+MOLLOY = load_net(Path(__file__).parent / "data" / "molloy.yaml")
 
 
 def test_molloy_1982_comes_out_in_fractions():

@@ -15,7 +15,7 @@ def seconds(text: str) -> float:
     """Reads a time of more than nothing [s], for argparse.
 
     Raises:
-        ValueError: It is none.
+        argparse.ArgumentTypeError: It is none.
     """
     value = float(text)
     if not 0.0 < value < float("inf"):
@@ -27,7 +27,7 @@ def count(text: str) -> int:
     """Reads a number of 1 or more, for argparse.
 
     Raises:
-        ValueError: It is none.
+        argparse.ArgumentTypeError: It is none.
     """
     value = int(text)
     if value < 1:
