@@ -64,7 +64,7 @@ for core in ros_ws/src/*/; do
   [[ -f "$core$name/__init__.py" ]] && cores+=("$core$name")
 done
 check mypy "$IM_VENV/bin/python" -m mypy "${cores[@]}"
-tests unit ros_ws/src
+tests unit ros_ws/src --numprocesses auto --dist loadgroup
 if ((!quick)); then
   tests node test -m "not end_to_end"
   tests end-to-end test -m end_to_end
