@@ -2,7 +2,7 @@
 
 import importlib.resources
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pydantic
 import yaml
@@ -14,6 +14,19 @@ class Model(pydantic.BaseModel):
     """Base of all configuration models: frozen, and no unknown fields."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class FieldError(ValueError):
+    """For validators of a whole model: a rule over several fields that is broken at one of them.
+
+    Args:
+        location: Where below the model, e.g. ``("slots", 3, "name")``.
+        sentence: What is wrong.
+    """
+
+    def __init__(self, location: tuple[int | str, ...], sentence: str) -> None:
+        super().__init__(sentence)
+        self.location = location
 
 
 ModelT = TypeVar("ModelT", bound=pydantic.BaseModel)
@@ -64,10 +77,12 @@ def parse_model(text: str, model: type[ModelT], name: str) -> ModelT:
         raise ConfigError(f"{name}:1: not YAML: {error}", file=name, line=1) from error
     if node is None:
         raise ConfigError(f"{name}:1: the file is empty", file=name, line=1)
+    _refuse_duplicates(node, name)
     try:
         return model.model_validate(data)
     except pydantic.ValidationError as error:
-        faults = [(line_of(node, fault["loc"]), field_name(fault["loc"]), fault) for fault in error.errors()]
+        places = [(_location(fault), fault) for fault in error.errors()]
+        faults = [(line_of(node, place), field_name(place), fault) for place, fault in places]
         lines = [
             f"{name}:{line}: {field + ': ' if field else ''}{_sentence(fault['msg'], fault['input'])}"
             for line, field, fault in faults
@@ -99,7 +114,34 @@ def field_name(location: tuple[int | str, ...]) -> str:
     return text
 
 
+def _location(fault: Any) -> tuple[int | str, ...]:
+    below: tuple[int | str, ...] = getattr(fault.get("ctx", {}).get("error"), "location", ())
+    return (*fault["loc"], *below)
+
+
+def _refuse_duplicates(root: yaml.Node, name: str) -> None:
+    """YAML's reader would take the last of several values of one key, in silence."""
+    waiting: list[tuple[yaml.Node, tuple[int | str, ...]]] = [(root, ())]
+    seen: set[int] = set()
+    while waiting:
+        node, place = waiting.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        items: list[tuple[int | str, yaml.Node]] = []
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                if any(key.value == known for known, _ in items):
+                    field, line = field_name((*place, key.value)), key.start_mark.line + 1
+                    raise ConfigError(f"{name}:{line}: {field}: given twice", file=name, line=line, field=field)
+                items.append((key.value, value))
+        elif isinstance(node, yaml.SequenceNode):
+            items = list(enumerate(node.value))
+        waiting += [(value, (*place, key)) for key, value in items]
+
+
 def _sentence(message: str, value: object) -> str:
+    message = message.removeprefix("Value error, ")
     if isinstance(value, (int, float, str, bool)) and repr(value) not in message:
         return f"{value!r}: {message}"
     return message

@@ -2,8 +2,9 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,11 @@ class Line:
     against: str = ""
     bar: float | None = None
     at_least: bool = False
+
+    @classmethod
+    def read(cls, entry: dict[str, Any]) -> "Line":
+        """A line that :func:`write` wrote."""
+        return cls(**{field.name: entry[field.name] for field in fields(cls)})
 
     @property
     def measure(self) -> float | None:

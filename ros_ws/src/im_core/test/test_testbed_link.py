@@ -10,7 +10,7 @@ import pytest
 from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
 from im_core.shm import remove_all
-from im_core.testbed_link import Slot, TestbedLink
+from im_core.testbed_link import Command, Sensors, Slot, TestbedLink
 
 INSTANCE = f"imtest{os.getpid()}"
 N = 3
@@ -20,7 +20,8 @@ OPEN = np.zeros(2)
 
 def publish(link, tick):
     q = np.full(N, float(tick))
-    link.publish_state(tick, q, False, ~NO_BRAKES, OPEN, q + 0.5, -q)
+    sensors = Sensors(q, False, ~NO_BRAKES, OPEN, 0.1 * q, np.full((2, 6), q[0]), OPEN + 7.0)
+    link.publish_state(tick, sensors, q + 0.5, -q)
 
 
 @pytest.fixture
@@ -94,7 +95,7 @@ def test_each_tick_gets_its_own_command(host, client):
             assert state.tick == tick
             assert state.stamp_ns == tick * 10_000_000
             assert (state.q == tick).all()
-            client.write_command(np.full(N, 10.0 * tick), True, NO_BRAKES, OPEN, wants_time=tick < 4)
+            client.write_command(Command(np.full(N, 10.0 * tick), True, NO_BRAKES, OPEN, tick < 4, OPEN))
         client.wait_tick(5, timeout_s=1.0)
         assert not client.wait_state(0.05), "nobody wants time"
     assert [command.tau[0] for command in commands] == [0.0, 10.0, 20.0, 30.0, 40.0]
@@ -120,11 +121,11 @@ def test_silent_servo_is_declared_gone_told_so_and_may_come_back(host, client):
         assert commands == [None, None]
         assert client.read_truth().servo_losses == 1
         with pytest.raises(LinkError, match="declared the servo gone"):
-            client.write_command(np.zeros(N), True, NO_BRAKES, OPEN, wants_time=True)
+            client.write_command(Command(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
         client.attach_servo(os.getpid())
         client.request_time(Slot.TESTBED, 1)
         assert client.wait_state(1.0)
-        client.write_command(np.ones(N), True, NO_BRAKES, OPEN, wants_time=False)
+        client.write_command(Command(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
         client.wait_tick(3, timeout_s=1.0)
     assert commands[2].tau.tolist() == [1.0, 1.0, 1.0]
 
@@ -134,7 +135,7 @@ def test_detaching_ends_the_demand(host, client):
         client.attach_servo(os.getpid())
         client.request_time(Slot.MCS, 1)
         assert client.wait_state(1.0)
-        client.write_command(np.zeros(N), True, NO_BRAKES, OPEN, wants_time=True)
+        client.write_command(Command(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
         assert client.wait_state(1.0)
         client.detach_servo()
         client.wait_tick(2, timeout_s=1.0)

@@ -6,7 +6,7 @@ World frame ``world``: origin on the floor at the track's centre, x along the tr
 """
 
 from im_core.robot.cell import Cell, load_cell
-from im_core.robot.parameters import Box, Camera, Capsule, Gripper, Intrinsics, Led, Limits
+from im_core.robot.parameters import Box, Camera, Capsule, Gripper, Intrinsics, Led, Limits, SensorSpec
 from im_core.robot.tree import Joint, Link
 from im_core.robot.urdf import urdf
 
@@ -21,6 +21,7 @@ __all__ = [
     "Led",
     "Limits",
     "Link",
+    "SensorSpec",
     "load_cell",
     "urdf",
 ]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from im_core.config import Model, load_model, package_file
+from im_core.errors import ConfigError
 from im_core.robot.parameters import (
     ArmModel,
     Box,
@@ -20,7 +21,9 @@ from im_core.robot.parameters import (
     Led,
     Positive,
     Side,
+    WristSensor,
 )
+from im_core.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
 from im_core.robot.tree import Joint, Link, joints_of, links_of
 
 SIDES = ("left", "right")
@@ -37,9 +40,15 @@ class Cell(Model):
     sides: dict[str, Side]
     encoder: EncoderSpec
     gripper: Gripper
+    wrist_sensor: WristSensor
     led: Led
     boxes: tuple[Box, ...]
     cameras: dict[str, Camera]
+    optics: Optics
+    targets: tuple[Target, ...]
+    mirrors: tuple[Mirror, ...]
+    lamps: tuple[Lamp, ...]
+    laser: LaserScanner
 
     @model_validator(mode="after")
     def _references(self) -> Self:
@@ -52,6 +61,19 @@ class Cell(Model):
             if not joint.limits.lower <= position <= joint.limits.upper:
                 raise ValueError(f"home of {joint.name}, {position}, is outside its limits")
         return self
+
+    def at_period(self, period: float) -> Self:
+        """The same cell with another tick [s]; physics takes as many steps in it as keep the length of a step.
+
+        Raises:
+            ConfigError: The period is not > 0, or needs more steps than allowed.
+        """
+        if not period > 0.0:
+            raise ConfigError(f"period of the testbed {period:g} s is not > 0", period=period)
+        substeps = max(1, round(self.substeps * period / self.period))
+        if substeps > 64:
+            raise ConfigError(f"a testbed period of {period:g} s is {substeps} physics steps; 64 are allowed")
+        return self.model_copy(update={"period": period, "substeps": substeps})
 
     @cached_property
     def joints(self) -> tuple[Joint, ...]:

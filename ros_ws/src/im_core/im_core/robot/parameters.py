@@ -164,12 +164,41 @@ class EncoderSpec(Model):
     noise_counts: NonNegative
 
 
+class SensorSpec(Model):
+    """A sensor of forces or torques: standard deviations of noise and bias, step and range of readings [N or Nm]."""
+
+    noise: NonNegative
+    bias: NonNegative
+    resolution: Positive
+    range: Positive
+
+
 class Gripper(Model):
-    """A pneumatic gripper: opening [m], speed of the jaws [m/s], opening at the start [m]."""
+    """A pneumatic gripper.
+
+    Attributes:
+        stroke: Largest opening [m].
+        rate: Speed of the jaws [m/s].
+        initial: Opening at the start [m].
+        force: Largest force between the jaws [N].
+        reach: From the wrist frame along its z axis to the middle of the jaws [m].
+        force_sensor: Between the jaws.
+    """
 
     stroke: Positive
     rate: Positive
     initial: NonNegative
+    force: Positive
+    reach: NonNegative
+    force_sensor: SensorSpec
+
+
+class WristSensor(Model):
+    """The six-axis sensor of a wrist; ``source`` as of an arm."""
+
+    source: Source
+    force: SensorSpec
+    torque: SensorSpec
 
 
 class Led(Model):
@@ -192,6 +221,15 @@ class Intrinsics(Model):
     cy: float
 
 
+def facing(position: Vector, target: Vector, up: Vector) -> NDArray[np.float64]:
+    """Axes of something at ``position`` that looks at ``target``: right, down and forward as columns, shape (3, 3)."""
+    forward = np.array(target) - np.array(position)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, np.array(up))
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
 class Camera(Model):
     """A camera's nominal mount and lens: it stands at ``position``, looks at ``target``, its image's top is ``up``."""
 
@@ -203,10 +241,5 @@ class Camera(Model):
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Nominal R, shape (3, 3), and t, shape (3,) [m], with ``x_optical = R x_parent + t``."""
-        position = np.array(self.position)
-        forward = np.array(self.target) - position
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, np.array(self.up))
-        right /= np.linalg.norm(right)
-        rotation = np.stack([right, np.cross(forward, right), forward])
-        return rotation, -rotation @ position
+        rotation = facing(self.position, self.target, self.up).T
+        return rotation, -rotation @ np.array(self.position)

@@ -7,10 +7,12 @@ prints its error. Nothing that estimates may read it.
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 from im_core.config import Model
 from im_core.errors import DataError
+from im_core.laser_model import LaserModel
 from im_core.robot.parameters import Positive, Vector
 
 FILE_NAME = "truth.json"
@@ -45,12 +47,34 @@ class LedTruth(Model):
     diameter_m: Positive
 
 
+class LaserTruth(Model):
+    """The laser scanner, see :class:`im_core.laser_model.LaserModel`.
+
+    Attributes:
+        rotation, position_m: Pose, ``x_world = R x_scanner + t`` [m].
+        gain: Of the mirrors' angles [-].
+        offset: Of mirror 1 [rad].
+        gap_m: Between the mirrors [m].
+    """
+
+    rotation: Matrix
+    position_m: Vector
+    gain: tuple[float, float]
+    offset: float
+    gap_m: Positive
+
+    def model(self) -> LaserModel:
+        """How the beam really goes."""
+        return LaserModel(np.array(self.rotation), np.array(self.position_m), self.gap_m, self.gain, self.offset)
+
+
 class CellTruth(Model):
-    """True cameras and lights by name, and the seed they were drawn with."""
+    """True cameras and lights by name, the laser scanner, and the seed they were drawn with."""
 
     seed: int
     cameras: dict[str, CameraTruth]
     leds: dict[str, LedTruth]
+    laser: LaserTruth
 
 
 def load_truth(path: Path) -> CellTruth:

@@ -13,7 +13,7 @@ from im_msgs.srv import GetObject, InvalidateObject, PutObject
 
 #: Every request has the same effect however often it is made; one that met a server of a former life is made again.
 TIMEOUT_S = 2.0
-ATTEMPTS = 3
+ATTEMPTS = 6
 
 
 def type_name(message_type: type) -> str:

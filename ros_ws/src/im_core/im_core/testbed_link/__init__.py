@@ -10,7 +10,7 @@ One tick, period 4.5 ms, is one handshake::
     while factor == 0 and no demand: sleep         while not link.wait_state(timeout_s=0.2):
     publish_state(tick k), post state    ------>       (nothing to do yet; look after oneself)
     await_command()                                state = link.read_state()          # tick k
-                                         <------   link.write_command(tau, power, brakes, gripper, wants_time)
+                                         <------   link.write_command(command)
     four substeps
     tick = k + 1, its state is readable
 
@@ -28,13 +28,44 @@ raise the same error, and one attaches anew.
 *Brakes.* ``brakes[i]`` true: the joint is held. Without power all torques are zero and all brakes are engaged, whatever
 the command says; ``State.power`` and ``State.brakes`` tell what is so.
 
-*Grippers.* Openings in metres: the command is where to go, the state is where the jaws are.
+*Grippers.* Openings in metres, forces in newtons: the command says where to go and with what force at most, the state
+where the jaws are and what they press with.
 
-*Exposures.* ``expose(ticks, blank_light, timeout_s)`` starts at the next tick boundary and takes ``ticks`` ticks;
-``blank_light`` strobes the wrist lights off during it. One client at a time; a new client replaces a dead one.
+*Exposures.* ``expose(ticks, blank_light, timeout_s, blank_laser)`` starts at the next tick boundary and takes ``ticks``
+ticks; ``blank_light`` strobes the wrist lights off during it, ``blank_laser`` the laser. One client at a time; a new
+client replaces a dead one.
+
+*Laser.* ``set_laser`` says where the mirrors of the scanner shall go and with what power the beam shall be lit; they
+move at their own rate, ``laser`` says where they are. Time for that is asked for in ``Slot.VSS``.
+
+*Disturbances.* ``set_faults``, ``stall`` and ``set_object`` break the testbed and put things between its jaws, from the
+next tick on: to test what stands above it.
 """
 
 from im_core.testbed_link.link import TestbedLink
-from im_core.testbed_link.values import Command, Exposure, ExposureRequest, Slot, State, TrueState
+from im_core.testbed_link.values import (
+    Command,
+    Exposure,
+    ExposureRequest,
+    Faults,
+    JawObject,
+    LaserBeam,
+    Sensors,
+    Slot,
+    State,
+    TrueState,
+)
 
-__all__ = ["Command", "Exposure", "ExposureRequest", "Slot", "State", "TestbedLink", "TrueState"]
+__all__ = [
+    "Command",
+    "Exposure",
+    "ExposureRequest",
+    "Faults",
+    "JawObject",
+    "LaserBeam",
+    "Sensors",
+    "Slot",
+    "State",
+    "TestbedLink",
+    "TrueState",
+]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from im_core.shm import Semaphore, SharedBlock
 
 N_GRIPPERS = 2
+N_WRENCHES = 2
 MAX_LIGHTS = 8
 
 _FIXED = np.dtype(
@@ -33,9 +34,13 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             ("power", "<i8"),
             ("brakes", "?", (n_joints,)),
             ("gripper", "<f8", (N_GRIPPERS,)),
+            ("age_s", "<f8", (n_joints,)),
+            ("wrench", "<f8", (N_WRENCHES, 6)),
+            ("gripper_force", "<f8", (N_GRIPPERS,)),
             ("q_true", "<f8", (n_joints,)),
             ("v_true", "<f8", (n_joints,)),
             ("servo_losses", "<i8"),
+            ("laser", "<f8", (4,)),
             # servo; physics clears the pid of one that is gone
             ("servo_pid", "<i8"),
             ("servo_start", "<i8"),
@@ -44,21 +49,31 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             ("command_power", "<i8"),
             ("command_brakes", "?", (n_joints,)),
             ("command_gripper", "<f8", (N_GRIPPERS,)),
+            ("command_gripper_force", "<f8", (N_GRIPPERS,)),
             ("command_wants_time", "<i8"),
             # one writer for each slot
             ("demand_until", "<i8", (3,)),
             # testbed node
             ("lights", "?", (MAX_LIGHTS,)),
+            ("disturbances", "<i8"),
+            ("fault_joints", "?", (3, n_joints)),
+            ("fault_power", "<i8"),
+            ("stall_s", "<f8"),
+            ("objects", "<f8", (N_GRIPPERS, 3)),
+            # whoever drives the laser scanner
+            ("laser_command", "<f8", (4,)),
             # cameras
             ("exposure_request", "<i8"),
             ("exposure_ticks", "<i8"),
             ("exposure_blank", "<i8"),
+            ("exposure_blank_laser", "<i8"),
             # physics
             ("exposure_done", "<i8"),
             ("exposure_start", "<i8"),
             ("exposure_end", "<i8"),
             ("exposure_q", "<f8", (n_joints,)),
             ("exposure_light", "<f8", (MAX_LIGHTS,)),
+            ("exposure_laser", "<f8", (4,)),
         ],
         align=True,
     )

@@ -3,7 +3,7 @@
 from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
 from im_core.testbed_link.block import LinkBlock
-from im_core.testbed_link.values import Exposure
+from im_core.testbed_link.values import Exposure, LaserBeam
 
 _SLICE_S = 0.1
 MAX_EXPOSURE_TICKS = 10_000
@@ -14,7 +14,7 @@ class CameraSide:
 
     _shared: LinkBlock
 
-    def expose(self, ticks: int, blank_light: bool, timeout_s: float) -> Exposure:
+    def expose(self, ticks: int, blank_light: bool, timeout_s: float, blank_laser: bool = False) -> Exposure:
         """Open the shutter at the next tick boundary for ``ticks`` ticks, and wait until it has closed.
 
         One client at a time: a request replaces one that is still pending.
@@ -23,6 +23,7 @@ class CameraSide:
             ticks: Length of the exposure, 1 to 10,000 [ticks].
             blank_light: Whether the wrist lights are strobed off during the exposure.
             timeout_s: How long to wait, wall time [s].
+            blank_laser: Whether the laser is strobed off during the exposure.
 
         Raises:
             DataError: ``ticks`` is out of range.
@@ -36,6 +37,7 @@ class CameraSide:
         request = int(view["exposure_request"]) + 1
         view["exposure_ticks"][()] = ticks
         view["exposure_blank"][()] = blank_light
+        view["exposure_blank_laser"][()] = blank_laser
         view["exposure_request"][()] = request
         shared.wake.post()
         deadline = clock.monotonic() + timeout_s
@@ -53,4 +55,5 @@ class CameraSide:
             stamp_ns=(start + end) * shared.period_ns // 2,
             q_true=view["exposure_q"].copy(),
             light_fraction=dict(zip(shared.light_names, fractions, strict=False)),
+            laser=LaserBeam(*view["exposure_laser"].tolist()),
         )

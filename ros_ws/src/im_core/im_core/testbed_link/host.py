@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from im_core import clock
 from im_core.shm import ProcessId
 from im_core.testbed_link.block import LinkBlock
-from im_core.testbed_link.values import Command, ExposureRequest
+from im_core.testbed_link.values import Command, ExposureRequest, LaserBeam, Sensors
 
 _SLICE_S = 0.05
 
@@ -15,26 +15,23 @@ class HostSide:
     """Publishes states, takes commands and exposure requests, knows whether somebody wants time."""
 
     _shared: LinkBlock
+    _seen = 0
 
     def publish_state(
-        self,
-        tick: int,
-        q: NDArray[np.float64],
-        power: bool,
-        brakes: NDArray[np.bool_],
-        gripper: NDArray[np.float64],
-        q_true: NDArray[np.float64],
-        v_true: NDArray[np.float64],
+        self, tick: int, sensors: Sensors, q_true: NDArray[np.float64], v_true: NDArray[np.float64]
     ) -> None:
         """Make the state of a tick readable; the first one opens the link for others to attach."""
         view = self._shared.view
         sequence = view["sequence"]
         sequence[()] = int(sequence) + 1
         view["tick"][()] = tick
-        view["q"][:] = q
-        view["power"][()] = power
-        view["brakes"][:] = brakes
-        view["gripper"][:] = gripper
+        view["q"][:] = sensors.q
+        view["power"][()] = sensors.power
+        view["brakes"][:] = sensors.brakes
+        view["gripper"][:] = sensors.gripper
+        view["age_s"][:] = sensors.age_s
+        view["wrench"][:] = sensors.wrench
+        view["gripper_force"][:] = sensors.gripper_force
         view["q_true"][:] = q_true
         view["v_true"][:] = v_true
         sequence[()] = int(sequence) + 1
@@ -77,7 +74,29 @@ class HostSide:
             brakes=view["command_brakes"].copy(),
             gripper=view["command_gripper"].copy(),
             wants_time=bool(view["command_wants_time"]),
+            gripper_force=view["command_gripper_force"].copy(),
         )
+
+    def disturbed(self) -> bool:
+        """Whether faults or objects have changed since the last call."""
+        changes = int(self._shared.view["disturbances"])
+        seen, self._seen = self._seen, changes
+        return changes != seen
+
+    def take_stall(self) -> float:
+        """How long physics shall pause now, wall time [s]; each stall is taken once."""
+        stall = self._shared.view["stall_s"]
+        seconds = float(stall)
+        stall[()] = 0.0
+        return seconds
+
+    def laser_command(self) -> LaserBeam:
+        """What is wanted of the laser scanner."""
+        return LaserBeam(*self._shared.view["laser_command"].tolist())
+
+    def publish_laser(self, beam: LaserBeam) -> None:
+        """Say what the laser scanner's own sensors say."""
+        self._shared.view["laser"][:] = beam.values()
 
     def demand(self) -> bool:
         """Whether somebody wants another tick at clock factor 0."""
@@ -101,7 +120,8 @@ class HostSide:
         request = int(view["exposure_request"])
         if request == int(view["exposure_done"]):
             return None
-        return ExposureRequest(request, int(view["exposure_ticks"]), bool(view["exposure_blank"]))
+        blank = bool(view["exposure_blank"]), bool(view["exposure_blank_laser"])
+        return ExposureRequest(request, int(view["exposure_ticks"]), *blank)
 
     def finish_exposure(
         self,
@@ -110,6 +130,7 @@ class HostSide:
         end_tick: int,
         q_true: NDArray[np.float64],
         light_fraction: NDArray[np.float64],
+        laser: LaserBeam = LaserBeam(),  # noqa: B008  (frozen)
     ) -> None:
         """Answer an exposure request."""
         view = self._shared.view
@@ -117,6 +138,7 @@ class HostSide:
         view["exposure_end"][()] = end_tick
         view["exposure_q"][:] = q_true
         view["exposure_light"][: len(light_fraction)] = light_fraction
+        view["exposure_laser"][:] = laser.values()
         view["exposure_done"][()] = request.request
         self._shared.exposed.post()
 

@@ -7,7 +7,9 @@ from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
 from im_core.testbed_link.block import MAX_LIGHTS, LinkBlock
 from im_core.testbed_link.camera import CameraSide
+from im_core.testbed_link.disturb import DisturbSide
 from im_core.testbed_link.host import HostSide
+from im_core.testbed_link.laser import LaserSide
 from im_core.testbed_link.servo import ServoSide
 from im_core.testbed_link.values import Slot, TrueState
 
@@ -15,7 +17,7 @@ DEFAULT_LIGHTS = ("left_led", "right_led")
 _POLL_S = 0.0005
 
 
-class TestbedLink(HostSide, ServoSide, CameraSide):
+class TestbedLink(HostSide, ServoSide, CameraSide, LaserSide, DisturbSide):
     """Shared memory and semaphores between physics, servo and cameras; see the package's docstring."""
 
     __test__ = False  # not a test class, whatever pytest thinks of the name

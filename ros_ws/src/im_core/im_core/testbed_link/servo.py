@@ -1,12 +1,9 @@
 """The servo's end of the testbed link."""
 
-import numpy as np
-from numpy.typing import NDArray
-
 from im_core.errors import LinkError
 from im_core.shm import ProcessId
 from im_core.testbed_link.block import LinkBlock
-from im_core.testbed_link.values import State
+from im_core.testbed_link.values import Command, State
 
 _LIVENESS_S = 0.1
 
@@ -69,27 +66,16 @@ class ServoSide:
                 power=bool(view["power"]),
                 brakes=view["brakes"].copy(),
                 gripper=view["gripper"].copy(),
+                age_s=view["age_s"].copy(),
+                wrench=view["wrench"].copy(),
+                gripper_force=view["gripper_force"].copy(),
             )
             if before % 2 == 0 and int(sequence) == before:
                 return state
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
-    def write_command(
-        self,
-        tau: NDArray[np.float64],
-        power: bool,
-        brakes: NDArray[np.bool_],
-        gripper: NDArray[np.float64],
-        wants_time: bool,
-    ) -> None:
+    def write_command(self, command: Command) -> None:
         """Answer the current tick.
-
-        Args:
-            tau: Motor torques at the joints, shape (n,) [Nm or N]; cut to the motors' limits, NaN counts as 0.
-            power: Whether the motors shall have power.
-            brakes: Which brakes shall be engaged, shape (n,).
-            gripper: Wanted openings, shape (2,) [m].
-            wants_time: Whether, at clock factor 0, another tick shall follow.
 
         Raises:
             LinkError: Physics has declared this servo gone; :meth:`attach_servo` again.
@@ -97,11 +83,12 @@ class ServoSide:
         view = self._shared.view
         if not int(view["servo_pid"]):
             raise LinkError(f"the testbed declared the servo gone before tick {int(view['tick'])}")
-        view["command_tau"][:] = tau
-        view["command_power"][()] = power
-        view["command_brakes"][:] = brakes
-        view["command_gripper"][:] = gripper
-        view["command_wants_time"][()] = wants_time
+        view["command_tau"][:] = command.tau
+        view["command_power"][()] = command.power
+        view["command_brakes"][:] = command.brakes
+        view["command_gripper"][:] = command.gripper
+        view["command_gripper_force"][:] = command.gripper_force
+        view["command_wants_time"][()] = command.wants_time
         view["command_tick"][()] = view["tick"]
         self._shared.command.post()
 

@@ -1,10 +1,13 @@
 """What travels over the testbed link."""
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
+
+from im_core.errors import DataError
 
 
 class Slot(IntEnum):
@@ -16,24 +19,39 @@ class Slot(IntEnum):
 
 
 @dataclass(frozen=True)
-class State:
-    """What the testbed's sensors say at the start of a tick.
+class Sensors:
+    """What the testbed's sensors say.
 
     Attributes:
-        tick: Number of the tick.
-        stamp_ns: Testbed time, ``tick`` times the period [ns].
         q: Encoder readings, quantised and noisy, shape (n,) [rad or m].
         power: Whether the motors have power.
         brakes: Which brakes are engaged, shape (n,).
         gripper: Openings, shape (2,) [m].
+        age_s: Age of each encoder reading, shape (n,) [s].
+        wrench: Readings of the wrist force-torque sensors, force then torque, shape (2, 6) [N, Nm].
+        gripper_force: Readings of the force between the jaws, shape (2,) [N].
     """
 
-    tick: int
-    stamp_ns: int
     q: NDArray[np.float64]
     power: bool
     brakes: NDArray[np.bool_]
     gripper: NDArray[np.float64]
+    age_s: NDArray[np.float64]
+    wrench: NDArray[np.float64]
+    gripper_force: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State(Sensors):
+    """The sensors at the start of a tick.
+
+    Attributes:
+        tick: Number of the tick.
+        stamp_ns: Testbed time, ``tick`` times the period [ns].
+    """
+
+    tick: int
+    stamp_ns: int
 
 
 @dataclass(frozen=True)
@@ -46,6 +64,7 @@ class Command:
         brakes: Which brakes shall be engaged, shape (n,).
         gripper: Wanted openings, shape (2,) [m].
         wants_time: Whether, at clock factor 0, another tick shall follow.
+        gripper_force: Largest force between the jaws, shape (2,) [N]; NaN changes nothing.
     """
 
     tau: NDArray[np.float64]
@@ -53,6 +72,75 @@ class Command:
     brakes: NDArray[np.bool_]
     gripper: NDArray[np.float64]
     wants_time: bool
+    gripper_force: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What is broken.
+
+    Attributes:
+        encoder_nan: Encoders that give no number, shape (n,).
+        encoder_frozen: Encoders whose reading stays what it was, while its age grows, shape (n,).
+        brake_stuck: Brakes that stay engaged, shape (n,).
+        power_loss: Whether the motors have no power, whatever is commanded.
+    """
+
+    encoder_nan: NDArray[np.bool_]
+    encoder_frozen: NDArray[np.bool_]
+    brake_stuck: NDArray[np.bool_]
+    power_loss: bool
+
+    @classmethod
+    def none(cls, n_joints: int) -> "Faults":
+        """Nothing is broken."""
+        sound = np.zeros(n_joints, dtype=np.bool_)
+        return cls(sound, sound, sound, False)
+
+
+@dataclass(frozen=True)
+class JawObject:
+    """Something between the jaws of a gripper.
+
+    Attributes:
+        width: [m].
+        stiffness: [N/m].
+        mass: [kg].
+    """
+
+    width: float
+    stiffness: float
+    mass: float
+
+    def __post_init__(self) -> None:
+        finite = all(map(math.isfinite, (self.width, self.stiffness, self.mass)))
+        if not finite or self.width <= 0.0 or self.stiffness <= 0.0 or self.mass < 0.0:
+            raise DataError(
+                f"an object of width {self.width} m, stiffness {self.stiffness} N/m and mass {self.mass} kg cannot be:"
+                " width and stiffness are > 0, mass is >= 0"
+            )
+
+
+@dataclass(frozen=True)
+class LaserBeam:
+    """Mirrors and power of the laser scanner: what is commanded, what is so, or what an exposure saw.
+
+    Attributes:
+        mirror1: Angle of mirror 1, the middle of its sweep [rad].
+        mirror2: Angle of mirror 2 [rad].
+        half_sweep: Mirror 1 sweeps this far to both sides, many times in an exposure; 0: it stands, the beam is a spot
+            [rad].
+        power: Power of the beam, 0 to 1; 0: dark.
+    """
+
+    mirror1: float = 0.0
+    mirror2: float = 0.0
+    half_sweep: float = 0.0
+    power: float = 0.0
+
+    def values(self) -> tuple[float, float, float, float]:
+        """All four, in the order of the link."""
+        return self.mirror1, self.mirror2, self.half_sweep, self.power
 
 
 @dataclass(frozen=True)
@@ -63,11 +151,13 @@ class ExposureRequest:
         request: Number of the request.
         ticks: Length of the exposure [ticks].
         blank_light: Whether the wrist lights are strobed off during it.
+        blank_laser: Whether the laser is.
     """
 
     request: int
     ticks: int
     blank_light: bool
+    blank_laser: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,6 +170,7 @@ class Exposure:
         stamp_ns: Testbed time of the middle of the exposure [ns].
         q_true: True joint positions, averaged over the exposure, shape (n,) [rad or m].
         light_fraction: Fraction of the exposure during which each light was on, 0 to 1.
+        laser: Where the laser's mirrors really were, and its power, averaged over the exposure.
     """
 
     start_tick: int
@@ -87,6 +178,7 @@ class Exposure:
     stamp_ns: int
     q_true: NDArray[np.float64]
     light_fraction: dict[str, float]
+    laser: LaserBeam = LaserBeam()
 
 
 @dataclass(frozen=True)
