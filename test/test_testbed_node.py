@@ -4,6 +4,7 @@ import json
 import os
 import signal
 
+import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,9 +16,9 @@ from im_core import clock, names
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import spin_in_thread
-from im_core.testbed_link import TestbedLink
+from im_core.testbed_link import Slot, TestbedLink
 from im_msgs.msg import TaskStatus
-from im_msgs.srv import Advance, GetTruth, SetLight
+from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
 from im_sim.ros.node import TestbedNode
 
 
@@ -84,6 +85,40 @@ def test_a_session(run_folder):
         assert truth == json.loads((run_folder / "truth.json").read_text())
         until(lambda: any(status.message == "running" for array in diagnostics for status in array.status))
     assert not [name for name in os.listdir("/dev/shm") if f"{names.instance()}_testbed" in name]
+
+
+def test_faults_and_objects_by_service(run_folder):
+    node = start({"factor": 0.0})
+    listener = rclpy.create_node("listener")
+    inject = listener.create_client(InjectFault, "/testbed/inject_fault")
+    put = listener.create_client(PutInJaws, "/testbed/put_in_jaws")
+    with spin_in_thread(node, listener):
+        until(lambda: node.ready or node.failed)
+        assert node.ready, node.failed
+        link = TestbedLink.attach(names.instance(), timeout_s=1.0)
+
+        def broken(fault, joint, active):
+            request = InjectFault.Request(fault=fault, joint=joint, active=active)
+            answer = call_blocking(inject, request, 5.0, "fault")
+            link.wait_tick(link.request_time(Slot.TESTBED, 1), timeout_s=2.0)
+            return answer.success, answer.message
+
+        assert broken("encoder_nan", "left_j2", True) == (True, "broken: encoder_nan of left_j2")
+        assert np.flatnonzero(np.isnan(link.read_state().q)).tolist() == [4]
+        assert broken("encoder_nan", "left_j2", False) == (True, "nothing is broken")
+        assert np.isfinite(link.read_state().q).all()
+        success, message = broken("brake_stuck", "left_j9", True)
+        assert not success
+        assert "there is no joint 'left_j9'; did you mean" in message
+
+        request = PutInJaws.Request(gripper="left_gripper", width=0.05, stiffness=1e4, mass=0.2)
+        assert call_blocking(put, request, 5.0, "object").success
+        link.wait_tick(link.request_time(Slot.TESTBED, 1), timeout_s=2.0)
+        assert link.objects()[0].mass == 0.2
+        answer = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=-1.0), 5.0, "object")
+        assert not answer.success
+        assert "width and stiffness are > 0" in answer.message
+        link.close()
 
 
 def test_a_dead_physics_process_is_a_failed_task(run_folder):

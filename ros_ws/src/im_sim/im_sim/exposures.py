@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.testbed_link import ExposureRequest, TestbedLink
+from im_core.testbed_link import ExposureRequest, LaserBeam, TestbedLink
+from im_sim.laser import Laser
 
 
 class Exposures:
@@ -19,6 +20,7 @@ class Exposures:
         self._start = 0
         self._q_sum = np.zeros(link.n_joints)
         self._light_sum = np.zeros(len(link.light_names))
+        self._laser_sum = np.zeros(4)
         self._lights = link.lights()
 
     def begin_tick(self, tick: int) -> None:
@@ -30,17 +32,28 @@ class Exposures:
         self._request, self._start = request, tick
         self._q_sum[:] = 0.0
         self._light_sum[:] = 0.0
+        self._laser_sum[:] = 0.0
 
-    def end_tick(self, tick: int, q_before: NDArray[np.float64], q_after: NDArray[np.float64]) -> None:
-        """Account for the tick that led to ``tick``; joint positions before and after it, shape (n,) [rad or m]."""
+    def end_tick(self, tick: int, q_before: NDArray[np.float64], q_after: NDArray[np.float64], laser: Laser) -> None:
+        """Account for the tick that led to ``tick``.
+
+        Args:
+            tick: The tick that has begun.
+            q_before: Joint positions before it, shape (n,) [rad or m].
+            q_after: Joint positions after it, shape (n,) [rad or m].
+            laser: The laser scanner.
+        """
         request = self._request
         if request is None:
             return
         self._q_sum += 0.5 * (q_before + q_after)
         if not request.blank_light:
             self._light_sum += self._lights
+        mirror1, mirror2, half_sweep, power = laser.true.values()
+        self._laser_sum += (mirror1, mirror2, half_sweep, 0.0 if request.blank_laser else power)
         if tick - self._start >= request.ticks:
+            laser_mean = LaserBeam(*(self._laser_sum / request.ticks).tolist())
             self._link.finish_exposure(
-                request, self._start, tick, self._q_sum / request.ticks, self._light_sum / request.ticks
+                request, self._start, tick, self._q_sum / request.ticks, self._light_sum / request.ticks, laser_mean
             )
             self._request = None

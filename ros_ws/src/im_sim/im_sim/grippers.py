@@ -1,29 +1,69 @@
-"""Pneumatic grippers: the jaws travel at a fixed rate towards the wanted opening."""
+"""Pneumatic grippers: jaws that travel at a fixed rate, press with limited force, and stop at what is between them."""
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core.robot import Gripper
+from im_core.testbed_link import JawObject
 
 
 class Grippers:
     """Both grippers.
 
+    Jaws close on an object of width ``w`` and stiffness ``k`` until ``k (w - opening)`` is the force allowed; with less
+    force allowed later, the object pushes them apart.
+
     Attributes:
         opening: Of the jaws, shape (2,) [m].
+        force: On what is between them, shape (2,) [N].
     """
 
     def __init__(self, gripper: Gripper) -> None:
         self._gripper = gripper
+        self._objects: list[JawObject | None] = [None, None]
+        self._wanted = [gripper.initial, gripper.initial]
+        self._allowed = [gripper.force, gripper.force]
         self.opening = np.full(2, gripper.initial)
-        self._wanted = self.opening.copy()
+        self.force = np.zeros(2)
 
-    def command(self, opening: NDArray[np.float64]) -> None:
-        """Set the wanted openings, shape (2,) [m]; values outside the stroke are cut to it, NaN changes nothing."""
-        wanted = np.where(np.isfinite(opening), opening, self._wanted)
-        self._wanted = np.clip(wanted, 0.0, self._gripper.stroke)
+    def put(self, objects: Sequence[JawObject | None]) -> None:
+        """Say what is between the jaws of each gripper; wide things push the jaws apart."""
+        self._objects = list(objects)
+        self.step(0.0)
+
+    def held(self) -> tuple[JawObject | None, ...]:
+        """What each gripper holds, pressed between its jaws."""
+        return tuple(
+            held if force > 0.0 else None for held, force in zip(self._objects, self.force.tolist(), strict=True)
+        )
+
+    def command(self, opening: NDArray[np.float64], force: NDArray[np.float64]) -> None:
+        """Set the wanted openings [m] and the forces allowed [N], shape (2,) each.
+
+        Values out of range are cut to it, NaN changes nothing.
+        """
+        g = self._gripper
+        for i, (wanted, allowed) in enumerate(zip(opening.tolist(), force.tolist(), strict=True)):
+            if not math.isnan(wanted):
+                self._wanted[i] = min(max(wanted, 0.0), g.stroke)
+            if not math.isnan(allowed):
+                self._allowed[i] = min(max(allowed, 0.0), g.force)
 
     def step(self, dt: float) -> None:
         """Let ``dt`` [s] pass; the valves keep their position without motor power."""
-        reach = self._gripper.rate * dt
-        self.opening = self.opening + np.clip(self._wanted - self.opening, -reach, reach)
+        moved = [self._move(i, before, self._gripper.rate * dt) for i, before in enumerate(self.opening.tolist())]
+        self.opening = np.array([opening for opening, _ in moved])
+        self.force = np.array([force for _, force in moved])
+
+    def _move(self, i: int, before: float, reach: float) -> tuple[float, float]:
+        """Opening and force after jaws that can travel ``reach`` have done so."""
+        after = before + min(max(self._wanted[i] - before, -reach), reach)
+        held = self._objects[i]
+        if held is None:
+            return after, 0.0
+        squeezed = held.width - self._allowed[i] / held.stiffness  # no closer does the force bring them
+        after = min(max(after, squeezed), self._gripper.stroke)
+        return after, max(0.0, held.stiffness * (held.width - after)) if after < self._gripper.stroke else 0.0

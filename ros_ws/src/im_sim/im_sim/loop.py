@@ -1,8 +1,9 @@
 """The tick loop of the physics process."""
 
 from im_core import clock
-from im_core.testbed_link import TestbedLink
+from im_core.testbed_link import LaserBeam, TestbedLink
 from im_sim.exposures import Exposures
+from im_sim.laser import Laser
 from im_sim.plant import Plant
 
 SERVO_TIMEOUT_S = 0.5
@@ -15,16 +16,19 @@ class TickLoop:
 
     Args:
         plant: What is simulated.
+        laser: The laser scanner.
         link: Created, not yet published; the first state opens it.
     """
 
-    def __init__(self, plant: Plant, link: TestbedLink) -> None:
+    def __init__(self, plant: Plant, laser: Laser, link: TestbedLink) -> None:
         self._plant = plant
+        self._laser = laser
         self._link = link
         self._exposures = Exposures(link)
         self._tick = 0
         self._deadline = clock.monotonic()
         self._stopped = False
+        self._told_beam: LaserBeam | None = None
         self._publish()
 
     def stop(self) -> None:
@@ -44,13 +48,21 @@ class TickLoop:
     def run_tick(self) -> None:
         """One tick: the servo's command for the present state, a step of the plant, the next state."""
         plant = self._plant
+        if self._link.disturbed():
+            self._disturb()
         self._exposures.begin_tick(self._tick)
         command = self._link.await_command(SERVO_TIMEOUT_S)
         before = plant.q
         plant.run_tick(command)
+        self._laser.run_tick(self._link.laser_command())
         self._tick += 1
         self._publish()
-        self._exposures.end_tick(self._tick, before, plant.q)
+        self._exposures.end_tick(self._tick, before, plant.q, self._laser)
+
+    def _disturb(self) -> None:
+        self._plant.break_(self._link.faults())
+        self._plant.put(self._link.objects())
+        clock.sleep(self._link.take_stall())
 
     def _pace(self) -> None:
         """Sleep until the next tick is due; after a pause of the clock, start counting anew."""
@@ -63,6 +75,7 @@ class TickLoop:
 
     def _publish(self) -> None:
         plant = self._plant
-        self._link.publish_state(
-            self._tick, plant.encoders(self._tick), plant.power, plant.brakes, plant.gripper, plant.q, plant.v
-        )
+        if self._laser.beam is not self._told_beam:
+            self._told_beam = self._laser.beam
+            self._link.publish_laser(self._told_beam)
+        self._link.publish_state(self._tick, plant.sensors(self._tick), plant.q, plant.v)

@@ -10,6 +10,7 @@ from im_core import scheduling
 from im_core.errors import ImError
 from im_core.robot import load_cell
 from im_core.testbed_link import TestbedLink
+from im_sim.laser import Laser
 from im_sim.loop import TickLoop
 from im_sim.plant import Plant
 
@@ -25,18 +26,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="im_sim.physics", description="Physics of the simulated testbed.")
     parser.add_argument("--instance", required=True, help="name of the machine on this host")
     parser.add_argument("--config", type=Path, help="parameters of the cell (default: the shipped ones)")
+    parser.add_argument("--period", type=float, default=0.0, help="of a tick [s]; 0: the cell's")
     parser.add_argument("--factor", type=float, default=1.0, help="clock factor; 0: as fast as time is asked for")
     parser.add_argument("--seed", type=int, default=0, help="seed of the encoder noise")
     options = parser.parse_args(arguments)
     try:
-        simulate(options.instance, options.config, options.factor, options.seed)
+        simulate(options.instance, options.config, options.period, options.factor, options.seed)
     except ImError as error:
         print(error.message, file=sys.stderr)
         return 1
     return 0
 
 
-def simulate(instance: str, config: Path | None, factor: float, seed: int) -> None:
+def simulate(instance: str, config: Path | None, period: float, factor: float, seed: int) -> None:
     """Create the link and run the tick loop until a signal ends it.
 
     Raises:
@@ -44,10 +46,12 @@ def simulate(instance: str, config: Path | None, factor: float, seed: int) -> No
         LinkError: Another testbed of that instance runs.
     """
     cell = load_cell(config)
+    if period != 0.0:
+        cell = cell.at_period(period)
     n_joints = len(cell.joints)
     with TestbedLink.create(instance, n_joints, cell.period, factor, seed, cell.light_names) as link:
         plant = Plant(cell, seed)
-        loop = TickLoop(plant, link)
+        loop = TickLoop(plant, Laser(cell.laser, cell.period, seed), link)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: loop.stop())
         scheduling.prefer(FIFO_PRIORITY, paced=factor > 0.0)

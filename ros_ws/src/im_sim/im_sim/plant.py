@@ -1,16 +1,20 @@
-"""The simulated hardware of one tick: motors, pybullet, grippers, encoders."""
+"""The simulated hardware of one tick: motors, pybullet, grippers, sensors."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core.robot import Cell
-from im_core.testbed_link import Command
+from im_core.testbed_link import Command, Faults, JawObject, Sensors
 from im_sim.actuators import Actuators
+from im_sim.dynamics import Dynamics
 from im_sim.encoders import Encoders
 from im_sim.grippers import Grippers
+from im_sim.noise import ForceSensors
 from im_sim.world import World
+from im_sim.wrist_sensors import WristSensors
 
 _AT_REST = 1e-12
+_JAW_STREAM = 3
 
 
 class Plant:
@@ -18,7 +22,7 @@ class Plant:
 
     Args:
         cell: Parameters.
-        seed: Of the encoder noise.
+        seed: Of the sensors' noise.
 
     Attributes:
         q: True positions, shape (n,) [rad or m].
@@ -30,12 +34,20 @@ class Plant:
         self._dt = cell.period / cell.substeps
         self._substeps = cell.substeps
         self._world = World(cell, self._dt)
-        self._actuators = Actuators(cell, self._dt)
+        self._dynamics = Dynamics(cell)
+        self._actuators = Actuators(cell, self._dynamics, self._dt)
         self._grippers = Grippers(cell.gripper)
         self._encoders = Encoders(cell, seed)
+        self._wrists = WristSensors(cell, self._dynamics, seed)
+        self._jaws = ForceSensors([cell.gripper.force_sensor] * len(cell.sides), seed, _JAW_STREAM)
+        self._last_joints = [joint - 1 for joint, _ in self._dynamics.wrists]
         self._n = len(cell.joints)
+        self._held_brakes = np.ones(self._n, dtype=np.bool_)
+        self._faults = Faults.none(self._n)
+        self._tick = 0
         self.power = False
         self.q, self.v = self._world.state()
+        self._feel(self.q, self.v)
 
     @property
     def brakes(self) -> NDArray[np.bool_]:
@@ -47,9 +59,34 @@ class Plant:
         """Openings of the jaws, shape (2,) [m]."""
         return self._grippers.opening
 
-    def encoders(self, tick: int) -> NDArray[np.float64]:
-        """What the encoders say at a tick, shape (n,) [rad or m]."""
-        return self._encoders.read(tick, self.q)
+    @property
+    def wrench(self) -> NDArray[np.float64]:
+        """What the arms really exert on links 6 and all that hangs on them, shape (2, 6) [N, Nm]."""
+        return self._wrists.true
+
+    def sensors(self, tick: int) -> Sensors:
+        """What the sensors say at a tick."""
+        self._tick = tick
+        q, age_s = self._encoders.read(tick, self.q)
+        return Sensors(
+            q=q,
+            power=self.power,
+            brakes=self._actuators.brakes,
+            gripper=self._grippers.opening,
+            age_s=age_s,
+            wrench=self._wrists.read(tick),
+            gripper_force=self._jaws.read(tick, self._grippers.force),
+        )
+
+    def break_(self, faults: Faults) -> None:
+        """Put faults in force, instead of those before."""
+        self._faults = faults
+        self._encoders.break_(faults, self._tick, self.q)
+
+    def put(self, objects: tuple[JawObject | None, ...]) -> None:
+        """Say what is between the jaws of each gripper."""
+        self._grippers.put(objects)
+        self._dynamics.carry(self._grippers.held())
 
     def run_tick(self, command: Command | None) -> None:
         """One tick under a command; without one, power is off and every brake engaged.
@@ -57,18 +94,27 @@ class Plant:
         What stands still after a step, with every joint stuck, is not stepped again before the next tick.
         """
         if command is None:
-            self._actuators.command(np.zeros(self._n), False, np.ones(self._n, dtype=np.bool_))
+            self._actuators.command(np.zeros(self._n), False, self._held_brakes)
+            self.power = False
         else:
-            self._actuators.command(command.tau, command.power, command.brakes)
-            self._grippers.command(command.gripper)
-        self.power = command is not None and command.power
+            self.power = command.power and not self._faults.power_loss
+            self._actuators.command(command.tau, self.power, command.brakes | self._faults.brake_stuck)
+            self._grippers.command(command.gripper, command.gripper_force)
+        self._tick += 1
         for _ in range(self._substeps):
-            self._world.step(self._actuators.applied(self.q, self.v))
+            q, v = self.q, self.v
+            self._world.step(self._actuators.applied(q, v))
             self.q, self.v = self._world.state()
-            if self._actuators.stuck and np.abs(self.v).max() < _AT_REST:
+            if self._actuators.stuck and max(map(abs, self.v.tolist())) < _AT_REST:
                 break
+        self._feel(q, v)
         self._grippers.step(self._dt * self._substeps)
+        self._dynamics.carry(self._grippers.held())
 
     def close(self) -> None:
         """End the simulation."""
         self._world.close()
+
+    def _feel(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
+        """Let the wrist sensors feel the step that began at ``q`` with ``v``, shape (n,) each."""
+        self._wrists.update(q, v, (self.v - v) / self._dt, self._world.contacts(self._last_joints))

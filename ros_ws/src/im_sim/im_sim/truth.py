@@ -1,4 +1,4 @@
-"""Draws what the simulated cell is really like: cameras and lights off their nominal values."""
+"""Draws what the simulated cell is really like: cameras, lights and laser off their nominal values."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from im_core.robot import Camera, Cell
 from im_core.robot.parameters import Vector
-from im_core.robot.truth import CameraTruth, CellTruth, LedTruth, Matrix
+from im_core.robot.scenery import LaserScanner
+from im_core.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth, Matrix
 
 FOCAL_SPREAD = 0.02
 ASPECT_SPREAD = 0.001
@@ -22,6 +23,7 @@ def draw_truth(cell: Cell, seed: int) -> CellTruth:
     """The true cell of a seed.
 
     Focal lengths, principal points and poses are uniform within their spreads, distortion and light offsets normal.
+    The laser scanner is mounted as well as the cameras are, its mirrors are within the tolerances of its data sheet.
     Every camera and light has a random stream of its own, so that adding one changes no other.
     """
     cameras = {name: _camera(camera, _stream(seed, f"camera {name}")) for name, camera in cell.cameras.items()}
@@ -29,7 +31,7 @@ def draw_truth(cell: Cell, seed: int) -> CellTruth:
     for name in cell.light_names:
         offset = np.array(cell.led.offset) + _stream(seed, f"light {name}").normal(0.0, LED_OFFSET_SD_M, 3)
         leds[name] = LedTruth(offset_m=_vector(offset), axis=cell.led.axis, diameter_m=cell.led.diameter)
-    return CellTruth(seed=seed, cameras=cameras, leds=leds)
+    return CellTruth(seed=seed, cameras=cameras, leds=leds, laser=_laser(cell.laser, _stream(seed, "laser")))
 
 
 def _camera(camera: Camera, rng: np.random.Generator) -> CameraTruth:
@@ -51,6 +53,20 @@ def _camera(camera: Camera, rng: np.random.Generator) -> CameraTruth:
         D=(float(k1), float(k2), float(p1), float(p2), 0.0),
         R_cam_base=_matrix(rotation),
         t_cam_base_m=_vector(-rotation @ position),
+    )
+
+
+def _laser(scanner: LaserScanner, rng: np.random.Generator) -> LaserTruth:
+    rotation, position = scanner.pose()
+    position = position + rng.uniform(-POSITION_SPREAD_M, POSITION_SPREAD_M, 3)
+    rotation = Rotation.from_rotvec(rng.uniform(-ANGLE_SPREAD_RAD, ANGLE_SPREAD_RAD, 3)).as_matrix() @ rotation
+    first, second = 1.0 + rng.normal(0.0, scanner.tolerance.gain, 2)
+    return LaserTruth(
+        rotation=_matrix(rotation),
+        position_m=_vector(position),
+        gain=(float(first), float(second)),
+        offset=float(rng.normal(0.0, scanner.tolerance.offset)),
+        gap_m=float(scanner.gap + rng.normal(0.0, scanner.tolerance.gap)),
     )
 
 

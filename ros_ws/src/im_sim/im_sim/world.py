@@ -1,7 +1,10 @@
 """The pybullet world: the cell's links as one multibody, floor and table as obstacles."""
 
 import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pybullet
@@ -9,6 +12,19 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError
 from im_core.robot import Cell, urdf
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Where something is touched.
+
+    Attributes:
+        position: In the world, shape (3,) [m].
+        force: On the link, shape (3,) [N].
+    """
+
+    position: NDArray[np.float64]
+    force: NDArray[np.float64]
 
 
 class World:
@@ -42,8 +58,8 @@ class World:
 
     def state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions and velocities, shape (n,) each [rad or m, by s]."""
-        states = pybullet.getJointStates(self.body, self._joints, **self._options)
-        return np.array([state[0] for state in states]), np.array([state[1] for state in states])
+        q, v, _, _ = zip(*pybullet.getJointStates(self.body, self._joints, self.client), strict=True)
+        return np.array(q), np.array(v)
 
     def step(self, tau: NDArray[np.float64]) -> None:
         """One step under joint torques, shape (n,) [Nm or N]."""
@@ -51,6 +67,13 @@ class World:
             self.body, self._joints, pybullet.TORQUE_CONTROL, forces=tau.tolist(), **self._options
         )
         pybullet.stepSimulation(**self._options)
+
+    def contacts(self, joints: Sequence[int]) -> list[list[Contact]]:
+        """What touches the child links of some joints, by rank, after the last step."""
+        return [
+            [_contact(point) for point in pybullet.getContactPoints(bodyA=self.body, linkIndexA=link, **self._options)]
+            for link in (self._joints[joint] for joint in joints)
+        ]
 
     def inverse_dynamics(
         self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]
@@ -108,3 +131,10 @@ class World:
             # In a call of its own: beside other changes pybullet ignores it.
             pybullet.changeDynamics(self.body, joint, localInertiaDiagonal=link.inertia, **self._options)
         pybullet.changeDynamics(self.body, -1, linearDamping=0.0, angularDamping=0.0, **self._options)
+
+
+def _contact(point: Sequence[Any]) -> Contact:
+    """A contact point as pybullet tells it: normal force, then two friction forces with their directions."""
+    position, normal = np.array(point[6]), np.array(point[7])
+    force = point[9] * normal + point[10] * np.array(point[11]) + point[12] * np.array(point[13])
+    return Contact(position, force)

@@ -6,6 +6,7 @@ import pytest
 
 from im_core.robot import load_cell, urdf
 from im_sim.actuators import Actuators
+from im_sim.dynamics import Dynamics
 from im_sim.world import World
 
 CELL = load_cell()
@@ -66,7 +67,7 @@ def test_a_free_step_is_that_of_the_arm_with_its_rotors(world):
         q[[0, 9]] = CELL.home[[0, 9]]
         q[4], q[13] = 1.6, 1.6  # upper arms up, clear of the floor
         tau = rng.uniform(-limits, limits)
-        actuators = Actuators(smooth, DT)
+        actuators = Actuators(smooth, Dynamics(smooth), DT)
         actuators.command(tau, True, FREE)
         world.reset(q, v)
         world.step(actuators.applied(q, v))
@@ -79,7 +80,7 @@ def test_energy_is_kept_in_free_motion(world):
     """Without torque and friction, kinetic (rotors included) plus potential energy stays, to the integrator's order."""
     smooth = without_friction(CELL)
     rotors = CELL.per_joint("rotor_inertia")
-    actuators = Actuators(smooth, DT)
+    actuators = Actuators(smooth, Dynamics(smooth), DT)
     actuators.command(np.zeros(N), True, FREE)
 
     def energy(q, v):

@@ -12,7 +12,7 @@ import pytest
 from im_core import clock
 from im_core.errors import LinkError
 from im_core.shm import remove_all
-from im_core.testbed_link import Slot, TestbedLink
+from im_core.testbed_link import Command, Slot, TestbedLink
 
 INSTANCE = f"imtest{os.getpid()}"
 N = 18
@@ -52,7 +52,7 @@ def drive(link, ticks, tau):
         assert link.wait_state(2.0)
         state = link.read_state()
         seen.append((state.tick, state.q.tobytes(), state.gripper.tobytes()))
-        link.write_command(tau * np.sin(0.1 * count), True, FREE, CLOSED, wants_time=count < ticks - 1)
+        link.write_command(Command(tau * np.sin(0.1 * count), True, FREE, CLOSED, count < ticks - 1, CLOSED))
     link.wait_tick(ticks, timeout_s=2.0)
     return seen
 
@@ -107,7 +107,7 @@ def test_real_time_keeps_pace_alone_and_outlives_its_servo():
 
         link.attach_servo(os.getpid())
         assert link.wait_state(1.0)
-        link.write_command(np.zeros(N), True, HELD, CLOSED, wants_time=True)
+        link.write_command(Command(np.zeros(N), True, HELD, CLOSED, True, CLOSED))
         assert link.wait_state(1.0)
         assert link.read_state().power
         link.wait_tick(link.tick + 10, timeout_s=3.0)  # no further command: declared gone after 0.5 s

@@ -10,6 +10,7 @@ CELL = load_cell()
 N = len(CELL.joints)
 HELD, FREE = np.ones(N, dtype=bool), np.zeros(N, dtype=bool)
 CLOSED = np.zeros(2)
+ALL_FORCE = np.full(2, np.inf)
 REACHING = np.array([-0.6, 0.4, 0.3, 0.5, 0.6, -1.2, 0.3, 0.6, 0.2, 1.2, -0.3, -0.3, 0.5, 0.8, -1.0, 0.2, 0.5, 0.1])
 
 
@@ -20,8 +21,8 @@ def plant():
     plant.close()
 
 
-def command(tau=None, brakes=FREE, power=True, gripper=CLOSED):
-    return Command(np.zeros(N) if tau is None else tau, power, brakes, gripper, wants_time=True)
+def command(tau=None, brakes=FREE, power=True, gripper=CLOSED, force=ALL_FORCE):
+    return Command(np.zeros(N) if tau is None else tau, power, brakes, gripper, True, force)
 
 
 def place(plant, q):
@@ -113,8 +114,8 @@ def test_the_same_seed_and_commands_give_the_same_bits(plant):
         for each in (plant, other, third):
             each.run_tick(same)
         assert plant.q.tobytes() + plant.v.tobytes() == other.q.tobytes() + other.v.tobytes()
-        assert plant.encoders(tick).tobytes() == other.encoders(tick).tobytes()
-        assert plant.encoders(tick).tobytes() != third.encoders(tick).tobytes()
+        assert plant.sensors(tick).q.tobytes() == other.sensors(tick).q.tobytes()
+        assert plant.sensors(tick).q.tobytes() != third.sensors(tick).q.tobytes()
     other.close()
     third.close()
 

@@ -12,16 +12,16 @@ CELL = load_cell()
 def test_encoder_readings_depend_on_seed_and_tick_alone():
     first, second = Encoders(CELL, 3), Encoders(CELL, 3)
     ticks = [0, 700, 1, 255, 256, 10_000_000]
-    forwards = [first.read(tick, CELL.home) for tick in ticks]
-    backwards = [second.read(tick, CELL.home) for tick in reversed(ticks)][::-1]
+    forwards = [first.read(tick, CELL.home)[0] for tick in ticks]
+    backwards = [second.read(tick, CELL.home)[0] for tick in reversed(ticks)][::-1]
     np.testing.assert_array_equal(forwards, backwards)
-    assert (Encoders(CELL, 4).read(0, CELL.home) != forwards[0]).any()
+    assert (Encoders(CELL, 4).read(0, CELL.home)[0] != forwards[0]).any()
 
 
 def test_encoders_are_quantised_and_noisy_as_specified():
     resolution, noise = CELL.per_joint("resolution"), CELL.per_joint("noise")
     encoders = Encoders(CELL, 0)
-    readings = np.array([encoders.read(tick, CELL.home) for tick in range(4000)])
+    readings = np.array([encoders.read(tick, CELL.home)[0] for tick in range(4000)])
     counts = readings / resolution
     np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
     expected = np.sqrt(noise**2 + resolution**2 / 12.0)

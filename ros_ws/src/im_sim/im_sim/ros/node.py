@@ -23,7 +23,8 @@ from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
 from im_core.ros.subprocess import ChildProcess
 from im_core.testbed_link import Slot, TestbedLink
-from im_msgs.srv import Advance, GetTruth, SetLight
+from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
+from im_sim.faults import FaultPanel
 from im_sim.lights import Lights
 from im_sim.truth import draw_truth
 
@@ -47,7 +48,7 @@ class TestbedNode(ManagedNode):
         self._published_tick, self._published_at = -1, 0.0
         self._last_diagnosed = (0, clock.monotonic())
         anything = ParameterDescriptor(dynamic_typing=True)
-        for name, default in (("factor", 1.0), ("seed", 0), ("cell", "")):
+        for name, default in (("factor", 1.0), ("seed", 0), ("cell", ""), ("period", 0.0)):
             self.declare_parameter(name, default, anything)
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._lights_publisher = self.create_publisher(String, "/testbed/lights", qos.LATCHED)
@@ -55,17 +56,23 @@ class TestbedNode(ManagedNode):
         self.create_service(SetLight, "/testbed/set_light", self._set_light)
         self.create_service(GetTruth, "/testbed/get_truth", self._get_truth)
         self.create_service(Advance, "/testbed/advance", self._advance)
+        self.create_service(InjectFault, "/testbed/inject_fault", self._inject_fault)
+        self.create_service(PutInJaws, "/testbed/put_in_jaws", self._put_in_jaws)
 
     def phase_configure(self) -> None:
         """Draw the truth, start the physics process and attach to its link."""
         factor = _number(self.get_parameter("factor").value, "factor", lowest=0.0)
         seed = int(_number(self.get_parameter("seed").value, "seed", lowest=0.0))
         path = str(self.get_parameter("cell").value)
-        cell = load_cell(path or None)
-        self._truth = draw_truth(cell, seed)
+        period = _number(self.get_parameter("period").value, "period", lowest=0.0)
+        self._cell = load_cell(path or None)
+        if period != 0.0:
+            self._cell = self._cell.at_period(period)
+        self._truth = draw_truth(self._cell, seed)
         run_dir = names.run_dir()
         _replace(run_dir / FILE_NAME, self._truth.model_dump_json(indent=1))
         arguments = ["--instance", names.instance(), "--factor", repr(factor), "--seed", str(seed)]
+        arguments += ["--period", repr(self._cell.period)]
         if path:
             arguments += ["--config", path]
         self._child = ChildProcess("im_sim.physics", arguments, run_dir / "physics.log")
@@ -164,6 +171,26 @@ class TestbedNode(ManagedNode):
             return response
         response.success = True
         response.json = self._truth.model_dump_json()
+        return response
+
+    def _inject_fault(self, request: InjectFault.Request, response: InjectFault.Response) -> InjectFault.Response:
+        try:
+            panel = FaultPanel(self._cell, self._running())
+            response.message = panel.inject(request.fault, request.joint, request.active, request.duration)
+        except ImError as error:
+            response.message = error.message
+            return response
+        response.success = True
+        return response
+
+    def _put_in_jaws(self, request: PutInJaws.Request, response: PutInJaws.Response) -> PutInJaws.Response:
+        try:
+            panel = FaultPanel(self._cell, self._running())
+            response.message = panel.put_in_jaws(request.gripper, request.width, request.stiffness, request.mass)
+        except ImError as error:
+            response.message = error.message
+            return response
+        response.success = True
         return response
 
     async def _advance(self, request: Advance.Request, response: Advance.Response) -> Advance.Response:

@@ -1,0 +1,101 @@
+"""Faults and objects of a testbed by name."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import DataError, NotFoundError
+from im_core.robot import Cell
+from im_core.testbed_link import Faults, JawObject, TestbedLink
+
+LONGEST_STALL_S = 60.0
+_OF_JOINTS = ("encoder_nan", "encoder_frozen", "brake_stuck")
+FAULTS = (*_OF_JOINTS, "power_loss", "stall")
+
+
+class FaultPanel:
+    """Breaks a testbed, and mends it; physics obeys from its next tick on.
+
+    Args:
+        cell: Names of joints and grippers.
+        link: Of the testbed.
+    """
+
+    def __init__(self, cell: Cell, link: TestbedLink) -> None:
+        self._joints = cell.joint_names
+        self._grippers = tuple(f"{side}_gripper" for side in cell.sides)
+        self._link = link
+
+    def inject(self, fault: str, joint: str, active: bool, duration: float) -> str:
+        """Switch a fault on or off; what is broken now, as a sentence.
+
+        Args:
+            fault: One of :data:`FAULTS`.
+            joint: Whose encoder or brake; empty for faults of the whole testbed.
+            active: Whether it is broken.
+            duration: Of a stall, wall time [s]; other faults last until they are switched off.
+
+        Raises:
+            DataError: A joint or duration is given where there is none, or is out of range.
+            NotFoundError: There is no such fault or joint.
+        """
+        if fault not in FAULTS:
+            raise NotFoundError(kind="fault", name=fault, known=FAULTS)
+        if fault not in _OF_JOINTS and joint:
+            raise DataError(f"{fault} is a fault of the whole testbed, not of '{joint}'", fault=fault, joint=joint)
+        if fault == "stall":
+            if not active or not 0.0 < duration <= LONGEST_STALL_S:
+                raise DataError(
+                    f"a stall of {duration} s (active: {active}) cannot be: it is active, lasts up to"
+                    f" {LONGEST_STALL_S:g} s and ends by itself",
+                    duration=duration,
+                )
+            self._link.stall(duration)
+            return f"physics stalls for {duration:g} s"
+        faults = self._link.faults()
+        if fault == "power_loss":
+            faults = replace(faults, power_loss=active)
+        else:
+            changed: dict[str, Any] = {fault: self._switched(getattr(faults, fault), joint, active)}
+            faults = replace(faults, **changed)
+        self._link.set_faults(faults)
+        return self._sentence(faults)
+
+    def put_in_jaws(self, gripper: str, width: float, stiffness: float, mass: float) -> str:
+        """Put an object between the jaws of a gripper, or take it away; what is there now, as a sentence.
+
+        Args:
+            gripper: E.g. ``left_gripper``.
+            width: [m]; 0: nothing is there any more.
+            stiffness: [N/m].
+            mass: [kg].
+
+        Raises:
+            DataError: Such an object cannot be.
+            NotFoundError: There is no such gripper.
+        """
+        if gripper not in self._grippers:
+            raise NotFoundError(kind="gripper", name=gripper, known=self._grippers)
+        held = None if width == 0.0 else JawObject(width, stiffness, mass)
+        self._link.set_object(self._grippers.index(gripper), held)
+        return f"nothing is in {gripper}" if held is None else f"{1e3 * width:g} mm wide, {mass:g} kg, in {gripper}"
+
+    def _switched(self, before: NDArray[np.bool_], joint: str, active: bool) -> NDArray[np.bool_]:
+        if joint not in self._joints:
+            raise NotFoundError(kind="joint", name=joint, known=self._joints)
+        after = before.copy()
+        after[self._joints.index(joint)] = active
+        return after
+
+    def _sentence(self, faults: Faults) -> str:
+        broken = [
+            f"{fault} of {joint}"
+            for fault in _OF_JOINTS
+            for joint, on in zip(self._joints, getattr(faults, fault), strict=True)
+            if on
+        ]
+        if faults.power_loss:
+            broken.append("power_loss")
+        return f"broken: {', '.join(broken)}" if broken else "nothing is broken"

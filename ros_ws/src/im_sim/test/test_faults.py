@@ -1,0 +1,127 @@
+"""What is broken shows in the sensors, in this process and through the link."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from im_core.errors import DataError, NotFoundError
+from im_core.robot import load_cell
+from im_core.shm import remove_all
+from im_core.testbed_link import Command, Faults, TestbedLink
+from im_sim.faults import FaultPanel
+from im_sim.laser import Laser
+from im_sim.loop import TickLoop
+from im_sim.plant import Plant
+
+CELL = load_cell()
+N = len(CELL.joints)
+SOUND = Faults.none(N)
+FREE = np.zeros(N, dtype=bool)
+INSTANCE = f"imfaults{os.getpid()}"
+
+
+def only(joint):
+    return np.arange(N) == joint
+
+
+@pytest.fixture
+def plant():
+    plant = Plant(CELL, seed=1)
+    yield plant
+    plant.close()
+
+
+def run(plant, ticks, first=0):
+    """Free joints without torque: the arms fall. Sensors by tick."""
+    seen = []
+    for tick in range(first, first + ticks):
+        seen.append(plant.sensors(tick))
+        plant.run_tick(Command(np.zeros(N), True, FREE, np.zeros(2), True, np.full(2, np.inf)))
+    return seen
+
+
+def test_a_blind_encoder_gives_no_number_until_it_is_mended(plant):
+    run(plant, 1)
+    plant.break_(replace(SOUND, encoder_nan=only(4)))
+    assert np.flatnonzero(np.isnan(plant.sensors(1).q)).tolist() == [4]
+    plant.break_(SOUND)
+    assert np.isfinite(plant.sensors(2).q).all()
+
+
+def test_a_frozen_encoder_stays_and_grows_old(plant):
+    run(plant, 30)
+    plant.break_(replace(SOUND, encoder_frozen=only(5)))
+    at = plant.q[5]
+    frozen = run(plant, 40, first=30)
+    assert len({s.q[5] for s in frozen}) == 1
+    assert frozen[0].q[5] == pytest.approx(at, abs=1e-4)
+    assert abs(at - plant.q[5]) > 0.001, "the joint has fallen on"
+    assert [s.age_s[5] for s in frozen] == pytest.approx([k * CELL.period for k in range(40)])
+    assert not np.delete(frozen[-1].age_s, 5).any()
+    plant.break_(SOUND)
+    assert abs(plant.sensors(70).q[5] - plant.q[5]) < 1e-4
+    assert plant.sensors(70).age_s[5] == 0.0
+
+
+def test_without_power_every_brake_holds_whatever_is_commanded(plant):
+    plant.break_(replace(SOUND, power_loss=True))
+    before = plant.q
+    last = run(plant, 20)[-1]
+    assert not last.power
+    assert last.brakes.all()
+    assert np.abs(plant.q - before).max() < 1e-9
+
+
+def test_a_stuck_brake_holds_its_joint_and_says_so(plant):
+    plant.break_(replace(SOUND, brake_stuck=only(4)))
+    before = plant.q
+    last = run(plant, 30)[-1]
+    assert last.brakes.tolist() == only(4).tolist()
+    assert last.power
+    assert abs(plant.q[4] - before[4]) < 1e-6
+    assert np.abs(plant.q - before)[5] > 1e-3
+
+
+def test_faults_and_objects_travel_over_the_link(plant):
+    with TestbedLink.create(INSTANCE, factor=0.0) as host:
+        loop = TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
+        client = TestbedLink.attach(INSTANCE, 1.0)
+        panel = FaultPanel(CELL, client)
+        assert panel.inject("encoder_nan", "left_j3", True, 0.0) == "broken: encoder_nan of left_j3"
+        said = panel.inject("brake_stuck", "right_j1", True, 0.0)
+        assert said == "broken: encoder_nan of left_j3, brake_stuck of right_j1"
+        assert panel.put_in_jaws("right_gripper", 0.09, 1e4, 0.5) == "90 mm wide, 0.5 kg, in right_gripper"
+        loop.run_tick()
+        state = client.read_state()
+        assert np.isnan(state.q[CELL.joint_names.index("left_j3")])
+        assert np.isnan(state.q).sum() == 1
+        assert panel.inject("encoder_nan", "left_j3", False, 0.0) == "broken: brake_stuck of right_j1"
+        assert panel.put_in_jaws("right_gripper", 0.0, 0.0, 0.0) == "nothing is in right_gripper"
+        loop.run_tick()
+        assert np.isfinite(client.read_state().q).all()
+
+        assert panel.inject("stall", "", True, 0.3) == "physics stalls for 0.3 s"
+        assert host.take_stall() == 0.3
+        assert host.take_stall() == 0.0
+        client.close()
+    assert remove_all(INSTANCE) == []
+
+
+def test_faults_that_cannot_be_are_refused_and_change_nothing(plant):
+    with TestbedLink.create(INSTANCE, factor=0.0) as link:
+        panel = FaultPanel(CELL, link)
+        with pytest.raises(NotFoundError, match=r"there is no fault 'encoder_nann'; did you mean 'encoder_nan'"):
+            panel.inject("encoder_nann", "left_j3", True, 0.0)
+        with pytest.raises(NotFoundError, match="there is no joint 'left_j7'"):
+            panel.inject("brake_stuck", "left_j7", True, 0.0)
+        with pytest.raises(DataError, match="power_loss is a fault of the whole testbed, not of 'left_j1'"):
+            panel.inject("power_loss", "left_j1", True, 0.0)
+        with pytest.raises(DataError, match=r"a stall of -1\.0 s"):
+            panel.inject("stall", "", True, -1.0)
+        with pytest.raises(NotFoundError, match="there is no gripper 'gripper'"):
+            panel.put_in_jaws("gripper", 0.1, 1.0, 1.0)
+        with pytest.raises(DataError, match="cannot be"):
+            panel.put_in_jaws("left_gripper", 0.1, -1.0, 1.0)
+        assert not link.disturbed()
