@@ -1,65 +1,33 @@
-"""Joint-interpolated motion through points (paper, section 4), jerk-limited and time-optimal for each segment."""
+"""Joint-interpolated motion through points (paper, section 4): straight legs, time-optimal and jerk-limited."""
 
-import bisect
-from dataclasses import dataclass
-from enum import StrEnum
-from itertools import accumulate, pairwise
-from typing import Self
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from ruckig import InputParameter, Result, Ruckig, RuckigError, Synchronization
-from ruckig import Trajectory as RuckigTrajectory
 
-from im_core.errors import DataError
+from im_mcs.planning.blend import Corner, fit_speeds
+from im_mcs.planning.motion_limits import MotionLimits, Synchrony
+from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.planning.profile import along, to_point
 from im_mcs.planning.setpoint import Setpoint
 
-
-class Synchrony(StrEnum):
-    """How the joints of a segment keep step; all arrive at the same time."""
-
-    PHASE = "phase"
-    """Straight line in joint space: every joint has covered the same fraction of its way."""
-    TIME = "time"
-    """Each joint on its own profile of the common duration."""
+_SAME = 1e-9
 
 
-_RUCKIG = {Synchrony.PHASE: Synchronization.Phase, Synchrony.TIME: Synchronization.Time}
+class JointPath(PiecewisePolynomial):
+    """Consecutive joint-interpolated legs.
 
-
-@dataclass(frozen=True)
-class MotionLimits:
-    """Limits that a trajectory keeps, each of shape (n,).
-
-    Attributes:
-        velocity: [rad/s or m/s].
-        acceleration: [rad/s2 or m/s2].
-        jerk: [rad/s3 or m/s3].
-    """
-
-    velocity: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    jerk: NDArray[np.float64]
-
-    def scaled(self, scale: float) -> Self:
-        """All three multiplied by ``scale``."""
-        return type(self)(self.velocity * scale, self.acceleration * scale, self.jerk * scale)
-
-    def of(self, index: NDArray[np.intp]) -> Self:
-        """Those of the joints ``index``."""
-        return type(self)(self.velocity[index], self.acceleration[index], self.jerk[index])
-
-
-class JointPath:
-    """Consecutive joint-interpolated segments; at rest in every point.
-
-    Ruckig's own intermediate waypoints are not used: they need a service in the network.
+    Without blending every point is a rest and every leg is the time-optimal motion between two rests. With blending the
+    corner at each point is rounded, at constant speed, within ``blend`` of the point (:mod:`im_mcs.planning.blend`);
+    legs then are straight whatever the synchrony.
 
     Args:
         start: Where the motion begins, at rest, shape (n,) [rad or m].
         points: Points to pass, shape (m, n), m > 0.
         limits: Limits of velocity, acceleration and jerk.
         synchrony: How the joints keep step.
+        blend: Largest distance of a joint to the point at which a corner may begin [rad or m]; 0: rest in each point.
 
     Raises:
         DataError: Ruckig finds no trajectory.
@@ -71,42 +39,95 @@ class JointPath:
         points: NDArray[np.float64],
         limits: MotionLimits,
         synchrony: Synchrony = Synchrony.PHASE,
+        blend: float = 0.0,
     ) -> None:
-        corners = [start, *points]
-        self._end = Setpoint.at_rest(np.asarray(corners[-1], dtype=np.float64))
-        self._segments = [_segment(a, b, limits, synchrony) for a, b in pairwise(corners)]
-        self._starts = list(accumulate((s.duration for s in self._segments), initial=0.0))
-        self.duration: float = self._starts.pop()
-
-    def at(self, t: float) -> Setpoint:
-        """Setpoint at time ``t`` [s] after the start."""
-        if t >= self.duration:
-            return self._end
-        i = self.point(t)
-        q, v, a = self._segments[i].at_time(t - self._starts[i])
-        return Setpoint(np.array(q), np.array(v), np.array(a))
-
-    def point(self, t: float) -> int:
-        """Index of the point that the motion is on its way to."""
-        return max(bisect.bisect_right(self._starts, t) - 1, 0)
+        planner = JointPathPlanner(start, points, limits, synchrony, blend)
+        while not planner.done:
+            planner.step()
+        whole = planner.trajectory
+        super().__init__(whole.lengths.tolist(), whole.coefficients, whole.points)
 
 
-def _segment(
-    start: NDArray[np.float64], end: NDArray[np.float64], limits: MotionLimits, synchrony: Synchrony
-) -> RuckigTrajectory:
-    """Time-optimal jerk-limited motion from rest to rest."""
-    n = len(start)
-    request = InputParameter(n)
-    request.current_position, request.target_position = start.tolist(), end.tolist()
-    request.max_velocity = limits.velocity.tolist()
-    request.max_acceleration = limits.acceleration.tolist()
-    request.max_jerk = limits.jerk.tolist()
-    request.synchronization = _RUCKIG[synchrony]
-    trajectory = RuckigTrajectory(n)
-    try:
-        result = Ruckig(n).calculate(request, trajectory)
-    except RuckigError as error:
-        raise DataError(f"no trajectory from {start.tolist()} to {end.tolist()}: {error}") from None
-    if result not in (Result.Working, Result.Finished):
-        raise DataError(f"no trajectory from {start.tolist()} to {end.tolist()}: ruckig reports {result.name}")
-    return trajectory
+class JointPathPlanner:
+    """Plans a :class:`JointPath` step by step; arguments as there.
+
+    Attributes:
+        done: Whether all is planned.
+    """
+
+    def __init__(
+        self,
+        start: NDArray[np.float64],
+        points: NDArray[np.float64],
+        limits: MotionLimits,
+        synchrony: Synchrony,
+        blend: float,
+    ) -> None:
+        corners = np.vstack([np.asarray(start, dtype=np.float64), points])
+        ways = np.diff(corners, axis=0)
+        # a point that is where the motion already is adds nothing
+        self._moves = [i for i, way in enumerate(ways) if np.abs(way).max() > _SAME]
+        self._corners, self._ways = corners, ways
+        self._limits, self._synchrony, self._blend = limits, synchrony, blend
+        self._parts: list[PiecewisePolynomial] = []
+        self._bends: list[Corner] = []
+        self._work = self._plan()
+        self.done = False
+
+    @property
+    def trajectory(self) -> PiecewisePolynomial:
+        """The whole, once it is done."""
+        if not self._parts:
+            return PiecewisePolynomial.standing(self._corners[-1])
+        return self._parts[0].followed_by(self._parts[1:])
+
+    def step(self) -> None:
+        """Do a small part of the work: a corner, its speed, or a leg.
+
+        Raises:
+            DataError: Ruckig finds no trajectory.
+        """
+        if next(self._work, self) is self:
+            self.done = True
+
+    def _plan(self) -> Iterator[None]:
+        limits = []
+        for leg in self._moves:
+            limits.append(self._limits.along(self._ways[leg]))
+            yield
+        if self._blend > 0.0:
+            for leg, after in pairwise(self._moves):
+                point, ways = self._corners[leg + 1], (self._ways[leg], self._ways[after])
+                self._bends.append(Corner.between(point, *ways, self._blend, self._limits))
+                yield
+            yield from fit_speeds(self._bends, limits)
+        for k, leg in enumerate(self._moves):
+            if self._blend > 0.0:
+                self._straight(k, leg, limits[k])
+            elif self._synchrony is Synchrony.TIME:
+                start = Setpoint.at_rest(self._corners[leg])
+                self._add(to_point(start, self._corners[leg + 1], self._limits, Synchrony.TIME), leg)
+            else:
+                self._line(leg, 0.0, *along(1.0, (0.0, 0.0), limits[k]))
+            yield
+
+    def _straight(self, k: int, leg: int, limits: tuple[float, float, float]) -> None:
+        """The straight part of a leg, and the corner at its end."""
+        before = self._bends[k - 1] if k > 0 else None
+        after = self._bends[k] if k < len(self._bends) else None
+        first, v0 = (before.exit, before.exit_speed) if before else (0.0, 0.0)
+        last, v1 = (1.0 - after.entry, after.entry_speed) if after else (1.0, 0.0)
+        if last - first > _SAME:
+            self._line(leg, first, *along(last - first, (v0, v1), limits))
+        if after is not None:
+            self._add(after.polynomial(), leg)
+
+    def _line(self, leg: int, first: float, lengths: Sequence[float], covered: NDArray[np.float64]) -> None:
+        way = self._ways[leg]
+        coefficients = covered[:, :, None] * way
+        coefficients[:, 0] += self._corners[leg] + first * way
+        self._add(PiecewisePolynomial(lengths, coefficients), leg)
+
+    def _add(self, part: PiecewisePolynomial, leg: int) -> None:
+        part.points = [leg] * len(part.points)
+        self._parts.append(part)

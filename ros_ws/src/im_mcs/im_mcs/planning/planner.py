@@ -1,106 +1,160 @@
-"""Setpoints of one group: trajectory at a multiple of the servo period, interpolated at servo rate."""
+"""Setpoints of one group: motion at a multiple of the servo period, interpolated at servo rate."""
+
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.joint_path import MotionLimits
+from im_mcs.planning.follower import Ahead, PathFollower, Standing
+from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.planning.polynomial import powers, quintic
+from im_mcs.planning.scaling import least_rate
 from im_mcs.planning.setpoint import Setpoint
-from im_mcs.planning.stop import StopTrajectory
-from im_mcs.planning.trajectory import Hold, Trajectory
+from im_mcs.planning.trajectory import Trajectory
+
+
+class Follower(Protocol):
+    """Something that moves the setpoint, from knot to knot."""
+
+    @property
+    def ahead(self) -> Ahead | None:
+        """Where a curved path leads; None: it goes straight on, or each joint for itself."""
+        ...
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has come to its end, for good."""
+        ...
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves now: at the end, or halted."""
+        ...
+
+    @property
+    def end(self) -> Setpoint:
+        """Where it comes to rest, unless it is interrupted."""
+        ...
+
+    @property
+    def progress(self) -> float:
+        """Fraction of its time that has passed, 0 to 1."""
+        ...
+
+    @property
+    def point(self) -> int:
+        """Point of the path that it is on its way to."""
+        ...
+
+    @property
+    def rate(self) -> float:
+        """Rate in force."""
+        ...
+
+    def advance(self, rate: float) -> tuple[Setpoint, int]:
+        """The setpoint some servo ticks on, and how many they are; ``rate`` is the one wanted from now on."""
+        ...
 
 
 class GroupPlanner:
-    """Follows one trajectory after the other; between them it holds.
+    """Follows one motion after the other; between them it holds.
 
-    The trajectory is evaluated every ``divisor`` ticks (the paper: "typically calculated at a frequency that is a
-    multiple of the servo frequency"); in between, setpoints are the cubic through both neighbours.
+    A motion is evaluated every ``divisor`` ticks (the paper: "typically calculated at a frequency that is a multiple of
+    the servo frequency"), at *knots*; in between, setpoints are the quintic through both neighbours, so that position,
+    velocity and acceleration are continuous. A motion is followed from a knot on.
+
+    Attributes:
+        setpoint: Of this tick.
+        rate: Rate wanted, 0 (stand still on the path) to 1 (as planned).
 
     Args:
         q: Where the group is, shape (n,) [rad or m]; the first setpoint.
         period_s: Servo period [s].
         divisor: Servo ticks between two evaluations, >= 1.
-        limits: Limits of the group, for decelerations.
+        limits: Limits of the group.
     """
 
     def __init__(self, q: NDArray[np.float64], period_s: float, divisor: int, limits: MotionLimits) -> None:
-        self._period = period_s
-        self._divisor = divisor
-        self._limits = limits
-        self._trajectory: Trajectory = Hold(q)
-        self._tick = 0
-        self._ended = False
-        self._knots: tuple[Setpoint, Setpoint] | None = None
-        self.setpoint = Setpoint.at_rest(q)
+        self.period_s, self.divisor = period_s, divisor
+        self.limits = limits
+        self.rate = 1.0
+        self._bases = {ticks: _basis(ticks, period_s) for ticks in range(1, divisor + 1)}
+        self.hold(q)
 
     def hold(self, q: NDArray[np.float64]) -> None:
         """Stand still at ``q`` from now on, whatever was before."""
-        self._follow(Hold(q))
-        self.setpoint = Setpoint.at_rest(q)
+        self.setpoint = self._knot = Setpoint.at_rest(q)
+        self.follower: Follower = Standing(q)
+        self._ready: list[Setpoint] = []
 
-    def follow(self, trajectory: Trajectory) -> None:
-        """Follow ``trajectory`` from the next tick on; it must begin at the present setpoint."""
-        self._follow(trajectory)
+    def follow(self, trajectory: Trajectory, start_rate: float) -> None:
+        """Follow ``trajectory`` from this knot on; run at ``start_rate`` it must begin with the present setpoint."""
+        self.follower = PathFollower(trajectory, start_rate, self.limits, self.period_s, self.divisor)
 
-    def stop(self) -> None:
-        """Decelerate from the present setpoint to rest."""
-        self._follow(StopTrajectory(self.setpoint, self._limits))
+    def start_rate(self, rate: float) -> float:
+        """Rate at which a trajectory can begin now that is to be run at ``rate``, without going beyond limits."""
+        return max(rate, least_rate(self._knot.v, self._knot.a, self.limits))
+
+    def start_state(self, start_rate: float) -> Setpoint:
+        """The state with which a trajectory begins at this knot, in its own time."""
+        if start_rate == 0.0:
+            return Setpoint.at_rest(self._knot.q)
+        return Setpoint(self._knot.q, self._knot.v / start_rate, self._knot.a / start_rate**2)
+
+    @property
+    def ahead(self) -> Ahead | None:
+        """Displacement that a curved path brings from here within some seconds; None: the motion goes straight on."""
+        place = self.follower.ahead
+        return None if place is None else lambda seconds: place(seconds) - self.setpoint.q
+
+    @property
+    def at_knot(self) -> bool:
+        """Whether the next setpoint is still to be computed, so that another motion may take over."""
+        return not self._ready
 
     @property
     def finished(self) -> bool:
-        """Whether the trajectory has come to its end; a group that holds has."""
-        return self._tick * self._period >= self._trajectory.duration
+        """Whether the motion has come to its end; a group that holds has."""
+        return not self._ready and self.follower.finished
 
     @property
-    def elapsed(self) -> float:
-        """Time on the present trajectory [s]."""
-        return self._tick * self._period
+    def still(self) -> bool:
+        """Whether the setpoint stands still: at the end of a motion, or halted on the way."""
+        return not self._ready and self.follower.still
 
     @property
     def progress(self) -> float:
-        """Fraction of the trajectory's time that has passed, 0 to 1."""
-        if self._trajectory.duration == 0.0:
-            return 1.0
-        return min(self.elapsed / self._trajectory.duration, 1.0)
+        """Fraction of the motion's time that has passed, 0 to 1."""
+        return self.follower.progress
 
     @property
     def point(self) -> int:
         """Point of the path that the group is on its way to."""
-        return self._trajectory.point(self.elapsed)
+        return self.follower.point
 
     def advance(self) -> Setpoint:
         """The setpoint of the next servo tick."""
-        if self.finished:
-            if not self._ended:
-                self._ended = True
-                self.setpoint = self._trajectory.at(self._trajectory.duration)
-            return self.setpoint
-        self._tick += 1
-        t = self._tick * self._period
-        if self._divisor == 1 or t >= self._trajectory.duration:
-            self.setpoint = self._trajectory.at(t)
-            return self.setpoint
-        phase = self._tick % self._divisor
-        if phase == 1 or self._knots is None:
-            start = (self._tick - phase) * self._period
-            self._knots = (self._trajectory.at(start), self._trajectory.at(start + self._divisor * self._period))
-        a, b = self._knots
-        self.setpoint = b if phase == 0 else self._between(a, b, phase / self._divisor)
+        if not self._ready:
+            if self.follower.finished:
+                return self.setpoint
+            self._compute()
+        self.setpoint = self._ready.pop()
         return self.setpoint
 
-    def _follow(self, trajectory: Trajectory) -> None:
-        self._trajectory = trajectory
-        self._tick = 0
-        self._ended = False
-        self._knots = None
+    def _compute(self) -> None:
+        before = self._knot
+        knot, ticks = self.follower.advance(self.rate)
+        self._knot = knot
+        self._ready = [knot]
+        if ticks > 1:
+            ends = np.array((before.q, before.v, before.a, knot.q, knot.v, knot.a))
+            if np.count_nonzero(ends[1:3]) or np.count_nonzero(ends[4:]):
+                between = self._bases[ticks].dot(ends)
+                self._ready += [Setpoint(*rows) for rows in between[::-1]]
 
-    def _between(self, a: Setpoint, b: Setpoint, s: float) -> Setpoint:
-        """Cubic Hermite between knots at fraction ``s``."""
-        h = self._divisor * self._period
-        step = b.q - a.q
-        # p(s) = a.q + c1 s + c2 s^2 + c3 s^3
-        c1 = h * a.v
-        c2 = 3.0 * step - h * (2.0 * a.v + b.v)
-        c3 = h * (a.v + b.v) - 2.0 * step
-        q = a.q + s * (c1 + s * (c2 + s * c3))
-        v = (c1 + s * (2.0 * c2 + 3.0 * s * c3)) / h
-        return Setpoint(q, v, a.a + s * (b.a - a.a))
+
+def _basis(ticks: int, period_s: float) -> NDArray[np.float64]:
+    """Rows for the setpoints between two knots, shape (ticks - 1, 3, 6), from what both are: q, v, a and q, v, a."""
+    coefficients = quintic(np.array([ticks * period_s]), *np.eye(6).reshape(2, 3, 6).swapaxes(0, 1))[0]
+    times = np.asarray(np.arange(1, ticks) * period_s, dtype=np.float64)
+    return np.asarray(powers(times) @ coefficients)

@@ -1,5 +1,6 @@
 """Inverse kinematics of a wrist pose by damped least squares, with redundant joints."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker
+from im_mcs.inverse.redundancy import Redundancy
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
 
@@ -18,7 +20,7 @@ _POSITION_TOLERANCE_M = 1e-7
 _ROTATION_TOLERANCE_RAD = 1e-7
 _DAMPING = 1e-3
 _STEP = 0.5
-_NULL_GAIN = 0.15
+_NULL_GAIN = 0.1
 _NULL_ITERATIONS = 40
 _SEEDS = 24
 _SEED_KEY = 20240607
@@ -48,8 +50,8 @@ class InverseKinematics:
     """Joint positions of one group for a pose of its wrist.
 
     Each step solves ``dq = J^T (J J^T + d^2 I)^-1 e`` (Y. Nakamura, H. Hanafusa, 1986) over the joints that are not
-    against a limit; what remains of the redundancy pulls towards the preferred position (the cell's home: carts at
-    their nominal place, joints off their limits). Several starts are tried, always the same ones in the same order.
+    against a limit; what remains of the redundancy goes where :class:`Redundancy` wishes: off limits and singularities,
+    carts near their nominal place. Several starts are tried, always the same ones in the same order.
 
     Args:
         model: Kinematics.
@@ -65,6 +67,7 @@ class InverseKinematics:
         self._lower = limits.lower[index] + _LIMIT_MARGIN
         self._upper = limits.upper[index] - _LIMIT_MARGIN
         self._preferred = np.clip(model.cell.home[index], self._lower, self._upper)
+        self._redundancy = Redundancy(model, limits, index, frame, self._preferred)
 
     def solve(
         self,
@@ -90,8 +93,8 @@ class InverseKinematics:
         """
         best: IkAttempt | None = None
         blocked: ImError | None = None
-        for start in self._starts(np.clip(seed, self._lower, self._upper)):
-            attempt = self._descend(target, q_all, start)
+        for start in self._starts(seed):
+            *_, attempt = self.descent(target, q_all, start)
             if attempt.reached:
                 try:
                     if collision is not None:
@@ -119,25 +122,32 @@ class InverseKinematics:
         spread = generator.uniform(size=(_SEEDS - 2, len(seed)))
         return [seed, self._preferred, *(self._lower + spread * (self._upper - self._lower))]
 
-    def _descend(self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]) -> IkAttempt:
-        q = start.copy()
+    def descent(self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]) -> Iterator[IkAttempt]:
+        """Iterate from one start; the last attempt is where it ended.
+
+        Args:
+            target: Wanted pose of the wrist in ``world``.
+            q_all: Positions of all joints; those of other groups stay, shape (18,) [rad or m].
+            start: Where to start, shape (n,) [rad or m].
+        """
+        q = np.clip(start, self._lower, self._upper)
         error = self._error(target, q_all, q)
         for k in range(_ITERATIONS):
             attempt = IkAttempt(q, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
+            yield attempt
             if attempt.reached and k >= _NULL_ITERATIONS:
-                break
+                return
             jacobian = self._model.jacobian(self._whole(q_all, q), self._frame)[:, self._index]
             pull = _NULL_GAIN * max(0.0, 1.0 - k / _NULL_ITERATIONS)  # ends, so that the last steps converge
             q = self._step(jacobian, error, q, pull)
             error = self._error(target, q_all, q)
-        return attempt
 
     def _step(
         self, jacobian: NDArray[np.float64], error: NDArray[np.float64], q: NDArray[np.float64], pull: float
     ) -> NDArray[np.float64]:
         """One damped step within the limits."""
         free = np.ones(len(q), dtype=np.bool_)
-        wish = pull * (self._preferred - q)
+        wish = pull * self._redundancy.wish(q) if pull > 0.0 else np.zeros(len(q))
         for _ in range(2):
             j = jacobian * free
             inverse = j.T @ np.linalg.inv(j @ j.T + _DAMPING**2 * np.eye(6))

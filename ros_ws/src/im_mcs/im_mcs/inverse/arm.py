@@ -1,0 +1,108 @@
+"""Singularities and reach of a six-joint arm with a spherical wrist, such as the PUMA 560."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from im_core.errors import StateError
+from im_mcs.model import Model
+
+_ARM_JOINTS = 6
+SINGULARITIES = ("shoulder", "elbow", "wrist")
+
+
+class Arm:
+    """The last six joints before a frame: two that meet, an elbow parallel to the second, and a spherical wrist.
+
+    The determinant of its Jacobian is the product of three factors (R.P. Paul, C.N. Stevenson, "Kinematics of robot
+    wrists", 1983): how far the wrist's centre is from the first axis (shoulder), how far the elbow is bent, and the
+    sine of joint 5 (wrist). Each factor is 0 in the singularity of that name.
+
+    Attributes:
+        joints: Ranks of the six joints among all, shape (6,).
+        carriers: Ranks of the joints that carry the arm, in order.
+        reach: From the second axis to the centre of the wrist with the arm stretched out [m].
+
+    Args:
+        model: Kinematics.
+        frame: Frame that the arm carries.
+    """
+
+    def __init__(self, model: Model, frame: str) -> None:
+        self._model = model
+        chain = [int(model.pin.frames[model.frame_id(frame)].parentJoint)]
+        while chain[-1] != 0:
+            chain.append(int(model.pin.parents[chain[-1]]))
+        ranks = np.array(chain[-2::-1], dtype=np.intp) - 1
+        if len(ranks) < _ARM_JOINTS:
+            raise StateError(f"{frame} hangs on {len(ranks)} joints, not on an arm of {_ARM_JOINTS}", frame=frame)
+        self.joints, self.carriers = ranks[-_ARM_JOINTS:], ranks[:-_ARM_JOINTS]
+        placements = [model.pin.jointPlacements[int(rank) + 1] for rank in self.joints]
+        shoulder, elbow, forearm, wrist = placements[1:5]
+        centre = forearm.act(wrist.translation)  # of the wrist, in the frame of joint 3
+        self._upper = float(np.hypot(*elbow.translation[:2]))
+        self._fore = float(np.hypot(*centre[:2]))
+        self._bend = math.atan2(centre[1], centre[0]) - math.atan2(elbow.translation[1], elbow.translation[0])
+        self._offset = float(centre[2] + elbow.translation[2])
+        self._upright = shoulder.rotation.T[:2, 2]  # the first axis, in the plane of the upper arm
+        self._shoulder = shoulder.translation
+        self._data = model.pin.createData()
+        self.reach = self._upper + self._fore
+
+    def factors(self, q: NDArray[np.float64]) -> tuple[float, float, float]:
+        """Shoulder, elbow and wrist factor, each signed and at most 1 in size.
+
+        Args:
+            q: Positions of the arm's joints, shape (6,) [rad].
+        """
+        x, y = self._centre(q)
+        off_axis = x * self._upright[1] - y * self._upright[0]
+        return off_axis / self.reach, math.sin(q[2] + self._bend), math.sin(q[4])
+
+    def away(self, q: NDArray[np.float64], wanted: float) -> NDArray[np.float64]:
+        """Direction that brings factors up to ``wanted``, 0 where they are larger; shape (6,).
+
+        Args:
+            q: Positions of the arm's joints, shape (6,) [rad].
+            wanted: Size that each factor should have.
+        """
+        gradient = np.zeros(_ARM_JOINTS)
+        shoulder, elbow, wrist = self.factors(q)
+        x, y = self._centre(q)
+        forearm = q[1] + q[2] + self._bend
+        fore_x, fore_y = self._fore * math.cos(forearm), self._fore * math.sin(forearm)
+        up_x, up_y = self._upright
+        lack = _lack(shoulder, wanted) / self.reach
+        gradient[1] += lack * (-y * up_y - x * up_x)
+        gradient[2] += lack * (-fore_y * up_y - fore_x * up_x)
+        gradient[2] += _lack(elbow, wanted) * math.cos(q[2] + self._bend)
+        gradient[4] += _lack(wrist, wanted) * math.cos(q[4])
+        return gradient
+
+    def beyond_reach(self, q_all: NDArray[np.float64], wrist: NDArray[np.float64]) -> float:
+        """How far a place is out of the arm's reach, 0 if it is within [m].
+
+        Args:
+            q_all: Positions of all joints; only those of the carriers matter, shape (18,) [rad or m].
+            wrist: Where the centre of the wrist shall be in ``world``, shape (3,) [m].
+        """
+        pin.forwardKinematics(self._model.pin, self._data, q_all)
+        base = self._data.oMi[int(self.joints[0]) + 1]
+        to = base.rotation.T @ (wrist - base.translation) - self._shoulder
+        off_axis = math.hypot(to[0], to[1])
+        in_plane = math.sqrt(max(float(to @ to) - self._offset**2, 0.0))
+        nearest = abs(self._upper - self._fore)
+        return max(in_plane - self.reach, nearest - in_plane, abs(self._offset) - off_axis, 0.0)
+
+    def _centre(self, q: NDArray[np.float64]) -> tuple[float, float]:
+        """Centre of the wrist in the plane of the upper arm, from the second axis [m]."""
+        forearm = q[1] + q[2] + self._bend
+        x = self._upper * math.cos(q[1]) + self._fore * math.cos(forearm)
+        return x, self._upper * math.sin(q[1]) + self._fore * math.sin(forearm)
+
+
+def _lack(factor: float, wanted: float) -> float:
+    """What a factor lacks, with its sign; at 0 it is pushed to the positive side."""
+    return math.copysign(max(wanted - abs(factor), 0.0), factor)

@@ -1,0 +1,128 @@
+"""Joint positions of an arm along a path of its wrist, with their derivatives by the path parameter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from im_mcs.inverse.arm import Arm
+from im_mcs.model import Model
+
+_ITERATIONS = 8
+_PRECISION = 1e-11
+_LARGEST_STEP = 0.5
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Motion of all joints at one place of a path; derivatives are by the path parameter.
+
+    Attributes:
+        q: Positions, shape (18,) [rad or m].
+        dq: First derivative, shape (18,).
+        ddq: Second derivative, shape (18,).
+        singular_value: Smallest of the arm's Jacobian, lengths divided by its reach.
+        factors: Shoulder, elbow and wrist factor.
+    """
+
+    q: NDArray[np.float64]
+    dq: NDArray[np.float64]
+    ddq: NDArray[np.float64]
+    singular_value: float
+    factors: tuple[float, float, float]
+
+
+class ArmTracker:
+    """Finds the six joints of an arm for a pose of its wrist, near to where they are, by Newton's method.
+
+    Args:
+        model: Kinematics.
+        arm: The arm.
+        frame: The wrist.
+    """
+
+    def __init__(self, model: Model, arm: Arm, frame: str) -> None:
+        self._pin = model.pin
+        self._data = model.pin.createData()
+        self._frame = model.frame_id(frame)
+        self._arm = arm
+        self._rest = np.zeros(model.n)
+        self._scale = np.array([1.0 / arm.reach] * 3 + [1.0] * 3)[:, None]
+
+    def pose(self, q: NDArray[np.float64]) -> pin.SE3:
+        """Pose of the wrist in ``world`` at ``q``, shape (18,)."""
+        pin.forwardKinematics(self._pin, self._data, q)
+        return pin.updateFramePlacement(self._pin, self._data, self._frame).copy()
+
+    def error(self, target: pin.SE3, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Way from the wrist at ``q`` to a pose, shape (6,): linear [m], angular [rad]."""
+        pin.forwardKinematics(self._pin, self._data, q)
+        pose = pin.updateFramePlacement(self._pin, self._data, self._frame)
+        return np.concatenate([target.translation - pose.translation, pin.log3(target.rotation @ pose.rotation.T)])
+
+    def solve(self, target: pin.SE3, guess: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Positions of all joints that meet a pose, only the arm's differing from ``guess``; None if none is near.
+
+        Args:
+            target: Wanted pose of the wrist in ``world``.
+            guess: Shape (18,) [rad or m].
+        """
+        q, joints = guess.copy(), self._arm.joints
+        for _ in range(_ITERATIONS):
+            error = self.error(target, q)
+            if np.abs(error).max() < _PRECISION:
+                return q
+            try:
+                step = np.linalg.solve(self._jacobian(q)[:, joints], error)
+            except np.linalg.LinAlgError:
+                return None
+            if np.abs(step).max() > _LARGEST_STEP:
+                return None
+            q[joints] += step
+        return None
+
+    def derivatives(
+        self,
+        q: NDArray[np.float64],
+        dq: NDArray[np.float64],
+        ddq: NDArray[np.float64],
+        twist: NDArray[np.float64],
+        twist_rate: NDArray[np.float64],
+    ) -> Tracked | None:
+        """Motion that keeps the wrist on a path; None where the arm is exactly singular.
+
+        Args:
+            q: Positions of all joints, shape (18,) [rad or m].
+            dq: Derivatives by the path parameter, shape (18,); those of the arm are overwritten.
+            ddq: Second derivatives, likewise.
+            twist: Derivative of the wrist's pose along the axes of ``world``, shape (6,): linear, angular.
+            twist_rate: Its derivative, shape (6,).
+        """
+        joints = self._arm.joints
+        jacobian = self._jacobian(q)
+        arm = jacobian[:, joints]
+        dq, ddq = dq.copy(), ddq.copy()
+        dq[joints] = ddq[joints] = 0.0
+        try:
+            dq[joints] = np.linalg.solve(arm, twist - jacobian @ dq)
+            pin.forwardKinematics(self._pin, self._data, q, dq, self._rest)
+            bias = pin.getFrameClassicalAcceleration(
+                self._pin, self._data, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            ).vector
+            ddq[joints] = np.linalg.solve(arm, twist_rate - bias - jacobian @ ddq)
+        except np.linalg.LinAlgError:
+            return None
+        return Tracked(q, dq, ddq, self._smallest(arm), self._arm.factors(q[joints]))
+
+    def singular_value(self, q: NDArray[np.float64]) -> float:
+        """Smallest singular value of the arm's Jacobian at ``q``, shape (18,); lengths divided by its reach."""
+        return self._smallest(self._jacobian(q)[:, self._arm.joints])
+
+    def _smallest(self, jacobian: NDArray[np.float64]) -> float:
+        return float(np.linalg.svd(jacobian * self._scale, compute_uv=False)[-1])
+
+    def _jacobian(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(
+            pin.computeFrameJacobian(self._pin, self._data, q, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        )

@@ -1,0 +1,154 @@
+"""Following a trajectory, at a rate that may change."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_mcs.planning.braking import brake_straight, is_straight
+from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.planning.scaling import Clock, RateGovernor, scaled
+from im_mcs.planning.setpoint import Setpoint
+from im_mcs.planning.trajectory import Trajectory
+
+_LEAST = 1e-6
+# Path ahead whose direction is judged at once, anew when half of it has passed: stops end within the other half [s].
+_JUDGED_S = 3.0
+
+Ahead = Callable[[float], NDArray[np.float64]]
+"""Place on a curved path that is reached in some seconds, if nothing changes, shape (n,)."""
+
+
+class PathFollower:
+    """One trajectory being followed.
+
+    Attributes:
+        trajectory: What is followed.
+
+    Args:
+        trajectory: Begins at the present setpoint, as seen at ``rate``.
+        rate: Rate at the begin.
+        limits: Of the group.
+        tick_s: Servo period [s].
+        divisor: Servo ticks between two evaluations.
+    """
+
+    def __init__(self, trajectory: Trajectory, rate: float, limits: MotionLimits, tick_s: float, divisor: int) -> None:
+        self.trajectory = trajectory
+        self._clock = Clock(rate)
+        self._t = 0.0
+        self._tick_s, self._divisor = tick_s, divisor
+        self._governor = RateGovernor(limits, tick_s * divisor)
+        self._limits = limits
+        self._refused: float | None = None
+        self._waited_s = 0.0
+        self._now: Setpoint | None = None
+        self._brake: tuple[PiecewisePolynomial, float] | None = None
+        self.sigma, self.rate, self.rate_change = 0.0, rate, 0.0
+        self._rate_before = rate
+        self._judged, self._straight = -math.inf, True
+
+    @property
+    def finished(self) -> bool:
+        """Whether the trajectory has come to its end."""
+        return self.sigma >= self.trajectory.duration
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves: it has come to its end, or is halted."""
+        return self.finished or (self.rate == 0.0 and self.rate_change == 0.0)
+
+    @property
+    def end(self) -> Setpoint:
+        """Where it comes to rest, unless it is interrupted."""
+        return self.trajectory.at(self.trajectory.duration)
+
+    @property
+    def progress(self) -> float:
+        """Fraction of the trajectory's time that has passed, 0 to 1."""
+        if self.trajectory.duration == 0.0:
+            return 1.0
+        return min(self.sigma / self.trajectory.duration, 1.0)
+
+    @property
+    def point(self) -> int:
+        """Point of the path that the group is on its way to."""
+        return self.trajectory.point(self.sigma)
+
+    def advance(self, rate: float) -> tuple[Setpoint, int]:
+        """The setpoint some servo ticks on, and how many they are; ``rate`` is the one wanted from now on."""
+        if self._brake is not None:
+            return self._braked(*self._brake)
+        if rate != self._clock.rate:
+            self._change(rate)
+            if self._brake is not None:
+                return self._braked(*self._brake)
+        ticks = self._divisor
+        if self.rate > _LEAST and self._t >= self._clock.ramp_s:
+            left = (self.trajectory.duration - self.sigma) / (self.rate * self._tick_s)
+            ticks = min(max(math.ceil(left - _LEAST), 1), ticks)
+        self._t += ticks * self._tick_s
+        self.sigma, self.rate, self.rate_change = self._clock.at(self._t)
+        if self.sigma >= self.trajectory.duration - _LEAST * self._tick_s:
+            self.sigma = self.trajectory.duration
+        self._now = scaled(self.trajectory.at(self.sigma), self.rate, self.rate_change)
+        return self._now, ticks
+
+    @property
+    def ahead(self) -> Ahead | None:
+        """Where a curved path leads; None where it leads as the velocity points, for longer than any stop takes."""
+        if self.sigma >= self._judged + _JUDGED_S / 2.0:
+            self._judged = self.sigma
+            self._straight = is_straight(self.trajectory, self.sigma, self.sigma + _JUDGED_S)
+        return None if self._straight else self._ahead
+
+    def _ahead(self, seconds: float) -> NDArray[np.float64]:
+        end = self.sigma + self.rate * seconds if self._brake is None else self._brake[1]
+        return self.trajectory.at(end).q
+
+    def _braked(self, brake: PiecewisePolynomial, end: float) -> tuple[Setpoint, int]:
+        """Brake on a straight stretch; whatever rate is wanted then counts from where it has come to rest."""
+        left = (brake.duration - self._t) / self._tick_s
+        ticks = min(max(math.ceil(left - _LEAST), 1), self._divisor)
+        self._t += ticks * self._tick_s
+        share = min(self._t / brake.duration, 1.0)
+        self.rate, self.rate_change = self._rate_before * (1.0 - share), 0.0
+        if share == 1.0:
+            self._brake, self._clock, self._t = None, Clock(0.0, end), 0.0
+            self.sigma, self.rate = end, 0.0
+            self._now = Setpoint.at_rest(self.trajectory.at(end).q)
+        else:
+            self._now = brake.at(self._t)
+        return self._now, ticks
+
+    def _change(self, rate: float) -> None:
+        if rate == 0.0 and self._now is not None:
+            self._brake = brake_straight(self.trajectory, self.sigma, self._now, self._limits)
+            if self._brake is not None:
+                self._t, self._rate_before = 0.0, self.rate
+                return
+        state = self.sigma, self.rate, self.rate_change
+        self._waited_s = self._waited_s + self._divisor * self._tick_s if self._refused == rate else 0.0
+        clock = self._governor.change(self.trajectory, state, rate, self._waited_s)
+        self._refused = rate if clock is None else None
+        if clock is not None:
+            self._clock, self._t = clock, 0.0
+            self.rate, self.rate_change = clock.at(0.0)[1:]
+
+
+class Standing:
+    """Standing still at one place; the simplest follower."""
+
+    finished = still = True
+    progress, point = 1.0, 0
+    rate = 1.0
+    ahead = None
+
+    def __init__(self, q: NDArray[np.float64]) -> None:
+        self.end = Setpoint.at_rest(q)
+
+    def advance(self, rate: float) -> tuple[Setpoint, int]:
+        """The same setpoint, whatever the rate."""
+        return self.end, 1

@@ -1,0 +1,50 @@
+"""What every trajectory keeps to."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Synchrony(StrEnum):
+    """How the joints of a segment keep step; all arrive at the same time."""
+
+    PHASE = "phase"
+    """Straight line in joint space: every joint has covered the same fraction of its way."""
+    TIME = "time"
+    """Each joint on its own profile of the common duration."""
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits that a trajectory keeps, each of shape (n,).
+
+    Attributes:
+        velocity: [rad/s or m/s].
+        acceleration: [rad/s2 or m/s2].
+        jerk: [rad/s3 or m/s3].
+    """
+
+    velocity: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    jerk: NDArray[np.float64]
+
+    def scaled(self, scale: float) -> Self:
+        """All three multiplied by ``scale``."""
+        return type(self)(self.velocity * scale, self.acceleration * scale, self.jerk * scale)
+
+    def of(self, index: NDArray[np.intp]) -> Self:
+        """Those of the joints ``index``."""
+        return type(self)(self.velocity[index], self.acceleration[index], self.jerk[index])
+
+    def along(self, way: NDArray[np.float64]) -> tuple[float, float, float]:
+        """Limits of speed, acceleration and jerk of the fraction of a straight ``way``, shape (n,), not all zero."""
+        used = np.abs(way)
+        with np.errstate(divide="ignore", over="ignore"):
+            return (
+                float((self.velocity / used).min()),
+                float((self.acceleration / used).min()),
+                float((self.jerk / used).min()),
+            )

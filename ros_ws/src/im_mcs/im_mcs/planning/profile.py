@@ -1,0 +1,180 @@
+"""Time-optimal jerk-limited profiles (ruckig) as polynomials.
+
+L. Berscheid, T. Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021.
+Ruckig's own intermediate waypoints are not used: they need a service in the network.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError, Synchronization
+from ruckig import Trajectory as RuckigTrajectory
+
+from im_core.errors import DataError
+from im_mcs.planning.motion_limits import MotionLimits, Synchrony
+from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.planning.setpoint import Setpoint
+
+_RUCKIG = {Synchrony.PHASE: Synchronization.Phase, Synchrony.TIME: Synchronization.Time}
+_SHORTEST_S = 1e-9
+
+
+def request(start: Setpoint, limits: MotionLimits, synchrony: Synchrony = Synchrony.PHASE) -> InputParameter:
+    """What ruckig is asked, still without a target; ``start`` of shape (n,)."""
+    asked = InputParameter(len(start.q))
+    asked.synchronization = _RUCKIG[synchrony]
+    asked.current_position, asked.current_velocity = start.q.tolist(), start.v.tolist()
+    # a setpoint's acceleration is beyond the limit by rounding and interpolation only
+    asked.current_acceleration = np.clip(start.a, -limits.acceleration, limits.acceleration).tolist()
+    asked.max_velocity = limits.velocity.tolist()
+    asked.max_acceleration = limits.acceleration.tolist()
+    asked.max_jerk = limits.jerk.tolist()
+    return asked
+
+
+def to_point(
+    start: Setpoint, end: NDArray[np.float64], limits: MotionLimits, synchrony: Synchrony = Synchrony.PHASE
+) -> PiecewisePolynomial:
+    """Motion from any state to rest at ``end``, shape (n,); straight if it begins at rest and keeps phase.
+
+    Raises:
+        DataError: Ruckig finds no trajectory.
+    """
+    asked = request(start, limits, synchrony)
+    asked.target_position = end.tolist()
+    return _solve(asked, f"from {start.q.tolist()} to {end.tolist()}")
+
+
+def to_rest(start: Setpoint, limits: MotionLimits) -> PiecewisePolynomial:
+    """Deceleration to rest from any state as fast as acceleration and jerk limits allow, all joints at the same time.
+
+    Raises:
+        DataError: Ruckig finds no trajectory.
+    """
+    asked = request(start, limits)
+    asked.control_interface = ControlInterface.Velocity
+    asked.target_velocity = [0.0] * len(start.q)
+    return _solve(asked, f"to rest from velocity {start.v.tolist()}")
+
+
+def along(
+    distance: float, speeds: tuple[float, float], limits: tuple[float, float, float]
+) -> tuple[list[float], NDArray[np.float64]]:
+    """One-dimensional profile over a distance between two speeds, with no acceleration at both ends.
+
+    Args:
+        distance: To cover, > 0.
+        speeds: At its begin and end.
+        limits: Of speed, acceleration and jerk.
+
+    Returns:
+        Lengths of its pieces, m of them, and coefficients of the distance covered, shape (m, 6).
+
+    Raises:
+        DataError: Ruckig finds none.
+    """
+    asked = InputParameter(1)
+    fastest = limits[0]
+    asked.current_velocity, asked.target_velocity = [min(speeds[0], fastest)], [min(speeds[1], fastest)]
+    asked.target_position = [distance]
+    asked.max_velocity, asked.max_acceleration, asked.max_jerk = ([limit] for limit in limits)
+    profile = _solve(asked, f"over {distance} between speeds {speeds}")
+    return profile.lengths.tolist(), profile.coefficients[:, :, 0]
+
+
+def ramp(start: tuple[float, float, float], speed: float, acceleration: float, jerk: float) -> PiecewisePolynomial:
+    """One-dimensional change of speed.
+
+    Args:
+        start: Position, speed and acceleration at the begin.
+        speed: At the end, without acceleration.
+        acceleration: Its limit.
+        jerk: Its limit.
+
+    Raises:
+        DataError: Ruckig finds none.
+    """
+    asked = InputParameter(1)
+    asked.control_interface = ControlInterface.Velocity
+    asked.current_position, asked.current_velocity, asked.current_acceleration = ([x] for x in start)
+    asked.target_velocity, asked.max_acceleration, asked.max_jerk = [speed], [acceleration], [jerk]
+    return _solve(asked, f"of speed from {start[1]} to {speed}")
+
+
+def transition_distance(slow: float, fast: float, acceleration: float, jerk: float) -> float:
+    """Distance that a change between two speeds takes, from no acceleration to none."""
+    change = fast - slow
+    time = 2.0 * math.sqrt(change / jerk)
+    if change > acceleration**2 / jerk:
+        time = change / acceleration + acceleration / jerk
+    return 0.5 * (slow + fast) * time
+
+
+class Chase:
+    """Motion from any state to a target that may have a velocity; beyond it goes on with that.
+
+    Attributes:
+        duration: Until the target is met [s].
+
+    Args:
+        start: State now.
+        q: Target, shape (n,).
+        v: Velocity there, shape (n,).
+        limits: Limits of velocity, acceleration and jerk.
+
+    Raises:
+        DataError: Ruckig finds no trajectory.
+    """
+
+    def __init__(self, start: Setpoint, q: NDArray[np.float64], v: NDArray[np.float64], limits: MotionLimits) -> None:
+        asked = request(start, limits)
+        asked.target_position, asked.target_velocity = q.tolist(), v.tolist()
+        self._trajectory = _trajectory(asked, f"to {q.tolist()} with velocity {v.tolist()}")
+        self.duration: float = self._trajectory.duration
+        self._end = Setpoint(q, v, np.zeros_like(q))
+
+    def at(self, t: float) -> Setpoint:
+        """State at time ``t`` [s]; from the duration on that of the target, which moves on."""
+        if t >= self.duration:
+            end = self._end
+            return Setpoint(end.q + end.v * (t - self.duration), end.v, end.a) if end.v.any() else end
+        q, v, a = self._trajectory.at_time(t)
+        return Setpoint(np.array(q), np.array(v), np.array(a))
+
+
+def _solve(asked: InputParameter, what: str) -> PiecewisePolynomial:
+    return _polynomial(_trajectory(asked, what))
+
+
+def _trajectory(asked: InputParameter, what: str) -> RuckigTrajectory:
+    trajectory = RuckigTrajectory(asked.degrees_of_freedom)
+    try:
+        result = Ruckig(asked.degrees_of_freedom).calculate(asked, trajectory)
+    except RuckigError as error:
+        raise DataError(f"no trajectory {what}: {error}") from None
+    if result not in (Result.Working, Result.Finished):
+        raise DataError(f"no trajectory {what}: ruckig reports {result.name}")
+    return trajectory
+
+
+def _polynomial(trajectory: RuckigTrajectory) -> PiecewisePolynomial:
+    """The same motion as polynomials: jerk is constant between the times at which that of any joint changes."""
+    edges = {0.0, trajectory.duration}
+    for profile in trajectory.profiles[0]:
+        t = 0.0
+        for length in (*profile.brake.t, *profile.t):
+            t += length
+            edges.add(t)
+    times = [0.0]
+    for t in sorted(edges):
+        if t - times[-1] > _SHORTEST_S and t <= trajectory.duration:
+            times.append(t)
+    if len(times) == 1:
+        return PiecewisePolynomial.standing(np.array(trajectory.at_time(0.0)[0]))
+    states = np.array([trajectory.at_time(t) for t in times])
+    lengths = np.diff(times)
+    coefficients = np.zeros((len(lengths), 6, states.shape[2]))
+    coefficients[:, :3] = states[:-1] * np.array([1.0, 1.0, 0.5])[:, None]
+    coefficients[:, 3] = np.diff(states[:, 2], axis=0) / lengths[:, None] / 6.0
+    return PiecewisePolynomial(lengths.tolist(), coefficients)

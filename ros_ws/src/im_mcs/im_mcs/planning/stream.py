@@ -1,0 +1,147 @@
+"""Streaming setpoints: the newest target is chased, jerk-limited, and a sender that falls silent is noticed."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import ImError
+from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.planning.profile import Chase, to_rest
+from im_mcs.planning.setpoint import Setpoint
+
+_MEETINGS = 5
+
+
+class Lease:
+    """Time until which a sender must be heard of again, in testbed time from receipt.
+
+    Args:
+        owner: Who sends.
+        seconds: How long silence may last [s]; 0: for ever.
+        tick_s: Servo period [s].
+    """
+
+    def __init__(self, owner: str, seconds: float, tick_s: float) -> None:
+        self._owner, self._seconds, self._tick_s = owner, seconds, tick_s
+        self._silent = 0
+
+    def tick(self) -> None:
+        """One more tick of silence."""
+        self._silent += 1
+
+    @property
+    def runs(self) -> bool:
+        """Whether it can lapse at all."""
+        return self._seconds > 0.0
+
+    def lapsed(self) -> ImError | None:
+        """The fault if it has been silent for too long."""
+        if self._seconds == 0.0 or self._silent * self._tick_s <= self._seconds:
+            return None
+        who = f"'{self._owner}'" if self._owner else "the sender"
+        return ImError(
+            f"{who} has sent no setpoint for {self._seconds:g} s, its lease",
+            code="lease",
+            owner=self._owner,
+            lease_s=self._seconds,
+        )
+
+
+class StreamFollower:
+    """Chases the newest target, replanned at every knot while it moves; a target with a velocity moves on by itself.
+
+    Args:
+        start: Present setpoint.
+        limits: Of the group.
+        lower: Least positions, shape (n,) [rad or m].
+        upper: Largest positions, shape (n,).
+        tick_s: Servo period [s].
+        divisor: Servo ticks between two evaluations.
+    """
+
+    finished = False
+    progress, point = 0.0, 0
+    ahead = None
+
+    def __init__(
+        self,
+        start: Setpoint,
+        limits: MotionLimits,
+        lower: NDArray[np.float64],
+        upper: NDArray[np.float64],
+        tick_s: float,
+        divisor: int,
+    ) -> None:
+        self._state, self._limits = start, limits
+        self._lower, self._upper = lower, upper
+        self._divisor, self._knot_s = divisor, tick_s * divisor
+        self._target, self._drift, self._age = start.q, np.zeros_like(start.q), 0.0
+        self._chase: Chase | None = None
+        self._halt: PiecewisePolynomial | None = None
+        self._elapsed = 0.0
+        self._held = np.zeros(len(start.q), dtype=np.bool_)
+        self.rate = 1.0
+
+    def renew(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
+        """A new target: position and velocity, shape (n,) each."""
+        self._target, self._drift, self._age = q, v, 0.0
+        self._chase = None
+
+    @property
+    def end(self) -> Setpoint:
+        """Where it is; where it will end nobody knows."""
+        return self._state
+
+    @property
+    def still(self) -> bool:
+        """Whether it stands at its target, or is halted."""
+        return not self._state.v.any() and not self._state.a.any() and (self.rate == 0.0 or self._arrived())
+
+    def advance(self, rate: float) -> tuple[Setpoint, int]:
+        """The setpoint at the next knot; ``rate`` scales the velocity limits, 0 halts."""
+        self._age += self._knot_s
+        if rate != self.rate:
+            self.rate = rate
+            self._chase = self._halt = None
+        if rate == 0.0:
+            self._state = self._halted()
+        elif not (self._arrived() and not self._state.v.any() and not self._state.a.any()):
+            self._state = self._chased(rate)
+        return self._state, self._divisor
+
+    def _arrived(self) -> bool:
+        return not self._drift.any() and np.array_equal(self._state.q, self._target)
+
+    def _halted(self) -> Setpoint:
+        if self._halt is None:
+            self._halt, self._elapsed = to_rest(self._state, self._limits), 0.0
+        self._elapsed += self._knot_s
+        return self._halt.at(self._elapsed)
+
+    def _chased(self, rate: float) -> Setpoint:
+        outside = self._outside()
+        if self._chase is None or (outside != self._held).any():
+            self._held = outside
+            limits = MotionLimits(self._limits.velocity * rate, self._limits.acceleration, self._limits.jerk)
+            self._chase, self._elapsed = self._intercept(limits, rate), 0.0
+        self._elapsed += self._knot_s
+        return self._chase.at(self._elapsed)
+
+    def _intercept(self, limits: MotionLimits, rate: float) -> Chase:
+        """The motion that meets the target where it will be by then."""
+        drift = np.where(self._held, 0.0, self._drift) * rate
+        now = np.clip(self._target + self._drift * (self._age - self._knot_s), self._lower, self._upper)
+        chase = Chase(self._state, now, drift, limits)
+        if not drift.any():
+            return chase
+        for _ in range(_MEETINGS):
+            ahead = now + drift * chase.duration
+            chase = Chase(self._state, np.clip(ahead, self._lower, self._upper), drift, limits)
+        return chase
+
+    def _outside(self) -> NDArray[np.bool_]:
+        """Joints whose target moves on to where they could not stop within their range any more."""
+        speed, limits = np.abs(self._drift), self._limits
+        way = speed * (speed / limits.acceleration + limits.acceleration / limits.jerk) / 2.0
+        stop = self._target + self._drift * self._age + np.sign(self._drift) * way
+        return np.asarray((stop < self._lower) | (stop > self._upper))

@@ -1,0 +1,70 @@
+"""Tolerances of a trajectory, as ros2_controllers' ``JointTrajectoryController`` means them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import ImError
+
+
+class Tolerances:
+    """Bounds of the errors of position and velocity, on the way and at the end.
+
+    An error has shape (2, n): position [rad or m], and velocity [rad/s or m/s], which is measured as the filtered
+    slope of the encoders: it is late by some milliseconds, and as noisy as they are coarse.
+
+    Args:
+        names: Joints.
+        units: Of their positions.
+        path: Bounds on the way, shape (2, n); infinite: none.
+        goal: Bounds at the end, shape (2, n); infinite: none.
+        goal_s: Time allowed beyond the end to be within ``goal`` [s]; 0: as long as settling may take.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        units: Sequence[str],
+        path: NDArray[np.float64],
+        goal: NDArray[np.float64],
+        goal_s: float,
+    ) -> None:
+        self._names, self._units = names, units
+        self._path, self._goal, self._goal_s = path, goal, goal_s
+        self.judges_goal = bool(np.isfinite(goal).any())
+
+    def on_path(self, error: NDArray[np.float64], tick: int) -> ImError | None:
+        """The fault if an error, shape (2, n), is beyond its bound on the way."""
+        return self._fault(error, self._path, "path_tolerance", f"at tick {tick}", tick)
+
+    def reached(self, error: NDArray[np.float64]) -> bool:
+        """Whether errors, shape (2, n), are within their bounds at the end."""
+        return bool((np.abs(error) <= self._goal).all())
+
+    def at_goal(self, error: NDArray[np.float64], late_s: float, tick: int) -> ImError | None:
+        """The fault if an error is beyond its bound later than allowed, ``late_s`` after the end."""
+        if self._goal_s == 0.0 or late_s <= self._goal_s:
+            return None
+        when = f"{late_s:.3f} s after the end, at tick {tick}"
+        return self._fault(error, self._goal, "goal_tolerance", when, tick)
+
+    def _fault(
+        self, error: NDArray[np.float64], bound: NDArray[np.float64], code: str, when: str, tick: int
+    ) -> ImError | None:
+        beyond = np.abs(error) > bound
+        if not beyond.any():
+            return None
+        of_velocity, k = divmod(int(np.argmax(beyond)), len(self._names))
+        joint, value, limit = self._names[k], float(error[of_velocity, k]), float(bound[of_velocity, k])
+        unit = self._units[k] + ("/s" if of_velocity else "")
+        what, quantity = code.replace("_", " "), "velocity error" if of_velocity else "error"
+        return ImError(
+            f"{joint}: {quantity} {value:.6g} {unit} is beyond the {what} {limit:.6g} {unit} {when}",
+            code=code,
+            joint=joint,
+            value=value,
+            limit=limit,
+            unit=unit,
+            tick=tick,
+        )

@@ -1,0 +1,184 @@
+"""Trajectories in time: which spline, what is refused, tolerances."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
+
+from im_core.errors import LimitError
+
+TIMES = np.array([1.5, 2.5, 4.0, 5.5])
+
+
+def points(times, q, v=None, a=None):
+    given = [{"time": float(t), "positions": x.tolist()} for t, x in zip(times, q, strict=True)]
+    for name, rows in (("velocities", v), ("accelerations", a)):
+        for point, row in zip(given, rows if rows is not None else [], strict=False):
+            point[name] = row.tolist()
+    return given
+
+
+@pytest.fixture
+def course(rig, way):
+    """Positions, velocities and accelerations of a smooth course from rest, at the times above."""
+    random = np.random.default_rng(3)
+    q = rig.home + np.cumsum(random.uniform(-0.2, 0.2, (4, 9)), axis=0) * way
+    v = np.vstack([random.uniform(-0.1, 0.1, (3, 9)) * way, np.zeros(9)])
+    a = np.vstack([random.uniform(-0.1, 0.1, (3, 9)) * way, np.zeros(9)])
+    return q, v, a
+
+
+def follow(rig, given, **more):
+    """Follow a trajectory to its end; its goal, and when its setpoints began."""
+    goal = rig.request({"kind": "trajectory", "points": given, **more})
+    begin = len(rig.trace)
+    while rig.group.planner.progress == 1.0 and rig.tick < 50:
+        rig.ticks(1)
+    begin = len(rig.trace) - 2
+    rig.run()
+    return goal, begin
+
+
+def compare(rig, begin, reference, orders=3, atol=2e-6):
+    """Setpoints at knots are those of a reference given as callables of time and order of the derivative."""
+    for k in range(2, int(TIMES[-1] / 0.0045) - 1, 2):
+        s, t = rig.trace[begin + k], k * 0.0045
+        for order, got in enumerate((s.q, s.v, s.a)[:orders]):
+            np.testing.assert_allclose(got, reference(t, order), atol=atol * 10**order)
+
+
+def test_cubic_where_velocities_are_given(rig, course):
+    q, v, _ = course
+    goal, begin = follow(rig, points(TIMES, q, v))
+    assert rig.code(goal) is None
+    spline = CubicHermiteSpline([0.0, *TIMES], np.vstack([rig.home, q]), np.vstack([np.zeros(9), v]))
+    compare(rig, begin, lambda t, order: spline(t, order), orders=2)
+    np.testing.assert_allclose(rig.trace[-1].q, q[-1], atol=1e-12)
+
+
+def test_quintic_where_accelerations_are_given_too(rig, course):
+    q, v, a = course
+    goal, begin = follow(rig, points(TIMES, q, v, a))
+    assert rig.code(goal) is None
+    rows = np.stack([np.vstack([rig.home, q]), np.vstack([np.zeros(9), v]), np.vstack([np.zeros(9), a])], axis=1)
+    spline = BPoly.from_derivatives([0.0, *TIMES], rows)
+    compare(rig, begin, lambda t, order: spline(t, nu=order))
+    rig.check_motion()
+
+
+def test_positions_alone_are_joined_without_jumps_of_acceleration(rig, course):
+    q, _, _ = course
+    goal, begin = follow(rig, points(TIMES, q))
+    assert rig.code(goal) is None
+    spline = CubicSpline([0.0, *TIMES], np.vstack([rig.home, q]), bc_type="clamped")
+    for k in range(2 * round(TIMES[0] / 0.009) + 4, 2 * int(TIMES[2] / 0.009) - 2, 2):
+        s, t = rig.trace[begin + k], k * 0.0045
+        np.testing.assert_allclose(s.q, spline(t), atol=2e-6)
+        np.testing.assert_allclose(s.a, spline(t, 2), atol=2e-4)
+    rig.check_motion()
+
+
+def test_a_first_point_at_time_0_is_where_the_arm_is(rig, course):
+    q, _, _ = course
+    goal, _ = follow(rig, points([0.0, *TIMES], np.vstack([rig.home + 1e-3, q])))
+    assert rig.code(goal) is None
+    rig.check_motion()
+    away = np.vstack([rig.trace[-1].q - 0.2, q])
+    goal, _ = follow(rig, points([0.0, *TIMES], away))
+    assert rig.code(goal) == "limit"
+    assert "time 0" in rig.results[goal][0].message
+
+
+@pytest.mark.parametrize("kind", ["position", "velocity", "acceleration"])
+def test_what_goes_beyond_a_limit_between_points_is_refused_before_it_moves(rig, kind):
+    joint, lower, upper = "left_j1", rig.all_limits.lower[3], rig.all_limits.upper[3]
+    q, times, v = np.tile(rig.home, (3, 1)), TIMES[:3], np.zeros((3, 9))
+    if kind == "position":
+        times, q[:2, 3] = np.array([4.0, 6.0, 10.0]), upper - 0.01
+        v[0, 3] = 1.0
+    else:
+        q[0, 3] = 1.2 if kind == "velocity" else 0.7
+        times = np.array([1.0, 3.0, 5.0]) if kind == "velocity" else np.array([0.9, 3.0, 5.0])
+        assert lower < q[0, 3] < upper
+    before = rig.trace[-1].q
+    goal, _ = follow(rig, points(times, q, v))
+    fault = rig.results[goal][0]
+    assert isinstance(fault, LimitError)
+    assert fault.facts["joint"] == joint
+    assert f"{joint}: {kind} at" in fault.message
+    assert fault.facts["time"] < times[-1]
+    np.testing.assert_array_equal(rig.q, np.tile(before, (len(rig.trace), 1)))
+
+
+def test_an_error_beyond_the_path_tolerance_ends_it_on_the_path(rig, course):
+    q, _, _ = course
+    goal = rig.request({"kind": "trajectory", "points": points(TIMES, q), "path_tolerance": [-1.0] * 4 + [0.01] * 5})
+    rig.error[3] = 0.5  # no bound
+    rig.ticks(200)
+    assert goal not in rig.results
+    rig.error[5] = 0.02
+    rig.ticks(1)
+    rig.error[:] = 0.0
+    rig.run()
+    fault = rig.results[goal][0]
+    assert fault.code == "path_tolerance"
+    assert fault.facts["joint"] == "left_j3"
+    assert fault.facts["tick"] == 201
+    assert "0.02 rad is beyond the path tolerance 0.01 rad at tick 201" in fault.message
+    rig.check_motion()
+
+
+def test_the_default_path_tolerance_is_the_bound_of_the_following_error(rig, course):
+    q, _, _ = course
+    goal = rig.request({"kind": "trajectory", "points": points(TIMES, q)})
+    rig.ticks(100)
+    rig.error[0] = 1.01 * rig.all_limits.following_error[0]
+    rig.ticks(1)
+    rig.error[0] = 0.0
+    rig.run()
+    assert rig.code(goal) == "path_tolerance"
+
+
+@pytest.mark.parametrize(("error", "code"), [(0.004, None), (0.006, "goal_tolerance")])
+def test_the_goal_tolerance_decides_at_the_end(rig, course, error, code):
+    q, _, _ = course
+    more = {"goal_tolerance": [0.0] * 4 + [0.005] * 5, "goal_time_tolerance": 0.1}
+    goal = rig.request({"kind": "trajectory", "points": points(TIMES, q), **more})
+    rig.error[7] = error
+    while goal not in rig.results:
+        rig.ticks(1)
+    fault, results, _ = rig.results[goal]
+    assert rig.code(goal) == code
+    late = 0.1 if code else 0.0
+    assert results["duration"] == pytest.approx(TIMES[-1] + late, abs=0.02)
+    if code:
+        assert "left_j5: error 0.006 rad is beyond the goal tolerance 0.005 rad" in fault.message
+
+
+def test_an_error_of_velocity_beyond_its_path_tolerance_ends_it(rig, course):
+    q, _, _ = course
+    more = {"path_velocity_tolerance": [-1.0] * 4 + [0.1] * 5}
+    goal = rig.request({"kind": "trajectory", "points": points(TIMES, q), **more})
+    rig.velocity_error[3] = 5.0  # no bound
+    rig.ticks(200)
+    assert goal not in rig.results
+    rig.velocity_error[5] = -0.2
+    rig.ticks(1)
+    rig.velocity_error[:] = 0.0
+    rig.run()
+    fault = rig.results[goal][0]
+    assert (fault.code, fault.facts["joint"]) == ("path_tolerance", "left_j3")
+    assert "left_j3: velocity error -0.2 rad/s is beyond the path tolerance 0.1 rad/s at tick 201" in fault.message
+    rig.check_motion()
+
+
+@pytest.mark.parametrize(("error", "code"), [(0.04, None), (0.06, "goal_tolerance")])
+def test_the_velocity_at_the_end_is_judged_if_asked_for(rig, course, error, code):
+    q, _, _ = course
+    more = {"goal_velocity_tolerance": [0.0] * 4 + [0.05] * 5, "goal_time_tolerance": 0.1}
+    goal = rig.request({"kind": "trajectory", "points": points(TIMES, q), **more})
+    rig.velocity_error[0], rig.velocity_error[7] = 1.0, error
+    while goal not in rig.results:
+        rig.ticks(1)
+    assert rig.code(goal) == code
+    if code:
+        assert "left_j5: velocity error 0.06 rad/s is beyond the goal tolerance" in rig.results[goal][0].message
