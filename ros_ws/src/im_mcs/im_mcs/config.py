@@ -1,95 +1,44 @@
 """Configuration of MCS: ``config/mcs.yaml`` as frozen, checked models."""
 
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from im_core.config import Model, load_model, package_file
-from im_core.errors import NotFoundError
-from im_mcs.planning.joint_path import Synchrony
+from im_core.config import FieldError, Model, load_model, package_file
+from im_core.errors import ConfigError, NotFoundError
+from im_mcs.settings import (
+    Collision,
+    Control,
+    Group,
+    LawProcesses,
+    Limits,
+    PayloadLimits,
+    Planning,
+    Protective,
+    Safety,
+    Servo,
+    Switching,
+)
+from im_mcs.testbed.declaration import Slot, Testbed, check_slots
 
-
-class Settle(Model):
-    """When a group counts as at rest."""
-
-    tolerance: float = Field(gt=0, description="mean error of each joint [rad or m]")
-    still_tolerance: float = Field(
-        gt=0, description="the same for an arm that stands still after half of timeout_s, held by friction [rad or m]"
-    )
-    window_ticks: int = Field(ge=4, description="readings averaged to judge it [ticks]")
-    timeout_s: float = Field(gt=0, description="testbed time after which a motion counts as not settled [s]")
-
-
-class Servo(Model):
-    """The loop."""
-
-    period_s: float = Field(gt=0, le=0.1)
-    planning_divisor: int = Field(ge=1, le=100, description="servo ticks between evaluations of a trajectory")
-    priority: int = Field(ge=1, le=99, description="SCHED_FIFO priority, where permitted")
-    max_overruns: int = Field(ge=1, description="missed deadlines in a row that stop every motion")
-    velocity_bandwidth_rad_s: float = Field(gt=0)
-    brake_lead_ticks: int = Field(ge=1, description="torque is present this long before brakes release, and after")
-    answer_timeout_s: float = Field(gt=0, description="power and brakes must obey within this testbed time [s]")
-    rest_window_ticks: int = Field(ge=4, description="readings averaged at rest")
-    settle: Settle
-
-
-class Testbed(Model):
-    """Where the channels are."""
-
-    __test__ = False  # not a test class, whatever pytest thinks of the name
-
-    driver: str = Field(pattern=r"^[\w.]+:\w+$")
-    attach_timeout_s: float = Field(gt=0)
-
-
-class Slot(Model):
-    """A joint or gripper and the channel that drives it."""
-
-    name: str
-    kind: Literal["joint", "gripper"] = "joint"
-    channel: int = Field(ge=0)
-
-
-class Group(Model):
-    """Slots that move together."""
-
-    joints: tuple[str, ...] = Field(min_length=1)
-    wrist: str | None = Field(default=None, description="frame whose pose the group controls, if it has one")
-
-
-class Limits(Model):
-    """Shares of the limits in the cell's parameter file that MCS allows itself, and bounds of its own."""
-
-    position_margin: float = Field(ge=0, description="distance kept from the end stops [rad or m]")
-    velocity: float = Field(gt=0, le=1)
-    acceleration: float = Field(gt=0, le=1)
-    jerk: float = Field(gt=0, le=1)
-    torque: float = Field(gt=0, le=1)
-    following_error_rad: float = Field(gt=0)
-    following_error_m: float = Field(gt=0)
-
-
-class Control(Model):
-    """A control law and its parameters."""
-
-    controller: str = Field(pattern=r"^[\w.]+:\w+$")
-    parameters: dict[str, Any] = Field(default_factory=dict)
-
-
-class Switching(Model):
-    """Control laws that a group may be switched to at run time, beside the one it starts with."""
-
-    handover_s: float = Field(gt=0, le=10, description="the torque of the law before fades over this time [s]")
-    laws: dict[str, dict[str, Any]] = Field(default_factory=dict, description="parameters by module:Class")
-
-
-class Planning(Model):
-    """Defaults of the motion planning layer."""
-
-    synchrony: Synchrony = Synchrony.PHASE
-    max_points: int = Field(ge=1, description="points of one path")
+__all__ = [
+    "Collision",
+    "Control",
+    "Group",
+    "LawProcesses",
+    "Limits",
+    "McsConfig",
+    "PayloadLimits",
+    "Planning",
+    "Protective",
+    "Safety",
+    "Servo",
+    "Slot",
+    "Switching",
+    "Testbed",
+    "load_config",
+]
 
 
 class McsConfig(Model):
@@ -99,21 +48,30 @@ class McsConfig(Model):
     testbed: Testbed
     slots: tuple[Slot, ...]
     limits: Limits
+    safety: Safety
     control: Control
     group_control: dict[str, Control] = Field(default_factory=dict)
     switching: Switching
+    law_processes: LawProcesses = Field(default_factory=LawProcesses)
+    payload: PayloadLimits
     model_error: float = Field(
         default=0.0, gt=-1, le=10, description="share by which masses and inertias of the controller's model are wrong"
     )
     planning: Planning
+    protective: Protective
     presets: dict[str, dict[str, Group]]
     preset: str
-    clearance_m: float = Field(ge=0, description="smallest distance between bodies that a path may have [m]")
+    collision: Collision
 
     @property
     def groups(self) -> dict[str, Group]:
         """Groups of the preset in force."""
         return self.presets[self.preset]
+
+    def parameters_of_laws(self, group: str) -> dict[str, dict[str, Any]]:
+        """Parameters, by ``module:Class``, of every control law that a group may have."""
+        first = self.group_control.get(group, self.control)
+        return {**self.switching.laws, first.controller: first.parameters}
 
     @property
     def joint_slots(self) -> tuple[Slot, ...]:
@@ -125,6 +83,11 @@ class McsConfig(Model):
         """Slots of grippers, in order."""
         return tuple(slot for slot in self.slots if slot.kind == "gripper")
 
+    @property
+    def wrench_slots(self) -> tuple[Slot, ...]:
+        """Slots of wrist force-torque sensors, in order."""
+        return tuple(slot for slot in self.slots if slot.kind == "wrench")
+
     def with_preset(self, preset: str) -> Self:
         """The same with another partition of the joints.
 
@@ -135,22 +98,52 @@ class McsConfig(Model):
             raise NotFoundError(kind="preset", name=preset, known=sorted(self.presets))
         return self.model_copy(update={"preset": preset})
 
+    def at_period(self, period_s: float) -> Self:
+        """The same with another servo period [s]; what is counted in ticks takes as long as it did.
+
+        Raises:
+            ConfigError: The period, or a number of ticks that follows from it, is out of range.
+        """
+        if not period_s > 0.0:
+            raise ConfigError(f"servo period {period_s:g} s is not > 0", period=period_s)
+        ratio = self.servo.period_s / period_s
+        servo = self.servo.model_dump()
+        settle = servo["settle"]
+        servo |= {"period_s": period_s, "settle": {**settle, "window_ticks": round(settle["window_ticks"] * ratio)}}
+        for name in ("planning_divisor", "brake_lead_ticks", "rest_window_ticks"):
+            servo[name] = max(1, round(servo[name] * ratio))
+        try:
+            return self.model_copy(update={"servo": Servo.model_validate(servo)})
+        except ValidationError as error:
+            fault = error.errors()[0]
+            where = ".".join(str(part) for part in fault["loc"])
+            raise ConfigError(f"with a servo period of {period_s:g} s, servo.{where}: {fault['msg']}") from None
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.preset not in self.presets:
-            raise ValueError(f"preset '{self.preset}' is not one of {', '.join(sorted(self.presets))}")
-        names = [slot.name for slot in self.slots]
-        if len(set(names)) != len(names):
-            raise ValueError("two slots have the same name")
+            known = ", ".join(sorted(self.presets))
+            raise FieldError(("preset",), f"preset '{self.preset}' is not one of {known}")
+        check_slots(self.testbed, self.slots)
+        self._check_laws()
+        self._check_groups()
+        return self
+
+    def _check_laws(self) -> None:
+        known = {self.control.controller, *self.switching.laws, *(c.controller for c in self.group_control.values())}
+        for rank, law in enumerate(self.law_processes.laws):
+            if law not in known:
+                where = ("law_processes", "laws", rank)
+                raise FieldError(where, f"'{law}' is none of the control laws: {', '.join(sorted(known))}")
+
+    def _check_groups(self) -> None:
         joints = {slot.name for slot in self.joint_slots}
         for preset, groups in self.presets.items():
             for group, description in groups.items():
-                for joint in description.joints:
+                for rank, joint in enumerate(description.joints):
                     if joint not in joints:
-                        raise ValueError(
-                            f"group '{group}' of preset '{preset}' names '{joint}', which is no joint slot"
-                        )
-        return self
+                        where = ("presets", preset, group, "joints", rank)
+                        raise FieldError(where, f"'{joint}', which is no joint slot")
 
 
 def load_config(path: Path | None = None) -> McsConfig:

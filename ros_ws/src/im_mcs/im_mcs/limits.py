@@ -9,57 +9,78 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, LimitError
 from im_mcs.config import Limits as LimitShares
 from im_mcs.model import Model
-from im_mcs.planning.joint_path import MotionLimits
+from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.testbed.declaration import Slot, SlotLimits
 
 _OVERSPEED = 1.5
+_NONE = SlotLimits()
 
 
 class JointLimits:
     """Limits of all joints, and sentences about values that break them.
 
+    Attributes:
+        lower: Least positions, shape (n,) [rad or m].
+        upper: Largest positions.
+        motion: Velocity, acceleration and jerk that motions are planned with.
+        ceiling: The same of the cell: what no setpoint may pass.
+        torque: Largest torques, shape (n,) [Nm or N].
+        following_error: Bounds of the following error, shape (n,) [rad or m].
+
     Args:
         model: Joints and the cell's limits.
         shares: Shares of them that MCS allows itself.
+        slots: Slots with limits of their own; the narrower limit holds.
     """
 
-    def __init__(self, model: Model, shares: LimitShares) -> None:
+    def __init__(self, model: Model, shares: LimitShares, slots: Sequence[Slot] = ()) -> None:
         cell = model.cell
+        own = {slot.name: slot.limits for slot in slots if slot.limits is not None}
+        narrow = [own.get(name, _NONE) for name in model.names]
         self.names = model.names
         self.units = tuple("m" if joint.kind == "prismatic" else "rad" for joint in cell.joints)
-        self.lower = cell.per_joint("limits.lower") + shares.position_margin
-        self.upper = cell.per_joint("limits.upper") - shares.position_margin
+        lower = np.maximum(cell.per_joint("limits.lower"), [-np.inf if s.lower is None else s.lower for s in narrow])
+        upper = np.minimum(cell.per_joint("limits.upper"), [np.inf if s.upper is None else s.upper for s in narrow])
+        speed = np.minimum(cell.per_joint("limits.velocity"), [s.velocity or np.inf for s in narrow])
+        self.lower = lower + shares.position_margin
+        self.upper = upper - shares.position_margin
+        self.ceiling = MotionLimits(speed, cell.per_joint("limits.acceleration"), cell.per_joint("limits.jerk"))
         self.motion = MotionLimits(
-            velocity=cell.per_joint("limits.velocity") * shares.velocity,
-            acceleration=cell.per_joint("limits.acceleration") * shares.acceleration,
-            jerk=cell.per_joint("limits.jerk") * shares.jerk,
+            velocity=speed * shares.velocity,
+            acceleration=self.ceiling.acceleration * shares.acceleration,
+            jerk=self.ceiling.jerk * shares.jerk,
         )
-        self.torque = cell.per_joint("limits.torque") * shares.torque
+        torque = np.minimum(cell.per_joint("limits.torque"), [s.torque or np.inf for s in narrow])
+        self.torque = torque * shares.torque
         self.following_error = np.array(
             [shares.following_error_m if unit == "m" else shares.following_error_rad for unit in self.units]
         )
-        self._speed = cell.per_joint("limits.velocity") * _OVERSPEED
+        self._speed = speed * _OVERSPEED
 
-    def check_finite(self, index: NDArray[np.intp], values: Sequence[float], where: str) -> NDArray[np.float64]:
-        """Positions for the joints ``index`` as an array, if they are as many and finite.
+    def check_finite(
+        self, index: NDArray[np.intp], values: Sequence[float], where: str, what: str = "position"
+    ) -> NDArray[np.float64]:
+        """Values for the joints ``index`` as an array, if they are as many and finite.
 
         Args:
             index: Joints, shape (n,).
-            values: Their positions [rad or m].
-            where: What the positions are of, for the message.
+            values: One for each [in the unit of what they are].
+            where: What they are of, for the message.
+            what: What they are, for the message.
 
         Raises:
             DataError: Wrong number, or a value is not finite.
         """
         if len(values) != len(index):
             raise DataError(
-                f"{where}: {len(values)} positions for {len(index)} joints ({', '.join(self.names[i] for i in index)})",
+                f"{where}: {len(values)} {what}s for {len(index)} joints ({', '.join(self.names[i] for i in index)})",
                 given=len(values),
                 needed=len(index),
             )
         for i, value in zip(index, values, strict=True):
             if not math.isfinite(value):
                 joint = self.names[i]
-                raise DataError(f"{where}: {joint}: position {value} is not a finite number", joint=joint)
+                raise DataError(f"{where}: {joint}: {what} {value} is not a finite number", joint=joint)
         return np.array(values, dtype=np.float64)
 
     def check_positions(self, index: NDArray[np.intp], values: Sequence[float], where: str) -> NDArray[np.float64]:
@@ -79,15 +100,10 @@ class JointLimits:
             raise LimitError(joint=self.names[i], value=value, limit=limit, unit=self.units[i], what=what)
         return positions
 
-    def clip_torque(self, tau: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-        """Torques within their limits, shape (18,), and how many were cut."""
-        clipped = np.minimum(np.maximum(tau, -self.torque), self.torque)
-        return clipped, int(np.count_nonzero(clipped != tau))
-
     def overspeed(self, v: NDArray[np.float64]) -> LimitError | None:
         """The fault if a measured velocity, shape (18,), is far beyond what any motion commands."""
         beyond = np.abs(v) > self._speed
-        if not beyond.any():
+        if not np.count_nonzero(beyond):
             return None
         i = int(np.argmax(beyond))
         return LimitError(

@@ -11,7 +11,9 @@ from im_core.robot import Cell, load_cell, urdf
 from im_core.testbed_link import Command
 from im_mcs.config import McsConfig, load_config
 from im_mcs.model import Model
+from im_mcs.servo.channel import record_layout
 from im_mcs.servo.core import Mcs
+from im_mcs.servo.recorder import Recorder, Records
 from im_mcs.testbed import Drive, Measured, TestbedInterface
 from im_mcs.testbed.loopback import LoopbackDriver
 from im_sim.plant import Plant
@@ -32,13 +34,23 @@ def model(cell: Cell) -> Model:
     return Model(cell)
 
 
+def joint_path(*points: NDArray[np.float64]) -> dict[str, Any]:
+    """The path of a move through points."""
+    return {"kind": "joint", "points": [point.tolist() for point in points], "blend": 0.0}
+
+
 class Bench:
     """MCS over a driver, with the requests and answers of a client."""
 
     def __init__(self, config: McsConfig, model: Model, driver: Any) -> None:
         self.events: list[dict[str, Any]] = []
         self.driver = driver
-        self.mcs = Mcs(config, model, TestbedInterface(driver, range(18), range(2)), self.events.append)
+        clock = config.testbed.clock
+        testbed = TestbedInterface({clock: driver}, config.slots, clock)
+        layout = record_layout(config)
+        memory = np.zeros(layout.doubles)
+        self.records = Records(layout, memory)
+        self.mcs = Mcs(config, model, testbed, self.events.append, Recorder(layout, memory))
         self._number = 0
 
     def send(self, request: str, **arguments: Any) -> int:
@@ -48,7 +60,8 @@ class Bench:
         return self._number
 
     def reply(self, number: int) -> dict[str, Any] | None:
-        return next((e for e in self.events if e["event"] == "reply" and e["id"] == number), None)
+        newest = reversed(self.events)
+        return next((e for e in newest if e["event"] == "reply" and e["id"] == number), None)
 
     def ask(self, request: str, on_tick: Callable[[], None] = lambda: None, **arguments: Any) -> dict[str, Any]:
         """Send a request and let time pass until time is no longer wanted."""
@@ -64,7 +77,7 @@ class Bench:
         return reply
 
     def move(self, group: str, point: NDArray[np.float64], **kwargs: Any) -> dict[str, Any]:
-        return self.ask("move", group=group, points=[point.tolist()], speed_scale=0.0, **kwargs)
+        return self.ask("move", group=group, path=joint_path(point), **kwargs)
 
     def to_motion(self, *groups: str) -> None:
         for group in groups:
@@ -107,7 +120,7 @@ class LeftArm:
     Time stepping with the friction impulses of all joints found by projected Gauss-Seidel.
     """
 
-    n_joints, n_grippers, wall_period_s = 18, 2, 0.0
+    n_joints, n_grippers, n_wrenches, wall_period_s = 18, 2, 2, 0.0
 
     def __init__(self, cell: Cell, seed: int) -> None:
         self.period_s = cell.period
@@ -119,7 +132,7 @@ class LeftArm:
         self._cell = cell
         self._random = np.random.default_rng(seed)
         self.q, self.v = cell.home.copy(), np.zeros(18)
-        self._drive = Drive(np.zeros(18), False, np.ones(18, dtype=np.bool_), np.zeros(2), False)
+        self._drive = Drive(np.zeros(18), False, np.ones(18, dtype=np.bool_), np.zeros(2), False, np.zeros(2))
         self._friction = np.maximum(cell.per_joint("coulomb_positive"), cell.per_joint("coulomb_negative"))[:9]
         self._viscous = cell.per_joint("viscous")[:9]
         self._resolution, self._noise = cell.per_joint("resolution"), cell.per_joint("noise")
@@ -138,7 +151,10 @@ class LeftArm:
         noisy = self.q + self._random.standard_normal(18) * self._noise
         reading = np.rint(noisy / self._resolution) * self._resolution
         braked = self._drive.brakes | (not self._drive.power)
-        return Measured(self._tick, self._tick * 4_500_000, reading, self._drive.power, braked, np.zeros(2))
+        return Measured(
+            self._tick, self._tick * 4_500_000, reading, self._drive.power, braked, np.zeros(2),
+            np.zeros(18), np.full((2, 6), np.nan), np.zeros(2),
+        )  # fmt: skip
 
     def write(self, drive: Drive) -> None:
         self._drive = drive
@@ -182,7 +198,7 @@ def arm_bench(config: McsConfig, model: Model, cell: Cell) -> Bench:
 class PlantDriver:
     """The simulated testbed's physics in this process, in lockstep."""
 
-    n_joints, n_grippers, wall_period_s = 18, 2, 0.0
+    n_joints, n_grippers, n_wrenches, wall_period_s = 18, 2, 2, 0.0
 
     def __init__(self, cell: Cell, seed: int) -> None:
         self.period_s = cell.period
@@ -197,11 +213,14 @@ class PlantDriver:
         return True
 
     def read(self) -> Measured:
-        plant, tick = self.plant, self._tick
-        return Measured(tick, tick * 4_500_000, plant.encoders(tick), plant.power, plant.brakes, plant.gripper)
+        tick = self._tick
+        s = self.plant.sensors(tick)
+        return Measured(tick, tick * 4_500_000, s.q, s.power, s.brakes, s.gripper, s.age_s, s.wrench, s.gripper_force)
 
     def write(self, drive: Drive) -> None:
-        self.plant.run_tick(Command(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time))
+        self.plant.run_tick(
+            Command(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time, drive.gripper_force)
+        )
         self._tick += 1
 
     def close(self) -> None:

@@ -1,8 +1,9 @@
 import pytest
+from pydantic import ValidationError
 
 from im_core.config import package_file
 from im_core.errors import ConfigError, NotFoundError
-from im_mcs.config import load_config
+from im_mcs.config import McsConfig, load_config
 
 
 @pytest.fixture
@@ -31,10 +32,18 @@ def test_presets_partition_all_joints(config, cell):
     ("old", "new", "message"),
     [
         ("velocity: 0.95", "velocity: -1", r"mcs.yaml:\d+: limits.velocity: -1: .*greater than 0"),
-        ("preset: 2x9", "preset: 9x2", "preset '9x2' is not one of 1x18, 2x9, 3x6"),
-        ("joints: [left_track,", "joints: [left_trak,", "'left_trak', which is no joint slot"),
+        ("preset: 2x9", "preset: 9x2", r"mcs.yaml:4: preset: preset '9x2' is not one of 1x18, 2x9, 3x6"),
+        (
+            "joints: [left_track,",
+            "joints: [left_trak,",
+            r"mcs.yaml:\d+: presets.2x9.left.joints\[0\]: 'left_trak', which is no joint slot",
+        ),
         ("period_s: 0.0045", "periods: 0.0045", "servo.period_s"),
-        ("{name: left_j1, channel: 3}", "{name: left_track, channel: 3}", "two slots have the same name"),
+        (
+            "{name: left_j1, driver: testbed, channel: 3}",
+            "{name: left_track, driver: testbed, channel: 3}",
+            r"mcs.yaml:\d+: slots\[3\].name: two slots have the same name, 'left_track'",
+        ),
     ],
 )
 def test_mistakes_are_named_with_file_and_line(broken, old, new, message):
@@ -45,3 +54,28 @@ def test_mistakes_are_named_with_file_and_line(broken, old, new, message):
 def test_unknown_preset(config):
     with pytest.raises(NotFoundError, match="there is no preset '2x8'; did you mean '2x9'"):
         config.with_preset("2x8")
+
+
+def test_another_period_keeps_the_durations(config, cell):
+    """Physics steps stay as long as they were, as near as whole numbers allow."""
+    fast, servo = config.at_period(0.001), config.servo
+    assert fast.servo.period_s == 0.001
+    for name in ("rest_window_ticks", "brake_lead_ticks", "planning_divisor"):
+        assert getattr(fast.servo, name) * 0.001 == pytest.approx(getattr(servo, name) * servo.period_s, abs=5e-4)
+    assert fast.servo.settle.window_ticks == 72
+    assert config.at_period(servo.period_s) == config
+    assert (cell.at_period(0.001).period, cell.at_period(0.001).substeps) == (0.001, 1)
+    assert cell.at_period(cell.period) == cell
+
+
+@pytest.mark.parametrize(
+    ("period", "words"), [(0.0, "is not > 0"), (float("nan"), "is not > 0"), (0.2, "period of 0.2 s")]
+)
+def test_a_period_that_cannot_be_is_refused(config, period, words):
+    with pytest.raises(ConfigError, match=words):
+        config.at_period(period)
+
+
+def test_a_law_process_of_a_law_that_is_not_there_is_refused(config):
+    with pytest.raises(ValidationError, match="'my:Law' is none of the control laws"):
+        McsConfig.model_validate({**config.model_dump(), "law_processes": {"laws": ["my:Law"]}})

@@ -13,7 +13,7 @@ def test_tracks_and_rests_with_friction_and_encoder_noise(arm_bench, cell):
     worst = np.zeros(9)
 
     def watch():
-        error = np.abs(bench.mcs.setpoint - bench.mcs.measured.q)[:9]
+        error = np.abs(bench.mcs.setpoint[0] - bench.mcs.measured.q)[:9]
         np.maximum(worst, error, out=worst)
 
     target = cell.home[:9] + np.array([0.3, 0.5, 0.2, 0.6, -0.5, 0.6, 0.7, 0.7, 0.7])

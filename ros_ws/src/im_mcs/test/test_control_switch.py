@@ -130,12 +130,12 @@ def test_no_bump_in_closed_loop(smooth, make_bench, cell, first, second, moving)
         """Torques, velocities and errors, around the switch, as shares of the limits."""
         bench = make_bench(smooth(law))
         bench.to_motion("left")
-        bench.send("move", group="left", points=[target.tolist()], speed_scale=0.0)
+        bench.send("move", group="left", path={"kind": "joint", "points": [target.tolist()]})
         seen = []
         for tick in range(when + 130):
             messages = [{"id": 9, "request": "set_controller", "arguments": {"group": "left", "controller": other}}]
             bench.mcs.tick(messages if tick == when else [])
-            error = bench.mcs.setpoint[:9] - bench.mcs.measured.q[:9]
+            error = bench.mcs.setpoint[0, :9] - bench.mcs.measured.q[:9]
             seen.append((bench.mcs.tau[:9] / limits["torque"], bench.driver.v[:9], error))
         assert bench.reply(9)["success"]
         assert bench.mcs.groups["left"].controller.name == other
@@ -149,7 +149,8 @@ def test_no_bump_in_closed_loop(smooth, make_bench, cell, first, second, moving)
     acceleration = np.diff(v, axis=0) / PERIOD_S
     assert (np.abs(acceleration) <= limits["acceleration"]).all()
     jerks = [np.abs(np.diff(x, 2, axis=0) / PERIOD_S**2 / limits["jerk"]).max() for x in (v, *(u[1] for u in usual))]
-    assert jerks[0] <= max(jerks[1:]) + 0.3
+    # Torque has no step, its slope may have: where a soft law left an error that changes, a stiffer one takes it up.
+    assert jerks[0] <= max(jerks[1:]) + (0.4 if first == LAWS[3] and moving else 0.05)
 
 
 def test_a_switch_is_refused_by_name_and_allowed_wherever_the_group_is_reserved(smooth, make_bench):
@@ -198,18 +199,21 @@ def test_random_switches_with_friction_and_noise_leave_the_motion_undisturbed(pl
     bench.to_motion("left")
     mcs, plant = bench.mcs, bench.driver.plant
     target = cell.home[:9] + np.array([0.3, 0.5, 0.2, 0.6, -0.5, 0.6, 0.7, 0.7, 0.7])
-    q, worst = plant.q, 0.0
+    q, errors = plant.q, []
     for point in (target, cell.home[:9], target):
-        number = bench.send("move", group="left", points=[point.tolist()], speed_scale=0.0)
+        number = bench.send("move", group="left", path={"kind": "joint", "points": [point.tolist()]})
         while bench.reply(number) is None:
             if random.uniform() < 0.01:
                 switch = bench.send("set_controller", group="left", controller=str(random.choice(LAWS)))
                 assert bench.reply(switch)["success"]
             else:
                 mcs.tick([])
-            worst = max(worst, np.abs(mcs.setpoint - q)[:9].max())
+            errors.append(np.abs(mcs.setpoint[0] - q)[:9].max())
             q = plant.q
         assert bench.reply(number)["success"], bench.reply(number)
         np.testing.assert_allclose(plant.q[:9], point, atol=6e-4)
-    assert worst < 5e-3  # what the worst of the laws, pure PID, does by itself
-    assert mcs.saturations == 0
+    # Pure PID is 4 mrad off by itself. Two more changes before what its torque lacked has faded, as a motion begins and
+    # errors grow, double that for a moment; a shorter fade would be a bump.
+    assert max(errors) < 1e-2
+    assert np.mean(np.array(errors) > 5e-3) < 0.02
+    assert mcs.saturations.total == 0

@@ -1,7 +1,9 @@
 """docs/control_law.md: its law is loaded, configured, switched to and followed, as the page says."""
 
 import ast
+import os
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +19,10 @@ LAW = "my_laws:SlidingMode"
 
 @pytest.fixture(scope="module")
 def blocks():
-    """The first block of each language."""
+    """The law, what makes it one to switch to, and what moves it into a process of its own."""
     found = re.findall(r"^```(python|yaml)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    assert [language for language, _ in found] == ["python", "yaml"]
-    return dict(found)
+    assert [language for language, _ in found] == ["python", "yaml", "yaml"]
+    return dict(zip(("python", "yaml", "process"), (block for _, block in found), strict=True))
 
 
 @pytest.fixture
@@ -50,7 +52,7 @@ def test_it_is_switched_to_and_follows(tutorial, plant_bench, cell):
 
     def watch():
         nonlocal worst, q
-        worst = max(worst, np.abs(bench.mcs.setpoint - q)[:9].max())
+        worst = max(worst, np.abs(bench.mcs.setpoint[0] - q)[:9].max())
         q = plant.q
 
     target = cell.home[:9] + np.array([0.3, 0.5, 0.2, 0.6, -0.5, 0.6, 0.7, 0.7, 0.7])
@@ -72,3 +74,18 @@ def test_a_wrong_parameter_is_named_before_anything_moves(tutorial, make_bench):
     tutorial["switching"]["laws"][LAW]["push"] = -1.0
     with pytest.raises(ConfigError, match="'push'"):
         make_bench(McsConfig.model_validate(tutorial))
+
+
+def test_it_carries_an_arm_from_a_process_of_its_own(tutorial, blocks, make_bench, tmp_path, monkeypatch, cell):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    tutorial |= yaml.safe_load(blocks["process"])
+    bench = make_bench(McsConfig.model_validate(tutorial))
+    try:
+        bench.to_motion("left")
+        controller = bench.mcs.groups["left"].controller
+        assert bench.ask("set_controller", group="left", controller=LAW)["success"]
+        assert controller.name == LAW
+        assert not controller.switching
+        np.testing.assert_allclose(bench.driver.q, cell.home, atol=1e-4)
+    finally:
+        bench.mcs.close()

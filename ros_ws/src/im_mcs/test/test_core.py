@@ -12,6 +12,10 @@ from im_mcs.state import State
 LEFT = slice(0, 9)
 
 
+def joint_path(*points):
+    return {"kind": "joint", "points": [list(map(float, point)) for point in points]}
+
+
 @pytest.fixture
 def target(cell):
     return cell.home[LEFT] + np.array([0.1, 0.2, 0.1, 0.3, -0.2, 0.3, 0.4, 0.4, 0.4])
@@ -68,7 +72,7 @@ def test_gravity_torque_is_there_before_the_brakes_release(bench, model, cell):
 
 def test_estop_acts_in_the_same_tick_and_reset_moves_nothing(bench, cell, target):
     bench.to_motion("left")
-    goal = bench.send("move", group="left", points=[target.tolist()], speed_scale=0.0)
+    goal = bench.send("move", group="left", path=joint_path(target))
     for _ in range(80):
         bench.mcs.tick([])
     number = bench.send("estop", reason="red button")
@@ -109,8 +113,8 @@ def test_estop_interrupts_a_transition(bench, request_name):
 def test_two_groups_move_at_once(bench, cell, target):
     bench.to_motion("left", "right")
     right = cell.home[9:] + np.array([-0.1, 0.1, 0.0, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1])
-    a = bench.send("move", group="left", points=[target.tolist()], speed_scale=0.0)
-    b = bench.ask("move", group="right", points=[right.tolist()], speed_scale=0.5)
+    a = bench.send("move", group="left", path=joint_path(target))
+    b = bench.ask("move", group="right", path=joint_path(right), speed_scale=0.5)
     assert bench.reply(a)["success"]
     assert b["success"]
     np.testing.assert_allclose(bench.driver.q, [*target, *right], atol=1e-4)
@@ -118,8 +122,8 @@ def test_two_groups_move_at_once(bench, cell, target):
 
 def test_a_move_through_points_reports_progress(bench, cell, target):
     bench.to_motion("left")
-    home = cell.home[LEFT].tolist()
-    reply = bench.ask("move", group="left", points=[target.tolist(), home, target.tolist()], speed_scale=1.0)
+    home = cell.home[LEFT]
+    reply = bench.ask("move", group="left", path=joint_path(target, home, target))
     assert reply["success"]
     told = [e for e in bench.events if e["event"] == "progress"]
     assert [e["progress"] for e in told] == sorted(e["progress"] for e in told)
@@ -128,10 +132,10 @@ def test_a_move_through_points_reports_progress(bench, cell, target):
 
 def test_cancel_decelerates_and_a_second_goal_is_refused(bench, cell, target):
     bench.to_motion("left")
-    goal = bench.send("move", group="left", points=[target.tolist()], speed_scale=0.0)
+    goal = bench.send("move", group="left", path=joint_path(target))
     for _ in range(60):
         bench.mcs.tick([])
-    refused(bench.reply(bench.send("move", group="left", points=[target.tolist()], speed_scale=0.0)), "is moving")
+    refused(bench.reply(bench.send("move", group="left", path=joint_path(target))), "is moving")
     refused(bench.reply(bench.send("disable_motion")), "'left' moves")
     limit = bench.mcs.limits.motion.acceleration[LEFT]
     bench.send("cancel", goal=goal)
@@ -151,23 +155,29 @@ def with_joint(target, i, value):
     return [*target[:i], value, *target[i + 1 :]]
 
 
+def path(*points, **more):
+    return {"path": joint_path(*points), **more}
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda t: {"points": [with_joint(t.tolist(), 3, 3.5)]}, ["left_j1", "3.5", "2.78", "rad"]),
-        (lambda t: {"points": [with_joint(t.tolist(), 0, math.nan)]}, ["left_track", "nan", "finite"]),
-        (lambda t: {"points": [t.tolist(), t.tolist()[:8]]}, ["point 2", "8 positions", "9 joints"]),
-        (lambda t: {"points": []}, ["0 points"]),
-        (lambda t: {"points": [t.tolist()] * 201}, ["201 points"]),
-        (lambda t: {"points": [t.tolist()], "speed_scale": 1.5}, ["speed_scale", "1.5"]),
-        (lambda t: {"points": [t.tolist()], "group": "right"}, ["'right' is not reserved", "left"]),
-        (lambda t: {"points": [t.tolist()], "group": "lefft"}, ["lefft", "did you mean 'left'"]),
+        (lambda t: path(with_joint(t, 3, 3.5)), ["left_j1", "3.5", "2.78", "rad"]),
+        (lambda t: path(with_joint(t, 0, math.nan)), ["left_track", "nan", "finite"]),
+        (lambda t: path(t, t[:8]), ["point 2", "8 positions", "9 joints"]),
+        (lambda t: path(), ["0 points"]),
+        (lambda t: path(*[t] * 201), ["201 points"]),
+        (lambda t: path(t, speed_scale=1.5), ["speed_scale", "1.5"]),
+        (lambda t: path(t, policy="perhaps"), ["policy", "append", "'perhaps'"]),
+        (lambda t: {"path": {"kind": "circle"}}, ["path", "kind joint, line or trajectory"]),
+        (lambda t: path(t, group="right"), ["'right' is not reserved", "left"]),
+        (lambda t: path(t, group="lefft"), ["lefft", "did you mean 'left'"]),
     ],
 )
 def test_wrong_moves_are_refused_and_nothing_moves(bench, cell, target, change, words):
     bench.to_motion("left")
     before = bench.driver.q.copy()
-    refused(bench.ask("move", **{"group": "left", "speed_scale": 0.0, **change(target)}), *words)
+    refused(bench.ask("move", **{"group": "left", **change(target)}), *words)
     assert not bench.mcs.wants_time
     for _ in range(5):
         bench.mcs.tick([])
@@ -177,13 +187,13 @@ def test_wrong_moves_are_refused_and_nothing_moves(bench, cell, target, change, 
 
 def test_unknown_requests_and_arguments_are_refused(bench):
     refused(bench.ask("dance"), "no request 'dance'")
-    refused(bench.ask("reserve"), "reserve takes group, not none")
+    refused(bench.ask("reserve"), "reserve takes group, [owner], [lease_s], not none")
     refused(bench.ask("power_on", loud=True), "power_on takes no arguments, not loud")
 
 
 def test_a_jammed_joint_stops_the_motion_and_is_named(bench, cell, target):
     bench.to_motion("left")
-    goal = bench.send("move", group="left", points=[target.tolist()], speed_scale=0.0)
+    goal = bench.send("move", group="left", path=joint_path(target))
     for _ in range(1500):
         bench.driver.q[5] = cell.home[5]
         bench.driver.v[5] = 0.0
@@ -213,7 +223,7 @@ def test_power_loss_and_missing_readings_are_estops(bench, cell):
 
 def test_a_lost_testbed_ends_the_goal(bench, target):
     bench.to_motion("left")
-    goal = bench.send("move", group="left", points=[target.tolist()], speed_scale=0.0)
+    goal = bench.send("move", group="left", path=joint_path(target))
     bench.mcs.lose_testbed(LinkError("the testbed's physics process is gone"))
     refused(bench.reply(goal), "physics process is gone")
     assert bench.mcs.manager.state is State.ESTOPPED

@@ -84,7 +84,7 @@ def test_what_is_wrong_is_named(run, arguments, sentence):
     assert err.startswith("model: ")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.text(max_size=40) | st.recursive(st.none() | st.floats() | st.integers(), st.lists).map(json.dumps))
 def test_any_text_is_computed_or_refused(text):
     assert main([f"--q={text}", "--json"]) in (0, 2)

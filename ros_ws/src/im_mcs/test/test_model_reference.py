@@ -95,9 +95,7 @@ def motors(rows):
     return np.diag([row.motor_inertia * row.gear**2 for row in rows])
 
 
-@pytest.mark.parametrize(
-    ("group", "rows"), [("left_arm", PUMA_560), ("right_arm", PUMA_600)], ids=["560", "600"]
-)
+@pytest.mark.parametrize(("group", "rows"), [("left_arm", PUMA_560), ("right_arm", PUMA_600)], ids=["560", "600"])
 def test_arms_are_those_of_the_recursion(capsys, group, rows):
     random = np.random.default_rng(7)
     for q in random.uniform(-3.0, 3.0, (5, 6)):

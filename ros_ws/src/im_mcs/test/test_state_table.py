@@ -2,8 +2,8 @@ import itertools
 
 import pytest
 
-from im_core.errors import NotFoundError, StateError
-from im_mcs.state import TABLE, UNCONFIGURED_MESSAGE, Event, Reservations, State, lifecycle_of, next_state
+from im_core.errors import StateError
+from im_mcs.state import TABLE, UNCONFIGURED_MESSAGE, Event, State, lifecycle_of, next_state
 from im_mcs.state.table import allowed_in
 
 ROWS = {(row.source, row.event): row.target for row in TABLE}
@@ -42,19 +42,3 @@ def test_the_architecture_s_rows_are_there():
 
 def test_lifecycle_is_active_exactly_with_power():
     assert {s for s in State if lifecycle_of(s) == "active"} == {State.ACTIVE, State.MOTION}
-
-
-def test_a_slot_has_one_owner():
-    groups = Reservations({"left": ["a", "b"], "right": ["c"], "both": ["b", "c"]})
-    groups.reserve("left")
-    with pytest.raises(StateError, match="group 'both' cannot be reserved: slot 'b' is owned by group 'left'"):
-        groups.reserve("both")
-    groups.reserve("right")
-    assert groups.groups == ("left", "right")
-    with pytest.raises(StateError, match="reserved already"):
-        groups.reserve("left")
-    groups.release("left")
-    with pytest.raises(StateError, match=r"'left' is not reserved \(reserved: right\)"):
-        groups.release("left")
-    with pytest.raises(NotFoundError, match="did you mean 'left'"):
-        groups.reserve("lefft")

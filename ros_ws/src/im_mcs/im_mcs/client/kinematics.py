@@ -1,24 +1,38 @@
 """Kinematic questions that are answered without the servo; safe to ask from several threads."""
 
-import math
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_core.errors import DataError, NotFoundError, StateError
-from im_mcs.client.requests import check_measured_path
+from im_core.errors import NotFoundError, StateError
+from im_mcs.client.points import check_measured_path
 from im_mcs.collision import CollisionChecker
 from im_mcs.config import Group, McsConfig
-from im_mcs.ik import InverseKinematics
+from im_mcs.inverse import InverseKinematics
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
+from im_mcs.planning.pose_values import check_pose
+
+
+@dataclass(frozen=True)
+class Forward:
+    """Where a frame is, and how the joints of a group move it.
+
+    Attributes:
+        pose: Of the frame in ``world``.
+        jacobian: Velocity of its origin along the axes of ``world``, shape (6, n): linear, angular.
+    """
+
+    pose: pin.SE3
+    jacobian: NDArray[np.float64]
 
 
 class Kinematics:
-    """Inverse kinematics and path checks for the groups of a configuration.
+    """Forward and inverse kinematics and path checks for the groups of a configuration.
 
     Args:
         config: Configuration.
@@ -28,9 +42,30 @@ class Kinematics:
     def __init__(self, config: McsConfig, model: Model) -> None:
         self._config = config
         self._model = model
-        self._limits = JointLimits(model, config.limits)
-        self._collision = CollisionChecker(model, config.clearance_m)
+        self._limits = JointLimits(model, config.limits, config.slots)
+        self._collision = CollisionChecker(model, config.collision.clearance_m)
         self._lock = threading.Lock()
+
+    def forward(self, group: str, q: Sequence[float], q_all: NDArray[np.float64], frame: str = "") -> Forward:
+        """Pose of a frame with the joints of a group at ``q``, and the group's Jacobian.
+
+        Args:
+            group: Name of the group.
+            q: Positions of its joints, shape (n,), beyond their limits too; empty: where the group is.
+            q_all: Positions of all joints, shape (18,) [rad or m].
+            frame: Link or frame; empty: the group's wrist.
+
+        Raises:
+            NotFoundError: No such group or frame.
+            StateError: The group has no wrist, and no frame was named.
+            DataError: Wrong number of positions, or one is not finite.
+        """
+        name = frame or self._wrist(group)
+        index, whole = self.index(group), q_all.copy()
+        if len(q):
+            whole[index] = self._limits.check_finite(index, q, "q")
+        with self._lock:
+            return Forward(self._model.pose(whole, name), self._model.jacobian(whole, name)[:, index].copy())
 
     def inverse(
         self,
@@ -58,14 +93,12 @@ class Kinematics:
             LimitError: The seed is out of range.
             ImError: Every solution is in collision.
         """
-        description = self._group(group)
-        if description.wrist is None:
-            raise StateError(f"group '{group}' has no wrist; inverse kinematics needs one", group=group)
+        wrist = self._wrist(group)
         target = wrist_pose(position, orientation)
         index = self.index(group)
         start = self._limits.check_positions(index, seed, "seed") if len(seed) else q_all[index]
         with self._lock:
-            solver = InverseKinematics(self._model, self._limits, index, description.wrist)
+            solver = InverseKinematics(self._model, self._limits, index, wrist)
             return solver.solve(target, q_all, start, self._collision if avoid_collisions else None)
 
     def check_path(self, group: str, points: list[list[float]], q_all: NDArray[np.float64]) -> float:
@@ -91,6 +124,12 @@ class Kinematics:
         """
         return np.array([self._model.index(joint) for joint in self._group(group).joints], dtype=np.intp)
 
+    def _wrist(self, group: str) -> str:
+        wrist = self._group(group).wrist
+        if wrist is None:
+            raise StateError(f"group '{group}' has no wrist whose pose could be meant", group=group)
+        return wrist
+
     def _group(self, name: str) -> Group:
         groups = self._config.groups
         if name not in groups:
@@ -104,12 +143,4 @@ def wrist_pose(position: Sequence[float], orientation: Sequence[float]) -> pin.S
     Raises:
         DataError: A value is not finite, or the quaternion is not of length 1 (within 1 %).
     """
-    values = [*position, *orientation]
-    if not all(math.isfinite(value) for value in values):
-        raise DataError(f"the pose {values} has a value that is not a finite number")
-    x, y, z, w = orientation
-    norm = math.hypot(x, y, z, w)
-    if abs(norm - 1.0) > 0.01:
-        raise DataError(f"the orientation ({x}, {y}, {z}, {w}) is not a unit quaternion: its length is {norm:.4g}")
-    quaternion = pin.Quaternion(w / norm, x / norm, y / norm, z / norm)
-    return pin.SE3(quaternion.matrix(), np.array(position, dtype=np.float64))
+    return pin.XYZQUATToSE3(np.array(check_pose([*position, *orientation])))

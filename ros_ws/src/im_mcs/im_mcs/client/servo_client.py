@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import ImError, LinkError
-from im_core.testbed_link import Slot, TestbedLink
 from im_mcs.client.requests import Request
+from im_mcs.client.time_source import TimeSource
 from im_mcs.servo.channel import STATES, ServoChannel
+from im_mcs.servo.recorder import Records
 from im_mcs.state import Event, State
 
 _BELL_S = 0.02
@@ -40,25 +41,25 @@ OnProgress = Callable[[float, int], None]
 class ServoClient:
     """Requests to the servo process and their answers.
 
-    A thread of its own waits for events; it calls back from there.
+    A thread of its own waits for events and calls back from there. Signs of life are given by :meth:`beat`, which
+    whoever answers for the machine calls from where it would notice a stop: a thread of its own would hide a hang.
 
     Args:
         channel: Created by the caller, who owns it.
-        link: The testbed's clock, asked for time when a request must be heard; closed with the client.
+        time: The testbed's clock, asked for time when a request must be heard; closed with the client.
         on_state: Told of every change of state, and why.
     """
 
-    def __init__(
-        self, channel: ServoChannel, link: TestbedLink, on_state: OnState = lambda state, reason: None
-    ) -> None:
+    def __init__(self, channel: ServoChannel, time: TimeSource, on_state: OnState = lambda state, reason: None) -> None:
         self._channel = channel
-        self._link = link
+        self._time = time
         self._on_state = on_state
+        self._records = Records(channel.layout, channel.evidence)
         self._lock = threading.Lock()
         self._next_id = 1
         self._waiting: dict[int, tuple[OnReply, OnProgress | None]] = {}
         self._running = True
-        self._closing_error: ImError | None = None
+        self._refusal: ImError | None = None
         self._thread = threading.Thread(target=self._listen, name="mcs_events", daemon=True)
         self._thread.start()
 
@@ -76,16 +77,16 @@ class ServoClient:
 
         Raises:
             DataError: An argument is not finite.
-            LinkError: The servo process has ended or does not take requests.
+            LinkError: The servo process has ended, hangs, or does not take requests.
         """
         with self._lock:
-            if self._closing_error is not None:
-                raise self._closing_error
+            if self._refusal is not None and event is not Event.ESTOP:
+                raise self._refusal
             request = Request(self._next_id, event, arguments or {})
             self._channel.requests.send(request.to_message())
             self._next_id += 1
             self._waiting[request.id] = (on_reply or (lambda reply: None), on_progress)
-        self._ask_for_time()
+        self._time.ask()
         return request.id
 
     def snapshot(self) -> NDArray[np.void]:
@@ -97,47 +98,67 @@ class ServoClient:
         return STATES[int(self.snapshot()["state"])]
 
     def samples(self) -> list[dict[str, Any]]:
-        """Joint states since the last call."""
-        return list(self._channel.samples.receive_all())
+        """What the joints did since the last call: fields of :func:`im_mcs.servo.samples.sample_type`, as lists."""
+        return self._channel.samples.take()
+
+    def evidence(self, number: int) -> dict[str, Any] | None:
+        """The last seconds before an abort, oldest tick first; None if there is no such record, or none any more.
+
+        ``tick`` and ``stamp_ns`` have shape (m,); ``q``, ``v``, ``tau``, ``setpoint_q``, ``setpoint_v``,
+        ``setpoint_a`` and ``following_error`` (m, n); ``wrench`` (m, w, 6).
+
+        Args:
+            number: As ``evidence`` in the results of a request, in the facts of a fault, or in the snapshot.
+        """
+        return self._records.read(number)
+
+    def beat(self) -> None:
+        """Give the servo a sign of life; from the first one on it watches that they go on."""
+        self._channel.heartbeat.beat()
+
+    def silence_s(self) -> float:
+        """For how long the servo process has given no sign of life, wall time [s]."""
+        return self._channel.heartbeat.silence_s()
 
     def give_up(self, error: ImError) -> None:
         """The servo process is gone: every request that waits is answered with ``error``, and so is every new one."""
         with self._lock:
-            self._closing_error = error
+            self._refusal = error
             waiting, self._waiting = self._waiting, {}
         for on_reply, _ in waiting.values():
             on_reply(Reply(error, {}))
+
+    def suspend(self, error: ImError) -> None:
+        """The servo process hangs: as :meth:`give_up`, until :meth:`resume`; to be called as long as it hangs.
+
+        An emergency stop is passed on nevertheless, and acts when the process wakes. So does the cancelling of
+        everything whose sender has been told that it failed.
+        """
+        with self._lock, suppress(LinkError):  # of a queue that is full: what does not fit was not asked for either
+            for number in self._waiting:
+                self._channel.requests.send(Request(0, Event.CANCEL, {"goal": number}).to_message())
+        self.give_up(error)
+
+    def resume(self) -> None:
+        """The servo process has woken: requests are taken again."""
+        with self._lock:
+            self._refusal = None
 
     def close(self) -> None:
         """End the thread and answer what still waits."""
         self._running = False
         self._thread.join()
-        self._link.close()
+        self._time.close()
         self.give_up(LinkError("MCS is being shut down"))
 
     def _listen(self) -> None:
         while self._running:
-            tick = self._link.tick
+            tick = self._time.tick
             rung = self._channel.bell.wait(_BELL_S)
             for message in self._channel.events.receive_all():
                 self._hand_out(message)
-            if not rung and not self._channel.requests.empty() and self._link.tick == tick:
-                # Time stood still before the servo could hear the request. Asked for by number, so that a tick which
-                # begins just now is not followed by another one.
-                self._link.request_until(Slot.MCS, tick + 1)
-                self._renew_link()
-
-    def _ask_for_time(self) -> None:
-        self._link.request_time(Slot.MCS, 1)
-
-    def _renew_link(self) -> None:
-        """Turn to a new testbed, if the one before is gone and there is one."""
-        if not self._link.physics_alive():
-            with suppress(LinkError):
-                link = TestbedLink.attach(self._link.instance, 0.0)
-                self._link.close()
-                self._link = link
-                self._ask_for_time()
+            if not rung and not self._channel.requests.empty() and self._time.tick == tick:
+                self._time.ask_until(tick + 1)  # it stood still before the servo could hear the request
 
     def _hand_out(self, message: dict[str, Any]) -> None:
         if message["event"] == "state":

@@ -3,5 +3,6 @@
 from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
 from im_mcs.control.laws import ControlLaws
 from im_mcs.control.loading import load_controller
+from im_mcs.control.source import LawSource
 
-__all__ = ["ControlInput", "ControlLaws", "Controller", "ControllerSetup", "load_controller"]
+__all__ = ["ControlInput", "ControlLaws", "Controller", "ControllerSetup", "LawSource", "load_controller"]

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from im_core.config import Model as ConfigModel
 from im_mcs.control.controller import ControllerSetup
-from im_mcs.control.feedback import Feedback
+from im_mcs.control.feedback import Feedback, clip
 
 
 class FrictionParameters(ConfigModel):
@@ -45,7 +45,7 @@ class FrictionFeedforward:
             feedback: Whose error a joint at rest is helped to leave; none: it is not helped.
         """
         direction = self._share * np.tanh(v / self._speed)
-        if feedback is not None and not feedback.holding:
+        if feedback is not None and not feedback.holding and np.count_nonzero(v) < len(v):
             direction = np.where(v != 0.0, direction, self._push(feedback))
         coulomb = np.where(direction > 0.0, self._positive, self._negative)
         return np.asarray(coulomb * direction + self._viscous * v)
@@ -55,5 +55,5 @@ class FrictionFeedforward:
 
         The integral does the rest. At rest there is no push: friction alone holds the joint, far from the verge.
         """
-        excess = np.clip(np.abs(feedback.smooth_error) / feedback.parameters.deadband - 1.0, 0.0, 1.0)
+        excess = clip(np.abs(feedback.smooth_error) / feedback.parameters.deadband - 1.0, 0.0, 1.0)
         return np.asarray(self._stiction * np.copysign(excess, feedback.smooth_error))

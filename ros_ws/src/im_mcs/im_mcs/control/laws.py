@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from im_core.errors import NotFoundError
 from im_mcs.control.controller import ControlInput, Controller
+from im_mcs.control.law_process import RemoteLaw
+from im_mcs.model import ControlledModel
 
 _SHADOW_S = 0.036
 
@@ -54,13 +56,22 @@ class ControlLaws:
         name: The one in force at first.
         period_s: Servo period [s].
         handover_s: Time in which the difference fades [s].
+        model: The laws' model, if what the arms carry may change: while it does, nothing is at rest, and integrals run.
 
     Attributes:
         name: The law in force, or about to be.
     """
 
-    def __init__(self, laws: Mapping[str, Controller], name: str, period_s: float, handover_s: float) -> None:
+    def __init__(
+        self,
+        laws: Mapping[str, Controller],
+        name: str,
+        period_s: float,
+        handover_s: float,
+        model: ControlledModel | None = None,
+    ) -> None:
         self._laws = dict(laws)
+        self._model = model
         self._shadow_ticks = math.ceil(_SHADOW_S / period_s)
         self._fade_ticks = math.ceil(handover_s / period_s)
         self.name = name
@@ -69,8 +80,17 @@ class ControlLaws:
 
     @property
     def switching(self) -> bool:
-        """Whether a handover is under way: the arm is not at rest then, whatever it looks like."""
-        return self._next is not None or self._present.left > 0.0
+        """Whether a handover, or a change of payload, is under way: the arm is not at rest then, whatever it looks."""
+        return self._next is not None or self._present.left > 0.0 or self._model_changes
+
+    @property
+    def late(self) -> int:
+        """How many answers of laws in processes of their own were late so far; the ticks made do without them."""
+        return sum(law.late for law in self._laws.values() if isinstance(law, RemoteLaw))
+
+    @property
+    def _model_changes(self) -> bool:
+        return self._model is not None and self._model.changing
 
     def switch(self, name: str) -> None:
         """Let another law take over from the next tick on; nothing happens if it is in force.
@@ -106,6 +126,8 @@ class ControlLaws:
             ControlLawError: A law failed, be it the one in the shadow.
         """
         present, coming = self._present, self._next
+        if self._model_changes:
+            present.law.hold_integral(False)
         if coming is None and present.left > 0.0:
             present.ticks += 1
             past = present.ticks / self._fade_ticks

@@ -38,7 +38,7 @@ class PidGravity(Pid):
         """Gravity, friction at the wanted velocity and own inertia at the wanted acceleration, shape (n,)."""
         setpoint = given.setpoint
         tau = self._share.gravity * given.gravity + self._friction.torque(setpoint.v, self._feedback)
-        if self._share.inertia > 0.0 and setpoint.a.any():
+        if self._share.inertia > 0.0 and np.count_nonzero(setpoint.a):
             inertia = self._model.inertia_diagonal(given.q_all)[self._joints]
             tau = tau + self._share.inertia * inertia * setpoint.a
         return np.asarray(tau)

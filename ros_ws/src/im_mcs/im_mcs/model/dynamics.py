@@ -35,10 +35,6 @@ class Model:
         if order != self.names:
             raise NotFoundError(kind="joint order", name=", ".join(order), known=self.names)
 
-    def wrong_by(self, error: float) -> "Model":
-        """The same with masses and inertias ``1 + error`` times as large, to study how robust a control law is."""
-        return Model(self.cell, error) if error != 0.0 else self
-
     def index(self, joint: str) -> int:
         """Rank of a joint.
 
@@ -70,7 +66,7 @@ class Model:
 
     def inertia_diagonal(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Each joint's own inertia at ``q`` while the others stand still, shape (18,)."""
-        return np.diag(pin.crba(self.pin, self._data, q)).copy()
+        return np.asarray(pin.crba(self.pin, self._data, q).diagonal().copy())
 
     def inverse_dynamics(
         self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]

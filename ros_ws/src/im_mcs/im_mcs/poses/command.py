@@ -73,8 +73,8 @@ def make_selector(config_file: Path | None, group: str, cameras: Sequence[str]) 
     model = Model(cell)
     return PoseSelector(
         model=model,
-        limits=JointLimits(model, config.limits),
-        checker=CollisionChecker(model, config.clearance_m),
+        limits=JointLimits(model, config.limits, config.slots),
+        checker=CollisionChecker(model, config.collision.clearance_m),
         index=np.array([model.index(joint) for joint in description.joints], dtype=np.intp),
         frame=description.wrist,
         cameras=[cell.cameras[camera] for camera in cameras],

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, ImError
 from im_core.robot import Camera
 from im_mcs.collision import CollisionChecker
-from im_mcs.ik import InverseKinematics
+from im_mcs.inverse import InverseKinematics
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
 from im_mcs.planning.joint_path import JointPath

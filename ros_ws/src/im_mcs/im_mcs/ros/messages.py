@@ -1,22 +1,27 @@
 """What MCS knows, as messages."""
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Pose, TransformStamped
+from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectoryPoint
 
-from im_core.robot import Cell
+from im_core.errors import DataError
 from im_mcs.client.group_state import GroupState
 from im_mcs.config import McsConfig
-from im_mcs.model import Model
+from im_mcs.safety.saturation import KINDS
 from im_mcs.state import State
+from im_msgs.msg import GroupPath, GroupStatus, McsState
 from im_msgs.msg import GroupState as GroupStateMessage
-from im_msgs.msg import McsState
+
+_SILENCE_S = 1.0
 
 
 def time(stamp_ns: int) -> Time:
@@ -24,10 +29,27 @@ def time(stamp_ns: int) -> Time:
     return Time(sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
 
 
+def duration(seconds: float) -> Duration:
+    """A duration from seconds."""
+    nanoseconds = round(seconds * 1e9)
+    return Duration(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def check_finite(**values: float) -> None:
+    """Refuse what is not finite: it does not travel.
+
+    Raises:
+        DataError: Names the first value that is not.
+    """
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise DataError(f"{name} is {value}, not a finite number", field=name)
+
+
 def pose(placement: pin.SE3) -> Pose:
     """A pose from a placement."""
     message = Pose()
-    _fill(message.position, message.orientation, placement)
+    fill_placement(message.position, message.orientation, placement)
     return message
 
 
@@ -58,90 +80,115 @@ def joint_state(names: tuple[str, ...], sample: dict[str, Any]) -> JointState:
     return message
 
 
+def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> GroupPath:
+    """``im_msgs/GroupPath`` of the ``path`` of a MOVE request."""
+    message = GroupPath(stamp=time(stamp_ns), kind=path["kind"], blend=float(path.get("blend", 0.0)))
+    if path["kind"] == "line":
+        for values in path["poses"]:
+            item = Pose()
+            item.position.x, item.position.y, item.position.z = values[:3]
+            item.orientation.x, item.orientation.y, item.orientation.z, item.orientation.w = values[3:]
+            message.line.append(item)
+        return message
+    message.path.joint_names = list(joints)
+    for point in path["points"]:
+        if isinstance(point, dict):
+            item = JointTrajectoryPoint(positions=point["positions"], velocities=point["velocities"])
+            item.accelerations = point["accelerations"]
+            item.time_from_start = duration(point["time"])
+        else:
+            item = JointTrajectoryPoint(positions=point)
+        message.path.points.append(item)
+    return message
+
+
 def mcs_state(config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None) -> McsState:
     """``im_msgs/McsState``."""
     message = McsState(
         state=state.value, reason=reason, brakes=True, preset=config.preset, period=config.servo.period_s
     )
-    if snapshot is not None and state is not State.UNCONFIGURED:
-        reserved = dict(zip([slot.name for slot in config.joint_slots], snapshot["reserved"].tolist(), strict=True))
-        held = snapshot["brakes"][snapshot["reserved"]]
-        message.stamp = time(int(snapshot["stamp_ns"]))
-        message.power = bool(snapshot["power"])
-        message.brakes = bool(held.all()) if held.size else bool(snapshot["brakes"].all())
-        message.reserved_groups = [name for name, g in config.groups.items() if all(reserved[j] for j in g.joints)]
-        message.tick = int(snapshot["tick"])
-        message.missed_deadlines = int(snapshot["missed_deadlines"])
-        message.mean_period = float(snapshot["mean_period_s"])
-        message.real_time_scheduling = bool(snapshot["real_time"])
+    if snapshot is None or state is State.UNCONFIGURED:
+        return message
+    groups = [group_status(config, row, snapshot) for row in snapshot["groups"] if text(row["name"]) in config.groups]
+    held = snapshot["brakes"][snapshot["reserved"]]
+    message.stamp = time(int(snapshot["stamp_ns"]))
+    message.power = bool(snapshot["power"])
+    message.brakes = bool(held.all()) if held.size else bool(snapshot["brakes"].all())
+    message.groups = groups
+    message.reserved_groups = [group.group for group in groups if group.reserved]
+    message.paused_groups = [group.group for group in groups if group.paused]
+    message.protective_stop = next((group.protective_stop for group in groups if group.protective_stop), "")
+    message.tick = int(snapshot["tick"])
+    message.missed_deadlines = int(snapshot["missed_deadlines"])
+    message.saturations = int(snapshot["saturations"].sum())
+    message.distance = float(snapshot["distance"])
+    message.closest = [name for name in map(text, snapshot["closest"]) if name]
+    message.mean_period = float(snapshot["mean_period_s"])
+    message.real_time_scheduling = bool(snapshot["real_time"])
     return message
 
 
-def diagnostics(state: State, snapshot: NDArray[np.void]) -> DiagnosticArray:
-    """How the servo loop keeps time."""
+def group_status(config: McsConfig, row: np.void, snapshot: NDArray[np.void]) -> GroupStatus:
+    """``im_msgs/GroupStatus`` of a row of the snapshot's groups."""
+    name = text(row["name"])
+    slots = [slot.name for slot in config.joint_slots]
+    index = [slots.index(joint) for joint in config.groups[name].joints]
+    return GroupStatus(
+        group=name,
+        reserved=bool(row["reserved"]),
+        owner=text(row["owner"]),
+        lease=float(row["lease_left_s"]),
+        lapsed=bool(row["lapsed"]),
+        moving=bool(row["moving"]),
+        paused=bool(row["paused"]),
+        speed=float(row["speed"]),
+        controller=text(row["controller"]),
+        protective_stop=text(row["protective_stop"]),
+        saturations=snapshot["saturations"][:, index].sum(axis=1).astype(np.uint64),
+    )
+
+
+def laws(snapshot: NDArray[np.void]) -> dict[str, str]:
+    """Control law in force of each group."""
+    return {text(row["name"]): text(row["controller"]) for row in snapshot["groups"]}
+
+
+def text(value: bytes) -> str:
+    """A text of the snapshot; one that was cut in the middle of a letter loses that."""
+    return bytes(value).decode(errors="ignore")
+
+
+def diagnostics(
+    state: State, snapshot: NDArray[np.void], silence_s: float, refused: Mapping[str, int]
+) -> DiagnosticArray:
+    """How the servo loop keeps time, and what was refused on topics."""
     status = DiagnosticStatus(name="mcs: servo", hardware_id="testbed", message=state.value)
     linked = bool(snapshot["linked"])
     status.level = DiagnosticStatus.OK if linked and state is not State.ESTOPPED else DiagnosticStatus.ERROR
     if not linked:
         status.message = f"{state.value}; the testbed does not answer"
-    for key in ("tick", "ticks", "missed_deadlines", "saturations"):
+    if silence_s > _SILENCE_S:
+        status.level = DiagnosticStatus.ERROR
+        status.message = f"{state.value}; the servo has given no sign of life for {silence_s:.1f} s"
+    for key in ("tick", "ticks", "missed_deadlines"):
         status.values.append(KeyValue(key=key, value=str(int(snapshot[key]))))
+    for kind, counts in zip(KINDS, snapshot["saturations"], strict=True):
+        status.values.append(KeyValue(key=f"saturations_{kind}", value=str(int(counts.sum()))))
+    for row in snapshot["groups"]:
+        if name := text(row["name"]):
+            status.values.append(KeyValue(key=f"late_torques_{name}", value=str(int(row["late_torques"]))))
     for key in ("mean_period_s", "max_lateness_s", "mean_compute_s"):
         status.values.append(KeyValue(key=key, value=f"{float(snapshot[key]):.6f}"))
     status.values.append(KeyValue(key="real_time_scheduling", value=str(bool(snapshot["real_time"])).lower()))
-    message = DiagnosticArray(status=[status])
+    commands = DiagnosticStatus(name="mcs: refused messages", hardware_id="testbed", message=f"{sum(refused.values())}")
+    commands.level = DiagnosticStatus.WARN if refused else DiagnosticStatus.OK
+    commands.values = [KeyValue(key=topic, value=str(count)) for topic, count in sorted(refused.items())]
+    message = DiagnosticArray(status=[status, commands])
     message.header.stamp = time(int(snapshot["stamp_ns"]))
     return message
 
 
-class Frames:
-    """Transforms of the cell's links.
-
-    Args:
-        cell: Joints, links and fixed frames.
-        model: Kinematics; used by this object alone.
-    """
-
-    def __init__(self, cell: Cell, model: Model) -> None:
-        self._model = model
-        self._moving = [(joint.parent, joint.child) for joint in cell.joints]
-        names = {parent for parent, _ in self._moving} | {child for _, child in self._moving}
-        self._fixed = [(_parent_frame(model, name), name) for name in model.poses(cell.home) if name not in names]
-        self._home = cell.home
-
-    def moving(self, q: NDArray[np.float64], stamp_ns: int) -> list[TransformStamped]:
-        """Transforms over the joints at ``q``, shape (18,)."""
-        return self._transforms(self._moving, q, stamp_ns)
-
-    def fixed(self) -> list[TransformStamped]:
-        """Transforms of frames that are fixed to a link."""
-        return self._transforms(self._fixed, self._home, 0)
-
-    def _transforms(
-        self, pairs: list[tuple[str, str]], q: NDArray[np.float64], stamp_ns: int
-    ) -> list[TransformStamped]:
-        poses = self._model.poses(q)
-        poses.setdefault("world", pin.SE3.Identity())
-        stamp = time(stamp_ns)
-        messages = []
-        for parent, child in pairs:
-            message = TransformStamped(child_frame_id=child)
-            message.header.frame_id, message.header.stamp = parent, stamp
-            placement = poses[parent].actInv(poses[child])
-            _fill(message.transform.translation, message.transform.rotation, placement)
-            messages.append(message)
-        return messages
-
-
-def _parent_frame(model: Model, name: str) -> str:
-    """Nearest body that a fixed frame hangs on."""
-    frame = model.pin.frames[model.frame_id(name)]
-    parent = model.pin.frames[frame.parentFrame]
-    while parent.type != pin.FrameType.BODY and parent.name != "universe":
-        parent = model.pin.frames[parent.parentFrame]
-    return "world" if parent.name == "universe" else str(parent.name)
-
-
-def _fill(translation: Any, rotation: Any, placement: pin.SE3) -> None:
+def fill_placement(translation: Any, rotation: Any, placement: pin.SE3) -> None:
+    """Put a placement into the two parts of a pose or transform."""
     translation.x, translation.y, translation.z = (float(value) for value in placement.translation)
     rotation.x, rotation.y, rotation.z, rotation.w = (float(v) for v in pin.Quaternion(placement.rotation).coeffs())

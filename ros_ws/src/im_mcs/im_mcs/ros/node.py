@@ -1,31 +1,38 @@
 """Node ``/mcs``."""
 
 import sys
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from im_core import clock
-from im_core.errors import ImError, LinkError, StateError
+import numpy as np
+
 from im_core.robot import load_cell
 from im_core.ros import run as ros_run
-from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
+from im_mcs.client.groups import all_groups, group_in_force
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, Reply, ServoClient
-from im_mcs.config import McsConfig, load_config
+from im_mcs.config import Group, McsConfig, load_config
 from im_mcs.model import Model
+from im_mcs.ros import messages
+from im_mcs.ros.command_topics import CommandTopics
+from im_mcs.ros.evidence import with_evidence
+from im_mcs.ros.gripper_server import GripperServer
 from im_mcs.ros.kinematics_services import KinematicsServices
+from im_mcs.ros.layers import Layers
 from im_mcs.ros.lifecycle import Lifecycle
-from im_mcs.ros.motion_server import MotionServer
+from im_mcs.ros.motion_services import MotionServices
+from im_mcs.ros.motions import Motions
+from im_mcs.ros.move_server import MoveServer
 from im_mcs.ros.publishers import Publishers
-from im_mcs.ros.servo_owner import ServoOwner
+from im_mcs.ros.refusals import Refusals
+from im_mcs.ros.servo_keeper import POLL_S, ServoKeeper
 from im_mcs.ros.state_services import StateServices
-from im_mcs.state import UNCONFIGURED_MESSAGE, Event, State, lifecycle_of, next_state
+from im_mcs.ros.trajectory_server import TrajectoryServer
+from im_mcs.state import Event, State, next_state
 
 Started = Callable[[int], None]
-_POLL_S = 0.02
 _STATE_PERIOD_S = 0.5
 _DIAGNOSTICS_PERIOD_S = 1.0
 _LIFECYCLE = {Event.POWER_ON: "activate", Event.POWER_OFF: "deactivate"}
@@ -34,24 +41,33 @@ _LIFECYCLE = {Event.POWER_ON: "activate", Event.POWER_OFF: "deactivate"}
 class McsNode(ManagedNode):
     """ROS shell of the Motion Control System: translates messages, decides nothing.
 
-    Parameters: ``config`` (a file; empty: the package's), ``preset`` (empty: the configuration's).
+    Parameters: ``config`` (a file; empty: the package's), ``preset`` (empty: the configuration's), ``period`` of the
+    servo [s] (0: the configuration's).
+
+    Attributes:
+        config: Configuration, with the preset in force.
+        motions: What moves groups.
+        refusals: Messages on topics that were refused: nobody waits there for an answer.
     """
 
     def __init__(self) -> None:
         super().__init__("mcs")
         path = str(self.declare_parameter("config", "").value)
         preset = str(self.declare_parameter("preset", "").value)
-        self._config_file = Path(path) if path else None
-        self.config: McsConfig = load_config(self._config_file)
+        period = float(self.declare_parameter("period", 0.0).value)
+        config_file = Path(path) if path else None
+        self.config: McsConfig = load_config(config_file)
         if preset:
             self.config = self.config.with_preset(preset)
-        cell = load_cell()
-        self.model = Model(cell)
-        self.kinematics = Kinematics(self.config, Model(cell))
-        self._owner: ServoOwner | None = None
-        self._starting: tuple[ServoOwner, Promise] | None = None
-        self._reason = ""
-        self._changes: deque[tuple[State, str]] = deque()
+        if period != 0.0:
+            self.config = self.config.at_period(period)
+        self.cell = load_cell()
+        self.model = Model(self.cell)
+        self.kinematics = Kinematics(self.config, Model(self.cell))
+        self.refusals = Refusals(self.get_logger())
+        self._last: dict[str, Any] | None = None
+        self._fresh = False
+        self._keeper = ServoKeeper(self, config_file, self._publish_state)
         self.lifecycle = Lifecycle(
             self,
             {
@@ -62,37 +78,45 @@ class McsNode(ManagedNode):
                 "shutdown": self._shutdown,
             },
         )
-        self._topics = Publishers(self, self.config, Model(cell))
-        self._servers = (StateServices(self), KinematicsServices(self), MotionServer(self))
+        self._topics = Publishers(self, Model(self.cell))
+        self._layers = Layers(self)
+        self.motions = Motions(self)
+        self._grippers = GripperServer(self)
+        self._servers = (
+            StateServices(self),
+            MotionServices(self),
+            KinematicsServices(self),
+            MoveServer(self),
+            TrajectoryServer(self),
+            CommandTopics(self),
+        )
         self._publish_state()
 
     def phase_configure(self) -> None:
         """Start the servo process and wait until it holds the testbed: lifecycle *inactive*, MCS cold."""
-        owner = self._start_servo()
-        try:
-            while not owner.ready():
-                clock.sleep(_POLL_S)
-        except ImError:
-            owner.close()
-            raise
-        self._owner = owner
+        self._keeper.start_blocking()
         self.lifecycle.follow("configure")
         self._publish_state()
 
     def phase_start(self) -> None:
         """Publish what the servo reports."""
-        self.create_timer(_POLL_S, self._poll, clock=self.steady_clock)
+        self.create_timer(POLL_S, self._poll, clock=self.steady_clock)
         self.create_timer(_STATE_PERIOD_S, self._publish_state, clock=self.steady_clock)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
 
     def phase_shutdown(self) -> None:
         """End the servo process; the testbed brakes by itself."""
-        self._close_servo()
+        self._keeper.close()
 
     @property
     def state(self) -> State:
         """Present state of MCS."""
-        return State.UNCONFIGURED if self._owner is None else self._owner.client.state()
+        return self._keeper.state
+
+    @property
+    def group_names(self) -> list[str]:
+        """Groups of all presets; each has its servers and topics whatever preset is in force."""
+        return all_groups(self.config)
 
     def client(self) -> ServoClient:
         """The way to the servo.
@@ -100,10 +124,21 @@ class McsNode(ManagedNode):
         Raises:
             StateError: MCS is unconfigured.
         """
-        if self._owner is None:
-            reason = f" ({self._reason})" if self._reason else ""
-            raise StateError(UNCONFIGURED_MESSAGE + reason, state=State.UNCONFIGURED.value)
-        return self._owner.client
+        return self._keeper.client()
+
+    def group(self, name: str) -> Group:
+        """A group of the preset in force.
+
+        Raises:
+            StateError: MCS is unconfigured, or the group is one of another preset.
+            NotFoundError: No preset has such a group.
+        """
+        self.client()
+        return group_in_force(self.config, name)
+
+    def index(self, group: Group) -> np.ndarray:
+        """Ranks of a group's joints among all, shape (n,)."""
+        return np.array([self.model.index(joint) for joint in group.joints], dtype=np.intp)
 
     async def request(
         self,
@@ -121,16 +156,19 @@ class McsNode(ManagedNode):
             on_progress: Told how far it is, in another thread.
 
         Raises:
-            ImError: The servo refuses, or what was asked for ended badly.
+            ImError: The servo refuses, or what was asked for ended badly; where there is a record of the last two
+                seconds, the message names its file.
         """
         promise = self.promise()
-        number = self.client().send(event, arguments, promise.set_result, on_progress)
+        client = self.client()
+        number = client.send(event, arguments, promise.set_result, on_progress)
         if started is not None:
             started(number)
         reply: Reply = await promise
-        self._follow_servo()
+        self._keeper.follow()
+        self._publish_state()
         if reply.error is not None:
-            raise reply.error
+            raise await with_evidence(self, client, reply)
         return reply.results
 
     async def transition(self, event: Event) -> None:
@@ -143,97 +181,63 @@ class McsNode(ManagedNode):
         if event in _LIFECYCLE:
             next_state(self.state, event)
             await self.lifecycle.change(_LIFECYCLE[event])
-            self._follow_servo()
+            self._keeper.follow()
+        elif event in (Event.ESTOP, Event.PROTECTIVE_STOP):
+            await self.request(event, {"reason": f"request on /mcs/{event.value}"})
         else:
-            await self.request(event, {"reason": "request on /mcs/estop"} if event is Event.ESTOP else None)
+            await self.request(event)
+
+    async def repartition(self, preset: str) -> None:
+        """Divide the joints into groups anew.
+
+        Raises:
+            ImError: There is no such preset, or the state does not allow it.
+        """
+        config = self.config.with_preset(preset)
+        await self.request(Event.REPARTITION, {"preset": preset})
+        self.config = config
+        self.kinematics = Kinematics(config, Model(self.cell))
+        self._publish_state()
 
     async def _power(self, event: Event) -> None:
         await self.request(event)
 
     async def _configure(self) -> None:
         next_state(self.state, Event.CONFIGURE)
-        owner = self._start_servo()
-        self._starting = owner, self.promise()
-        try:
-            await self._starting[1]
-        except ImError:
-            owner.close()
-            raise
-        finally:
-            self._starting = None
-        self._owner = owner
+        await self._keeper.start()
         self._publish_state()
 
     async def _cleanup(self) -> None:
         next_state(self.state, Event.CLEANUP)
-        self._close_servo()
+        self._keeper.close()
 
     async def _shutdown(self) -> None:
-        self._close_servo()
-
-    def _start_servo(self) -> ServoOwner:
-        self._reason = ""
-        return ServoOwner(self.config, self._config_file, self._take_state)
-
-    def _close_servo(self) -> None:
-        owner, self._owner = self._owner, None
-        if owner is not None:
-            owner.close()
-
-    def _take_state(self, state: State, reason: str) -> None:
-        """A change of state, told by the thread that listens to the servo."""
-        self._changes.append((state, reason))
-        self.wake()
+        self._keeper.close()
 
     def _poll(self) -> None:
-        self._follow_servo()
-        self._await_servo()
-        owner = self._owner
-        if owner is None:
-            return
-        try:
-            owner.process.check()
-        except LinkError as error:
-            self._reason = error.message
-            self.get_logger().error(error.message)
-            owner.client.give_up(error)
-            self._close_servo()
-            self._follow_servo()
-            self._publish_state()
-            return
-        self._topics.joints(owner.client.samples())
+        self._keeper.poll()
+        if self._keeper.running:
+            client = self.client()
+            self._show(client.samples())
+            self._grippers.publish_feedback(client.snapshot())
 
-    def _await_servo(self) -> None:
-        if self._starting is None or self._starting[1].done():
-            return
-        owner, promise = self._starting
-        try:
-            if owner.ready():
-                promise.set_result(None)
-        except LinkError as error:
-            promise.set_exception(error)
-
-    def _follow_servo(self) -> None:
-        """Let the lifecycle and ``/mcs/state`` follow what has happened in the servo."""
-        wanted, present = lifecycle_of(self.state), self.lifecycle.state
-        if present == "active" and wanted != "active":
-            self.lifecycle.follow("deactivate")
-        if self.lifecycle.state == "inactive" and wanted == "unconfigured":
-            self.lifecycle.follow("cleanup")
-        while self._changes:
-            state, self._reason = self._changes.popleft()
-            text = f"MCS is {state.value}" + (f": {self._reason}" if self._reason else "")
-            self.get_logger().warning(text) if state is State.ESTOPPED else self.get_logger().info(text)
-            self._publish_state()
+    def _show(self, samples: list[dict[str, Any]]) -> None:
+        if samples:
+            self._last, self._fresh = samples[-1], True
+            self._topics.joints(samples)
+            self._layers.publish(samples, lambda: messages.laws(self.client().snapshot()))
 
     def _publish_state(self) -> None:
-        snapshot = None if self._owner is None else self._owner.client.snapshot()
-        self._topics.state(self.state, self._reason, snapshot)
+        snapshot = self.client().snapshot() if self._keeper.running else None
+        self._topics.state(self.config, self.state, self._keeper.reason, snapshot)
 
     def _publish_diagnostics(self) -> None:
-        if self._owner is not None:
-            self._topics.diagnostics(self.state, self._owner.client.snapshot())
-            self._topics.repeat()
+        if self._keeper.running:
+            client = self.client()
+            self._topics.diagnostics(self.state, client.snapshot(), client.silence_s(), self.refusals)
+            if self._last is not None and not self._fresh:  # testbed time may stand still: once more, for latecomers
+                self._show([self._last])
+            self._fresh = False
 
 
 def main() -> int:

@@ -15,6 +15,8 @@ from im_core.ros import qos
 from im_mcs.config import McsConfig
 from im_mcs.model import Model
 from im_mcs.ros import messages
+from im_mcs.ros.frames import Frames
+from im_mcs.ros.refusals import Refusals
 from im_mcs.state import State
 from im_msgs.msg import McsState
 
@@ -24,16 +26,12 @@ class Publishers:
 
     Args:
         node: The node that publishes.
-        config: Configuration.
         model: Kinematics; used by this object alone.
     """
 
-    def __init__(self, node: Node, config: McsConfig, model: Model) -> None:
-        self._config = config
+    def __init__(self, node: Node, model: Model) -> None:
         self._names = model.names
-        self._frames = messages.Frames(model.cell, model)
-        self._last: dict[str, Any] | None = None
-        self._fresh = False
+        self._frames = Frames(model.cell, model)
         self._state = node.create_publisher(McsState, "/mcs/state", qos.LATCHED)
         self._joints = node.create_publisher(JointState, "/joint_states", qos.EVENTS)
         self._tf = node.create_publisher(TFMessage, "/tf", qos.EVENTS)
@@ -43,25 +41,18 @@ class Publishers:
         self._description = node.create_publisher(String, "/robot_description", qos.LATCHED)
         self._description.publish(String(data=urdf(model.cell)))
 
-    def state(self, state: State, reason: str, snapshot: NDArray[np.void] | None) -> None:
+    def state(self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None) -> None:
         """``/mcs/state``."""
-        self._state.publish(messages.mcs_state(self._config, state, reason, snapshot))
+        self._state.publish(messages.mcs_state(config, state, reason, snapshot))
 
     def joints(self, samples: list[dict[str, Any]]) -> None:
         """``/joint_states`` of every sample of the servo, ``/tf`` of the last."""
         for sample in samples:
             self._joints.publish(messages.joint_state(self._names, sample))
         if samples:
-            self._last, self._fresh = samples[-1], True
             last = samples[-1]
             self._tf.publish(TFMessage(transforms=self._frames.moving(np.array(last["q"]), last["stamp_ns"])))
 
-    def repeat(self) -> None:
-        """The last sample once more if none has come since the last call: testbed time may stand still."""
-        if self._last is not None and not self._fresh:
-            self.joints([self._last])
-        self._fresh = False
-
-    def diagnostics(self, state: State, snapshot: NDArray[np.void]) -> None:
-        """``/diagnostics``."""
-        self._diagnostics.publish(messages.diagnostics(state, snapshot))
+    def diagnostics(self, state: State, snapshot: NDArray[np.void], silence_s: float, refusals: Refusals) -> None:
+        """``/diagnostics``; ``silence_s``: since the servo's last sign of life [s]."""
+        self._diagnostics.publish(messages.diagnostics(state, snapshot, silence_s, refusals.counts()))

@@ -7,8 +7,10 @@ from im_core.errors import LinkError, StateError
 from im_core.ros.subprocess import ChildProcess
 from im_core.testbed_link import TestbedLink
 from im_mcs.client.servo_client import OnState, ServoClient
+from im_mcs.client.time_source import FlowingTime, TestbedTime
 from im_mcs.config import McsConfig
 from im_mcs.servo.channel import ServoChannel
+from im_mcs.testbed.driver import asks_for_time
 
 
 class ServoOwner:
@@ -26,9 +28,10 @@ class ServoOwner:
         instance = names.instance()
         self._on_state = on_state
         self._timeout_s = 2.0 * config.testbed.attach_timeout_s
+        self._on_demand = asks_for_time(config.testbed.drivers[config.testbed.clock].driver)
         self._deadline = clock.monotonic() + self._timeout_s
-        self._channel = ServoChannel.create(instance, len(config.joint_slots), len(config.gripper_slots))
-        arguments = [instance, str(config_file or ""), config.preset]
+        self._channel = ServoChannel.create(instance, config)
+        arguments = [instance, str(config_file or ""), config.preset, repr(config.servo.period_s)]
         self.process = ChildProcess("im_mcs.servo", arguments, names.run_dir() / "servo.log")
         self._client: ServoClient | None = None
 
@@ -52,8 +55,8 @@ class ServoOwner:
             if clock.monotonic() > self._deadline:
                 raise LinkError(f"the servo process was not ready within {self._timeout_s:g} s")
             return False
-        link = TestbedLink.attach(names.instance(), 1.0)
-        self._client = ServoClient(self._channel, link, self._on_state)
+        time = TestbedTime(TestbedLink.attach(names.instance(), 1.0)) if self._on_demand else FlowingTime()
+        self._client = ServoClient(self._channel, time, self._on_state)
         return True
 
     def close(self) -> None:

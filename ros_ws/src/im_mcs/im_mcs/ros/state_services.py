@@ -1,12 +1,14 @@
-"""Services of the state manager, of the grippers and of the control laws."""
+"""Services of the state manager."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any
 
 from std_srvs.srv import Trigger
 
-from im_core.errors import ImError
+from im_mcs.ros import messages
+from im_mcs.ros.serving import serving
 from im_mcs.state import Event
-from im_msgs.srv import ReserveGroup, SetController, SetGripper
+from im_msgs.srv import RenewLease, ReserveGroup, SetPartition
 
 if TYPE_CHECKING:
     from im_mcs.ros.node import McsNode
@@ -16,13 +18,14 @@ _TRIGGERS = (
     Event.POWER_OFF,
     Event.ENABLE_MOTION,
     Event.DISABLE_MOTION,
+    Event.PROTECTIVE_STOP,
     Event.ESTOP,
     Event.RESET,
 )
 
 
 class StateServices:
-    """``/mcs/reserve``, ``/mcs/release``, a ``std_srvs/Trigger`` an event, ``set_gripper`` and ``set_controller``.
+    """``/mcs/reserve``, ``release``, ``renew``, ``set_partition``, and a ``std_srvs/Trigger`` an event.
 
     Args:
         node: The node that offers them.
@@ -30,51 +33,36 @@ class StateServices:
 
     def __init__(self, node: "McsNode") -> None:
         self._node = node
-        for event in (Event.RESERVE, Event.RELEASE):
-            node.create_service(ReserveGroup, f"/mcs/{event.value}", self._on_group(event))
+        node.create_service(ReserveGroup, "/mcs/reserve", serving(self._reserve))
+        node.create_service(ReserveGroup, "/mcs/release", serving(self._release))
+        node.create_service(RenewLease, "/mcs/renew", serving(self._renew))
+        node.create_service(SetPartition, "/mcs/set_partition", serving(self._set_partition))
         for event in _TRIGGERS:
-            node.create_service(Trigger, f"/mcs/{event.value}", self._on_trigger(event))
-        node.create_service(SetGripper, "/mcs/set_gripper", self._set_gripper)
-        node.create_service(SetController, "/mcs/set_controller", self._set_controller)
+            node.create_service(Trigger, f"/mcs/{event.value}", serving(self._on_trigger(event)))
 
-    def _on_group(self, event: Event) -> object:
-        async def serve(request: ReserveGroup.Request, response: ReserveGroup.Response) -> ReserveGroup.Response:
-            try:
-                await self._node.request(event, {"group": request.group})
-                response.success, response.message = True, f"MCS is {self._node.state.value}"
-            except ImError as error:
-                response.success, response.message = False, error.message
-            return response
+    async def _reserve(self, request: ReserveGroup.Request, _: object) -> str:
+        self._node.group(request.group)
+        messages.check_finite(lease=request.lease)
+        arguments = {"group": request.group, "owner": request.owner, "lease_s": request.lease}
+        await self._node.request(Event.RESERVE, arguments)
+        return f"MCS is {self._node.state.value}"
 
-        return serve
+    async def _release(self, request: ReserveGroup.Request, _: object) -> str:
+        self._node.group(request.group)
+        await self._node.request(Event.RELEASE, {"group": request.group})
+        return f"MCS is {self._node.state.value}"
 
-    def _on_trigger(self, event: Event) -> object:
-        async def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            try:
-                await self._node.transition(event)
-                response.success, response.message = True, f"MCS is {self._node.state.value}"
-            except ImError as error:
-                response.success, response.message = False, error.message
-            return response
+    async def _renew(self, request: RenewLease.Request, _: object) -> str:
+        await self._node.request(Event.RENEW, {"owner": request.owner})
+        return f"the lease of '{request.owner}' is renewed"
 
-        return serve
+    async def _set_partition(self, request: SetPartition.Request, _: object) -> str:
+        await self._node.repartition(request.preset)
+        return f"the groups are {', '.join(self._node.config.groups)}"
 
-    async def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response) -> SetGripper.Response:
-        opening = 0.0 if request.close else self._node.model.cell.gripper.stroke
-        try:
-            results = await self._node.request(Event.SET_GRIPPER, {"gripper": request.gripper, "opening": opening})
-            response.success, response.opening = True, float(results["opening"])
-        except ImError as error:
-            response.success, response.message = False, error.message
-        return response
+    def _on_trigger(self, event: Event) -> Callable[[Any, Any], Awaitable[str]]:
+        async def work(*_: object) -> str:
+            await self._node.transition(event)
+            return f"MCS is {self._node.state.value}"
 
-    async def _set_controller(
-        self, request: SetController.Request, response: SetController.Response
-    ) -> SetController.Response:
-        try:
-            arguments = {"group": request.group, "controller": request.controller}
-            await self._node.request(Event.SET_CONTROLLER, arguments)
-            response.success, response.message = True, f"{request.controller} takes over {request.group}"
-        except ImError as error:
-            response.success, response.message = False, error.message
-        return response
+        return work

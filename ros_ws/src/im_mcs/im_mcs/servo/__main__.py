@@ -1,4 +1,4 @@
-"""``python -m im_mcs.servo INSTANCE [CONFIG [PRESET]]``: the servo process of one machine."""
+"""``python -m im_mcs.servo INSTANCE [CONFIG [PRESET [PERIOD]]]``: the servo process of one machine."""
 
 import sys
 from pathlib import Path
@@ -14,6 +14,8 @@ def main(arguments: list[str]) -> int:
         config = load_config(Path(arguments[1]) if len(arguments) > 1 and arguments[1] else None)
         if len(arguments) > 2:
             config = config.with_preset(arguments[2])
+        if len(arguments) > 3:
+            config = config.at_period(float(arguments[3]))
         return run(arguments[0], config)
     except ImError as error:
         print(error.message, file=sys.stderr)

@@ -1,21 +1,49 @@
-"""What the servo process and its owner share: requests one way, events, samples and a snapshot the other."""
+"""What the servo process and its owner share: requests one way; events, samples, a snapshot, evidence the other."""
 
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.shm import MessageRing, Semaphore, Snapshot
+from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot
+from im_mcs.config import McsConfig
+from im_mcs.safety.saturation import KINDS
+from im_mcs.servo.heartbeat import Heartbeat
+from im_mcs.servo.recorder import RecordLayout
+from im_mcs.servo.samples import SampleRing, sample_type
 from im_mcs.state import State
 
 STATES: tuple[State, ...] = tuple(State)
+_REQUESTS_BYTES = 1 << 20
 _EVENTS_BYTES = 1 << 18
-_SAMPLES_BYTES = 1 << 18
+_TEXT, _LONG_TEXT = "S64", "S240"
 
 
-def snapshot_type(n_joints: int, n_grippers: int) -> np.dtype[np.void]:
-    """Fields of the snapshot; arrays over all joints in their order."""
-    joints = (n_joints,)
+def group_type() -> np.dtype[np.void]:
+    """Fields of what the snapshot says of a group; texts are UTF-8, cut to their room."""
+    return np.dtype(
+        [
+            ("name", _TEXT),
+            ("reserved", "?"),
+            ("owner", _TEXT),
+            ("lease_left_s", "<f8"),
+            ("lapsed", "?"),
+            ("moving", "?"),
+            ("paused", "?"),
+            ("speed", "<f8"),
+            ("controller", "S128"),
+            ("late_torques", "<i8"),
+            ("protective_stop", _LONG_TEXT),
+        ],
+        align=True,
+    )
+
+
+def snapshot_type(config: McsConfig) -> np.dtype[np.void]:
+    """Fields of the snapshot; arrays over all joints in their order, ``groups`` over those of the preset in force."""
+    joints = (len(config.joint_slots),)
+    grippers = (len(config.gripper_slots),)
+    most_groups = max(len(groups) for groups in config.presets.values())
     return np.dtype(
         [
             ("tick", "<i8"),
@@ -28,13 +56,23 @@ def snapshot_type(n_joints: int, n_grippers: int) -> np.dtype[np.void]:
             ("v", "<f8", joints),
             ("tau", "<f8", joints),
             ("setpoint", "<f8", joints),
-            ("gripper", "<f8", (n_grippers,)),
+            ("setpoint_v", "<f8", joints),
+            ("setpoint_a", "<f8", joints),
+            ("age", "<f8", joints),
+            ("gripper", "<f8", grippers),
+            ("gripper_force", "<f8", grippers),
+            ("wrench", "<f8", (len(config.wrench_slots), 6)),
             ("at_rest", "?", joints),
             ("rest_since_tick", "<i8", joints),
             ("rest_window", "<i8", joints),
             ("q_rest", "<f8", joints),
             ("q_rest_variance", "<f8", joints),
-            ("saturations", "<i8"),
+            ("preset", _TEXT),
+            ("groups", group_type(), (most_groups,)),
+            ("saturations", "<i8", (len(KINDS), *joints)),
+            ("evidence", "<i8"),
+            ("distance", "<f8"),
+            ("closest", _TEXT, (2,)),
             ("ticks", "<i8"),
             ("missed_deadlines", "<i8"),
             ("max_lateness_s", "<f8"),
@@ -47,19 +85,35 @@ def snapshot_type(n_joints: int, n_grippers: int) -> np.dtype[np.void]:
     )
 
 
+def record_layout(config: McsConfig) -> RecordLayout:
+    """Size of the evidence that a configuration asks for."""
+    rows = max(1, round(config.safety.record_s / config.servo.period_s))
+    return RecordLayout(rows, len(config.joint_slots), len(config.wrench_slots))
+
+
 class ServoChannel:
     """Shared memory ``<instance>_mcs_*`` between the owner, who creates it, and the servo, who attaches.
 
     Attributes:
         requests: Owner to servo.
         events: Servo to owner: replies and progress; never lost.
-        samples: Servo to owner: joint states; dropped when the owner is slow.
+        samples: Servo to owner: what the joints do; dropped when the owner is slow.
         snapshot: Newest state; the servo writes.
         bell: Rung by the servo when there are events.
+        heartbeat: Signs of life, both ways.
+        evidence: Records of aborts, for :class:`~im_mcs.servo.recorder.Recorder` and ``Records``.
     """
 
     def __init__(
-        self, requests: MessageRing, events: MessageRing, samples: MessageRing, snapshot: Snapshot, bell: Semaphore
+        self,
+        requests: MessageRing,
+        events: MessageRing,
+        samples: SampleRing,
+        snapshot: Snapshot,
+        bell: Semaphore,
+        heartbeat: Heartbeat,
+        records: SharedBlock,
+        layout: RecordLayout,
     ) -> None:
         """Use :meth:`create` or :meth:`attach`."""
         self.requests = requests
@@ -67,21 +121,30 @@ class ServoChannel:
         self.samples = samples
         self.snapshot = snapshot
         self.bell = bell
+        self.heartbeat = heartbeat
+        self.layout = layout
+        self.evidence: NDArray[np.float64] = records.array("<f8", layout.doubles)
+        self._records = records
 
     @classmethod
-    def create(cls, instance: str, n_joints: int, n_grippers: int) -> Self:
+    def create(cls, instance: str, config: McsConfig) -> Self:
         """Create everything, as the owner."""
-        prefix = f"{instance}_mcs"
+        prefix, layout = f"{instance}_mcs", record_layout(config)
+        records = SharedBlock.create(f"{prefix}_evidence", 8 * layout.doubles)
+        records.publish()
         return cls(
-            MessageRing.create(f"{prefix}_requests"),
+            MessageRing.create(f"{prefix}_requests", _REQUESTS_BYTES),
             MessageRing.create(f"{prefix}_events", _EVENTS_BYTES),
-            MessageRing.create(f"{prefix}_samples", _SAMPLES_BYTES),
-            Snapshot.create(f"{prefix}_snapshot", snapshot_type(n_joints, n_grippers)),
+            SampleRing.create(f"{prefix}_samples", _sample_type(config)),
+            Snapshot.create(f"{prefix}_snapshot", snapshot_type(config)),
             Semaphore.create(f"{prefix}_bell"),
+            Heartbeat.create(f"{prefix}_heartbeat"),
+            records,
+            layout,
         )
 
     @classmethod
-    def attach(cls, instance: str, n_joints: int, n_grippers: int, timeout_s: float) -> Self:
+    def attach(cls, instance: str, config: McsConfig, timeout_s: float) -> Self:
         """Attach to everything, as the servo.
 
         Raises:
@@ -91,19 +154,21 @@ class ServoChannel:
         return cls(
             MessageRing.attach(f"{prefix}_requests", timeout_s),
             MessageRing.attach(f"{prefix}_events", timeout_s),
-            MessageRing.attach(f"{prefix}_samples", timeout_s),
-            Snapshot.attach(f"{prefix}_snapshot", snapshot_type(n_joints, n_grippers), timeout_s),
+            SampleRing.attach(f"{prefix}_samples", _sample_type(config), timeout_s),
+            Snapshot.attach(f"{prefix}_snapshot", snapshot_type(config), timeout_s),
             Semaphore.attach(f"{prefix}_bell", timeout_s),
+            Heartbeat.attach(f"{prefix}_heartbeat", timeout_s),
+            SharedBlock.attach(f"{prefix}_evidence", timeout_s),
+            record_layout(config),
         )
 
     def close(self) -> None:
         """Release everything; the owner removes the names."""
-        for part in (self.requests, self.events, self.samples, self.snapshot, self.bell):
+        for part in (
+            self.requests, self.events, self.samples, self.snapshot, self.bell, self.heartbeat, self._records
+        ):  # fmt: skip
             part.close()
 
 
-def sample_message(
-    stamp_ns: int, q: NDArray[np.float64], v: NDArray[np.float64], tau: NDArray[np.float64]
-) -> dict[str, Any]:
-    """A joint state as JSON data."""
-    return {"stamp_ns": stamp_ns, "q": q.tolist(), "v": v.tolist(), "tau": tau.tolist()}
+def _sample_type(config: McsConfig) -> np.dtype[np.void]:
+    return sample_type(len(config.joint_slots), len(config.gripper_slots), len(config.wrench_slots))

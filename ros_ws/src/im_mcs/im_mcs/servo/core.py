@@ -1,63 +1,80 @@
-"""MCS in one tick: read the slots, obey requests, plan, control, limit, write the slots."""
+"""MCS in one tick: read the slots, obey requests, watch, plan, control, limit, write the slots."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from im_core.errors import ImError, LimitError, LinkError, NotFoundError, StateError
-from im_mcs.client.requests import Request, check_path, check_speed_scale, parse_request
+from im_core.errors import ImError, LinkError
+from im_mcs.client.requests import request_id
 from im_mcs.config import McsConfig
-from im_mcs.control.guard import ControlLawError
+from im_mcs.control import LawSource
 from im_mcs.control.velocity import VelocityEstimator
 from im_mcs.limits import JointLimits
-from im_mcs.model import Model
-from im_mcs.planning import JointPath, Setpoint
-from im_mcs.servo.gripper import GripperMotion
-from im_mcs.servo.group import ControlledGroup, Goal, make_group
-from im_mcs.state import Event, State
+from im_mcs.model import ControlledModel, Model
+from im_mcs.safety import Finding, Reaction, Saturations, Situation, Supervisor
+from im_mcs.servo.answers import Answers, Emit
+from im_mcs.servo.control_loop import ControlLoop
+from im_mcs.servo.driving import Ended
+from im_mcs.servo.gripper import Grippers
+from im_mcs.servo.hardware import GuardedTestbed
+from im_mcs.servo.obeying import Obeying
+from im_mcs.servo.partition import Partitions
+from im_mcs.servo.recorder import Recorder
+from im_mcs.state import State
 from im_mcs.state.manager import StateManager
-from im_mcs.testbed import Drive, Measured, TestbedInterface
+from im_mcs.testbed import Drive, TestbedInterface
 
-Emit = Callable[[dict[str, Any]], None]
-_PROGRESS_S = 0.1
+_POWERED = (State.ACTIVE, State.MOTION)
 
 
 class Mcs:
     """The four layers and the state manager; knows neither processes nor clocks.
 
     Attributes:
+        config: Configuration, with the preset in force.
+        model: Kinematics and dynamics.
+        limits: Limits of all joints.
         control_model: Dynamics in the eyes of the control laws; wrong where the configuration wants it so.
         manager: State manager.
-        groups: Every group of the preset.
-        tau: Torques of the last tick, shape (n,).
-        saturations: How many torques were cut so far.
+        groups: Every group of the preset in force, by name.
+        loop: Groups under control, their setpoints and torques.
+        measured: What the slots said in this tick.
+        v: Estimated velocities, shape (n,).
+        saturations: How often which limit cut what was wanted.
+        wants_time: Whether simulated time must go on.
+        situation: What the watches see; the process tells it of overruns and of its owner.
 
     Args:
         config: Configuration.
         model: Kinematics and dynamics.
         testbed: The slots.
         emit: Takes replies, results and progress.
+        recorder: Keeps the last seconds.
+
+    Raises:
+        LinkError: The testbed does not answer.
+        ConfigError: A control law cannot be loaded.
     """
 
-    def __init__(self, config: McsConfig, model: Model, testbed: TestbedInterface, emit: Emit) -> None:
-        self.config = config
-        self.model = model
-        self.control_model = model.wrong_by(config.model_error)
-        self.testbed = testbed
-        self.limits = JointLimits(model, config.limits)
-        self.measured = testbed.read()
+    def __init__(
+        self, config: McsConfig, model: Model, testbed: TestbedInterface, emit: Emit, recorder: Recorder
+    ) -> None:
+        self.config, self.model, self.recorder = config, model, recorder
+        self._testbed = GuardedTestbed(testbed)
+        self.measured = self._testbed.read()
         self.v = np.zeros(model.n)
-        self.tau = np.zeros(model.n)
-        self.setpoint = self.measured.q.copy()
-        self.gripper = self.measured.gripper.copy()
-        self.saturations = 0
         self.wants_time = False
-        self._emit = emit
+        self.limits = JointLimits(model, config.limits, config.slots)
+        self.saturations = Saturations(model.n)
+        self.control_model = ControlledModel(model.cell, config.model_error)
+        self.answers = Answers(emit, recorder, config.servo.period_s)
+        self.loop = ControlLoop(config, self.limits, self.control_model, self.saturations, self.measured.q)
         self._velocity = VelocityEstimator(model.n, config.servo.period_s, config.servo.velocity_bandwidth_rad_s)
-        self.groups = {
-            name: make_group(name, config, self.control_model, self.limits, self.measured.q) for name in config.groups
-        }
+        self._laws = LawSource(config, self.control_model, self.limits.torque, testbed.wall_period_s)
+        self._partitions = Partitions(self, self._laws)
+        self.groups, self._collision = self._partitions.enter(config.preset)
         self.manager = StateManager(
             groups={name: group.joints for name, group in config.groups.items()},
             index={name: group.index for name, group in self.groups.items()},
@@ -65,8 +82,22 @@ class Mcs:
             measured=self.measured,
             arms=self,
         )
-        self._grippers: dict[int, GripperMotion] = {}
-        self._progress_ticks = max(1, round(_PROGRESS_S / config.servo.period_s))
+        self.situation = Situation(self.measured, self.v, self.groups)
+        self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations)
+        gripper = model.cell.gripper
+        names = tuple(slot.name for slot in config.gripper_slots)
+        self.grippers = Grippers(names, gripper.stroke, gripper.force, self.measured.gripper, self.answers)
+        self._obeying = Obeying(self)
+
+    @property
+    def setpoint(self) -> NDArray[np.float64]:
+        """Positions, velocities and accelerations that are followed in this tick, shape (3, n)."""
+        return self.loop.setpoint
+
+    @property
+    def tau(self) -> NDArray[np.float64]:
+        """Torques of this tick, shape (n,)."""
+        return self.loop.tau
 
     def tick(self, messages: Iterable[dict[str, Any]]) -> None:
         """One servo tick.
@@ -75,216 +106,146 @@ class Mcs:
             messages: Requests that have arrived since the last tick.
 
         Raises:
-            LinkError: The testbed no longer listens.
+            LinkError: The testbed does not answer, or no longer listens.
         """
-        m = self.measured = self.manager.measured = self.testbed.read()
+        m = self.measured = self.manager.measured = self._testbed.read()
         self.v = self._velocity.update(m.q)
         for message in messages:
-            self.obey(message)
+            self._obeying.obey(message)
         self.manager.tick()
-        self._watch(m)
-        self._control(m)
-        self._finish_goals(m)
-        self._finish_grippers(m)
-        settling = any(group.engaged and not group.settled for group in self.groups.values())
-        self.wants_time = self.manager.busy or settling or bool(self._grippers)
-        self.testbed.write(Drive(self.tau, self.manager.power, self.manager.brakes, self.gripper, self.wants_time))
+        abandoned = self.manager.state in _POWERED and self._watch()
+        for finding in self.loop.run(m, self.v, self._collision):
+            self._react(finding)
+        self._finish()
+        loop, manager, grippers = self.loop, self.manager, self.grippers
+        self.wants_time = manager.wants_time or grippers.moving or loop.wants_time or abandoned
+        self.recorder.put(m.tick, m.stamp_ns, (m.q, self.v, loop.tau), loop.setpoint, m.wrench)
+        self._testbed.write(
+            Drive(loop.tau, manager.power, manager.brakes, grippers.opening, self.wants_time, grippers.force)
+        )
 
     def refuse(self, message: dict[str, Any], error: ImError) -> None:
         """Answer a request that cannot even be looked at."""
-        self._answer(int(message.get("id", 0)), error)
+        self.answers.reply(request_id(message), error)
 
-    def obey(self, message: dict[str, Any]) -> None:
-        """Obey one request; refusals are answered, never raised."""
-        number = int(message.get("id", 0))
-        try:
-            self._obey(parse_request(message))
-        except ImError as error:
-            self._answer(number, error)
+    def protective_stop(self, fault: ImError, groups: Sequence[str] | None = None) -> None:
+        """Let groups decelerate on their paths and hold, until they are resumed; all groups if none are named."""
+        self.end_driving(self.loop.driving.end(fault, groups))
+        for group in self.loop.engaged:
+            if group.goals and group.protective is None and (groups is None or group.name in groups):
+                self.answers.accuse(fault)
+                group.protective_stop(fault)
 
-    def stop_all(self, fault: ImError) -> None:
-        """Protective stop: every motion decelerates and ends with ``fault``."""
-        for group in self.groups.values():
-            group.stop(fault)
+    def end_driving(self, ended: Iterable[Ended]) -> None:
+        """The laws of groups that a client has driven by torques take over where these are."""
+        for group, goal, fault in ended:
+            self.loop.engage((group,), self.measured.q)
+            self.answers.drop(goal, fault, self.measured.tick)
+
+    def estop(self, fault: ImError) -> None:
+        """Stop at once, by the ways of the state manager.
+
+        Raises:
+            StateError: There is nothing to stop: power is off already.
+        """
+        self.manager.estop(fault.message, **fault.facts)
 
     def lose_testbed(self, error: LinkError) -> None:
         """The testbed has stopped listening; whatever was powered is estopped, and what was measured is forgotten."""
-        self._protect(error.message)
+        self._protect(error)
+        self.recorder.keep()
+        self.wants_time = False
         self._velocity.reset()
         for group in self.groups.values():
             group.monitor.restart()
 
-    # what the state manager asks for (im_mcs.state.manager.Arms)
+    def repartition(self, preset: str) -> None:
+        """Divide the joints into the groups of another preset.
+
+        Raises:
+            NotFoundError: There is no such preset.
+            StateError: Not allowed now, or a reserved group has other joints there.
+            ConfigError: A control law of a group cannot be loaded.
+        """
+        config = self.config.with_preset(preset)
+        self.manager.check_repartition({name: group.joints for name, group in config.groups.items()}, preset)
+        self.groups, self._collision = self._partitions.enter(preset)
+        self.manager.repartition(
+            {name: group.joints for name, group in config.groups.items()},
+            {name: group.index for name, group in self.groups.items()},
+        )
+        self.config = config
+        self.situation.groups = self.groups
+
+    def close(self) -> None:
+        """End what the control laws have started."""
+        self._laws.close()
+
+    # what the state manager asks for (im_mcs.state.sequence.Arms)
 
     def engage(self, groups: Sequence[str]) -> None:
         """Let groups hold where they are measured to be."""
-        for name in groups:
-            group = self.groups[name]
-            group.engage(self.measured.q[group.index])
+        self.loop.engage([self.groups[name] for name in groups], self.measured.q)
 
     def disengage(self) -> None:
         """No setpoints and no torques any more."""
-        for group in self.groups.values():
-            group.disengage()
+        self.loop.disengage()
 
     def drop(self, reason: ImError) -> None:
         """End every goal with ``reason``, at once."""
-        for group in self.groups.values():
-            goal, group.goal = group.goal, None
-            if goal is not None:
-                self._result(group, goal, reason)
-        self.gripper = self.measured.gripper.copy()
-        for motion in self._grippers.values():
-            self._answer(motion.id, reason)
-        self._grippers.clear()
+        self.answers.accuse(reason)
+        driven = self.loop.driving.end(reason)
+        goals = [goal for group in self.groups.values() for goal in group.drop()]
+        for goal in [*goals, *(goal for _, goal, _ in driven)]:
+            self.answers.drop(goal, reason, self.measured.tick)
+        self.grippers.drop(reason, self.measured.gripper)
         self.disengage()
 
     def moving(self) -> str | None:
         """A group that has a goal."""
-        return next((group.name for group in self.groups.values() if group.goal is not None), None)
+        return self.loop.moving()
 
     def settled(self) -> bool:
         """Whether every engaged group is at rest or given up on."""
-        return all(group.settled for group in self.groups.values() if group.engaged)
+        return all(group.settled for group in self.loop.engaged)
 
-    def _obey(self, request: Request) -> None:
-        event, arguments = request.event, request.arguments
-        match event:
-            case Event.RESERVE:
-                self.manager.reserve(str(arguments["group"]))
-            case Event.RELEASE:
-                self.manager.release(str(arguments["group"]))
-            case Event.ESTOP:
-                self.manager.estop(str(arguments["reason"]))
-            case Event.MOVE:
-                self._move(request)
-                return
-            case Event.CANCEL:
-                self._cancel(int(arguments["goal"]))
-            case Event.SET_GRIPPER:
-                self._set_gripper(request)
-                return
-            case Event.SET_CONTROLLER:
-                self._set_controller(str(arguments["group"]), str(arguments["controller"]))
-            case _:
-                self.manager.begin(event, lambda error: self._answer(request.id, error))
-                return
-        self._answer(request.id, None)
+    def _watch(self) -> bool:
+        """Let the watches look; whether the owner gives no sign of life, so that power must go."""
+        now = self.situation
+        now.measured, now.v, now.power = self.measured, self.v, self.manager.power
+        for finding in self._supervisor.check(now):
+            self._react(finding)
+        bound_s = self.config.safety.owner_silence_s
+        if abandoned := now.owner_silence_s > bound_s:
+            self.manager.shut_down(f"the process that owns the servo gave no sign of life for {bound_s:g} s")
+        return abandoned
 
-    def _move(self, request: Request) -> None:
-        name = str(request.arguments["group"])
-        self.manager.check(Event.MOVE)
-        self.manager.reservations.require(name)
-        group = self.groups[name]
-        group.require_idle()
-        scale = check_speed_scale(float(request.arguments["speed_scale"]))
-        points = check_path(self.limits, group.index, request.arguments["points"], self.config.planning.max_points)
-        path = JointPath(
-            group.planner.setpoint.q,
-            points,
-            self.limits.motion.of(group.index).scaled(scale),
-            self.config.planning.synchrony,
-        )
-        group.start(Goal(request.id, self.measured.tick), path)
+    def _react(self, finding: Finding) -> None:
+        match finding.reaction:
+            case Reaction.ESTOP:
+                self._protect(finding.fault)
+            case Reaction.PROTECTIVE_STOP:
+                self.protective_stop(finding.fault, finding.groups)
+            case Reaction.END:
+                self.end_driving(self.loop.driving.end(finding.fault, finding.groups))
+                for group in self.loop.engaged:
+                    if group.goals and (finding.groups is None or group.name in finding.groups):
+                        self.answers.accuse(finding.fault)
+                        group.stop(finding.fault)
 
-    def _cancel(self, goal_id: int) -> None:
+    def _protect(self, fault: ImError) -> None:
+        if self.manager.state in (State.RESERVED, *_POWERED):
+            self.estop(fault)
+
+    def _finish(self) -> None:
+        """Tell what has ended; watch the rest of groups whose brakes hold."""
+        m = self.measured
+        if self.loop.ended:
+            ended, self.loop.ended = self.loop.ended, []
+            for _, goal, fault in ended:
+                self.answers.drop(goal, fault, m.tick)
         for group in self.groups.values():
-            if group.goal is not None and group.goal.id == goal_id:
-                group.stop(ImError("the motion was cancelled", code="cancelled", group=group.name))
-                return
-        raise StateError(f"goal {goal_id} is not under way", goal=goal_id)
-
-    def _set_controller(self, name: str, law: str) -> None:
-        self.manager.check(Event.SET_CONTROLLER)
-        self.manager.reservations.require(name)
-        self.groups[name].switch(law)
-
-    def _set_gripper(self, request: Request) -> None:
-        self.manager.check(Event.SET_GRIPPER)
-        name, opening = str(request.arguments["gripper"]), float(request.arguments["opening"])
-        names = [slot.name for slot in self.config.gripper_slots]
-        if name not in names:
-            raise NotFoundError(kind="gripper", name=name, known=names)
-        stroke = self.model.cell.gripper.stroke
-        if not 0.0 <= opening <= stroke:
-            raise LimitError(
-                joint=name, value=opening, limit=stroke if opening > 0.0 else 0.0, unit="m", what="opening"
-            )
-        slot = names.index(name)
-        if slot in self._grippers:
-            raise StateError(f"{name} is moving; wait for its end", gripper=name)
-        self.gripper = self.gripper.copy()
-        self.gripper[slot] = opening
-        self._grippers[slot] = GripperMotion(request.id, slot, float(self.measured.gripper[slot]))
-
-    def _watch(self, m: Measured) -> None:
-        """E-stop on what no controller can mend."""
-        if self.manager.state not in (State.ACTIVE, State.MOTION):
-            return
-        if not m.power and self.manager.power:
-            self._protect(f"the testbed cut the power at tick {m.tick}")
-        elif not np.isfinite(m.q).all():
-            joint = self.model.names[int(np.argmin(np.isfinite(m.q)))]
-            self._protect(f"{joint} gave no reading at tick {m.tick}")
-        elif (fault := self.limits.overspeed(self.v)) is not None:
-            self._protect(fault.message, **fault.facts)
-        else:
-            for group in self.groups.values():
-                if group.engaged and (excess := group.following_fault(m.tick, m.q)) is not None:
-                    self._protect(excess.message, **excess.facts)
-
-    def _protect(self, reason: str, **facts: object) -> None:
-        if self.manager.state in (State.RESERVED, State.ACTIVE, State.MOTION):
-            self.manager.estop(reason, **facts)
-
-    def _control(self, m: Measured) -> None:
-        tau = np.zeros(self.model.n)
-        wanted = Setpoint.at_rest(m.q)
-        self.setpoint = wanted.q
-        engaged = [group for group in self.groups.values() if group.engaged]
-        if engaged:
-            for group in engaged:
-                wanted.put(group.index, group.planner.advance())
-            gravity = self.control_model.gravity(m.q)
-            try:
-                for group in engaged:
-                    tau[group.index] = group.torque(m.tick, m.q, self.v, gravity, wanted)
-            except ControlLawError as fault:
-                self._protect(f"{fault.message}, at tick {m.tick}", **fault.facts)
-                tau[:] = 0.0
-            tau, cut = self.limits.clip_torque(tau)
-            self.saturations += cut
-        for group in self.groups.values():
+            self.answers.finish(group, m.tick)
             if not group.engaged:
                 group.monitor.update(m.tick, m.q[group.index], None)
-        self.tau = tau
-
-    def _finish_goals(self, m: Measured) -> None:
-        for group in self.groups.values():
-            ended = group.ended()
-            if ended is not None:
-                self._result(group, *ended)
-            elif group.goal is not None and (m.tick - group.goal.since_tick) % self._progress_ticks == 0:
-                self._emit(
-                    {
-                        "event": "progress",
-                        "id": group.goal.id,
-                        "progress": group.planner.progress,
-                        "point": group.planner.point,
-                    }
-                )
-
-    def _finish_grippers(self, m: Measured) -> None:
-        for motion in [motion for motion in self._grippers.values() if motion.update(m.gripper)]:
-            del self._grippers[motion.slot]
-            self._answer(motion.id, None, opening=motion.last)
-
-    def _result(self, group: ControlledGroup, goal: Goal, fault: ImError | None) -> None:
-        duration = (self.measured.tick - goal.since_tick) * self.config.servo.period_s
-        self._answer(goal.id, fault, duration=duration)
-
-    def _answer(self, number: int, error: ImError | None, **results: object) -> None:
-        message: dict[str, Any] = {"event": "reply", "id": number, "success": error is None, "results": results}
-        if error is not None:
-            message["error"] = {"code": error.code, "message": error.message, "facts": error.facts}
-        self._emit(message)
+        self.grippers.update(m)

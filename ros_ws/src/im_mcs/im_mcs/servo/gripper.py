@@ -1,12 +1,18 @@
-"""Grippers: told where to go, done when the jaws stand still."""
+"""Grippers: told where to go and how hard to press, done when the jaws stand still."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from im_core.errors import ImError, LimitError, NotFoundError, StateError
+from im_mcs.servo.answers import Answers
+from im_mcs.testbed import Measured
+
 _STILL_M = 1e-5
 _STILL_TICKS = 5
+_REACHED_M = 1e-3
 
 
 @dataclass
@@ -18,12 +24,14 @@ class GripperMotion:
         slot: Which gripper.
         last: Opening of the last tick [m].
         still: For how many ticks the jaws have stood.
+        fault: Why they stop on the way, if they do.
     """
 
     id: int
     slot: int
     last: float
     still: int = 0
+    fault: ImError | None = None
 
     def update(self, openings: NDArray[np.float64]) -> bool:
         """Take the measured openings, shape (m,) [m]; whether the jaws have come to stand."""
@@ -31,3 +39,112 @@ class GripperMotion:
         self.still = self.still + 1 if abs(opening - self.last) < _STILL_M else 0
         self.last = opening
         return self.still >= _STILL_TICKS
+
+
+class Grippers:
+    """All grippers.
+
+    Attributes:
+        opening: Wanted openings, shape (m,) [m].
+        force: Largest forces between the jaws, shape (m,) [N]; infinity: all that the gripper can give.
+
+    Args:
+        names: Of the slots.
+        stroke: Largest opening [m].
+        full_force: Largest force that can be asked for [N].
+        measured: Where the jaws are, shape (m,) [m].
+        answers: Told when jaws stand still.
+    """
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        stroke: float,
+        full_force: float,
+        measured: NDArray[np.float64],
+        answers: Answers,
+    ) -> None:
+        self._names = names
+        self._stroke, self._full_force = stroke, full_force
+        self._answers = answers
+        self._moving: dict[int, GripperMotion] = {}
+        self.hold(measured)
+
+    @property
+    def moving(self) -> bool:
+        """Whether jaws are on their way."""
+        return bool(self._moving)
+
+    def hold(self, measured: NDArray[np.float64]) -> None:
+        """Stay where the jaws are, shape (m,) [m]."""
+        self.opening = measured.copy()
+        self.force = np.full(len(self._names), np.inf)
+
+    def move(self, number: int, name: str, opening: float, force: float, measured: NDArray[np.float64]) -> None:
+        """Let jaws go to an opening.
+
+        Args:
+            number: Of the request; answered at the end.
+            name: Of the gripper.
+            opening: [m].
+            force: Largest force [N]; 0: all that the gripper can give.
+            measured: Where the jaws are, shape (m,) [m].
+
+        Raises:
+            NotFoundError: There is no such gripper.
+            LimitError: Opening or force are out of range.
+            StateError: The jaws are on their way.
+        """
+        if name not in self._names:
+            raise NotFoundError(kind="gripper", name=name, known=self._names)
+        for value, limit, unit, what in (
+            (opening, self._stroke, "m", "opening"),
+            (force, self._full_force, "N", "force"),
+        ):
+            if not 0.0 <= value <= limit:
+                raise LimitError(joint=name, value=value, limit=limit if value > 0.0 else 0.0, unit=unit, what=what)
+        slot = self._names.index(name)
+        if slot in self._moving:
+            raise StateError(f"{name} is moving; wait for its end", gripper=name)
+        self.opening, self.force = self.opening.copy(), self.force.copy()
+        self.opening[slot] = opening
+        self.force[slot] = force or np.inf
+        self._moving[slot] = GripperMotion(number, slot, float(measured[slot]))
+
+    def cancel(self, number: int, fault: ImError, measured: NDArray[np.float64]) -> bool:
+        """Let jaws stop where they are; the request that moved them ends with ``fault`` once they stand.
+
+        Args:
+            number: Of the request that let them move.
+            fault: Why.
+            measured: Where the jaws are, shape (m,) [m].
+
+        Returns:
+            Whether that request is under way.
+        """
+        motion = next((motion for motion in self._moving.values() if motion.id == number), None)
+        if motion is None:
+            return False
+        self.opening = self.opening.copy()
+        self.opening[motion.slot] = measured[motion.slot]
+        motion.fault = fault
+        return True
+
+    def update(self, m: Measured) -> None:
+        """Tell of the jaws that have come to stand."""
+        for motion in [motion for motion in self._moving.values() if motion.update(m.gripper)]:
+            del self._moving[motion.slot]
+            results: dict[str, object] = {
+                "opening": motion.last,
+                "reached": abs(motion.last - float(self.opening[motion.slot])) <= _REACHED_M,
+            }
+            if math.isfinite(force := float(m.gripper_force[motion.slot])):
+                results["force"] = force
+            self._answers.reply(motion.id, motion.fault, results)
+
+    def drop(self, reason: ImError, measured: NDArray[np.float64]) -> None:
+        """End every motion with ``reason``, at once."""
+        self.hold(measured)
+        for motion in self._moving.values():
+            self._answers.reply(motion.id, reason)
+        self._moving.clear()

@@ -1,25 +1,28 @@
 """The servo process: the loop around :class:`im_mcs.servo.core.Mcs`."""
 
+import math
 import signal
-from contextlib import suppress
 from typing import Any
 
-import numpy as np
-
 from im_core import clock, scheduling
-from im_core.errors import ImError, LinkError
+from im_core.errors import LinkError
 from im_core.robot import load_cell
 from im_mcs.config import McsConfig
 from im_mcs.model import Model
-from im_mcs.servo.channel import STATES, ServoChannel, sample_message
+from im_mcs.planning import line as _line  # noqa: F401  (loaded in the loop it would cost deadlines)
+from im_mcs.servo.channel import ServoChannel
 from im_mcs.servo.core import Mcs
+from im_mcs.servo.hardware import GuardedTestbed
 from im_mcs.servo.realtime import Pacer
+from im_mcs.servo.recorder import Recorder
+from im_mcs.servo.report import Reporter
 from im_mcs.state import State
-from im_mcs.testbed import TestbedInterface, load_driver
+from im_mcs.testbed import TestbedInterface
 
 _WAIT_S = 0.05
+_LOOK_S = 0.02
 _SNAPSHOT_TICKS = 4
-_SAMPLE_PERIOD_NS = 20_000_000
+_ORPHAN_S = 5.0
 
 
 class ServoProcess:
@@ -36,38 +39,37 @@ class ServoProcess:
     def __init__(self, instance: str, config: McsConfig) -> None:
         self._config = config
         model = Model(load_cell())
-        channels = [slot.channel for slot in config.joint_slots]
-        gripper_channels = [slot.channel for slot in config.gripper_slots]
-        self._driver = load_driver(config.testbed.driver, instance=instance, timeout_s=config.testbed.attach_timeout_s)
-        if abs(self._driver.period_s - config.servo.period_s) > 1e-9:
+        testbed = TestbedInterface.load(config.testbed, config.slots, instance)
+        self._testbed = GuardedTestbed(testbed)
+        if abs(self._testbed.period_s - config.servo.period_s) > 1e-9:
             raise LinkError(
-                f"the testbed ticks every {self._driver.period_s:g} s, the servo every {config.servo.period_s:g} s;"
+                f"the testbed ticks every {self._testbed.period_s:g} s, the servo every {config.servo.period_s:g} s;"
                 " make them equal"
             )
-        self._channel = ServoChannel.attach(instance, model.n, len(gripper_channels), config.testbed.attach_timeout_s)
+        self._channel = ServoChannel.attach(instance, config, config.testbed.attach_timeout_s)
         self._pending: list[dict[str, Any]] = []
         self._told_state = State.COLD
-        testbed = TestbedInterface(self._driver, channels, gripper_channels)
-        self._mcs = Mcs(config, model, testbed, self._pending.append)
-        self._record = self._channel.snapshot.record()
-        self._pacer = Pacer(self._driver.wall_period_s)
-        self._real_time = False
-        self._linked = True
+        recorder = Recorder(self._channel.layout, self._channel.evidence)
+        self._mcs = Mcs(config, model, testbed, self._pending.append, recorder)
+        self._pacer = Pacer(self._testbed.wall_period_s)
+        self._reporter = Reporter(self._channel, self._mcs, self._pacer)
         self._powered = False
-        self._compute_s = 0.0
-        self._next_sample_ns = 0
+        self._orphaned = math.inf
+        self._owner_runs, self._next_look = True, 0.0
         self._running = True
 
     def run(self) -> None:
-        """Loop until :meth:`stop` or until the owner is gone."""
-        self._real_time = scheduling.prefer(self._config.servo.priority, paced=self._driver.wall_period_s > 0.0)
-        self._driver.connect()
-        self._write_snapshot()
+        """Loop until :meth:`stop`; if the owner is gone, until power is off."""
+        paced = self._testbed.wall_period_s > 0.0
+        self._reporter.real_time = scheduling.prefer(self._config.servo.priority, paced=paced)
+        self._testbed.connect()
+        self._reporter.snapshot()
         try:
-            while self._running and self._channel.requests.owner_alive():
+            while self._running and (self._owner_alive() or self._orphan_moves()):
                 self._turn()
         finally:
-            self._driver.close()
+            self._mcs.close()
+            self._testbed.close()
             self._channel.close()
             scheduling.release()
 
@@ -75,38 +77,71 @@ class ServoProcess:
         """End :meth:`run` soon; fit for a signal handler."""
         self._running = False
 
+    def _owner_alive(self) -> bool:
+        """Whether the owner runs; asked twice a tick, looked at every 20 ms, for that takes a tenth of a tick."""
+        now = clock.monotonic()
+        if self._owner_runs and now >= self._next_look:
+            self._owner_runs = self._channel.requests.owner_alive()
+            self._next_look = now + _LOOK_S
+        return self._owner_runs
+
+    def _orphan_moves(self) -> bool:
+        """Whether, without an owner, there is still something to stop and to switch off; it must not take long."""
+        now = clock.monotonic()
+        if math.isinf(self._orphaned):
+            self._orphaned = now
+            return True  # a tick to see it
+        return self._mcs.wants_time and now - self._orphaned < _ORPHAN_S
+
     def _turn(self) -> None:
         """Wait for a tick and run it; without a tick, look after the link and refuse what cannot be done."""
+        self._channel.heartbeat.beat()
         try:
-            if not self._linked:
-                self._driver.connect()
-                self._linked = True
+            if not self._reporter.linked:
+                self._testbed.connect()
+                self._reporter.linked = True
                 self._pacer.restart()
-            while not self._driver.wait(_WAIT_S):
-                if not self._running or not self._channel.requests.owner_alive():
-                    return
-            self._tick()
+            if self._wait():
+                self._tick()
         except LinkError as error:
-            self._linked = False
-            self._mcs.lose_testbed(error)
-            for message in self._channel.requests.receive_all():
-                self._mcs.refuse(message, LinkError(f"the testbed does not answer: {error.message}"))
-            self._tell_state()
-            self._write_snapshot()
-            self._send_events()
-            clock.sleep(_WAIT_S)
+            self._lose(error)
+
+    def _wait(self) -> bool:
+        """Wait for a tick; whether it came. At clock factor 0 none comes while nobody wants time.
+
+        Raises:
+            LinkError: The testbed is gone, or a tick that must come does not.
+        """
+        began = clock.monotonic()
+        while not self._testbed.wait(_WAIT_S):
+            self._channel.heartbeat.beat()
+            due = self._mcs.wants_time or self._pacer.period_s > 0.0 or not self._channel.requests.empty()
+            began = began if due else clock.monotonic()
+            silence_s = clock.monotonic() - began
+            if silence_s > self._config.safety.testbed_silence_s:
+                raise LinkError(f"the testbed has not ticked for {silence_s:.1f} s", seconds=silence_s)
+            if not self._running or not self._owner_alive():
+                return False
+        return True
+
+    def _lose(self, error: LinkError) -> None:
+        self._reporter.linked = False
+        self._mcs.lose_testbed(error)
+        for message in self._channel.requests.receive_all():
+            self._mcs.refuse(message, LinkError(f"the testbed does not answer: {error.message}"))
+        self._tell_state()
+        self._reporter.snapshot()
+        self._send_events()
+        clock.sleep(_WAIT_S)
 
     def _tick(self) -> None:
         self._pacer.wait()
         began = clock.monotonic()
-        if self._pacer.missed_in_row >= self._config.servo.max_overruns:
-            self._mcs.stop_all(
-                ImError(
-                    f"protective stop: {self._pacer.missed_in_row} servo deadlines in a row were missed", code="overrun"
-                )
-            )
+        situation = self._mcs.situation
+        situation.overruns = self._pacer.missed_in_row
+        situation.owner_silence_s = self._channel.heartbeat.silence_s() if self._owner_alive() else math.inf
         self._mcs.tick(self._channel.requests.receive_all())
-        self._compute_s += 0.01 * (clock.monotonic() - began - self._compute_s)
+        self._reporter.computed(clock.monotonic() - began)
         self._report()
 
     def _report(self) -> None:
@@ -122,13 +157,10 @@ class ServoProcess:
             self._pacer.restart()
         self._powered = powered
         if self._pending and not self._mcs.wants_time:
-            self._driver.after_tick(m.tick)
+            self._testbed.after_tick(m.tick)
         if self._pending or not self._mcs.wants_time or m.tick % _SNAPSHOT_TICKS == 0:
-            self._write_snapshot()
-        if not self._next_sample_ns - _SAMPLE_PERIOD_NS <= m.stamp_ns < self._next_sample_ns:
-            self._next_sample_ns = (m.stamp_ns // _SAMPLE_PERIOD_NS + 1) * _SAMPLE_PERIOD_NS
-            with suppress(LinkError):  # the owner is slow: joint states are a stream of which the newest counts
-                self._channel.samples.send(sample_message(m.stamp_ns, m.q, self._mcs.v, self._mcs.tau))
+            self._reporter.snapshot()
+        self._reporter.sample()
         self._send_events()
 
     def _tell_state(self) -> None:
@@ -144,29 +176,6 @@ class ServoProcess:
                 self._channel.events.send(message)
             self._pending.clear()
             self._channel.bell.post()
-
-    def _write_snapshot(self) -> None:
-        mcs, m, r = self._mcs, self._mcs.measured, self._record
-        r["tick"], r["stamp_ns"] = m.tick, m.stamp_ns
-        r["state"] = STATES.index(mcs.manager.state)
-        r["power"], r["brakes"] = m.power, m.brakes
-        r["q"], r["v"], r["tau"], r["setpoint"], r["gripper"] = m.q, mcs.v, mcs.tau, mcs.setpoint, m.gripper
-        reserved = np.zeros(len(m.q), dtype=np.bool_)
-        for name, group in mcs.groups.items():
-            i, monitor = group.index, group.monitor
-            reserved[i] = name in mcs.manager.reservations.groups
-            r["at_rest"][i] = monitor.at_rest
-            r["rest_since_tick"][i] = monitor.since_tick
-            r["rest_window"][i] = monitor.window
-            r["q_rest"][i] = monitor.q
-            r["q_rest_variance"][i] = monitor.variance
-        r["reserved"] = reserved
-        r["saturations"] = mcs.saturations
-        r["ticks"], r["missed_deadlines"] = self._pacer.ticks, self._pacer.missed
-        r["max_lateness_s"], r["mean_period_s"] = self._pacer.max_lateness_s, self._pacer.mean_period_s
-        r["mean_compute_s"] = self._compute_s
-        r["real_time"], r["linked"] = self._real_time, self._linked
-        self._channel.snapshot.write(r)
 
 
 def run(instance: str, config: McsConfig) -> int:

@@ -2,42 +2,18 @@
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError, StateError, WaitTimeoutError
+from im_core.errors import ImError, StateError
 from im_mcs.config import Servo
 from im_mcs.state.reservation import Reservations
-from im_mcs.state.table import Event, State, next_state
+from im_mcs.state.sequence import Arms, Sequences
+from im_mcs.state.table import ANYTIME, Event, State, next_state
 from im_mcs.testbed.driver import Measured
 
 Reply = Callable[[ImError | None], None]
-
-
-class Arms(Protocol):
-    """What the state manager asks of the layers above the slots."""
-
-    def engage(self, groups: Sequence[str]) -> None:
-        """Let the groups hold where they are measured to be."""
-        ...
-
-    def disengage(self) -> None:
-        """No setpoints and no torques any more."""
-        ...
-
-    def drop(self, reason: ImError) -> None:
-        """End every goal with ``reason`` and :meth:`disengage`."""
-        ...
-
-    def moving(self) -> str | None:
-        """A group that has a goal, if there is one."""
-        ...
-
-    def settled(self) -> bool:
-        """Whether every engaged group is at rest, or has been given up on."""
-        ...
 
 
 @dataclass
@@ -52,7 +28,7 @@ class StateManager:
 
     Attributes:
         state: Present state.
-        cause: Why MCS is estopped, or empty.
+        cause: Why MCS is in its state, though nobody asked for it; or empty.
         power: Power commanded.
         brakes: Brakes commanded, shape (n,).
 
@@ -79,14 +55,22 @@ class StateManager:
         self.reservations = Reservations(groups)
         self.measured = measured
         self._index = index
-        self._settings = settings
         self._arms = arms
+        self._sequences = Sequences(self, arms, settings)
         self._running: _Running | None = None
+        self._answer_ticks = round(settings.answer_timeout_s / settings.period_s)
+        self._patience = 0
 
     @property
     def busy(self) -> bool:
         """Whether a transition is under way."""
         return self._running is not None
+
+    @property
+    def wants_time(self) -> bool:
+        """Whether a transition is under way, or the testbed has yet to obey an emergency stop."""
+        obeyed = not self.measured.power and bool(self.measured.brakes.all())
+        return self.busy or (self._patience > 0 and not obeyed)
 
     def check(self, event: Event) -> State:
         """Where ``event`` leads from here.
@@ -95,7 +79,7 @@ class StateManager:
             StateError: The table does not allow it, or another transition is under way.
         """
         target = next_state(self.state, event)
-        if self._running is not None and event is not Event.ESTOP:
+        if self._running is not None and event not in ANYTIME:
             raise StateError(
                 f"{event.value} is refused while {self._running.event.value} is under way; wait for it, or estop",
                 state=self.state.value,
@@ -103,15 +87,20 @@ class StateManager:
             )
         return target
 
-    def reserve(self, group: str) -> None:
+    def reserve(self, group: str, owner: str = "", lease_s: float = 0.0) -> None:
         """Give a group its slots.
+
+        Args:
+            group: Name of the group.
+            owner: Who uses it; empty: anyone.
+            lease_s: Testbed time until it lapses unless renewed [s]; 0: never.
 
         Raises:
             StateError: Not allowed now, a slot is owned by another group, or does not answer.
             NotFoundError: There is no such group.
         """
         target = self.check(Event.RESERVE)
-        self.reservations.reserve(group)
+        self.reservations.reserve(group, owner, lease_s, self.measured.stamp_ns)
         if not np.isfinite(self.measured.q[self._index[group]]).all():
             self.reservations.release(group)
             raise StateError(f"group '{group}' cannot be reserved: a slot of it gives no reading", group=group)
@@ -128,6 +117,47 @@ class StateManager:
         self.reservations.release(group)
         self.state = next_state(self.state, Event.RELEASE if self.reservations.groups else Event.RELEASE_LAST)
 
+    def renew(self, owner: str) -> None:
+        """Let the leases of an owner run anew.
+
+        Raises:
+            StateError: Not allowed now, or the owner has reserved nothing.
+        """
+        self.check(Event.RENEW)
+        self.reservations.renew(owner, self.measured.stamp_ns)
+
+    def check_repartition(self, groups: Mapping[str, Sequence[str]], preset: str) -> None:
+        """Check that the slots may be divided into other groups.
+
+        Args:
+            groups: Slots of each group.
+            preset: Name of the partition, for messages.
+
+        Raises:
+            StateError: Not allowed now, or a reserved group has other joints there.
+        """
+        self.check(Event.REPARTITION)
+        self.reservations.check_repartition(groups, preset)
+
+    def repartition(self, groups: Mapping[str, Sequence[str]], index: Mapping[str, NDArray[np.intp]]) -> None:
+        """Divide the slots into other groups; to be checked before.
+
+        Args:
+            groups: Slots of each group.
+            index: Joints of each group, as ranks.
+        """
+        self.reservations.repartition(groups)
+        self._index = index
+
+    def shut_down(self, reason: str) -> None:
+        """Go towards power off by the ordinary ways, as soon as nothing moves; to be called tick by tick."""
+        if self._running is None and self._arms.moving() is None:
+            self.cause = reason
+            if self.state is State.MOTION:
+                self.begin(Event.DISABLE_MOTION, lambda error: None)
+            elif self.state is State.ACTIVE:
+                self.begin(Event.POWER_OFF, lambda error: None)
+
     def begin(self, event: Event, reply: Reply) -> None:
         """Start a transition that goes on in :meth:`tick`; ``reply`` is called at its end.
 
@@ -143,18 +173,23 @@ class StateManager:
         if event is Event.RESET and (self.measured.power or not self.measured.brakes.all()):
             raise StateError("reset is refused: the testbed still reports power on or a brake off")
         steps = {
-            Event.POWER_ON: self._power_on,
-            Event.POWER_OFF: self._power_off,
-            Event.ENABLE_MOTION: self._enable_motion,
-            Event.DISABLE_MOTION: self._disable_motion,
-            Event.RESET: self._reset,
+            Event.POWER_ON: self._sequences.power_on,
+            Event.POWER_OFF: self._sequences.power_off,
+            Event.ENABLE_MOTION: self._sequences.enable_motion,
+            Event.DISABLE_MOTION: self._sequences.disable_motion,
+            Event.RESET: self._sequences.reset,
         }[event]
+        if event is Event.POWER_ON:
+            self.cause = ""
         self._running = _Running(event, steps(target), reply)
 
     def tick(self) -> None:
-        """Go on with the transition that is under way."""
+        """Go on with the transition that is under way; free what a dead client has reserved."""
         running = self._running
+        self._patience = max(0, self._patience - 1)
         if running is None:
+            if self.state is State.RESERVED:
+                self._free_lapsed()
             return
         try:
             next(running.steps)
@@ -181,6 +216,7 @@ class StateManager:
         running, self._running = self._running, None
         self.state = target
         self.cause = reason
+        self._patience = self._answer_ticks
         self.power = False
         self.brakes = np.ones_like(self.brakes)
         self._arms.drop(error)
@@ -188,61 +224,16 @@ class StateManager:
             running.steps.close()
             running.reply(error)
 
+    def fail(self, reason: str) -> None:
+        """An e-stop because of the transition that is under way; its reply says what happened."""
+        self._running = None
+        self.estop(reason)
+
     def reserved_joints(self) -> NDArray[np.intp]:
         """Ranks of all joints of reserved groups."""
         return np.concatenate([self._index[group] for group in self.reservations.groups])
 
-    def _power_on(self, target: State) -> Generator[None, None, None]:
-        self.power = True
-        try:
-            yield from self._until(lambda: self.measured.power, "the testbed to switch power on")
-        except WaitTimeoutError:
-            self.power = False
-            raise
-        self.state = target
-
-    def _power_off(self, target: State) -> Generator[None, None, None]:
-        self.power = False
-        yield from self._until(lambda: not self.measured.power, "the testbed to switch power off")
-        self.state = target
-
-    def _enable_motion(self, target: State) -> Generator[None, None, None]:
-        joints = self.reserved_joints()
-        self._arms.engage(self.reservations.groups)
-        yield from self._ticks(self._settings.brake_lead_ticks)  # torque carries the arm before the brakes let go
-        self.brakes[joints] = False
-        try:
-            yield from self._until(lambda: not self.measured.brakes[joints].any(), "the brakes to release")
-        except WaitTimeoutError:
-            self.brakes[joints] = True
-            self._arms.disengage()
-            raise
-        self.state = target
-        while not self._arms.settled():
-            yield
-
-    def _disable_motion(self, target: State) -> Generator[None, None, None]:
-        joints = self.reserved_joints()
-        self.brakes[joints] = True
-        yield from self._until(lambda: bool(self.measured.brakes[joints].all()), "the brakes to engage")
-        yield from self._ticks(self._settings.brake_lead_ticks)  # brakes hold before the torque leaves
-        self._arms.disengage()
-        self.state = target
-
-    def _reset(self, target: State) -> Generator[None, None, None]:
-        self.reservations.release_all()
-        self.cause = ""
-        self.state = target
-        yield from ()
-
-    def _ticks(self, count: int) -> Generator[None, None, None]:
-        for _ in range(count):
-            yield
-
-    def _until(self, holds: Callable[[], bool], what: str) -> Generator[None, None, None]:
-        timeout_s = self._settings.answer_timeout_s
-        for _ in range(round(timeout_s / self._settings.period_s)):
-            if holds():
-                return
-            yield
-        raise WaitTimeoutError(what=what, seconds=timeout_s)
+    def _free_lapsed(self) -> None:
+        self.reservations.lapse(self.measured.stamp_ns)
+        for group in self.reservations.lapsed():
+            self.release(group)

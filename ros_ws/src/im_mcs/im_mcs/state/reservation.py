@@ -1,12 +1,41 @@
 """Allocation of slots to groups (paper, section 4: "allocate resources and prevent contention")."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from im_core.errors import NotFoundError, StateError
 
 
+@dataclass
+class Reservation:
+    """A group that has its slots.
+
+    Attributes:
+        group: Name of the group.
+        owner: Who reserved it; empty: anyone may use it.
+        lease_s: Testbed time after which it lapses unless renewed [s]; 0: never.
+        until_ns: When that is, testbed time [ns].
+        lapsed: Whether it has; the group then takes no motions until its owner renews the lease.
+    """
+
+    group: str
+    owner: str
+    lease_s: float
+    until_ns: int
+    lapsed: bool = False
+
+    @property
+    def who(self) -> str:
+        """Group and owner, for messages."""
+        return f"group '{self.group}'" + (f" (owner '{self.owner}')" if self.owner else "")
+
+    def left_s(self, now_ns: int) -> float:
+        """What is left of the lease [s]; 0 if there is none."""
+        return max(0.0, (self.until_ns - now_ns) * 1e-9) if self.lease_s > 0.0 else 0.0
+
+
 class Reservations:
-    """Which group owns which slot.
+    """Which group owns which slot, for whom, and until when.
 
     Args:
         groups: Slots of every group that may be reserved.
@@ -14,33 +43,45 @@ class Reservations:
 
     def __init__(self, groups: Mapping[str, Sequence[str]]) -> None:
         self._groups = {name: tuple(slots) for name, slots in groups.items()}
-        self._owners: dict[str, str] = {}
+        self._held: dict[str, Reservation] = {}
 
     @property
     def groups(self) -> tuple[str, ...]:
         """Reserved groups, in the order in which they were reserved."""
-        return tuple(dict.fromkeys(self._owners.values()))
+        return tuple(self._held)
 
-    def reserve(self, group: str) -> None:
+    def of(self, group: str) -> Reservation | None:
+        """The reservation of a group, if it has one."""
+        return self._held.get(group)
+
+    def reserve(self, group: str, owner: str = "", lease_s: float = 0.0, now_ns: int = 0) -> None:
         """Give all slots of ``group`` to it, or none.
+
+        Args:
+            group: Name of the group.
+            owner: Who uses it; empty: anyone.
+            lease_s: Testbed time until it lapses unless renewed [s]; 0: never.
+            now_ns: Testbed time [ns].
 
         Raises:
             NotFoundError: No such group.
-            StateError: The group is reserved already, or a slot belongs to another group; both are named.
+            StateError: The group is reserved already, or a slot belongs to another group; both sides are named.
         """
         slots = self._slots(group)
-        if group in self.groups:
-            raise StateError(f"group '{group}' is reserved already", group=group)
-        for slot in slots:
-            owner = self._owners.get(slot)
-            if owner is not None:
-                raise StateError(
-                    f"group '{group}' cannot be reserved: slot '{slot}' is owned by group '{owner}'",
-                    slot=slot,
-                    owner=owner,
-                    group=group,
-                )
-        self._owners.update(dict.fromkeys(slots, group))
+        wanted = Reservation(group, owner, lease_s, now_ns + round(lease_s * 1e9))
+        if (present := self._held.get(group)) is not None:
+            by = f" by owner '{present.owner}'" if present.owner else ""
+            raise StateError(f"group '{group}' is reserved already{by}", group=group, owner=present.owner)
+        for other in self._held.values():
+            for slot in slots:
+                if slot in self._groups[other.group]:
+                    raise StateError(
+                        f"{wanted.who} cannot be reserved: slot '{slot}' is owned by {other.who}",
+                        slot=slot,
+                        owner=other.group,
+                        group=group,
+                    )
+        self._held[group] = wanted
 
     def release(self, group: str) -> None:
         """Free the slots of ``group``.
@@ -50,11 +91,38 @@ class Reservations:
             StateError: The group is not reserved.
         """
         self.require(group)
-        self._owners = {slot: owner for slot, owner in self._owners.items() if owner != group}
+        del self._held[group]
 
     def release_all(self) -> None:
         """Free every slot."""
-        self._owners.clear()
+        self._held.clear()
+
+    def renew(self, owner: str, now_ns: int) -> None:
+        """Let every lease of an owner run anew; one that had lapsed holds again.
+
+        Raises:
+            StateError: The owner has reserved nothing; those who have are named.
+        """
+        mine = [r for r in self._held.values() if r.owner == owner]
+        if not mine:
+            owners = ", ".join(f"'{name}'" for name in sorted({r.owner for r in self._held.values() if r.owner}))
+            raise StateError(f"owner '{owner}' has reserved no group (owners: {owners or 'none'})", owner=owner)
+        for reservation in mine:
+            reservation.until_ns = now_ns + round(reservation.lease_s * 1e9)
+            reservation.lapsed = False
+
+    def lapse(self, now_ns: int) -> list[Reservation]:
+        """Reservations whose lease has run out since the last call."""
+        if not self._held:
+            return []
+        gone = [r for r in self._held.values() if r.lease_s > 0.0 and not r.lapsed and now_ns > r.until_ns]
+        for reservation in gone:
+            reservation.lapsed = True
+        return gone
+
+    def lapsed(self) -> list[str]:
+        """Groups whose lease has run out."""
+        return [r.group for r in self._held.values() if r.lapsed]
 
     def require(self, group: str) -> None:
         """Check that ``group`` is reserved.
@@ -64,9 +132,58 @@ class Reservations:
             StateError: It is not reserved; the message names those that are.
         """
         self._slots(group)
-        if group not in self.groups:
-            reserved = ", ".join(self.groups) or "none"
+        if group not in self._held:
+            reserved = ", ".join(self._held) or "none"
             raise StateError(f"group '{group}' is not reserved (reserved: {reserved})", group=group)
+
+    def require_lease(self, group: str) -> None:
+        """Check that ``group`` is reserved and that its lease holds.
+
+        Raises:
+            NotFoundError: No such group.
+            StateError: It is not reserved, or its lease has lapsed; the owner is named.
+        """
+        self.require(group)
+        reservation = self._held[group]
+        if reservation.lapsed:
+            raise StateError(
+                f"the lease of {reservation.who} has lapsed; its owner must renew it first",
+                group=group,
+                owner=reservation.owner,
+            )
+
+    def require_owner(self, group: str, owner: str) -> None:
+        """Check that ``owner`` may drive the slots of ``group``.
+
+        Raises:
+            NotFoundError: No such group.
+            StateError: It is not reserved, its lease has lapsed, or it is reserved for another owner, who is named.
+        """
+        self.require_lease(group)
+        present = self._held[group].owner
+        if present not in ("", owner):
+            raise StateError(
+                f"group '{group}' is driven by its owner '{present}' only, not by '{owner}'", group=group, owner=present
+            )
+
+    def check_repartition(self, groups: Mapping[str, Sequence[str]], preset: str) -> None:
+        """Check that the reserved groups have the same slots in another partition.
+
+        Raises:
+            StateError: One has not; all such are named.
+        """
+        lost = [group for group in self._held if tuple(groups.get(group, ())) != self._groups[group]]
+        if lost:
+            named = ", ".join(f"'{group}'" for group in lost)
+            raise StateError(
+                f"repartition to {preset} is refused: {named} reserved, and other joints there; release first",
+                groups=lost,
+                preset=preset,
+            )
+
+    def repartition(self, groups: Mapping[str, Sequence[str]]) -> None:
+        """Another set of groups; reservations stay."""
+        self._groups = {name: tuple(slots) for name, slots in groups.items()}
 
     def _slots(self, group: str) -> tuple[str, ...]:
         if group not in self._groups:

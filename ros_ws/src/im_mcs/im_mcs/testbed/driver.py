@@ -1,6 +1,8 @@
 """Contract of a channel driver: what MCS needs of hardware, simulated or real."""
 
 import importlib
+import inspect
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, cast
 
@@ -8,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
+
+_OFFERED = ("instance", "timeout_s")
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,9 @@ class Measured:
         power: Whether the motors have power.
         brakes: Which brakes are engaged, shape (n,).
         gripper: Openings, shape (m,) [m].
+        age_s: How old each position is, testbed time, shape (n,) [s]; 0 where it is of this tick.
+        wrench: Wrist force-torque readings, force then torque, shape (w, 6) [N, Nm]; NaN where there is no sensor.
+        gripper_force: Force between the jaws, shape (m,) [N]; NaN where it is not measured.
     """
 
     tick: int
@@ -29,6 +36,9 @@ class Measured:
     power: bool
     brakes: NDArray[np.bool_]
     gripper: NDArray[np.float64]
+    age_s: NDArray[np.float64]
+    wrench: NDArray[np.float64]
+    gripper_force: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,6 +51,7 @@ class Drive:
         brakes: Which brakes shall be engaged, shape (n,).
         gripper: Wanted openings, shape (m,) [m].
         wants_time: Whether MCS waits for something, so that simulated time must go on.
+        gripper_force: Largest force between the jaws, shape (m,) [N]; infinity stands for all the gripper can give.
     """
 
     tau: NDArray[np.float64]
@@ -48,6 +59,7 @@ class Drive:
     brakes: NDArray[np.bool_]
     gripper: NDArray[np.float64]
     wants_time: bool
+    gripper_force: NDArray[np.float64]
 
 
 class ChannelDriver(Protocol):
@@ -58,6 +70,7 @@ class ChannelDriver(Protocol):
 
     n_joints: int
     n_grippers: int
+    n_wrenches: int
     period_s: float
     """Time between ticks [s]."""
     wall_period_s: float
@@ -100,15 +113,59 @@ class ChannelDriver(Protocol):
         ...
 
 
-def load_driver(name: str, **settings: object) -> ChannelDriver:
+def load_driver(name: str, settings: Mapping[str, object], *, instance: str, timeout_s: float) -> ChannelDriver:
     """Make the driver that the configuration names ``module:Class``.
+
+    Args:
+        name: Of the class.
+        settings: Keywords of its constructor.
+        instance: Which machine on this host; given to a constructor with a parameter of that name.
+        timeout_s: How long hardware may take to answer at first [s]; likewise.
+
+    Raises:
+        ConfigError: There is no such module or class, or it does not take these settings.
+        LinkError: The hardware does not answer.
+    """
+    check_settings(name, settings)
+    factory = _find(name)
+    offered = dict(zip(_OFFERED, (instance, timeout_s), strict=True))
+    taken = {key: value for key, value in offered.items() if key in inspect.signature(factory).parameters}
+    return cast(ChannelDriver, factory(**taken, **settings))
+
+
+def asks_for_time(name: str) -> bool:
+    """Whether time of the driver ``module:Class`` passes only while it is asked for: it says ``time_on_demand = True``.
 
     Raises:
         ConfigError: There is no such module or class.
     """
+    return bool(getattr(_find(name), "time_on_demand", False))
+
+
+def check_settings(name: str, settings: Mapping[str, object]) -> None:
+    """Whether there is a driver ``module:Class`` with these settings.
+
+    Raises:
+        ConfigError: As :func:`load_driver`; says what the driver takes.
+    """
+    parameters = {
+        key: parameter
+        for key, parameter in inspect.signature(_find(name)).parameters.items()
+        if key not in _OFFERED
+    }  # fmt: skip
+    takes = f"channel driver '{name}' takes {', '.join(parameters) or 'no settings'}"
+    for key in settings:
+        if key not in parameters:
+            raise ConfigError(f"there is no setting '{key}'; {takes}", driver=name, setting=key)
+    for key, parameter in parameters.items():
+        if parameter.default is inspect.Parameter.empty and key not in settings:
+            raise ConfigError(f"the setting '{key}' is missing; {takes}", driver=name, setting=key)
+
+
+def _find(name: str) -> Callable[..., object]:
     module_name, _, class_name = name.partition(":")
     try:
-        factory = getattr(importlib.import_module(module_name), class_name)
+        factory: Callable[..., object] = getattr(importlib.import_module(module_name), class_name)
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(f"channel driver '{name}' cannot be loaded: {error}; it is written module:Class") from None
-    return cast(ChannelDriver, factory(**settings))
+    return factory

@@ -3,13 +3,15 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from im_mcs.testbed.driver import Drive, Measured
 
 
 class LoopbackDriver:
     """Joints ``inertia * qdd = tau - bias(q)``, integrated semi-implicitly; a braked joint stands still.
+
+    Jaws are at once where they are told to be; nothing presses on them or on the wrists.
 
     Args:
         inertia: Inertia of each joint, shape (n,) [kg m2 or kg].
@@ -19,21 +21,24 @@ class LoopbackDriver:
     """
 
     n_grippers = 2
+    n_wrenches = 2
     wall_period_s = 0.0
 
     def __init__(
         self,
-        inertia: NDArray[np.float64],
-        q: NDArray[np.float64],
+        inertia: ArrayLike,
+        q: ArrayLike,
         period_s: float = 0.0045,
         bias: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
     ) -> None:
-        self.n_joints = len(inertia)
+        self._inertia = np.asarray(inertia, dtype=np.float64)
+        self.n_joints = len(self._inertia)
         self.period_s = period_s
-        self.q = q.astype(np.float64)
-        self.v = np.zeros(len(q))
-        self.drive = Drive(np.zeros(len(q)), False, np.ones(len(q), dtype=np.bool_), np.zeros(2), False)
-        self._inertia = inertia
+        self.q = np.array(q, dtype=np.float64)
+        self.v = np.zeros(self.n_joints)
+        self.drive = Drive(
+            np.zeros(self.n_joints), False, np.ones(self.n_joints, dtype=np.bool_), np.zeros(2), False, np.zeros(2)
+        )
         self._bias = bias
         self._tick = 0
 
@@ -53,6 +58,9 @@ class LoopbackDriver:
             self.drive.power,
             self.drive.brakes | (not self.drive.power),
             self.drive.gripper,
+            np.zeros(self.n_joints),
+            np.zeros((2, 6)),
+            np.zeros(2),
         )
 
     def write(self, drive: Drive) -> None:

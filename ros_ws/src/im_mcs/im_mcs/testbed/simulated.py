@@ -4,7 +4,7 @@ import os
 
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.testbed_link import TestbedLink
+from im_core.testbed_link import Command, TestbedLink
 from im_mcs.testbed.driver import Drive, Measured
 
 _POLL_S = 20e-6
@@ -20,6 +20,8 @@ class SimulatedDriver:
     """
 
     n_grippers = 2
+    n_wrenches = 2
+    time_on_demand = True
 
     def __init__(self, instance: str, timeout_s: float) -> None:
         self._link = TestbedLink.attach(instance, timeout_s)
@@ -54,7 +56,7 @@ class SimulatedDriver:
     def read(self) -> Measured:
         """Encoder readings, power, brakes and grippers of the newest tick."""
         s = self._link.read_state()
-        return Measured(s.tick, s.stamp_ns, s.q, s.power, s.brakes, s.gripper)
+        return Measured(s.tick, s.stamp_ns, s.q, s.power, s.brakes, s.gripper, s.age_s, s.wrench, s.gripper_force)
 
     def write(self, drive: Drive) -> None:
         """Answer the tick.
@@ -62,7 +64,9 @@ class SimulatedDriver:
         Raises:
             LinkError: The testbed has declared this servo gone.
         """
-        self._link.write_command(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time)
+        self._link.write_command(
+            Command(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time, drive.gripper_force)
+        )
 
     def after_tick(self, tick: int) -> None:
         """Wait until physics has completed ``tick``; it takes a fraction of a millisecond on an idle computer.

@@ -1,57 +1,178 @@
 """The slots: a hardware-independent view of the channels (paper, section 4)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
-from im_mcs.testbed.driver import ChannelDriver, Drive, Measured
+from im_mcs.testbed.declaration import Kind, Slot, Testbed
+from im_mcs.testbed.driver import ChannelDriver, Drive, Measured, load_driver
+
+_COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}
 
 
 class TestbedInterface:
-    """Joints in the order of the slots, whatever the order of the channels.
+    """Joints, grippers and wrist sensors in the order of the slots, whatever drivers and channels they are on.
+
+    One driver is the clock: its ticks are the servo's. The others are read and written in each of them.
 
     Args:
-        driver: The channels.
-        channels: Channel of each joint slot.
-        gripper_channels: Channel of each gripper slot.
+        drivers: By name.
+        slots: What is on their channels; a channel without a slot gets no torque and keeps its brake.
+        clock: Name of the driver that is the clock.
 
     Raises:
-        ConfigError: A channel does not exist or serves two slots.
+        ConfigError: A channel does not exist; names slot, driver, channel and what exists. Or the drivers differ in
+            their period.
     """
 
     __test__ = False  # not a test class, whatever pytest thinks of the name
 
-    def __init__(self, driver: ChannelDriver, channels: Sequence[int], gripper_channels: Sequence[int]) -> None:
-        _check(channels, driver.n_joints, "joint")
-        _check(gripper_channels, driver.n_grippers, "gripper")
-        self.driver = driver
-        self._joints = np.array(channels, dtype=np.intp)
-        self._grippers = np.array(gripper_channels, dtype=np.intp)
+    def __init__(self, drivers: Mapping[str, ChannelDriver], slots: Sequence[Slot], clock: str) -> None:
+        self._clock = drivers[clock]
+        self._parts = [_Part(name, driver, slots) for name, driver in drivers.items()]
+        self._single = self._parts[0].covers(slots) if len(self._parts) == 1 else False
+        self._counts = {kind: sum(slot.kind == kind for slot in slots) for kind in _COUNTS}
+        self.period_s = self._clock.period_s
+        for name, driver in drivers.items():
+            if abs(driver.period_s - self.period_s) > 1e-9:
+                raise ConfigError(
+                    f"driver '{name}' ticks every {driver.period_s:g} s, the clock '{clock}' every {self.period_s:g} s"
+                )
+
+    @classmethod
+    def load(cls, testbed: Testbed, slots: Sequence[Slot], instance: str) -> Self:
+        """Make the configured drivers of a machine, and the slots on them.
+
+        Raises:
+            ConfigError: As the constructor.
+            LinkError: A driver's hardware does not answer in time.
+        """
+        drivers = {
+            name: load_driver(
+                spec.driver, spec.settings, instance=instance, timeout_s=testbed.attach_timeout_s
+            )
+            for name, spec in testbed.drivers.items()
+        }  # fmt: skip
+        return cls(drivers, slots, testbed.clock)
+
+    @property
+    def wall_period_s(self) -> float:
+        """Wall time between ticks that the loop shall keep [s]; 0 if the clock sets the pace."""
+        return self._clock.wall_period_s
+
+    def connect(self) -> None:
+        """Reach all hardware.
+
+        Raises:
+            LinkError: Some does not answer.
+        """
+        for part in self._parts:
+            part.driver.connect()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for the next tick of the clock, at most ``timeout_s`` of wall time [s]; whether it came.
+
+        Raises:
+            LinkError: The hardware is gone.
+        """
+        return self._clock.wait(timeout_s)
 
     def read(self) -> Measured:
-        """The newest measured state, in the order of the slots."""
-        m = self.driver.read()
-        return Measured(
-            m.tick, m.stamp_ns, m.q[self._joints], m.power, m.brakes[self._joints], m.gripper[self._grippers]
-        )
+        """The newest measured state, in the order of the slots.
+
+        Power is on where every driver says so.
+
+        Raises:
+            LinkError: Hardware that has no clock of its own has fallen silent.
+        """
+        if self._single:
+            return self._clock.read()
+        n, m, w = self._counts["joint"], self._counts["gripper"], self._counts["wrench"]
+        q, age_s, brakes = np.empty(n), np.empty(n), np.empty(n, dtype=np.bool_)
+        gripper, gripper_force, wrench = np.empty(m), np.empty(m), np.empty((w, 6))
+        power = True
+        for part in self._parts:
+            reading = part.driver.read()
+            power = power and reading.power
+            joints, channels = part.joints
+            q[joints], brakes[joints] = reading.q[channels], reading.brakes[channels]
+            age_s[joints] = reading.age_s[channels]
+            grippers, channels = part.grippers
+            gripper[grippers], gripper_force[grippers] = reading.gripper[channels], reading.gripper_force[channels]
+            wrenches, channels = part.wrenches
+            wrench[wrenches] = reading.wrench[channels]
+            if part.driver is self._clock:
+                tick, stamp_ns = reading.tick, reading.stamp_ns
+        return Measured(tick, stamp_ns, q, power, brakes, gripper, age_s, wrench, gripper_force)
 
     def write(self, drive: Drive) -> None:
-        """Answer the tick; channels without a slot get no torque and keep their brakes."""
+        """Answer the tick.
+
+        Raises:
+            LinkError: Some hardware no longer listens.
+        """
+        if self._single:
+            self._clock.write(drive)
+            return
+        for part in self._parts:
+            part.driver.write(part.drive(drive))
+
+    def after_tick(self, tick: int) -> None:
+        """Return once the hardware has taken the answer to ``tick``, where that can be known."""
+        for part in self._parts:
+            part.driver.after_tick(tick)
+
+    def close(self) -> None:
+        """Leave all hardware with power off and brakes on."""
+        for part in self._parts:
+            part.driver.close()
+
+
+class _Part:
+    """The slots of one driver: for each kind, which slots on which channels."""
+
+    def __init__(self, name: str, driver: ChannelDriver, slots: Sequence[Slot]) -> None:
+        self.driver = driver
+        self._name = name
+        self.joints = self._places("joint", slots)
+        self.grippers = self._places("gripper", slots)
+        self.wrenches = self._places("wrench", slots)
+
+    def covers(self, slots: Sequence[Slot]) -> bool:
+        """Whether slots and channels are the same, one by one: nothing need be sorted then."""
+        counts = (self.driver.n_joints, self.driver.n_grippers, self.driver.n_wrenches)
+        return all(
+            list(places) == list(channels) == list(range(count))
+            for (places, channels), count in zip((self.joints, self.grippers, self.wrenches), counts, strict=True)
+        )
+
+    def drive(self, drive: Drive) -> Drive:
+        """The part of ``drive`` that is this driver's, in the order of its channels."""
         tau = np.zeros(self.driver.n_joints)
         brakes = np.ones(self.driver.n_joints, dtype=np.bool_)
-        gripper = np.zeros(self.driver.n_grippers)
-        tau[self._joints] = drive.tau
-        brakes[self._joints] = drive.brakes
-        gripper[self._grippers] = drive.gripper
-        self.driver.write(Drive(tau, drive.power, brakes, gripper, drive.wants_time))
+        gripper, force = np.full(self.driver.n_grippers, np.nan), np.full(self.driver.n_grippers, np.nan)
+        slots, channels = self.joints
+        tau[channels], brakes[channels] = drive.tau[slots], drive.brakes[slots]
+        slots, channels = self.grippers
+        gripper[channels], force[channels] = drive.gripper[slots], drive.gripper_force[slots]
+        return Drive(tau, drive.power, brakes, gripper, drive.wants_time, force)
 
-
-def _check(channels: Sequence[int], count: int, kind: str) -> None:
-    for channel in channels:
-        if not 0 <= channel < count:
-            raise ConfigError(f"{kind} channel {channel} does not exist; the driver has 0 to {count - 1}")
-        if list(channels).count(channel) > 1:
-            raise ConfigError(
-                f"{kind} channel {channel} serves {list(channels).count(channel)} slots; it can serve one"
-            )
+    def _places(self, kind: Kind, slots: Sequence[Slot]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        count: Any = getattr(self.driver, _COUNTS[kind])
+        of_kind = [slot for slot in slots if slot.kind == kind]
+        mine = [(place, slot.channel) for place, slot in enumerate(of_kind) if slot.driver == self._name]
+        for place, channel in mine:
+            if channel >= count:
+                exists = f"has 0 to {count - 1}" if count else "has none"
+                raise ConfigError(
+                    f"slot '{of_kind[place].name}': {kind} channel {channel} of driver '{self._name}' does not exist;"
+                    f" the driver {exists}",
+                    slot=of_kind[place].name,
+                    driver=self._name,
+                    channel=channel,
+                )
+        table = np.array(mine, dtype=np.intp).reshape(-1, 2)
+        return table[:, 0].copy(), table[:, 1].copy()

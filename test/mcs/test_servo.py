@@ -1,5 +1,7 @@
 """The servo process against the physics process, without ROS: two runs of one seed are the same to the last bit."""
 
+import contextlib
+import os
 import subprocess
 import sys
 
@@ -10,6 +12,8 @@ from im_core import clock
 from im_core.robot import load_cell
 from im_core.testbed_link import TestbedLink
 from im_mcs.client.servo_client import ServoClient, ask
+from im_mcs.client.time_source import TestbedTime
+from im_mcs.config import load_config
 from im_mcs.servo.channel import ServoChannel
 from im_mcs.state import Event
 
@@ -24,15 +28,17 @@ def run(
     instance: str, factor: float, pause_s: float, points: list[np.ndarray]
 ) -> tuple[list[tuple[int, list[float]]], dict[str, float]]:
     """Move to the points; tick and rest position after each, and what the servo says of itself."""
-    arguments = [sys.executable, "-m", "im_sim.physics", "--instance", instance, "--factor", str(factor), "--seed", "7"]
-    physics = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    link = TestbedLink.attach(instance, 15.0)
-    channel = ServoChannel.create(instance, 18, 2)
-    servo = subprocess.Popen([sys.executable, "-m", "im_mcs.servo", instance])
-    client = ServoClient(channel, link)
-    try:
+    config = load_config()
+    arguments = ["im_sim.physics", "--instance", instance, "--factor", str(factor), "--seed", "7"]
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_process(*arguments))
+        link = TestbedLink.attach(instance, 15.0)
+        channel = stack.enter_context(contextlib.closing(ServoChannel.create(instance, config)))
+        servo = stack.enter_context(_process("im_mcs.servo", instance))
+        client = stack.enter_context(contextlib.closing(ServoClient(channel, TestbedTime(link))))
         deadline = clock.monotonic() + 20.0
         while channel.snapshot.sequence == 0:  # time passes for whoever asks, also before the servo is there
+            assert servo.poll() is None, "the servo ended"
             assert clock.monotonic() < deadline, "the servo did not come"
             clock.sleep(0.01)
         steps = []
@@ -41,31 +47,37 @@ def run(
             assert reply.error is None, reply.error
         for point in points:
             clock.sleep(pause_s)
-            arguments = {"group": "left", "points": [point.tolist()], "speed_scale": 0.0}
+            arguments = {"group": "left", "path": {"kind": "joint", "points": [point.tolist()], "blend": 0.0}}
             reply = ask(client, Event.MOVE, arguments, 30.0)
             assert reply.error is None, reply.error
             snapshot = client.snapshot()
             steps.append((int(snapshot["tick"]), snapshot["q_rest"][:9].tolist()))
-        return steps, {name: float(snapshot[name]) for name in ("missed_deadlines", "mean_period_s", "ticks")}
-    finally:
-        client.close()
         servo.terminate()
         assert servo.wait(5.0) == 0
-        channel.close()
-        physics.terminate()
-        physics.wait(5.0)
+        return steps, {name: float(snapshot[name]) for name in ("missed_deadlines", "mean_period_s", "ticks")}
+
+
+@contextlib.contextmanager
+def _process(*arguments: str):
+    """A Python module that runs until the end of the block."""
+    process = subprocess.Popen([sys.executable, "-m", *arguments])
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(5.0)
 
 
 def test_two_runs_are_the_same_whoever_is_faster():
-    first, _ = run("im_mcs_test_a", 0.0, 0.0, POINTS)
-    second, _ = run("im_mcs_test_a", 0.0, 0.07, POINTS)
+    first, _ = run(f"im_test_{os.getpid()}_a", 0.0, 0.0, POINTS)
+    second, _ = run(f"im_test_{os.getpid()}_a", 0.0, 0.07, POINTS)
     assert first == second
     for (_, q), point in zip(first, POINTS, strict=True):
         np.testing.assert_allclose(q, point, atol=1e-4)
 
 
 def test_real_time_keeps_its_period():
-    steps, servo = run("im_mcs_test_b", 1.0, 0.0, POINTS[:1])
+    steps, servo = run(f"im_test_{os.getpid()}_b", 1.0, 0.0, POINTS[:1])
     np.testing.assert_allclose(steps[-1][1], POINTS[0], atol=1e-4)
     assert servo["mean_period_s"] == pytest.approx(0.0045, rel=0.005)
     assert servo["missed_deadlines"] <= 0.02 * servo["ticks"]

@@ -1,0 +1,1 @@
+"""What MCS does in figures: ``scripts/bench.sh --mcs``."""

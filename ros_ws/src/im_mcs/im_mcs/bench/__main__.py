@@ -1,0 +1,117 @@
+"""``python -m im_mcs.bench``: the figures of MCS; for ``scripts/bench.sh --mcs``."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from im_core.clock import stamp_name
+from im_core.errors import ImError
+from im_core.figures import Line, table, write
+from im_core.names import results_dir
+from im_mcs.bench import durations, line, lockstep, process, tick, tracking
+from im_mcs.config import McsConfig, load_config
+
+PARTS = {
+    "tracking": "errors of 18 joints on moves of over 1 rad and at rest, each control law; friction and noise on",
+    "line": "distance of the wrist from straight lines of 0.4 m at 0.25 m/s, commanded and measured",
+    "tick": "time of one tick of the whole loop with 18 joints, and the share of each part",
+    "process": "time that a control law in a process of its own adds to a tick",
+    "durations": "durations of a hundred joint moves over the time-optimal ones, computed independently",
+    "lockstep": "servo and physics, two processes as fast as they go: times real time",
+    "deadlines": "missed deadlines in real time, at 4.5 ms and 1 ms, with ROS publishing and a camera rendering",
+}
+
+_DESCRIPTION = """Measures the Motion Control System in the simulated testbed. Errors are those against the truth, which
+only the testbed knows. Figures marked MISSED are beyond their bar; all are written as JSON into results/ too. What
+else runs on the computer shows: the load average is printed before and after. "idle" means below 0.5.
+
+parts:
+""" + "\n".join(f"  {name:10} {what}" for name, what in PARTS.items())
+
+
+def main() -> int:
+    """Run the command.
+
+    Returns:
+        Exit code: 0 all bars are met, 1 a bar is missed or a measurement failed, 2 bad usage, 130 interrupted.
+    """
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="bench --mcs", description=_DESCRIPTION, formatter_class=raw)
+    parser.add_argument("parts", nargs="*", metavar="PART", help="only these (all)")
+    parser.add_argument("--seed", type=int, default=1, help="of the encoder noise and the random moves (1)")
+    parser.add_argument("--config", type=Path, help="an mcs.yaml (the shipped one)")
+    given = parser.add_argument_group("given by scripts/bench.sh")
+    given.add_argument("--machine-bench", type=Path, required=True, metavar="FILE", help="measures the whole machine")
+    options = parser.parse_args()
+    unknown = [part for part in options.parts if part not in PARTS]
+    if unknown:
+        parser.error(f"there is no part '{unknown[0]}'; there are {', '.join(PARTS)}")
+    try:
+        lines, failed = measure(options.parts or list(PARTS), load_config(options.config), options)
+    except ImError as error:
+        print(f"bench: {error.message}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("bench: interrupted", file=sys.stderr)
+        return 130
+    print(table(lines))
+    path = results_dir() / f"bench-mcs-{stamp_name()}.json"
+    write(path, lines)
+    print(f"bench: {path}")
+    return 1 if failed or any(line.met is False for line in lines) else 0
+
+
+def measure(parts: Sequence[str], config: McsConfig, options: argparse.Namespace) -> tuple[list[Line], bool]:
+    """Measure parts; one that fails does not keep the others from being measured.
+
+    Args:
+        parts: Their names.
+        config: Configuration.
+        options: Of the command line.
+
+    Returns:
+        The lines, and whether a part failed.
+    """
+    work: dict[str, Callable[[], list[Line]]] = {
+        "tracking": lambda: tracking.lines(config, options.seed),
+        "line": lambda: line.lines(config, options.seed),
+        "tick": lambda: tick.lines(config, options.seed),
+        "process": lambda: process.lines(config, options.seed),
+        "durations": lambda: durations.lines(config, options.seed),
+        "lockstep": lambda: lockstep.lines(config, options.seed),
+        "deadlines": lambda: _machine_lines(options.machine_bench),
+    }
+    lines = [Line(f"load average before, {os.cpu_count()} CPUs", os.getloadavg()[0], "")]
+    failed = False
+    for part in parts:
+        print(f"bench: {part}", flush=True)
+        try:
+            lines += work[part]()
+        except ImError as error:
+            failed = True
+            lines.append(Line(part, None, "", None, error.message))
+    lines.append(Line("load average after", os.getloadavg()[0], ""))
+    return lines, failed
+
+
+def _machine_lines(program: Path) -> list[Line]:
+    """What the bench of the whole machine says about deadlines.
+
+    Raises:
+        ImError: It failed.
+    """
+    with tempfile.TemporaryDirectory(prefix="im_bench_") as folder:
+        file = Path(folder) / "lines.json"
+        ended = subprocess.run([program, "--deadlines", "--lines", str(file)], check=False)
+        if not file.is_file():
+            raise ImError(f"the bench of the machine ended with code {ended.returncode}, without figures")
+        return [Line.read(entry) for entry in json.loads(file.read_text(encoding="utf-8"))]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

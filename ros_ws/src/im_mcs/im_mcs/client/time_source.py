@@ -1,0 +1,79 @@
+"""Where a client's time comes from: a simulated testbed may stand still until it is asked for time."""
+
+from contextlib import suppress
+from typing import Protocol
+
+from im_core.errors import LinkError
+from im_core.testbed_link import Slot, TestbedLink
+
+
+class TimeSource(Protocol):
+    """Time of the testbed, as far as a client must know of it."""
+
+    @property
+    def tick(self) -> int:
+        """Number of the present tick, as far as it can be known."""
+        ...
+
+    def ask(self) -> None:
+        """A request has been sent: let it be heard."""
+        ...
+
+    def ask_until(self, tick: int) -> None:
+        """Let time pass until ``tick``; asked for by number, so that a tick which begins just now counts."""
+        ...
+
+    def close(self) -> None:
+        """Leave the testbed."""
+        ...
+
+
+class TestbedTime:
+    """Time of the simulated testbed, which passes only while somebody asks for it if its clock factor is 0.
+
+    Args:
+        link: The testbed; closed with this object.
+    """
+
+    __test__ = False  # not a test class, whatever pytest thinks of the name
+
+    def __init__(self, link: TestbedLink) -> None:
+        self._link = link
+
+    @property
+    def tick(self) -> int:
+        """Number of the present tick."""
+        return self._link.tick
+
+    def ask(self) -> None:
+        """Ask for one tick."""
+        self._link.request_time(Slot.MCS, 1)
+
+    def ask_until(self, tick: int) -> None:
+        """Ask for time until ``tick``; of a new testbed, if the one before is gone and there is one."""
+        self._link.request_until(Slot.MCS, tick)
+        if not self._link.physics_alive():
+            with suppress(LinkError):
+                link = TestbedLink.attach(self._link.instance, 0.0)
+                self._link.close()
+                self._link = link
+                self.ask()
+
+    def close(self) -> None:
+        """Leave the testbed."""
+        self._link.close()
+
+
+class FlowingTime:
+    """Time that passes by itself, as that of real hardware does."""
+
+    tick = 0
+
+    def ask(self) -> None:
+        """Nobody need be asked."""
+
+    def ask_until(self, tick: int) -> None:
+        """Nobody need be asked."""
+
+    def close(self) -> None:
+        """Nothing to leave."""

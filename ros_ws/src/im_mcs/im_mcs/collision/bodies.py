@@ -1,0 +1,150 @@
+"""Shapes of the cell, and the distances between them (coal, through pinocchio)."""
+
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from im_mcs.model import Model
+
+_NEVER_TOUCHING = 2
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The two bodies that are closest to each other.
+
+    Attributes:
+        distance: Between their surfaces, negative if they overlap [m].
+        first, second: Names of their links.
+        place: Point between them in ``world``, shape (3,) [m].
+    """
+
+    distance: float
+    first: str
+    second: str
+    place: NDArray[np.float64]
+
+
+class Bodies:
+    """Capsules of all links and the boxes that are fixed to the world, at one position of the joints after the other.
+
+    Links at most two joints apart are not compared: their shapes overlap by construction, and the joints' limits keep
+    them from touching otherwise.
+
+    Attributes:
+        names: Link or box of each body.
+        pairs: Ranks of the bodies that are compared, shape (p, 2).
+
+    Args:
+        model: Kinematics and shapes.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._geometry = pin.GeometryModel()
+        self.names: list[str] = []
+        for number, capsule in enumerate(model.cell.capsules):
+            self._add_capsule(f"{capsule.link}_{number}", capsule.link, capsule.p0, capsule.p1, capsule.radius)
+        for box in model.cell.obstacles:
+            shape = coal.Box(*box.size)
+            self._add(box.name, box.name, 0, pin.SE3(np.eye(3), np.array(box.center)), shape)
+        self._add_pairs()
+        self.pairs = np.array([(pair.first, pair.second) for pair in self._geometry.collisionPairs], dtype=np.intp)
+        self._data = model.pin.createData()
+        self._results = pin.GeometryData(self._geometry)
+
+    @property
+    def ends(self) -> list[tuple[int, NDArray[np.float64]]]:
+        """Joint of each body (0: the world) and the ends of its line in the joint's frame, shape (2, 3) [m]."""
+        found = []
+        for body in self._geometry.geometryObjects:
+            half = body.geometry.halfLength if isinstance(body.geometry, coal.Capsule) else 0.0
+            line = np.array([[0.0, 0.0, -half], [0.0, 0.0, half]])
+            placement = body.placement
+            found.append((int(body.parentJoint), line @ placement.rotation.T + placement.translation))
+        return found
+
+    def place(self, q: NDArray[np.float64]) -> None:
+        """Bring the bodies to where they are at ``q``, shape (18,)."""
+        pin.updateGeometryPlacements(self._model.pin, self._data, self._geometry, self._results, q)
+
+    def distance(self, pair: int) -> float:
+        """Distance of a pair where the bodies were placed last, negative if they overlap [m]."""
+        return float(pin.computeDistance(self._geometry, self._results, pair).min_distance)
+
+    def closest(self) -> Closest:
+        """The closest pair where the bodies were placed last."""
+        pin.computeDistances(self._geometry, self._results)
+        distances = [result.min_distance for result in self._results.distanceResults]
+        k = int(np.argmin(distances))
+        result = self._results.distanceResults[k]
+        place = (np.asarray(result.getNearestPoint1()) + np.asarray(result.getNearestPoint2())).ravel() / 2.0
+        return Closest(float(distances[k]), *self.pair_names(k), place)
+
+    def pair_names(self, pair: int) -> tuple[str, str]:
+        """Links or boxes of a pair."""
+        first, second = self.pairs[pair]
+        return self.names[first], self.names[second]
+
+    def touching(self, start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> str | None:
+        """Link or box that a thick line in ``world`` touches where the bodies were placed last.
+
+        Args:
+            start: Shape (3,) [m].
+            end: Shape (3,) [m].
+            radius: Of the line [m].
+        """
+        line, placement = _capsule(start, end, radius)
+        at = coal.Transform3s(placement.rotation, placement.translation)
+        for name, body, there in zip(self.names, self._geometry.geometryObjects, self._results.oMg, strict=True):
+            request, result = coal.CollisionRequest(), coal.CollisionResult()
+            where = coal.Transform3s(there.rotation, there.translation)
+            if coal.collide(line, at, body.geometry, where, request, result):
+                return name
+        return None
+
+    def _add_capsule(self, name: str, link: str, p0: tuple[float, ...], p1: tuple[float, ...], radius: float) -> None:
+        shape, local = _capsule(np.array(p0), np.array(p1), radius)
+        frame = self._model.pin.frames[self._model.frame_id(link)]
+        self._add(name, link, frame.parentJoint, frame.placement * local, shape)
+
+    def _add(self, name: str, link: str, joint: int, placement: pin.SE3, shape: coal.CollisionGeometry) -> None:
+        self._geometry.addGeometryObject(pin.GeometryObject(name, joint, placement, shape))
+        self.names.append(link)
+
+    def _add_pairs(self) -> None:
+        objects = self._geometry.geometryObjects
+        for i in range(len(objects)):
+            for j in range(i + 1, len(objects)):
+                a, b = objects[i].parentJoint, objects[j].parentJoint
+                if self._chain_distance(a, b) > _NEVER_TOUCHING:
+                    self._geometry.addCollisionPair(pin.CollisionPair(i, j))
+
+    def _chain_distance(self, a: int, b: int) -> int:
+        """Joints between two bodies along the tree; the world is joint 0."""
+        if a == b:
+            return 0
+        up_a, up_b = ancestors(self._model, a), ancestors(self._model, b)
+        if a == 0 or b == 0:
+            return max(len(up_a), len(up_b)) - 1
+        if up_a[-2] != up_b[-2]:  # different arms
+            return len(up_a) + len(up_b)
+        return abs(len(up_a) - len(up_b))
+
+
+def ancestors(model: Model, joint: int) -> list[int]:
+    """A joint of pinocchio's model and all those that it rides on, the world (0) last."""
+    chain = [joint]
+    while chain[-1] != 0:
+        chain.append(int(model.pin.parents[chain[-1]]))
+    return chain
+
+
+def _capsule(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> tuple[coal.Capsule, pin.SE3]:
+    """A capsule around the line from ``start`` to ``end`` and its placement."""
+    length = float(np.linalg.norm(end - start))
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length).matrix()
+    return coal.Capsule(radius, length), pin.SE3(rotation, (start + end) / 2.0)

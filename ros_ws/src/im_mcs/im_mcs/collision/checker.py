@@ -1,0 +1,97 @@
+"""Checks of positions and paths before anything moves."""
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import ImError
+from im_mcs.collision.bodies import Bodies, Closest
+from im_mcs.model import Model
+
+_STEP_RAD = 0.03
+_STEP_M = 0.015
+
+
+class CollisionChecker:
+    """Says whether positions and paths keep the bodies apart.
+
+    Args:
+        model: Kinematics and shapes.
+        clearance_m: Smallest distance allowed [m].
+    """
+
+    def __init__(self, model: Model, clearance_m: float) -> None:
+        self._bodies = Bodies(model)
+        self._clearance = clearance_m
+        self._step = np.array([_STEP_M if joint.kind == "prismatic" else _STEP_RAD for joint in model.cell.joints])
+
+    @property
+    def pairs(self) -> int:
+        """How many pairs of bodies are compared."""
+        return len(self._bodies.pairs)
+
+    def closest(self, q: NDArray[np.float64]) -> Closest:
+        """The closest pair at ``q``, shape (18,)."""
+        self._bodies.place(q)
+        return self._bodies.closest()
+
+    def require_free(self, q: NDArray[np.float64], where: str = "") -> float:
+        """Smallest distance at ``q``, shape (18,) [m].
+
+        Raises:
+            ImError: Two bodies are closer than the clearance; both are named (code ``collision``).
+        """
+        closest = self.closest(q)
+        if closest.distance >= self._clearance:
+            return closest.distance
+        x, y, z = closest.place
+        verb = "would collide with" if closest.distance <= 0.0 else "would come too close to"
+        raise ImError(
+            f"{where}{': ' if where else ''}{closest.first} {verb} {closest.second} at ({x:.2f}, {y:.2f}, {z:.2f}) m: "
+            f"distance {closest.distance * 1e3:.0f} mm, {self._clearance * 1e3:.0f} mm is the least allowed",
+            code="collision",
+            first=closest.first,
+            second=closest.second,
+            distance_m=closest.distance,
+            clearance_m=self._clearance,
+        )
+
+    def check_path(self, q_all: NDArray[np.float64], index: NDArray[np.intp], points: NDArray[np.float64]) -> float:
+        """Check the straight lines in joint space through ``points``.
+
+        Args:
+            q_all: Positions of all joints; those of other groups stay, shape (18,).
+            index: Joints of the group, shape (n,).
+            points: Points of the path, the first is where the group is, shape (m, n).
+
+        Returns:
+            Smallest distance on the way [m].
+
+        Raises:
+            ImError: Two bodies come too close; pair, point and place are named (code ``collision``).
+        """
+        whole = q_all.copy()
+        whole[index] = points[0]
+        clearance = self.require_free(whole, "at the start")
+        for number, (a, b) in enumerate(pairwise(points), start=1):
+            steps = max(1, int(np.ceil(np.max(np.abs(b - a) / self._step[index]))))
+            for k in range(1, steps + 1):
+                whole[index] = a + (b - a) * (k / steps)
+                where = f"on the way to point {number} ({100 * k // steps} %)" if k < steps else f"at point {number}"
+                clearance = min(clearance, self.require_free(whole, where))
+        return clearance
+
+    def blocking(
+        self, q: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64], radius: float
+    ) -> str | None:
+        """Link or obstacle in the way of a thick straight line, if there is one.
+
+        Args:
+            q: Positions of all joints, shape (18,).
+            start: In ``world``, shape (3,) [m].
+            end: In ``world``, shape (3,) [m].
+            radius: Of the line [m].
+        """
+        self._bodies.place(q)
+        return self._bodies.touching(start, end, radius)

@@ -1,0 +1,160 @@
+"""Distances at every servo tick: slow down before bodies come close, stop before they come too close."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import DataError
+from im_mcs.collision.bodies import Bodies
+from im_mcs.collision.braking import STRAIGHT, Ahead, BrakingDistance
+from im_mcs.collision.travel import lever_bounds
+from im_mcs.config import Collision
+from im_mcs.model import Model
+from im_mcs.planning.motion_limits import MotionLimits
+
+# Approaches below this are rounding of the distances [m].
+_ROUNDING_M = 1e-6
+# The slow-down is in full force where braking brings bodies closer by this share of the zone; below, it fades.
+_FULL_APPROACH = 0.1
+# A speed ceiling falls at once and recovers at this rate, lest speed and ceiling chase each other [1/s].
+_RECOVERY = 1.0
+# Pairs that are measured in turn at every tick, and how many may be measured to find the closest.
+_IN_TURN = 3
+_LOOKS = 8
+
+
+@dataclass(frozen=True)
+class Proximity:
+    """What the monitor says of one tick.
+
+    Attributes:
+        distance: Of the closest pair where the joints come to rest if they brake now, negative if they overlap [m];
+            beyond ``slow_down_m`` it may be a bound below it.
+        first, second: Links or boxes of that pair; if ``stop``, of the pair that is the reason.
+        speed_ceiling: Share of full speed that moving groups may have, 0 to 1.
+        stop: Whether a protective stop is due.
+    """
+
+    distance: float
+    first: str
+    second: str
+    speed_ceiling: float
+    stop: bool
+
+
+class CollisionMonitor:
+    """Watches all pairs of bodies where the joints would come to rest if they braked now.
+
+    Pairs that braking brings closer slow the motion down from ``slow_down_m`` on, and stop it at ``stop_m``. Motion
+    that takes bodies apart, or leaves their distance, goes on at any distance: after a stop the way back is free.
+
+    A distance is measured anew when the joints may have brought the pair into the zone since it was measured last
+    (conservative advancement; B. Mirtich, 1996): distances change by at most the joints' travel times their levers.
+    A few more are measured at every tick, in turn and to find the closest pair.
+
+    Args:
+        model: Kinematics and shapes.
+        limits: Of all joints; the decelerations that are counted on.
+        settings: Distances.
+        groups: Joints that brake together, one array a group.
+        period_s: Servo period [s].
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        limits: MotionLimits,
+        settings: Collision,
+        groups: Sequence[NDArray[np.intp]],
+        period_s: float,
+    ) -> None:
+        self._bodies = Bodies(model)
+        self._settings = settings
+        self._braking = BrakingDistance(limits, groups, settings.reaction_ticks * period_s)
+        self._levers = lever_bounds(model, self._bodies)
+        self._lower = np.full(len(self._bodies.pairs), -np.inf)
+        self._place = np.zeros(model.n)
+        pairs = range(len(self._lower))
+        self._turns = cycle([pairs[k : k + _IN_TURN] for k in pairs[::_IN_TURN]])
+        self._rise = _RECOVERY * period_s
+        self._ceiling = 1.0
+
+    def update(
+        self,
+        q: NDArray[np.float64],
+        v: NDArray[np.float64],
+        a: NDArray[np.float64],
+        curves: Mapping[int, Ahead] = STRAIGHT,
+    ) -> Proximity:
+        """Look at one tick.
+
+        Args:
+            q: Measured positions of all joints, shape (18,) [rad or m].
+            v: Their velocities, shape (18,) [rad/s or m/s]; of the setpoint where a group moves.
+            a: Their accelerations, shape (18,) [rad/s2 or m/s2]; likewise.
+            curves: Groups on curved paths, by their first joint: where these lead.
+
+        Raises:
+            DataError: A value is not a finite number.
+        """
+        if not math.isfinite(q.dot(q) + v.dot(v) + a.dot(a)):
+            raise DataError("the collision monitor was given a motion that is not finite")
+        place = q + self._braking.displacement(v, a, curves)
+        self._lower -= self._levers.dot(np.abs(place - self._place))
+        self._place = place
+        self._bodies.place(place)
+        closest = self._refresh()
+        ceiling, culprit = 1.0, None
+        if self._lower[closest] < self._settings.slow_down_m:
+            ceiling, culprit = self._judge(self._near(), q)
+            closest = int(self._lower.argmin()) if culprit is None else culprit
+        self._ceiling = min(ceiling, self._ceiling + self._rise)
+        distance = float(self._lower[closest])
+        return Proximity(distance, *self._bodies.pair_names(closest), self._ceiling, culprit is not None)
+
+    def _refresh(self) -> int:
+        """Measure some pairs in turn, and those that may be the closest; the closest."""
+        lower, distance = self._lower, self._bodies.distance
+        for pair in next(self._turns):
+            lower[pair] = distance(pair)
+        closest = int(lower.argmin())
+        for _ in range(_LOOKS):
+            bound = lower[closest]
+            lower[closest] = found = distance(closest)
+            if found <= bound:
+                break
+            closest = int(lower.argmin())
+        return closest
+
+    def _near(self) -> NDArray[np.intp]:
+        """Pairs that end within the zone, measured."""
+        zone = self._settings.slow_down_m
+        for pair in np.flatnonzero(self._lower < zone).tolist():
+            self._lower[pair] = self._bodies.distance(pair)
+        return np.flatnonzero(self._lower < zone)
+
+    def _judge(self, near: NDArray[np.intp], q: NDArray[np.float64]) -> tuple[float, int | None]:
+        """Speed ceiling, and the worst pair that braking brings too close, if there is one.
+
+        Args:
+            near: Pairs that end within the zone.
+            q: Where the joints are.
+        """
+        zone, allowed = self._settings.slow_down_m, self._settings.stop_m
+        self._bodies.place(q)
+        ceiling, culprit = 1.0, None
+        for pair in near:
+            end = self._lower[pair]
+            approach = self._bodies.distance(int(pair)) - end
+            if approach <= _ROUNDING_M:
+                continue
+            if end < allowed and (culprit is None or end < self._lower[culprit]):
+                culprit = int(pair)
+            share = max(end - allowed, 0.0) / (zone - allowed)
+            share = max(share, 1.0 - approach / (_FULL_APPROACH * zone))
+            ceiling = min(ceiling, self._settings.slowest + (1.0 - self._settings.slowest) * share)
+        return ceiling, culprit

@@ -1,0 +1,92 @@
+"""``/<gripper>/gripper_cmd``: open, close, grip with a force."""
+
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from control_msgs.action import GripperCommand
+from numpy.typing import NDArray
+from rclpy.action import ActionServer, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+
+from im_core.errors import ImError
+from im_mcs.ros import messages
+from im_mcs.ros.goals import Goals, fail
+from im_mcs.state import Event
+
+if TYPE_CHECKING:
+    from im_mcs.ros.node import McsNode
+
+
+class GripperServer:
+    """An action for every gripper slot.
+
+    Jaws that are held up on the way have gripped something: the goal succeeds, with ``stalled`` set. Those of a
+    cancelled goal stop where they are. The result of the action has no room for a sentence; why a goal was refused is
+    in the log and counted in ``/diagnostics``.
+
+    Args:
+        node: The node that offers them.
+    """
+
+    def __init__(self, node: "McsNode") -> None:
+        self._node = node
+        self._names = [slot.name for slot in node.config.gripper_slots]
+        self._moving: dict[str, ServerGoalHandle] = {}
+        self._goals = Goals(node)
+        self._servers = [
+            ActionServer(
+                node,
+                GripperCommand,
+                f"/{gripper}/gripper_cmd",
+                execute_callback=partial(self._execute, gripper),
+                goal_callback=lambda _: GoalResponse.ACCEPT,
+                cancel_callback=self._goals.cancel,
+            )
+            for gripper in self._names
+        ]
+
+    def publish_feedback(self, snapshot: NDArray[np.void]) -> None:
+        """Tell where the jaws are that are on their way."""
+        for gripper, handle in self._moving.items():
+            opening, force = self._measured(gripper, snapshot)
+            handle.publish_feedback(GripperCommand.Feedback(position=opening, effort=force))
+
+    async def _execute(self, gripper: str, handle: ServerGoalHandle) -> GripperCommand.Result:
+        command = handle.request.command
+        result = GripperCommand.Result()
+        try:
+            self._node.client()
+            messages.check_finite(position=command.position, max_effort=command.max_effort)
+            arguments = {"gripper": gripper, "opening": command.position, "force": command.max_effort}
+            results = await self._node.request(Event.SET_GRIPPER, arguments, partial(self._begin, gripper, handle))
+        except ImError as error:
+            if error.code != "cancelled":
+                self._node.refusals.add(f"/{gripper}/gripper_cmd", error)
+            self._fill(gripper, result)
+            fail(handle, error)
+        else:
+            self._fill(gripper, result)
+            result.reached_goal = bool(results["reached"])
+            result.stalled = not result.reached_goal
+            handle.succeed()
+        finally:
+            self._goals.end(handle)
+            if self._moving.get(gripper) is handle:
+                del self._moving[gripper]
+        return result
+
+    def _begin(self, gripper: str, handle: ServerGoalHandle, number: int) -> None:
+        self._moving.setdefault(gripper, handle)
+        self._goals.begin(handle, number)
+
+    def _fill(self, gripper: str, result: GripperCommand.Result) -> None:
+        """Where the jaws are and how hard they press, if there is anyone who knows."""
+        with suppress(ImError):
+            result.position, result.effort = self._measured(gripper, self._node.client().snapshot())
+
+    def _measured(self, gripper: str, snapshot: NDArray[np.void]) -> tuple[float, float]:
+        """Opening [m] and force [N], NaN where there is no sensor."""
+        rank = self._names.index(gripper)
+        return float(snapshot["gripper"][rank]), float(snapshot["gripper_force"][rank])

@@ -1,0 +1,117 @@
+"""Topics that show each layer; what nobody listens to is not published."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from geometry_msgs.msg import Wrench, WrenchStamped
+from rclpy.publisher import Publisher
+
+from im_core.ros import qos
+from im_mcs.ros import messages
+from im_msgs.msg import GroupSetpoints, GroupTorques, SlotStates
+
+if TYPE_CHECKING:
+    from im_mcs.ros.node import McsNode
+
+Sample = dict[str, Any]
+
+
+class Layers:
+    """``/mcs/slots``, ``/<wrist>/wrench``, ``/<group>/setpoints`` and ``/<group>/torques``.
+
+    Args:
+        node: The node that publishes.
+    """
+
+    def __init__(self, node: "McsNode") -> None:
+        self._node = node
+        self._names = list(node.model.names)
+        self._drivers = [node.config.testbed.drivers[slot.driver].driver for slot in node.config.joint_slots]
+        self._grippers = [slot.name for slot in node.config.gripper_slots]
+        self._wrists = [_wrist(slot.name) for slot in node.config.wrench_slots]
+        self._slots = node.create_publisher(SlotStates, "/mcs/slots", qos.EVENTS)
+        self._wrenches = [
+            node.create_publisher(WrenchStamped, f"/{wrist}/wrench", qos.EVENTS) for wrist in self._wrists
+        ]
+        self._torques = self._per_group(GroupTorques, "torques")
+        self._setpoints = self._per_group(GroupSetpoints, "setpoints")
+
+    def publish(self, samples: Sequence[Sample], laws: Callable[[], dict[str, str]]) -> None:
+        """Show samples of the servo.
+
+        Args:
+            samples: Since the last call, in the order of time.
+            laws: Gives the control law in force of each group.
+        """
+        if not samples:
+            return
+        if self._slots.get_subscription_count():
+            self._slots.publish(self._slot_states(samples[-1]))
+        for rank, publisher in enumerate(self._wrenches):
+            if publisher.get_subscription_count():
+                for sample in samples:
+                    publisher.publish(self._wrench(rank, sample))
+        listened = [g for g in self._node.config.groups if self._torques[g].get_subscription_count()]
+        in_force = laws() if listened else {}
+        for group in listened:
+            for sample in samples:
+                self._torques[group].publish(self._group_torques(group, sample, in_force[group]))
+        for group in self._node.config.groups:
+            if self._setpoints[group].get_subscription_count():
+                for sample in samples:
+                    self._setpoints[group].publish(self._group_setpoints(group, sample))
+
+    def _per_group(self, message_type: type, name: str) -> dict[str, Publisher]:
+        node = self._node
+        return {g: node.create_publisher(message_type, f"/{g}/{name}", qos.EVENTS) for g in node.group_names}
+
+    def _slot_states(self, sample: Sample) -> SlotStates:
+        return SlotStates(
+            stamp=messages.time(sample["stamp_ns"]),
+            tick=sample["tick"],
+            joints=self._names,
+            drivers=self._drivers,
+            position=sample["q"],
+            velocity=sample["v"],
+            torque=sample["tau"],
+            age=sample["age"],
+            brakes=sample["brakes"],
+            grippers=self._grippers,
+            opening=sample["gripper"],
+            grip_force=sample["gripper_force"],
+            wrists=self._wrists,
+            wrenches=[_fill(Wrench(), values) for values in sample["wrench"]],
+        )
+
+    def _wrench(self, rank: int, sample: Sample) -> WrenchStamped:
+        message = WrenchStamped()
+        message.header.stamp, message.header.frame_id = messages.time(sample["stamp_ns"]), self._wrists[rank]
+        _fill(message.wrench, sample["wrench"][rank])
+        return message
+
+    def _group_torques(self, group: str, sample: Sample, law: str) -> GroupTorques:
+        joints, index = self._joints(group)
+        tau = [sample["tau"][i] for i in index]
+        return GroupTorques(stamp=messages.time(sample["stamp_ns"]), controller=law, joints=joints, torque=tau)
+
+    def _group_setpoints(self, group: str, sample: Sample) -> GroupSetpoints:
+        joints, index = self._joints(group)
+        q, v, a = ([sample[f"setpoint_{name}"][i] for i in index] for name in "qva")
+        return GroupSetpoints(
+            stamp=messages.time(sample["stamp_ns"]), joints=joints, position=q, velocity=v, acceleration=a
+        )
+
+    def _joints(self, group: str) -> tuple[list[str], list[int]]:
+        description = self._node.config.groups[group]
+        return list(description.joints), self._node.index(description).tolist()
+
+
+def _wrist(slot: str) -> str:
+    """Frame of the sensor in a slot: ``left_force`` measures at ``left_wrist``."""
+    return f"{slot.rpartition('_')[0]}_wrist"
+
+
+def _fill(message: Wrench, values: Sequence[float]) -> Wrench:
+    message.force.x, message.force.y, message.force.z = values[:3]
+    message.torque.x, message.torque.y, message.torque.z = values[3:]
+    return message

@@ -1,0 +1,115 @@
+"""``/<group>/move``: joint-interpolated and straight-line motion."""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from geometry_msgs.msg import Pose
+from rclpy.action import ActionServer, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+
+from im_core.errors import DataError, ImError
+from im_core.ros.status import ok_status, to_status
+from im_mcs.client.group_state import group_state
+from im_mcs.client.kinematics import wrist_pose
+from im_mcs.client.points import ordered_points
+from im_mcs.ros import messages
+from im_mcs.ros.goals import Goals, fail
+from im_msgs.action import Move
+
+if TYPE_CHECKING:
+    from im_mcs.ros.node import McsNode
+
+_POLICIES = {Move.Goal.REFUSE: "refuse", Move.Goal.APPEND: "append", Move.Goal.REPLACE: "replace"}
+
+
+class MoveServer:
+    """``/<group>/move`` of every group of every preset.
+
+    Every goal is accepted; what cannot be done ends at once with a status that says why.
+
+    Args:
+        node: The node that offers them.
+    """
+
+    def __init__(self, node: "McsNode") -> None:
+        self._node = node
+        self._goals = Goals(node)
+        self._servers = [
+            ActionServer(
+                node,
+                Move,
+                f"/{group}/move",
+                execute_callback=partial(self._execute, group),
+                goal_callback=lambda _: GoalResponse.ACCEPT,
+                cancel_callback=self._goals.cancel,
+            )
+            for group in node.group_names
+        ]
+
+    async def _execute(self, group: str, handle: ServerGoalHandle) -> Move.Result:
+        result = Move.Result()
+        try:
+            results = await self._node.motions.run(
+                self._arguments(group, handle.request),
+                started=partial(self._goals.begin, handle),
+                on_progress=partial(self._feedback, handle),
+            )
+        except ImError as error:
+            result.success, result.status = False, to_status(error)
+            fail(handle, error)
+        else:
+            result.success, result.status = True, ok_status()
+            result.duration = float(results["duration"])
+            handle.succeed()
+        finally:
+            self._goals.end(handle)
+        self._add_state(group, result)
+        return result
+
+    def _arguments(self, group: str, goal: Move.Goal) -> dict[str, Any]:
+        """Arguments of the request; what is not finite does not travel."""
+        joints = self._node.group(group).joints
+        if goal.policy not in _POLICIES:
+            raise DataError(f"policy {goal.policy} is not one of 0 (refuse), 1 (append), 2 (replace)")
+        messages.check_finite(speed_scale=goal.speed_scale, blend=goal.blend, line_speed=goal.line_speed)
+        if goal.line and goal.path.points:
+            raise DataError("a move has a path or a line, not both")
+        if goal.line:
+            path: dict[str, Any] = {
+                "kind": "line",
+                "poses": [_pose(number, pose) for number, pose in enumerate(goal.line, start=1)],
+                "speed": goal.line_speed,
+                "blend": goal.blend,
+            }
+        else:
+            if goal.line_speed != 0.0:
+                raise DataError(f"line_speed {goal.line_speed:g} m/s is for a line, and this move has none")
+            positions = [list(point.positions) for point in goal.path.points]
+            points = ordered_points(group, joints, list(goal.path.joint_names), positions)
+            path = {"kind": "joint", "points": points, "blend": goal.blend}
+        return {"group": group, "path": path, "policy": _POLICIES[goal.policy], "speed_scale": goal.speed_scale}
+
+    def _add_state(self, group: str, result: Move.Result) -> None:
+        node = self._node
+        try:
+            description = node.group(group)
+            snapshot = node.client().snapshot()
+        except ImError:
+            return  # unconfigured, or not a group of the preset: the result's status says so
+        state = group_state(group, description, node.model, snapshot, node.config.servo.period_s)
+        result.state = messages.group_state(state)
+
+    def _feedback(self, handle: ServerGoalHandle, progress: float, point: int) -> None:
+        message = Move.Feedback(progress=progress, point=point)
+        message.stamp = messages.time(int(self._node.client().snapshot()["stamp_ns"]))
+        handle.publish_feedback(message)
+
+
+def _pose(number: int, pose: Pose) -> list[float]:
+    p, o = pose.position, pose.orientation
+    position, orientation = [p.x, p.y, p.z], [o.x, o.y, o.z, o.w]
+    try:
+        wrist_pose(position, orientation)
+    except DataError as error:
+        raise DataError(f"pose {number} of the line: {error.message}", pose=number) from None
+    return position + orientation

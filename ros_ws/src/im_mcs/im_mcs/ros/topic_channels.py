@@ -1,0 +1,91 @@
+"""Process of :class:`im_mcs.testbed.joint_state.JointStateDriver`: ``python -m im_mcs.ros.topic_channels SETTINGS``.
+
+The driver starts it and ends it; SETTINGS is JSON. It ends by itself when the driver is gone.
+"""
+
+import json
+import sys
+import threading
+from typing import Any
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from im_core import clock
+from im_core.ros import qos
+from im_core.ros import run as ros_run
+from im_mcs.testbed.topic_link import TopicLink
+
+_ATTACH_S = 5.0
+_BELL_S = 0.1
+
+
+class TopicChannels(Node):
+    """Joint states into shared memory, efforts out of it.
+
+    Args:
+        name: Of the shared memory.
+        joints: In the order of the channels.
+        state: Topic of the robot's positions.
+        command: Topic of the efforts.
+    """
+
+    def __init__(self, name: str, joints: list[str], state: str, command: str) -> None:
+        super().__init__("topic_channels", namespace="/mcs")
+        self._link = TopicLink.attach(name, len(joints), _ATTACH_S)
+        self._joints = joints
+        self._channel = {joint: channel for channel, joint in enumerate(joints)}
+        self._received = self._link.received.record()
+        self._publisher = self.create_publisher(JointState, command, qos.SENSOR)
+        self.create_subscription(JointState, state, self._take, qos.SENSOR)
+        self._running = True
+        self._thread = threading.Thread(target=self._give, name="efforts", daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the driver lives."""
+        return self._running
+
+    def stop(self) -> None:
+        """End the thread and let go of the memory."""
+        self._running = False
+        self._thread.join()
+        self._link.close()
+
+    def _take(self, message: JointState) -> None:
+        received, now = self._received, clock.monotonic()
+        for joint, position in zip(message.name, message.position, strict=False):
+            channel = self._channel.get(joint)
+            if channel is not None:
+                received["q"][channel] = position
+                received["at"][channel] = now
+        received["named"] = ", ".join(message.name).encode()[:1024]
+        self._link.received.write(received)
+
+    def _give(self) -> None:
+        while self._running:
+            if not self._link.bell.wait(_BELL_S):
+                if not self._link.command.owner_alive():
+                    self._running = False
+                    self.executor.shutdown()
+                continue
+            self._link.bell.drain()
+            command = self._link.command.read()
+            driven = command["driven"]
+            if driven.any():
+                message = JointState()
+                message.header.stamp = self.get_clock().now().to_msg()
+                message.name = [joint for joint, on in zip(self._joints, driven, strict=True) if on]
+                message.effort = command["effort"][driven].tolist()
+                self._publisher.publish(message)
+
+
+def main(arguments: list[str]) -> int:
+    """Run until SIGTERM, or until the driver is gone."""
+    settings: dict[str, Any] = json.loads(arguments[0])
+    return ros_run.main(lambda: TopicChannels(**settings), [], TopicChannels.stop)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

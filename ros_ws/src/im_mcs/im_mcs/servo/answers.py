@@ -1,0 +1,68 @@
+"""Answers of the servo: replies, results of goals with their evidence, progress."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from im_core.errors import ImError
+from im_mcs.servo.group import ControlledGroup, Goal
+from im_mcs.servo.recorder import Recorder
+
+Emit = Callable[[dict[str, Any]], None]
+_PROGRESS_S = 0.1
+
+
+class Answers:
+    """Tells who asked how it ended.
+
+    Args:
+        emit: Takes messages.
+        recorder: Keeps the evidence of what was aborted.
+        period_s: Servo period [s].
+    """
+
+    def __init__(self, emit: Emit, recorder: Recorder, period_s: float) -> None:
+        self._emit = emit
+        self._recorder = recorder
+        self._period_s = period_s
+        self._progress_ticks = max(1, round(_PROGRESS_S / period_s))
+
+    def reply(self, number: int, error: ImError | None, results: Mapping[str, object] | None = None) -> None:
+        """Answer a request."""
+        message: dict[str, Any] = {"event": "reply", "id": number, "success": error is None, "results": results or {}}
+        if error is not None:
+            message["error"] = {"code": error.code, "message": error.message, "facts": _plain(error.facts)}
+        self._emit(message)
+
+    def accuse(self, fault: ImError) -> None:
+        """Keep the last seconds as evidence of a fault; its facts name the record."""
+        fault.facts.setdefault("evidence", self._recorder.freeze())
+
+    def end(self, goal: Goal, fault: ImError | None, results: Mapping[str, object]) -> None:
+        """Tell the result of a goal; an abort of a motion names its evidence."""
+        told = dict(results)
+        if fault is not None and fault.code not in ("cancelled", "replaced"):
+            if "evidence" not in fault.facts and float(told.get("duration", 0.0)) > 0.0:  # type: ignore[arg-type]
+                self.accuse(fault)
+            if "evidence" in fault.facts:
+                told["evidence"] = fault.facts["evidence"]
+        self.reply(goal.id, fault, told)
+
+    def drop(self, goal: Goal, fault: ImError, tick: int) -> None:
+        """Tell that a goal ended at once."""
+        self.end(goal, fault, {"duration": (tick - goal.since_tick) * self._period_s})
+
+    def finish(self, group: ControlledGroup, tick: int) -> None:
+        """Tell results and progress of a group's goals."""
+        for goal, fault, results in group.ended():
+            self.end(goal, fault, results)
+        if tick % self._progress_ticks == 0 and (progress := group.progress()) is not None:
+            self._emit({"event": "progress", **progress})
+
+
+def _plain(facts: Mapping[str, object]) -> dict[str, object]:
+    """Facts as JSON data, which has no infinities."""
+    return {
+        name: str(value) if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in facts.items()
+    }

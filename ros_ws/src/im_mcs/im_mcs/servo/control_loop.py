@@ -1,0 +1,175 @@
+"""From setpoints to torques, for all groups under control: plan, limit, look around, control, limit."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import ImError
+from im_mcs.collision import CollisionMonitor, Proximity
+from im_mcs.config import McsConfig
+from im_mcs.limits import JointLimits
+from im_mcs.model import ControlledModel
+from im_mcs.planning import Setpoint
+from im_mcs.safety import Finding, Reaction, Saturations, SetpointLimiter
+from im_mcs.servo.driving import Ended, TorqueDriving
+from im_mcs.servo.group import ControlledGroup
+from im_mcs.testbed import Measured
+
+
+class ControlLoop:
+    """What happens between reading and writing the slots.
+
+    Attributes:
+        engaged: Groups under control.
+        driving: Groups whose torques come from a client.
+        ended: Goals of such groups that ended in this tick.
+        model: Dynamics in the eyes of the control laws.
+        setpoint: Positions, velocities, accelerations that are followed, shape (3, n).
+        tau: Torques, shape (n,).
+        proximity: What the collision monitor said last; None while nothing is under control.
+
+    Args:
+        config: Configuration.
+        limits: Limits of all joints.
+        model: Dynamics in the eyes of the control laws.
+        saturations: Counts what is cut.
+        q: Where all joints are, shape (n,).
+    """
+
+    def __init__(
+        self,
+        config: McsConfig,
+        limits: JointLimits,
+        model: ControlledModel,
+        saturations: Saturations,
+        q: NDArray[np.float64],
+    ) -> None:
+        period_s = config.servo.period_s
+        plan_s = period_s * config.servo.planning_divisor
+        self.engaged: list[ControlledGroup] = []
+        self.driving = TorqueDriving(limits, period_s)
+        self.ended: list[Ended] = []
+        self.model = model
+        self.setpoint = _standing(q)
+        self.tau = np.zeros(model.n)
+        self.proximity: Proximity | None = None
+        self._config, self._limits = config, limits
+        self._saturations = saturations
+        self._limiter = SetpointLimiter(limits, period_s, plan_s, config.safety.jerk_factor, saturations)
+
+    @property
+    def wants_time(self) -> bool:
+        """Whether something moves or settles."""
+        return bool(self.driving) or any(group.wants_time for group in self.engaged)
+
+    def moving(self) -> str | None:
+        """A group that has a goal."""
+        return next((g.name for g in self.engaged if g.goals or self.driving.goal(g.name) is not None), None)
+
+    def engage(self, groups: Iterable[ControlledGroup], q: NDArray[np.float64]) -> None:
+        """Let groups hold where they are measured to be, ``q`` of all joints."""
+        for group in groups:
+            group.engage(q[group.index])
+            self._limiter.hold(group.index, q[group.index])
+            if group not in self.engaged:
+                self.engaged.append(group)
+
+    def disengage(self) -> None:
+        """No setpoints and no torques any more, from this tick on."""
+        for group in self.engaged:
+            group.disengage()
+            self._limiter.release(group.index)
+        self.engaged = []
+        self.tau = np.zeros_like(self.tau)
+        self.proximity = None
+
+    def run(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[Finding]:
+        """One tick; what was found on the way.
+
+        Args:
+            m: What the slots say.
+            v: Estimated velocities, shape (n,).
+            collision: Watches distances.
+        """
+        self.setpoint = wanted = _standing(m.q)
+        self.model.advance()
+        if not self.engaged:
+            return []
+        findings = []
+        try:
+            self._plan(wanted, m, v)
+            findings += self._look_around(m, v, wanted, collision)
+            self._control(m, v, Setpoint(wanted[0], wanted[1], wanted[2]))
+        except ImError as fault:  # of a control law, or of a setpoint that is none
+            told = ImError(f"{fault.message}, at tick {m.tick}", code=fault.code)
+            told.facts.update(fault.facts)
+            findings = [Finding(Reaction.ESTOP, told)]
+        return findings
+
+    def _plan(self, wanted: NDArray[np.float64], m: Measured, v: NDArray[np.float64]) -> None:
+        if self.driving:
+            self.ended += (ended := self.driving.tick(m.q, v, m.tick))
+            self.engage((group for group, _, _ in ended), m.q)
+        for group in self.engaged:
+            index = group.index
+            if self.driving.torque(group.name) is None:
+                group.plan()
+                setpoint = group.advance()
+                wanted[0, index], wanted[1, index], wanted[2, index] = setpoint.q, setpoint.v, setpoint.a
+            else:
+                group.planner.hold(m.q[index])
+                group.monitor.restart()
+                self._limiter.place(index, m.q[index])
+        if self._limiter.limit(wanted):
+            for group in self.engaged:
+                group.planner.setpoint = Setpoint(*(row[group.index] for row in wanted))
+
+    def _look_around(
+        self, m: Measured, v: NDArray[np.float64], wanted: NDArray[np.float64], collision: CollisionMonitor
+    ) -> list[Finding]:
+        velocity = wanted[1]
+        if self.driving:
+            velocity = velocity.copy()
+            for group in self.engaged:
+                if self.driving.torque(group.name) is not None:
+                    velocity[group.index] = v[group.index]
+        curves = {
+            int(group.index[0]): ahead
+            for group in self.engaged
+            if (ahead := group.planner.ahead) is not None and self.driving.torque(group.name) is None
+        }
+        near = self.proximity = collision.update(m.q, velocity, wanted[2], curves)
+        for group in self.engaged:
+            group.set_ceiling(near.speed_ceiling)
+        if not near.stop:
+            return []
+        fault = ImError(
+            f"{near.first} and {near.second} come too close: {near.distance:.4f} m apart after braking now, "
+            f"{self._config.collision.stop_m:g} m are allowed",
+            code="collision",
+            first=near.first,
+            second=near.second,
+            distance=near.distance,
+            tick=m.tick,
+        )
+        return [Finding(Reaction.PROTECTIVE_STOP, fault)]
+
+    def _control(self, m: Measured, v: NDArray[np.float64], setpoint: Setpoint) -> None:
+        tau = np.zeros(len(m.q))
+        gravity = self.model.gravity(m.q)
+        for group in self.engaged:
+            driven = self.driving.torque(group.name)
+            own = group.torque(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
+            tau[group.index] = own
+        limit = self._limits.torque
+        self.tau = np.minimum(np.maximum(tau, -limit), limit)
+        cut = self.tau != tau
+        if np.count_nonzero(cut):
+            self._saturations.add("torque", cut)
+
+
+def _standing(q: NDArray[np.float64]) -> NDArray[np.float64]:
+    setpoint = np.zeros((3, len(q)))
+    setpoint[0] = q
+    return setpoint

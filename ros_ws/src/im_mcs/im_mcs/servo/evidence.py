@@ -1,0 +1,62 @@
+"""Evidence of an abort as files: arrays for programs, a table for people."""
+
+import io
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from im_core.errors import ImError
+from im_mcs.servo.recorder import PER_JOINT
+
+_AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+
+
+def write_evidence(folder: Path, record: Mapping[str, Any], fault: ImError, joints: tuple[str, ...] = ()) -> Path:
+    """Write ``<tick>_<code>.npz`` and ``.csv`` into ``folder``; each file appears whole or not at all.
+
+    Args:
+        folder: Where to; made if it is not there.
+        record: As :meth:`im_mcs.servo.recorder.Records.read` gives it.
+        fault: Why; code, message and facts are in the ``.npz`` as JSON, under ``fault``.
+        joints: Names of the joints, for the table; numbers if not given.
+
+    Returns:
+        The ``.npz`` file.
+
+    Raises:
+        ImError: The folder cannot be written to (code ``file``).
+    """
+    ticks = record["tick"]
+    stem = f"{int(ticks[-1]) if len(ticks) else 0:09d}_{fault.code}"
+    told = json.dumps({"code": fault.code, "message": fault.message, "facts": fault.facts}, default=str)
+    arrays = io.BytesIO()
+    np.savez_compressed(arrays, fault=np.array(told), joints=np.array(joints), **dict(record))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(folder / f"{stem}.csv", _table(record, joints, fault).encode())
+        return _write(folder / f"{stem}.npz", arrays.getvalue())
+    except OSError as error:
+        raise ImError(f"evidence cannot be written to {folder}: {error}", code="file", file=str(folder)) from error
+
+
+def _table(record: Mapping[str, Any], joints: tuple[str, ...], fault: ImError) -> str:
+    names = joints or tuple(str(k) for k in range(record["q"].shape[1]))
+    wrenches = [f"wrench_{k}_{axis}" for k in range(record["wrench"].shape[1]) for axis in _AXES]
+    head = ["tick", "stamp_ns", *(f"{name}.{column}" for column in PER_JOINT for name in names), *wrenches]
+    lines = [f"# {fault.message}".replace("\n", " "), ",".join(head)]
+    rows = len(record["tick"])
+    values = np.hstack([*(record[column] for column in PER_JOINT), record["wrench"].reshape(rows, -1)])
+    for tick, stamp, row in zip(record["tick"], record["stamp_ns"], values.tolist(), strict=True):
+        lines.append(f"{tick},{stamp}," + ",".join(f"{value:.9g}" for value in row))
+    return "\n".join(lines) + "\n"
+
+
+def _write(path: Path, data: bytes) -> Path:
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    part.write_bytes(data)
+    os.replace(part, path)
+    return path

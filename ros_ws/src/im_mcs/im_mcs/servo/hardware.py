@@ -1,0 +1,86 @@
+"""The testbed with every failure of a driver made a link error: drivers are the users', and may raise anything."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from im_core.errors import ImError, LinkError
+from im_mcs.testbed import Drive, Measured, TestbedInterface
+
+ResultT = TypeVar("ResultT")
+
+
+class GuardedTestbed:
+    """A testbed whose methods raise nothing but :class:`~im_core.errors.LinkError`.
+
+    Attributes:
+        period_s: Time between ticks [s].
+        wall_period_s: Wall time between ticks that the loop shall keep [s]; 0 if the clock sets the pace.
+
+    Args:
+        testbed: The slots and their drivers.
+    """
+
+    def __init__(self, testbed: TestbedInterface) -> None:
+        self._testbed = testbed
+        self.period_s = testbed.period_s
+        self.wall_period_s = testbed.wall_period_s
+
+    def connect(self) -> None:
+        """Reach all hardware.
+
+        Raises:
+            LinkError: Some does not answer.
+        """
+        _guard("connect", self._testbed.connect)
+        self.wall_period_s = self._testbed.wall_period_s
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; whether it came.
+
+        Raises:
+            LinkError: The hardware is gone.
+        """
+        return _guard("wait", lambda: self._testbed.wait(timeout_s))
+
+    def read(self) -> Measured:
+        """The newest measured state.
+
+        Raises:
+            LinkError: It cannot be read.
+        """
+        return _guard("read", self._testbed.read)
+
+    def write(self, drive: Drive) -> None:
+        """Answer the tick.
+
+        Raises:
+            LinkError: The hardware no longer listens.
+        """
+        _guard("write", lambda: self._testbed.write(drive))
+
+    def after_tick(self, tick: int) -> None:
+        """Return once the hardware has taken the answer to ``tick``, where that can be known.
+
+        Raises:
+            LinkError: A driver failed.
+        """
+        _guard("after_tick", lambda: self._testbed.after_tick(tick))
+
+    def close(self) -> None:
+        """Leave all hardware with power off and brakes on.
+
+        Raises:
+            LinkError: A driver failed.
+        """
+        _guard("close", self._testbed.close)
+
+
+def _guard(method: str, call: Callable[[], ResultT]) -> ResultT:
+    try:
+        return call()
+    except LinkError:
+        raise
+    except Exception as error:
+        told = error.message if isinstance(error, ImError) else f"{type(error).__name__}: {error}"
+        fault = LinkError(f"the channel driver failed: {method}: {told}")
+        raise fault from error

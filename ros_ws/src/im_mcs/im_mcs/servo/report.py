@@ -1,0 +1,117 @@
+"""What the servo shows of itself: the snapshot and the samples."""
+
+import numpy as np
+
+from im_mcs.servo.channel import STATES, ServoChannel
+from im_mcs.servo.core import Mcs
+from im_mcs.servo.realtime import Pacer
+
+_SAMPLE_PERIOD_NS = 20_000_000
+_SMOOTHING = 0.01
+
+
+class Reporter:
+    """Writes snapshots and samples into the channel.
+
+    Attributes:
+        real_time: Whether the loop has real-time scheduling.
+        linked: Whether the testbed answers.
+
+    Args:
+        channel: Where to.
+        mcs: What of.
+        pacer: How the loop keeps time.
+    """
+
+    def __init__(self, channel: ServoChannel, mcs: Mcs, pacer: Pacer) -> None:
+        self.real_time = False
+        self.linked = True
+        self._channel, self._mcs, self._pacer = channel, mcs, pacer
+        self._record = channel.snapshot.record()
+        self._fields = {name: self._record[name] for name in self._record.dtype.names or ()}
+        self._no_group = np.zeros((), dtype=self._fields["groups"].dtype)
+        self._compute_s = 0.0
+        self._next_sample_ns = 0
+
+    def computed(self, seconds: float) -> None:
+        """A tick took so long [s]."""
+        self._compute_s += _SMOOTHING * (seconds - self._compute_s)
+
+    def sample(self) -> None:
+        """A sample, if it is time for one."""
+        mcs, m = self._mcs, self._mcs.measured
+        if self._next_sample_ns - _SAMPLE_PERIOD_NS <= m.stamp_ns < self._next_sample_ns:
+            return
+        self._next_sample_ns = (m.stamp_ns // _SAMPLE_PERIOD_NS + 1) * _SAMPLE_PERIOD_NS
+        r = self._channel.samples.next()
+        r["stamp_ns"], r["tick"] = m.stamp_ns, m.tick
+        r["q"], r["v"], r["tau"], r["age"] = m.q, mcs.v, mcs.tau, m.age_s
+        r["setpoint_q"], r["setpoint_v"], r["setpoint_a"] = mcs.loop.setpoint
+        r["brakes"], r["gripper"], r["gripper_force"], r["wrench"] = m.brakes, m.gripper, m.gripper_force, m.wrench
+        self._channel.samples.push()
+
+    def snapshot(self) -> None:
+        """The newest state."""
+        mcs, m, pacer = self._mcs, self._mcs.measured, self._pacer
+        near = mcs.loop.proximity
+        for field, value in (
+            ("tick", m.tick),
+            ("stamp_ns", m.stamp_ns),
+            ("state", STATES.index(mcs.manager.state)),
+            ("power", m.power),
+            ("brakes", m.brakes),
+            ("q", m.q),
+            ("v", mcs.v),
+            ("tau", mcs.tau),
+            ("age", m.age_s),
+            ("setpoint", mcs.loop.setpoint[0]),
+            ("setpoint_v", mcs.loop.setpoint[1]),
+            ("setpoint_a", mcs.loop.setpoint[2]),
+            ("gripper", m.gripper),
+            ("gripper_force", m.gripper_force),
+            ("wrench", m.wrench),
+            ("preset", mcs.config.preset.encode()),
+            ("saturations", mcs.saturations.counts),
+            ("evidence", mcs.recorder.newest),
+            ("distance", np.inf if near is None else near.distance),
+            ("closest", (b"", b"") if near is None else (near.first.encode(), near.second.encode())),
+            ("ticks", pacer.ticks),
+            ("missed_deadlines", pacer.missed),
+            ("max_lateness_s", pacer.max_lateness_s),
+            ("mean_period_s", pacer.mean_period_s),
+            ("mean_compute_s", self._compute_s),
+            ("real_time", self.real_time),
+            ("linked", self.linked),
+        ):
+            self._fields[field][...] = value
+        self._groups(m.stamp_ns)
+        self._channel.snapshot.write(self._record)
+
+    def _groups(self, now_ns: int) -> None:
+        mcs, fields = self._mcs, self._fields
+        rows = fields["groups"]
+        rows[len(mcs.groups) :] = self._no_group
+        fields["reserved"][...] = False
+        for rank, (name, group) in enumerate(mcs.groups.items()):
+            i, monitor = group.index, group.monitor
+            reservation = mcs.manager.reservations.of(name)
+            fields["reserved"][i] = reservation is not None
+            fields["at_rest"][i] = monitor.at_rest
+            fields["rest_since_tick"][i] = monitor.since_tick
+            fields["rest_window"][i] = monitor.window
+            fields["q_rest"][i] = monitor.q
+            fields["q_rest_variance"][i] = monitor.variance
+            protective = group.protective
+            rows[rank] = (
+                name.encode(),
+                reservation is not None,
+                b"" if reservation is None else reservation.owner.encode(),
+                0.0 if reservation is None else reservation.left_s(now_ns),
+                reservation is not None and reservation.lapsed,
+                bool(group.goals),
+                group.paused,
+                group.speed,
+                group.controller.name.encode(),
+                group.controller.late,
+                b"" if protective is None else protective.message.encode(),
+            )

@@ -1,0 +1,143 @@
+"""Parts of the configuration of MCS, see :mod:`im_mcs.config`."""
+
+from typing import Any, Self
+
+from pydantic import Field, model_validator
+
+from im_core.config import Model
+from im_mcs.planning.motion_limits import Synchrony
+
+
+class Settle(Model):
+    """When a group counts as at rest."""
+
+    tolerance: float = Field(gt=0, description="mean error of each joint [rad or m]")
+    still_tolerance: float = Field(
+        gt=0, description="the same for an arm that stands still after half of timeout_s, held by friction [rad or m]"
+    )
+    window_ticks: int = Field(ge=4, description="readings averaged to judge it [ticks]")
+    timeout_s: float = Field(gt=0, description="testbed time after which a motion counts as not settled [s]")
+
+
+class Servo(Model):
+    """The loop."""
+
+    period_s: float = Field(gt=0, le=0.1)
+    planning_divisor: int = Field(ge=1, le=100, description="servo ticks between evaluations of a trajectory")
+    priority: int = Field(ge=1, le=99, description="SCHED_FIFO priority, where permitted")
+    max_overruns: int = Field(ge=1, description="missed deadlines in a row that stop every motion")
+    velocity_bandwidth_rad_s: float = Field(gt=0)
+    brake_lead_ticks: int = Field(ge=1, description="torque is present this long before brakes release, and after")
+    answer_timeout_s: float = Field(gt=0, description="power and brakes must obey within this testbed time [s]")
+    rest_window_ticks: int = Field(ge=4, description="readings averaged at rest")
+    settle: Settle
+
+
+class Group(Model):
+    """Slots that move together."""
+
+    joints: tuple[str, ...] = Field(min_length=1)
+    wrist: str | None = Field(default=None, description="frame whose pose the group controls, if it has one")
+
+
+class Limits(Model):
+    """Shares of the limits in the cell's parameter file that MCS allows itself, and bounds of its own."""
+
+    position_margin: float = Field(ge=0, description="distance kept from the end stops [rad or m]")
+    velocity: float = Field(gt=0, le=1)
+    acceleration: float = Field(gt=0, le=1)
+    jerk: float = Field(gt=0, le=1)
+    torque: float = Field(gt=0, le=1)
+    following_error_rad: float = Field(gt=0)
+    following_error_m: float = Field(gt=0)
+
+
+class Safety(Model):
+    """Bounds of the watches."""
+
+    driver_age_s: float = Field(gt=0, description="age of a reading that is a protective stop, testbed time [s]")
+    driver_age_estop_s: float = Field(gt=0, description="age that is an e-stop [s]")
+    owner_silence_s: float = Field(gt=0, description="wall time without a sign of life of the mcs node [s]")
+    servo_silence_s: float = Field(gt=0, description="wall time without a sign of life of the servo process [s]")
+    testbed_silence_s: float = Field(gt=0, description="wall time to wait for a tick that must come [s]")
+    jerk_factor: float = Field(ge=1, description="jerk of a setpoint that is cut, as a multiple of the limit")
+    record_s: float = Field(gt=0, le=60, description="time before an abort that is kept as evidence [s]")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.driver_age_estop_s < self.driver_age_s:
+            raise ValueError(f"driver_age_estop_s {self.driver_age_estop_s} is below driver_age_s {self.driver_age_s}")
+        return self
+
+
+class Control(Model):
+    """A control law and its parameters."""
+
+    controller: str = Field(pattern=r"^[\w.]+:\w+$")
+    parameters: dict[str, Any] = Field(default_factory=dict)
+
+
+class Switching(Model):
+    """Control laws that a group may be switched to at run time, beside the one it starts with."""
+
+    handover_s: float = Field(gt=0, le=10, description="the torque of the law before fades over this time [s]")
+    laws: dict[str, dict[str, Any]] = Field(default_factory=dict, description="parameters by module:Class")
+
+
+class LawProcesses(Model):
+    """Control laws that run in a process of their own each, joined to the loop by the inter-processor blocking."""
+
+    laws: tuple[str, ...] = Field(default=(), description="module:Class, of those under control and switching")
+    patience: float = Field(default=0.4, gt=0, le=0.8, description="share of the period that a tick waits for torques")
+    max_late: int = Field(default=5, ge=1, description="late answers in a row that are an error of the law")
+    start_timeout_s: float = Field(default=20.0, gt=0, description="until a process is ready [s]")
+
+
+class PayloadLimits(Model):
+    """What an arm may be told that it carries."""
+
+    rated_kg: float = Field(gt=0)
+    reach_m: float = Field(gt=0, description="largest offset of the centre of mass from the wrist, per axis [m]")
+
+
+class Line(Model):
+    """Straight lines of a wrist."""
+
+    singular_value: float = Field(
+        gt=0, lt=1, description="smallest singular value of the arm's Jacobian on a line, lengths divided by its reach"
+    )
+    deviation_m: float = Field(gt=0, description="largest distance of the commanded path from the line [m]")
+    rotation_lever_m: float = Field(gt=0, description="way that a rotation of one radian counts as [m]")
+
+
+class Planning(Model):
+    """Defaults of the motion planning layer."""
+
+    synchrony: Synchrony = Synchrony.PHASE
+    max_points: int = Field(ge=1, description="points of one path")
+    line: Line
+
+
+class Protective(Model):
+    """Protective stops."""
+
+    patience_s: float = Field(ge=0, description="testbed time for which goals stay suspended, to be resumed [s]")
+
+
+class Collision(Model):
+    """Distances between bodies, from the loosest to the tightest."""
+
+    slow_down_m: float = Field(gt=0, description="motions towards a body slow down from here on [m]")
+    clearance_m: float = Field(ge=0, description="smallest distance that a path may have, checked beforehand [m]")
+    stop_m: float = Field(gt=0, description="protective stop if braking now would end closer than this [m]")
+    slowest: float = Field(gt=0, lt=1, description="share of full speed that is left at stop_m")
+    reaction_ticks: int = Field(ge=0, description="servo ticks until a motion begins to brake")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.stop_m <= self.clearance_m <= self.slow_down_m or self.stop_m == self.slow_down_m:
+            raise ValueError(
+                f"stop_m {self.stop_m}, clearance_m {self.clearance_m}, slow_down_m {self.slow_down_m} "
+                "do not increase: paths that are allowed would be stopped"
+            )
+        return self

@@ -1,0 +1,102 @@
+"""What ``mcs.yaml`` says of drivers and slots."""
+
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from im_core.config import FieldError, Model
+from im_core.errors import ConfigError
+from im_mcs.testbed.driver import check_settings
+
+Kind = Literal["joint", "gripper", "wrench"]
+
+
+class Driver(Model):
+    """A channel driver and its settings, the keywords of its constructor."""
+
+    driver: str = Field(pattern=r"^[\w.]+:\w+$")
+    settings: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _loadable(self) -> Self:
+        try:
+            check_settings(self.driver, self.settings)
+        except ConfigError as error:
+            raise ValueError(error.message) from None
+        return self
+
+
+class Testbed(Model):
+    """Where the channels are."""
+
+    __test__ = False  # not a test class, whatever pytest thinks of the name
+
+    drivers: dict[str, Driver] = Field(min_length=1)
+    clock: str = Field(description="the driver whose ticks are the servo's")
+    attach_timeout_s: float = Field(gt=0)
+
+    @model_validator(mode="after")
+    def _clock_exists(self) -> Self:
+        if self.clock not in self.drivers:
+            raise ValueError(f"clock '{self.clock}' is not one of the drivers {', '.join(sorted(self.drivers))}")
+        return self
+
+
+class SlotLimits(Model):
+    """Limits of one slot, narrower than the cell's; what is not given is the cell's.
+
+    ``im_mcs.limits.JointLimits`` takes, for every joint slot, the narrower of these and of its share of the cell's.
+    """
+
+    lower: float | None = Field(default=None, description="[rad or m]")
+    upper: float | None = Field(default=None, description="[rad or m]")
+    velocity: float | None = Field(default=None, gt=0, description="[rad/s or m/s]")
+    torque: float | None = Field(default=None, gt=0, description="[Nm or N]")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            raise ValueError(f"lower {self.lower} is not < upper {self.upper}")
+        return self
+
+
+class Slot(Model):
+    """A joint, gripper or wrist force-torque sensor, and the channel that it is."""
+
+    name: str = Field(min_length=1)
+    kind: Kind = "joint"
+    driver: str
+    channel: int = Field(ge=0)
+    limits: SlotLimits | None = None
+
+    @model_validator(mode="after")
+    def _limited(self) -> Self:
+        if self.limits is not None and self.kind != "joint":
+            raise ValueError(f"slot '{self.name}' is a {self.kind}; only joints have limits of their own")
+        return self
+
+
+def check_slots(testbed: Testbed, slots: tuple[Slot, ...]) -> None:
+    """Refuse slots that contradict each other or name a driver that there is not.
+
+    Raises:
+        FieldError: With slot, driver, channel, and what exists.
+    """
+    names: set[str] = set()
+    served: dict[tuple[str, str, int], str] = {}
+    for rank, slot in enumerate(slots):
+        if slot.name in names:
+            raise FieldError(("slots", rank, "name"), f"two slots have the same name, '{slot.name}'")
+        names.add(slot.name)
+        if slot.driver not in testbed.drivers:
+            known = ", ".join(sorted(testbed.drivers))
+            where = ("slots", rank, "driver")
+            raise FieldError(where, f"slot '{slot.name}': there is no driver '{slot.driver}' (known: {known})")
+        channel = (slot.driver, slot.kind, slot.channel)
+        if channel in served:
+            raise FieldError(
+                ("slots", rank, "channel"),
+                f"slot '{slot.name}': {slot.kind} channel {slot.channel} of driver '{slot.driver}' already serves"
+                f" slot '{served[channel]}'",
+            )
+        served[channel] = slot.name

@@ -1,0 +1,173 @@
+"""Channel driver of a robot that speaks topics: ``sensor_msgs/JointState`` one way and the other."""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core import clock
+from im_core.errors import ConfigError, LinkError
+from im_mcs.testbed.driver import Drive, Measured
+from im_mcs.testbed.topic_link import TopicLink
+
+_BRIDGE = "im_mcs.ros.topic_channels"
+_POLL_S = 0.01
+_END_S = 2.0
+
+
+class JointStateDriver:
+    """Positions from one topic, efforts to another; a process of its own speaks ROS, for the servo has none in it.
+
+    While MCS wants no power, or a joint's brake, that joint is not in what is published: a robot holds a joint that has
+    not been commanded for longer than it allows. Power and brakes are taken to be as wanted, as the topics do not tell.
+
+    Args:
+        instance: Which machine on this host.
+        timeout_s: How long the robot may take to speak of every joint at first, wall time [s].
+        joints: Names in the messages, in the order of the channels; messages may have any order, or some of them only.
+        state_topic: Positions, from the robot.
+        command_topic: Efforts, to the robot.
+        period_s: Time between ticks [s].
+        silence_s: A reading older than this, counted from its receipt, is a fault [s].
+
+    Raises:
+        ConfigError: No joints, or one named twice; a time is not positive.
+        LinkError: The robot, or the process, is silent; names topic, joints and seconds.
+    """
+
+    n_grippers = 0
+    n_wrenches = 0
+
+    def __init__(
+        self,
+        instance: str,
+        timeout_s: float,
+        joints: Sequence[str],
+        state_topic: str,
+        command_topic: str,
+        period_s: float = 0.0045,
+        silence_s: float = 0.1,
+    ) -> None:
+        self._joints = _checked(joints)
+        for name, value in (("period_s", period_s), ("silence_s", silence_s)):
+            if not value > 0.0:
+                raise ConfigError(f"{name} of the driver of topic '{state_topic}' is {value}, not > 0 [s]")
+        self.n_joints = len(self._joints)
+        self.period_s = self.wall_period_s = period_s
+        self._silence_s = silence_s
+        self._topic = state_topic
+        self._tick = 0
+        self._drive = Drive(
+            np.zeros(self.n_joints), False, np.ones(self.n_joints, dtype=np.bool_), np.zeros(0), False, np.zeros(0)
+        )
+        name = instance + "_topics" + re.sub(r"\W", "_", state_topic)
+        self._link = TopicLink.create(name, self.n_joints)
+        settings = {"name": name, "joints": self._joints, "state": state_topic, "command": command_topic}
+        self._bridge = subprocess.Popen([sys.executable, "-m", _BRIDGE, json.dumps(settings)], stdin=subprocess.DEVNULL)
+        try:
+            self._wait_for_all(timeout_s)
+        except LinkError:
+            self.close()
+            raise
+
+    def connect(self) -> None:
+        """Whether the robot speaks.
+
+        Raises:
+            LinkError: It does not.
+        """
+        self._newest()
+
+    def wait(self, timeout_s: float) -> bool:
+        """The next tick is there as soon as the loop has kept its pace."""
+        return True
+
+    def read(self) -> Measured:
+        """The newest positions; a joint that the robot says is not a number is NaN.
+
+        Raises:
+            LinkError: The robot, or the process, has been silent for too long; names topic, joint and seconds.
+        """
+        q, age_s = self._newest()
+        braked = self._drive.brakes | (not self._drive.power)
+        stamp_ns = round(self._tick * self.period_s * 1e9)
+        return Measured(
+            self._tick, stamp_ns, q, self._drive.power, braked, np.zeros(0), age_s, np.zeros((0, 6)), np.zeros(0)
+        )
+
+    def write(self, drive: Drive) -> None:
+        """Publish the efforts of all joints with power and without brake."""
+        self._drive = drive
+        record = self._link.command.record()
+        record["effort"] = drive.tau
+        record["driven"] = ~drive.brakes & drive.power
+        self._link.command.write(record)
+        self._link.bell.post()
+        self._tick += 1
+
+    def after_tick(self, tick: int) -> None:
+        """A topic does not tell when it was heard."""
+
+    def close(self) -> None:
+        """Fall silent: the robot's own time-out holds it."""
+        self._bridge.terminate()
+        try:
+            self._bridge.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._bridge.kill()
+            self._bridge.wait()
+        self._link.close()
+
+    def _newest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions and their ages, shape (n,) each."""
+        received = self._link.received.read()
+        age_s: NDArray[np.float64] = np.maximum(clock.monotonic() - received["at"], 0.0)
+        if age_s.max() > self._silence_s:
+            self._check_bridge()
+            oldest = int(np.argmax(age_s))
+            raise LinkError(
+                f"topic '{self._topic}' has said nothing of joint '{self._joints[oldest]}' for {age_s[oldest]:.3g} s;"
+                f" {self._silence_s:g} s are allowed",
+                topic=self._topic,
+                joint=self._joints[oldest],
+                seconds=float(age_s[oldest]),
+                allowed=self._silence_s,
+            )
+        return received["q"].copy(), age_s
+
+    def _wait_for_all(self, timeout_s: float) -> None:
+        deadline = clock.monotonic() + timeout_s
+        while True:
+            received = self._link.received.read()
+            missing = [name for name, at in zip(self._joints, received["at"], strict=True) if at == 0.0]
+            if not missing:
+                return
+            self._check_bridge()
+            if clock.monotonic() > deadline:
+                named = bytes(received["named"]).decode(errors="replace")
+                heard = f"it names {named}" if named else "nothing was received"
+                raise LinkError(
+                    f"topic '{self._topic}' said nothing of joint {', '.join(missing)} within {timeout_s:g} s; {heard}",
+                    topic=self._topic,
+                    seconds=timeout_s,
+                )
+            clock.sleep(_POLL_S)
+
+    def _check_bridge(self) -> None:
+        code = self._bridge.poll()
+        if code is not None:
+            raise LinkError(f"the process {_BRIDGE} of topic '{self._topic}' ended with code {code}", exit_code=code)
+
+
+def _checked(joints: Sequence[str]) -> tuple[str, ...]:
+    names = tuple(joints)
+    if not names:
+        raise ConfigError("a driver of joint state topics needs the names of its joints")
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"joint '{twice}' is named twice")
+    return names

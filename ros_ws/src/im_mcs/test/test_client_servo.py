@@ -1,0 +1,77 @@
+"""The owner's end of the channel: signs of life, and a servo process that hangs."""
+
+import os
+
+import pytest
+
+from im_core import clock
+from im_core.errors import LinkError
+from im_mcs.client.servo_client import ServoClient
+from im_mcs.client.time_source import FlowingTime
+from im_mcs.servo.channel import ServoChannel
+from im_mcs.state import Event
+
+INSTANCE = f"im_mcs_client_{os.getpid()}"
+HANGS = LinkError("the servo process hangs")
+
+
+@pytest.fixture
+def ends(config):
+    """The owner's client, and the servo's end of the channel."""
+    channel = ServoChannel.create(INSTANCE, config)
+    servo = ServoChannel.attach(INSTANCE, config, 1.0)
+    client = ServoClient(channel, FlowingTime())
+    yield client, servo
+    client.close()
+    servo.close()
+    channel.close()
+
+
+def heard(servo):
+    return [(m["request"], m["arguments"]) for m in servo.requests.receive_all()]
+
+
+def test_the_client_s_thread_gives_no_signs_of_life(ends):
+    """Else a node that hangs would go unnoticed as long as this thread runs."""
+    client, servo = ends
+    clock.sleep(0.1)
+    assert servo.heartbeat.silence_s() == 0.0  # there was none yet: nobody is missed
+    client.beat()
+    assert servo.heartbeat.silence_s() < 0.05
+    clock.sleep(0.1)
+    assert servo.heartbeat.silence_s() >= 0.1
+    client.beat()
+    assert servo.heartbeat.silence_s() < 0.05
+
+
+def test_while_the_servo_hangs_nobody_waits_and_only_an_estop_is_passed_on(ends):
+    client, servo = ends
+    replies = []
+    number = client.send(Event.MOVE, {"group": "left"}, replies.append)
+    client.suspend(HANGS)
+    assert [reply.error for reply in replies] == [HANGS]
+    assert heard(servo) == [("move", {"group": "left"}), ("cancel", {"goal": number})]
+    with pytest.raises(LinkError, match="the servo process hangs"):
+        client.send(Event.POWER_ON)
+    client.send(Event.ESTOP, {"reason": "hand"}, replies.append)
+    client.suspend(HANGS)
+    assert len(replies) == 2
+    assert ("estop", {"reason": "hand"}) in heard(servo)
+    client.suspend(HANGS)
+    assert heard(servo) == []
+    client.resume()
+    client.send(Event.POWER_ON)
+    assert heard(servo) == [("power_on", {})]
+
+
+def test_a_full_queue_does_not_keep_the_answers_back(ends):
+    client, servo = ends
+    replies = []
+    room = (servo.requests.capacity - 100) // 50_100
+    for _ in range(room):
+        client.send(Event.MOVE, {"path": "x" * 50_000}, replies.append)
+    with pytest.raises(LinkError, match="is full"):
+        client.send(Event.MOVE, {"path": "x" * 50_000})
+    client.suspend(HANGS)
+    assert len(replies) == room
+    assert all(reply.error is HANGS for reply in replies)

@@ -1,0 +1,144 @@
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from im_core.errors import DataError, ImError
+from im_mcs.client.kinematics import Kinematics
+from im_mcs.collision import Bodies, CollisionChecker
+from im_mcs.collision.braking import BrakingDistance
+from im_mcs.collision.travel import lever_bounds
+from im_mcs.planning import MotionLimits
+
+
+@pytest.fixture(scope="module")
+def kinematics(config, model):
+    return Kinematics(config, model)
+
+
+def test_paths_are_checked_on_the_way(kinematics, cell):
+    """Both ends free, the carts meet in between."""
+    start, through = cell.home[:9].tolist(), cell.home[:9].copy()
+    through[0] = 0.8
+    q = cell.home.copy()
+    q[9] = 0.3
+    assert kinematics.check_path("left", [start, start], cell.home) > 0.02
+    with pytest.raises(ImError, match=r"on the way to point 1 .*left_.* right_") as caught:
+        kinematics.check_path("left", [start, through.tolist()], q)
+    assert {"first", "second", "distance_m", "clearance_m"} <= caught.value.facts.keys()
+    with pytest.raises(DataError, match="a path of 0 points"):
+        kinematics.check_path("left", [], q)
+
+
+def test_distances_agree_with_sampled_capsules(model, cell):
+    """Independent reference: capsules as dense rows of balls, boxes as points that are clamped to them."""
+    checker = CollisionChecker(model, 0.02)
+    bodies = Bodies(model)
+    random = np.random.default_rng(2)
+    lower, upper = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
+    for _ in range(3):
+        q = lower + random.uniform(size=18) * (upper - lower)
+        poses = model.poses(q)
+        rows, radii = [], [c.radius for c in cell.capsules]
+        for c in cell.capsules:
+            s = np.linspace(0.0, 1.0, 60)[:, None]
+            line = np.array(c.p0) + s * (np.array(c.p1) - np.array(c.p0))
+            rows.append(line @ poses[c.link].rotation.T + poses[c.link].translation)
+        found = []
+        for i, j in bodies.pairs:
+            if j < len(rows):
+                gap = np.linalg.norm(rows[i][:, None] - rows[j][None, :], axis=2).min() - radii[i] - radii[j]
+            else:
+                box = cell.obstacles[j - len(rows)]
+                centre, half = np.array(box.center), np.array(box.size) / 2.0
+                inside = np.clip(rows[i], centre - half, centre + half)
+                gap = np.linalg.norm(rows[i] - inside, axis=1).min() - radii[i]
+            found.append(gap)
+        bodies.place(q)
+        for pair, gap in enumerate(found):
+            if gap > 0.0:
+                assert bodies.distance(pair) == pytest.approx(gap, abs=6e-3)
+                assert bodies.distance(pair) <= gap + 1e-6  # balls are part of the capsule
+        assert checker.closest(q).distance <= min(found) + 1e-6
+
+
+def test_no_distance_changes_faster_than_its_bound(model, cell):
+    bodies = Bodies(model)
+    levers = lever_bounds(model, bodies)
+    lower, upper = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
+    random = np.random.default_rng(4)
+    tightest = np.zeros(18)
+    for _ in range(40):
+        a = lower + random.uniform(size=18) * (upper - lower)
+        b = a + random.normal(size=18) * 0.02 * (random.uniform(size=18) < 0.3)
+        bodies.place(a)
+        before = np.array([bodies.distance(k) for k in range(len(bodies.pairs))])
+        bodies.place(b)
+        after = np.array([bodies.distance(k) for k in range(len(bodies.pairs))])
+        apart = (before > 0.0) & (after > 0.0)
+        bound = levers @ np.abs(b - a)
+        assert (np.abs(after - before) <= bound + 2e-6)[apart].all()
+        tightest = np.maximum(tightest, np.abs(b - a))
+    assert (tightest > 0.0).all()
+    assert levers.max() < 3.0  # and the bounds are of the size of the arms
+
+
+states = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(states, min_size=2, max_size=2))
+def test_braking_distance_is_that_of_a_simulated_brake(state):
+    """Independent reference: jerk and acceleration limits, integrated in small steps."""
+    limits = MotionLimits(np.array([1.0, 2.0]), np.array([2.0, 5.0]), np.array([20.0, 30.0]))
+    v = np.array([s[0] for s in state]) * limits.velocity
+    a = np.array([s[1] for s in state]) * limits.acceleration
+    alone = BrakingDistance(limits, [], 0.0).displacement(v, a)
+    for i in range(2):
+        reference = _brake(float(v[i]), float(a[i]), float(limits.acceleration[i]), float(limits.jerk[i]))
+        tolerance = 2e-3 + 0.01 * abs(reference)
+        assert abs(alone[i]) >= abs(reference) - tolerance
+        if v[i] * a[i] >= 0.0 or a[i] ** 2 <= 2.0 * limits.jerk[i] * abs(v[i]):  # else it swings back a little
+            assert alone[i] == pytest.approx(reference, abs=tolerance)
+    together = BrakingDistance(limits, [np.array([0, 1])], 0.0).displacement(v, a)
+    assert (np.abs(together) >= np.abs(alone) - 1e-6).all()
+
+
+def _brake(v: float, a: float, acceleration: float, jerk: float) -> float:
+    """Farthest place in the direction of ``v`` when it is brought to rest as fast as limits allow."""
+    sign, dt, x, farthest = (1.0 if v > 0.0 else -1.0), 2e-4, 0.0, 0.0
+    v, a = abs(v), a * sign
+    while v > 0.0:
+        # decelerate as long as the velocity lost on the way back to zero acceleration leaves some
+        after = v - a * a / (2.0 * jerk) if a < 0.0 else v
+        a = max(a - jerk * dt, -acceleration) if after > 0.0 else min(a + jerk * dt, -1e-6)
+        v += a * dt
+        x += v * dt
+        farthest = max(farthest, x)
+    return sign * farthest
+
+
+def test_a_thick_line_meets_what_is_in_its_way(model, cell):
+    checker = CollisionChecker(model, 0.02)
+    above, below = np.array([0.0, 1.15, 1.5]), np.array([0.0, 1.15, 0.2])
+    assert checker.blocking(cell.home, above, below, 0.01) == "table"
+    assert checker.blocking(cell.home, above, np.array([0.0, 1.15, 0.8]), 0.01) is None
+
+
+def test_frames_are_found_with_their_jacobian(kinematics, model, cell):
+    random = np.random.default_rng(3)
+    q = cell.home[:9] + random.normal(size=9) * 0.2
+    here = kinematics.forward("left", q.tolist(), cell.home)
+    for i in range(9):
+        step = q.copy()
+        step[i] += 1e-6
+        there = kinematics.forward("left", step.tolist(), cell.home)
+        turn = pin.log3(there.pose.rotation @ here.pose.rotation.T)
+        change = np.concatenate([there.pose.translation - here.pose.translation, turn]) / 1e-6
+        np.testing.assert_allclose(here.jacobian[:, i], change, atol=1e-5)
+    measured = kinematics.forward("left", [], cell.home, "left_link3")
+    np.testing.assert_allclose(measured.pose.homogeneous, model.pose(cell.home, "left_link3").homogeneous)
+    assert not kinematics.forward("left", [], cell.home, "right_wrist").jacobian.any()
+    with pytest.raises(DataError, match="8 positions for 9 joints"):
+        kinematics.forward("left", [0.0] * 8, cell.home)

@@ -1,0 +1,112 @@
+"""The last two seconds of every joint, kept and written on an abort."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from im_core.errors import ImError, LimitError
+from im_mcs.servo.evidence import write_evidence
+from im_mcs.servo.recorder import KEPT, PER_JOINT, Recorder, RecordLayout, Records
+
+
+@pytest.fixture
+def layout():
+    return RecordLayout(rows=10, n_joints=3, n_wrenches=2)
+
+
+def fill(recorder, ticks):
+    for tick in ticks:
+        q = np.array([tick, 10.0 * tick, 0.0])
+        setpoint = np.array([q + 0.5, q + 1.0, q + 2.0])
+        recorder.put(tick, 4500 * tick, (q, -q, 2.0 * q), setpoint, np.full((2, 6), float(tick)))
+
+
+def test_a_record_holds_the_newest_ticks_in_order(layout):
+    memory = np.zeros(layout.doubles)
+    recorder, records = Recorder(layout, memory), Records(layout, memory)
+    fill(recorder, range(24))
+    number = recorder.freeze()
+    assert recorder.freeze() == number  # one a tick
+    assert records.read(number) is None  # this tick's row is still to come
+    fill(recorder, [24])
+    record = records.read(number)
+    np.testing.assert_array_equal(record["tick"], range(15, 25))
+    np.testing.assert_array_equal(record["stamp_ns"], 4500 * record["tick"])
+    np.testing.assert_array_equal(record["q"][:, 1], 10.0 * record["tick"])
+    np.testing.assert_array_equal(record["v"], -record["q"])
+    np.testing.assert_array_equal(record["tau"], 2.0 * record["q"])
+    np.testing.assert_array_equal(record["setpoint_a"], record["q"] + 2.0)
+    np.testing.assert_allclose(record["following_error"], 0.5)
+    assert record["wrench"].shape == (10, 2, 6)
+    fill(recorder, range(25, 60))
+    np.testing.assert_array_equal(records.read(number)["tick"], range(15, 25))  # it stays
+
+
+def test_a_short_run_gives_a_short_record_and_old_records_make_room(layout):
+    memory = np.zeros(layout.doubles)
+    recorder, records = Recorder(layout, memory), Records(layout, memory)
+    assert records.read(1) is None
+    assert records.read(0) is None
+    fill(recorder, range(3))
+    numbers = []
+    for tick in range(3, 9):
+        numbers.append(recorder.freeze())
+        fill(recorder, [tick])
+    assert numbers == [1, 2, 3, 4, 5, 6]
+    for number in numbers[:-KEPT]:
+        assert records.read(number) is None
+    for number in numbers[-KEPT:]:
+        assert records.read(number)["tick"][-1] == number + 2
+
+
+def test_evidence_is_written_whole_as_arrays_and_as_a_table(layout, tmp_path):
+    memory = np.zeros(layout.doubles)
+    recorder = Recorder(layout, memory)
+    number = recorder.freeze()
+    fill(recorder, [7])
+    record = Records(layout, memory).read(number)
+    fault = LimitError(joint="b", value=2.0, limit=1.0, unit="rad")
+    path = write_evidence(tmp_path / "new", record, fault, ("a", "b", "c"))
+    with np.load(path) as kept:
+        for name, array in record.items():
+            np.testing.assert_array_equal(kept[name], array)
+        assert json.loads(str(kept["fault"]))["facts"]["joint"] == "b"
+    lines = path.with_suffix(".csv").read_text().splitlines()
+    assert lines[0] == f"# {fault.message}"
+    rows = list(csv.DictReader(lines[1:]))
+    assert float(rows[0]["b.q"]) == 70.0
+    assert len(rows[0]) == 2 + len(PER_JOINT) * 3 + 12
+    assert sorted(file.suffix for file in path.parent.iterdir()) == [".csv", ".npz"]
+
+
+def test_a_folder_that_cannot_be_is_a_sentence(layout, tmp_path):
+    (tmp_path / "file").write_text("")
+    memory = np.zeros(layout.doubles)
+    recorder = Recorder(layout, memory)
+    number = recorder.freeze()
+    fill(recorder, [1])
+    with pytest.raises(ImError, match="evidence cannot be written to"):
+        write_evidence(tmp_path / "file" / "sub", Records(layout, memory).read(number), ImError("x"))
+
+
+def test_an_abort_names_its_record_and_the_record_shows_the_fault(bench, cell):
+    bench.to_motion("left")
+    points = [(cell.home[:9] + 0.3).tolist()]
+    goal = bench.send("move", group="left", path={"kind": "joint", "points": points})
+    for _ in range(100):
+        bench.mcs.tick([])
+    jammed = bench.driver.q[5]
+    for _ in range(1500):
+        bench.driver.q[5], bench.driver.v[5] = jammed, 0.0
+        bench.mcs.tick([])
+        if bench.reply(goal) is not None:
+            break
+    reply = bench.reply(goal)
+    record = bench.records.read(reply["results"]["evidence"])
+    facts = reply["error"]["facts"]
+    assert record["tick"][-1] == facts["tick"]
+    assert np.abs(record["following_error"][-2]).argmax() == 5  # in the tick of the e-stop there is no setpoint
+    assert record["following_error"][-2, 5] == pytest.approx(facts["value"], abs=0.005)
+    assert len(record["tick"]) <= round(bench.mcs.config.safety.record_s / 0.0045)

@@ -1,0 +1,113 @@
+"""Every state and every request, through the whole of MCS."""
+
+import pytest
+
+from im_mcs.state import TABLE, Event, State
+from im_mcs.state.table import allowed_in
+
+LAW = "im_mcs.control.computed_torque:ComputedTorque"
+WAYS = {
+    State.COLD: [],
+    State.RESERVED: ["reserve"],
+    State.ACTIVE: ["reserve", "power_on"],
+    State.MOTION: ["reserve", "power_on", "enable_motion"],
+    State.ESTOPPED: ["reserve", "estop"],
+}
+EVENTS = [event for event in Event if event not in (Event.CONFIGURE, Event.CLEANUP, Event.RELEASE_LAST)]
+ROWS = {(row.source, row.event): row.target for row in TABLE}
+
+
+def arguments(event, q, state=None):
+    return {
+        Event.RESERVE: {"group": "right" if state is State.RESERVED else "left", "owner": "tester"},
+        Event.RELEASE: {"group": "left"},
+        Event.RENEW: {"owner": "tester"},
+        Event.REPARTITION: {"preset": "3x6" if state is State.COLD else "2x9"},
+        Event.MOVE: {"group": "left", "path": {"kind": "joint", "points": [(q + 0.05).tolist()]}},
+        Event.STREAM: {"group": "left", "kind": "setpoint", "positions": q.tolist(), "owner": "tester", "lease_s": 0.1},
+        Event.CANCEL: {"goal": 77},
+        Event.SET_SPEED: {"group": "left", "scale": 0.5},
+        Event.SET_GRIPPER: {"gripper": "left_gripper", "opening": 0.01},
+        Event.SET_CONTROLLER: {"group": "left", "controller": LAW},
+        Event.SET_PAYLOAD: {"group": "left", "mass": 1.0, "center": [0, 0, 0.1], "inertia": [0.0] * 6},
+        Event.PROTECTIVE_STOP: {"reason": "test"},
+        Event.ESTOP: {"reason": "test"},
+    }.get(event, {})
+
+
+def bring_to(bench, state, q):
+    for request in WAYS[state]:
+        assert bench.ask(request, **arguments(Event(request), q))["success"]
+    assert bench.mcs.manager.state is state
+
+
+def seen(mcs):
+    """Everything that a request may change."""
+    return (
+        mcs.manager.state,
+        mcs.manager.power,
+        mcs.manager.brakes.tolist(),
+        mcs.manager.busy,
+        [vars(mcs.manager.reservations.of(group)).copy() for group in mcs.manager.reservations.groups],
+        mcs.config.preset,
+        [(g.name, g.goals, g.controller.name, g.paused, g.protective, g._rates.override) for g in mcs.groups.values()],
+        mcs.grippers.opening.tolist(),
+        mcs.control_model.changing,
+        mcs.wants_time,
+    )
+
+
+@pytest.mark.parametrize("state", WAYS)
+def test_a_request_without_a_row_is_refused_and_changes_nothing(bench, cell, state):
+    q = cell.home[:9]
+    bring_to(bench, state, q)
+    for event in EVENTS:
+        if (state, event) in ROWS:
+            continue
+        before = seen(bench.mcs)
+        reply = bench.reply(bench.send(event.value, **arguments(event, q, state)))
+        assert not reply["success"], event
+        message = reply["error"]["message"]
+        assert message.startswith(f"{event.value} is refused in state {state.value}; allowed here: "), message
+        for allowed in allowed_in(state):
+            assert allowed.value in message
+        assert reply["error"]["facts"]["state"] == state.value
+        assert seen(bench.mcs) == before, event
+
+
+@pytest.mark.parametrize(("state", "event"), [row for row in ROWS if row[0] in WAYS and row[1] in EVENTS])
+def test_a_request_with_a_row_leads_where_it_says(bench, cell, state, event):
+    q = cell.home[:9]
+    bring_to(bench, state, q)
+    given = arguments(event, q, state)
+    if event is Event.CANCEL:
+        under_way = Event.MOVE if state is State.MOTION else Event.SET_GRIPPER
+        given = {"goal": bench.send(under_way.value, **arguments(under_way, q))}
+    if event is Event.RELEASE:  # of one of two groups; the last one has a row of its own
+        assert bench.ask("reserve", group="right")["success"]
+    reply = bench.ask(event.value, **given)
+    ended_by_lease = event is Event.STREAM  # nobody sends a second setpoint
+    assert reply["success"] != ended_by_lease, reply
+    assert not ended_by_lease or reply["error"]["code"] == "lease"
+    assert bench.mcs.manager.state is ROWS[state, event]
+    assert bench.mcs.manager.power == (bench.mcs.manager.state in (State.ACTIVE, State.MOTION))
+
+
+def test_releasing_the_last_group_is_cold(bench):
+    bench.ask("reserve", group="left")
+    assert bench.ask("release", group="left")["success"]
+    assert bench.mcs.manager.state is ROWS[State.RESERVED, Event.RELEASE_LAST] is State.COLD
+
+
+@pytest.mark.parametrize("event", [e for e in EVENTS if e not in (Event.ESTOP, Event.RENEW)])
+def test_while_a_transition_is_under_way_only_estop_and_renew_are_heard(bench, cell, event):
+    bench.ask("reserve", group="left", owner="tester")
+    bench.ask("power_on")
+    bench.send("enable_motion")
+    assert bench.mcs.manager.busy
+    before = seen(bench.mcs)
+    reply = bench.reply(bench.send(event.value, **arguments(event, cell.home[:9])))
+    assert not reply["success"]
+    assert seen(bench.mcs)[0] == before[0]
+    assert bench.ask("renew", owner="tester")["success"]
+    assert bench.mcs.manager.state is State.MOTION

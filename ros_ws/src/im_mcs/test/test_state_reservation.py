@@ -1,0 +1,133 @@
+"""Owners and leases of reservations, and other partitions of the joints without a restart."""
+
+import numpy as np
+import pytest
+
+from im_core.errors import NotFoundError, StateError
+from im_mcs.state import Reservations, State
+
+LEFT = slice(0, 9)
+
+
+def joint_path(*points):
+    return {"kind": "joint", "points": [np.asarray(point).tolist() for point in points]}
+
+
+def refused(reply, *words):
+    assert not reply["success"]
+    for word in words:
+        assert word in reply["error"]["message"]
+
+
+def test_a_slot_has_one_owner():
+    groups = Reservations({"left": ["a", "b"], "right": ["c"], "both": ["b", "c"]})
+    groups.reserve("left", "ann")
+    with pytest.raises(StateError, match=r"'both' \(owner 'bob'\) .* 'b' is owned by group 'left' \(owner 'ann'\)"):
+        groups.reserve("both", "bob")
+    groups.reserve("right")
+    assert groups.groups == ("left", "right")
+    with pytest.raises(StateError, match="reserved already by owner 'ann'"):
+        groups.reserve("left", "bob")
+    groups.release("left")
+    with pytest.raises(StateError, match=r"'left' is not reserved \(reserved: right\)"):
+        groups.release("left")
+    with pytest.raises(NotFoundError, match="did you mean 'left'"):
+        groups.reserve("lefft")
+
+
+def test_a_lease_runs_from_receipt_and_is_renewed():
+    groups = Reservations({"left": ["a"], "right": ["b"]})
+    groups.reserve("left", "ann", lease_s=1.0, now_ns=10**9)
+    groups.reserve("right", "bob")
+    assert groups.lapse(2 * 10**9) == []
+    groups.renew("ann", 2 * 10**9)
+    assert groups.lapse(3 * 10**9) == []
+    assert [r.group for r in groups.lapse(3 * 10**9 + 1)] == ["left"]
+    assert groups.lapse(4 * 10**9) == []  # told once
+    with pytest.raises(StateError, match=r"'left' .owner 'ann'. has lapsed"):
+        groups.require_lease("left")
+    with pytest.raises(StateError, match=r"owner 'eve' has reserved no group .owners: 'ann', 'bob'"):
+        groups.renew("eve", 0)
+    groups.renew("ann", 4 * 10**9)
+    groups.require_owner("left", "ann")
+    with pytest.raises(StateError, match="driven by its owner 'ann' only, not by 'bob'"):
+        groups.require_owner("left", "bob")
+
+
+def test_a_dead_client_s_groups_stop_on_the_path_and_hold(bench, cell):
+    bench.ask("reserve", group="left", owner="planner", lease_s=0.4)
+    bench.ask("reserve", group="right", owner="other")
+    bench.ask("power_on")
+    bench.ask("enable_motion")
+    bench.ask("renew", owner="planner")
+    far, home = cell.home[LEFT] + 0.3, cell.home[9:] + 0.1
+    mine = bench.send("move", group="left", path=joint_path(far, cell.home[LEFT], far))
+    other = bench.ask("move", group="right", path=joint_path(home))
+    assert other["success"]
+    error = bench.reply(mine)["error"]
+    assert error["code"] == "lease"
+    assert "owner 'planner'" in error["message"]
+    assert bench.reply(mine)["results"]["evidence"] >= 1
+    assert bench.mcs.manager.state is State.MOTION
+    assert bench.mcs.groups["left"].monitor.at_rest
+    refused(bench.ask("move", group="left", path=joint_path(far)), "'planner'", "has lapsed")
+    assert bench.ask("renew", owner="planner")["success"]
+    again = bench.send("move", group="left", path=joint_path(cell.home[LEFT]))
+    assert bench.reply(again) is None
+
+
+def test_without_power_a_lapsed_reservation_is_freed(bench):
+    bench.ask("reserve", group="left", owner="planner", lease_s=0.05)
+    refused(bench.ask("reserve", group="left", owner="other"), "reserved already by owner 'planner'")
+    for _ in range(15):
+        bench.mcs.tick([])
+    assert bench.mcs.manager.state is State.COLD
+    assert bench.ask("reserve", group="left", owner="other")["success"]
+
+
+def test_repartition_in_cold_and_in_reserved(bench, frictionless):
+    assert bench.ask("repartition", preset="3x6")["success"]
+    assert set(bench.mcs.groups) == {"left", "right", "transporter"}
+    assert bench.ask("reserve", group="left")["success"]
+    refused(bench.ask("repartition", preset="2x9"), "2x9", "'left' reserved", "release first")
+    assert bench.mcs.config.preset == "3x6"
+    refused(bench.ask("repartition", preset="2x8"), "no preset '2x8'", "2x9")
+    assert bench.ask("release", group="left")["success"]
+    assert bench.ask("repartition", preset="1x18")["success"]
+    assert bench.mcs.manager.state is State.COLD
+    bench.to_motion("testbed")
+    assert not bench.driver.drive.brakes.any()
+
+
+def test_a_group_that_both_partitions_have_stays_reserved_and_stays_itself(config, frictionless, make_bench):
+    presets = dict(frictionless.presets)
+    presets["pair"] = {"left": presets["3x6"]["left"], "carts": presets["3x6"]["transporter"]}
+    bench = make_bench(frictionless.model_copy(update={"presets": presets, "preset": "3x6"}))
+    bench.ask("reserve", group="left", owner="ann")
+    bench.ask("set_speed", group="left", scale=0.5)
+    left = bench.mcs.groups["left"]
+    assert bench.ask("repartition", preset="pair")["success"]
+    assert bench.mcs.groups["left"] is left
+    assert bench.mcs.manager.reservations.of("left").owner == "ann"
+    assert bench.mcs.manager.state is State.RESERVED
+    refused(bench.ask("reserve", group="transporter"), "no group 'transporter'", "carts")
+    assert bench.ask("reserve", group="carts")["success"]
+    assert bench.ask("power_on")["success"]
+
+
+@pytest.mark.parametrize("preset", ["3x6", "2x9", "1x18"])
+def test_all_groups_of_a_partition_move_at_once(frictionless, make_bench, cell, preset):
+    bench = make_bench(frictionless.with_preset(preset))
+    bench.to_motion(*frictionless.presets[preset])
+    target = cell.home - 0.04 * (cell.home > 0)
+    numbers = [
+        bench.send("move", group=name, path=joint_path(target[group.index])) for name, group in bench.mcs.groups.items()
+    ]
+    moving = []
+    while bench.mcs.wants_time:
+        bench.mcs.tick([])
+        moving.append(sum(not group.planner.still for group in bench.mcs.groups.values()))
+    assert max(moving) == len(numbers)
+    assert all(bench.reply(number)["success"] for number in numbers)
+    np.testing.assert_allclose(bench.driver.q, target, atol=1e-4)
+    assert bench.mcs.saturations.total == 0

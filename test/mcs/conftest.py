@@ -1,0 +1,210 @@
+"""Node ``/mcs`` with the simulated testbed at clock factor 0, and what a user does to it."""
+
+import contextlib
+import threading
+
+import pytest
+import rclpy
+from control_msgs.action import FollowJointTrajectory
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.action import ActionClient
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from im_core import clock
+from im_core.robot import load_cell
+from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+from im_core.ros.run import spin_in_thread
+from im_mcs.ros.node import McsNode
+from im_msgs.action import Move
+from im_msgs.msg import McsState
+from im_msgs.srv import GetGroupState, ReserveGroup
+from im_sim.ros.node import TestbedNode
+
+CELL = load_cell()
+
+
+def wait(future, seconds=20.0):
+    """The result of a future of rclpy."""
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    assert done.wait(seconds), "no answer"
+    return future.result()
+
+
+class Client:
+    """What a user does to ``/mcs``; the left arm unless told otherwise."""
+
+    home = CELL.home[:9]
+
+    def __init__(self, node, mcs):
+        self.node, self.mcs = node, mcs
+        self.joints = list(CELL.joint_names[:9])
+        self.states, self.positions, self.frames, self.description = [], [], [], []
+        node.create_subscription(McsState, "/mcs/state", self.states.append, qos.LATCHED)
+        node.create_subscription(JointState, "/joint_states", self.positions.append, qos.EVENTS)
+        node.create_subscription(TFMessage, "/tf", self.frames.append, qos.EVENTS)
+        node.create_subscription(TFMessage, "/tf_static", self.frames.append, qos.LATCHED)
+        node.create_subscription(String, "/robot_description", self.description.append, qos.LATCHED)
+        self._clients = {}
+
+    @staticmethod
+    def until(condition, seconds=10.0):
+        """Wait until a condition is true; returns its value."""
+        deadline = clock.monotonic() + seconds
+        while not (value := condition()):
+            assert clock.monotonic() < deadline, "waited in vain"
+            clock.sleep(0.01)
+        return value
+
+    def call(self, service_type, name, **fields):
+        """Call a service of ``/mcs``."""
+        client = self._clients.get(name) or self.node.create_client(service_type, f"/mcs/{name}")
+        self._clients[name] = client
+        return call_blocking(client, service_type.Request(**fields), 15.0, name)
+
+    def trigger(self, name):
+        return self.call(Trigger, name)
+
+    def listen(self, message_type, topic, profile=qos.EVENTS):
+        """A list that grows with the messages of a topic."""
+        messages = []
+        subscription = self.node.create_subscription(message_type, topic, messages.append, profile)
+        self.until(subscription.get_publisher_count)
+        return messages
+
+    def talk(self, message_type, topic):
+        """A publisher that ``/mcs`` listens to."""
+        publisher = self.node.create_publisher(message_type, topic, qos.EVENTS)
+        self.until(publisher.get_subscription_count)
+        return publisher
+
+    def act(self, action_type, name, goal, feedback=None):
+        """Send a goal; its handle, and a function that waits for the result."""
+        client = self._clients.get(name) or ActionClient(self.node, action_type, name)
+        self._clients[name] = client
+        assert client.wait_for_server(10.0)
+        handle = wait(client.send_goal_async(goal, feedback_callback=feedback))
+        result = handle.get_result_async()
+        return handle, lambda: wait(result)
+
+    def start_move(self, *points, group="left", names=(), feedback=None, **fields):
+        """Begin a move; its handle, and a function that waits for the result."""
+        goal = Move.Goal(**fields)
+        goal.path.joint_names = list(names)
+        goal.path.points = [JointTrajectoryPoint(positions=[float(x) for x in point]) for point in points]
+        handle, result = self.act(Move, f"/{group}/move", goal, feedback)
+        return handle, lambda: result().result
+
+    def move(self, *points, **options):
+        return self.start_move(*points, **options)[1]()
+
+    def follow(self, goal, feedback=None):
+        return self.act(FollowJointTrajectory, "/left/follow_joint_trajectory", goal, feedback)
+
+    def start_far_move(self, **fields):
+        """A move of some seconds that is under way: its handle, and a function that waits for the result."""
+        moving = threading.Event()
+        far = self.home.copy()
+        far[0] += 1.0
+        started = self.start_move(far, self.home, far, self.home, far, feedback=lambda _: moving.set(), **fields)
+        assert moving.wait(5.0)
+        return started
+
+    def cancel(self, handle):
+        return wait(handle.cancel_goal_async())
+
+    def lifecycle(self):
+        return self.call(GetState, "get_state").current_state.label
+
+    def change(self, label):
+        return self.call(ChangeState, "change_state", transition=Transition(label=label)).success
+
+    def state(self):
+        return self.states[-1].state
+
+    def status(self, group="left"):
+        """What ``/mcs/state`` says of a group."""
+        return next(status for status in self.states[-1].groups if status.group == group)
+
+    def group_state(self, group="left"):
+        answer = self.call(GetGroupState, "get_group_state", group=group)
+        assert answer.success, answer.status.message
+        return answer.state
+
+    def to_motion(self, group="left", **reservation):
+        for answer in (
+            self.call(ReserveGroup, "reserve", group=group, **reservation),
+            self.trigger("power_on"),
+            self.trigger("enable_motion"),
+        ):
+            assert answer.success, answer.message
+
+    def to_cold(self):
+        if self.lifecycle() == "unconfigured":
+            assert self.change("configure")
+        if self.state() != "cold":
+            self.trigger("estop")
+            assert self.trigger("reset").success
+        self.until(lambda: self.state() == "cold")
+
+
+@pytest.fixture(scope="module")
+def machine():
+    """Testbed at clock factor 0, MCS, and a client."""
+    with _machine(TestbedNode, McsNode, parameters={"testbed:factor": 0.0, "testbed:seed": 3}) as client:
+        yield client
+
+
+@pytest.fixture
+def without_testbed():
+    """Starts MCS alone, with parameters; a client."""
+    with contextlib.ExitStack() as stack:
+        yield lambda **parameters: stack.enter_context(_machine(McsNode, parameters=parameters))
+
+
+@contextlib.contextmanager
+def _machine(*node_types, parameters):
+    """Nodes of which the last is MCS, and a client."""
+    settings = [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
+    rclpy.init(args=["--ros-args", "-p", "standalone:=true", *settings])
+    try:
+        with contextlib.ExitStack() as stack:
+            mcs = [stack.enter_context(_running(node_type())) for node_type in node_types][-1]
+            listener = rclpy.create_node("listener")
+            stack.enter_context(spin_in_thread(listener))
+            client = Client(listener, mcs)
+            client.until(lambda: client.states)
+            yield client
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextlib.contextmanager
+def _running(node):
+    """A node that has started, until the end of the block."""
+    with spin_in_thread(node):
+        Client.until(lambda: node.ready or node.failed, 30.0)
+        assert node.ready, node.failed
+        yield node
+
+
+@pytest.fixture
+def client(machine):
+    """A user of a cold machine."""
+    machine.to_cold()
+    return machine
+
+
+@pytest.fixture
+def ready(client):
+    """A user whose left arm is in motion state, at home."""
+    client.to_motion()
+    result = client.move(client.home)
+    assert result.success, result.status.message
+    return client

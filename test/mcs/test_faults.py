@@ -1,0 +1,115 @@
+"""What ends a motion, or MCS: e-stop, cancel, cleanup, processes that are killed."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from im_core import names
+from im_core.testbed_link import TestbedLink
+from im_msgs.srv import GetGroupState, ReserveGroup
+
+UNCONFIGURED = "MCS is unconfigured; configure it first (ros2 lifecycle set /mcs configure)"
+
+
+def test_estop_in_the_middle_of_a_move(client):
+    client.to_motion()
+    _, result = client.start_far_move()
+    assert client.trigger("estop").success
+    message = result().status.message
+    assert "request on /mcs/estop" in message
+    client.until(lambda: client.state() == "estopped")
+    assert client.lifecycle() == "inactive"
+    assert "request on /mcs/estop" in client.states[-1].reason
+    assert "allowed here: reset" in client.trigger("power_on").message
+    assert client.trigger("reset").success
+    assert client.call(ReserveGroup, "reserve", group="left").success
+    assert client.trigger("power_on").success
+    stopped = client.group_state().q
+    assert client.trigger("enable_motion").success
+    np.testing.assert_allclose(client.group_state().q_rest, stopped, atol=2e-4)  # the arm never leaps
+    assert client.move(client.home).success
+
+
+def test_cancel(client):
+    client.to_motion()
+    handle, result = client.start_far_move()
+    client.cancel(handle)
+    answer = result()
+    assert answer.status.code == "cancelled"
+    assert answer.state.at_rest
+    assert client.move(client.home).success
+
+
+def test_unconfigured(client):
+    assert client.change("cleanup")
+    assert client.lifecycle() == "unconfigured"
+    assert client.trigger("power_on").message == UNCONFIGURED
+    assert client.call(ReserveGroup, "reserve", group="left").message == UNCONFIGURED
+    assert client.call(GetGroupState, "get_group_state", group="left").status.message == UNCONFIGURED
+    assert client.move(client.home).status.message == UNCONFIGURED
+    assert client.change("configure")
+    assert client.lifecycle() == "inactive"
+    client.call(ReserveGroup, "reserve", group="left")
+    assert not client.change("cleanup")  # refused: a group is reserved
+    assert client.change("activate")
+    client.until(lambda: client.state() == "active")
+    assert client.change("deactivate")
+    client.until(lambda: client.state() == "reserved")
+
+
+def test_a_killed_servo_ends_the_goal_and_the_testbed_brakes(client):
+    client.to_motion()
+    _, result = client.start_far_move()
+    link = TestbedLink.attach(names.instance(), 1.0)
+    os.kill(link.read_truth().servo_pid, signal.SIGKILL)
+    assert "the process im_mcs.servo ended with code -9" in result().status.message
+    client.until(lambda: client.state() == "unconfigured")
+    link.request_time(1, 2)
+    client.until(lambda: link.read_state().brakes.all() and not link.read_state().power)
+    assert client.lifecycle() == "unconfigured"
+    link.close()
+    assert client.change("configure")
+    client.until(lambda: client.state() == "cold")
+
+
+def test_a_killed_node_takes_its_servo_along(client, process):
+    assert client.change("cleanup")
+    other = process(sys.executable, "-m", "im_mcs.ros.node", "--ros-args", "-p", "standalone:=true", "-r", "__ns:=/x")
+    link = TestbedLink.attach(names.instance(), 1.0)
+    client.until(lambda: link.read_truth().servo_pid != 0, 15.0)
+    servo = link.read_truth().servo_pid
+    other.kill()
+    client.until(lambda: not os.path.exists(f"/proc/{servo}"))
+    link.request_time(1, 2)
+    client.until(lambda: link.read_truth().servo_pid == 0)
+    assert link.read_state().brakes.all()
+    link.close()
+    assert client.change("configure")
+
+
+def test_a_killed_testbed_ends_the_goal_and_is_named(client):
+    """The last one: the testbed does not come back."""
+    client.to_motion()
+    _, result = client.start_far_move()
+    os.kill(_physics(), signal.SIGKILL)
+    assert "the testbed's physics process is gone" in result().status.message
+    client.until(lambda: client.state() == "estopped")
+    assert client.lifecycle() == "inactive"
+    answer = client.trigger("reset")
+    assert not answer.success
+    assert "the testbed does not answer" in answer.message
+
+
+def _physics():
+    """Process id of this test's physics."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (entry / "cmdline").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if b"im_sim.physics" in words and names.instance().encode() in words:
+            return int(entry.name)
+    raise AssertionError("there is no physics process")

@@ -1,0 +1,216 @@
+"""Lines, blending, policies, pause, speed, protective stop, control laws and payload through ROS."""
+
+import math
+import threading
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Inertia, Pose, Vector3
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from im_msgs.action import Move
+from im_msgs.msg import GroupPath, GroupSetpoints
+from im_msgs.srv import (
+    CheckPath,
+    ForwardKinematics,
+    GroupCommand,
+    InverseKinematics,
+    SetController,
+    SetPayload,
+    SetSpeed,
+)
+
+COMPUTED_TORQUE = "im_mcs.control.computed_torque:ComputedTorque"
+STEP = np.array([0.05, 0.2, 0.1, 0.2, -0.2, 0.2, 0.3, 0.3, 0.3])
+
+
+def position(pose):
+    return np.array([pose.position.x, pose.position.y, pose.position.z])
+
+
+def below(client, depth):
+    """The wrist's pose, ``depth`` [m] lower."""
+    pose = client.group_state().wrist
+    pose.position.z -= depth
+    return pose
+
+
+def forward(client, q):
+    answer = client.call(ForwardKinematics, "forward_kinematics", group="left", q=list(map(float, q)))
+    assert answer.success, answer.status.message
+    return answer.wrist
+
+
+def test_forward_and_inverse_kinematics_agree(ready):
+    assert forward(ready, []) == ready.group_state().wrist
+    pose = below(ready, 0.15)
+    answer = ready.call(InverseKinematics, "inverse_kinematics", group="left", wrist=pose, avoid_collisions=True)
+    assert answer.success, answer.status.message
+    np.testing.assert_allclose(position(forward(ready, answer.q)), position(pose), atol=1e-5)
+    points = [JointTrajectoryPoint(positions=q) for q in (ready.group_state().q_rest, answer.q)]
+    free = ready.call(CheckPath, "check_path", group="left", path=JointTrajectory(points=points))
+    assert free.success
+    assert free.clearance > 0.02
+    result = ready.move(answer.q)
+    assert result.success
+    assert result.state.wrist.position.z == pytest.approx(pose.position.z, abs=5e-4)
+
+
+def test_kinematics_refuses_what_is_wrong(client):
+    far = Pose()
+    far.position.z, far.orientation.w = 9.0, 1.0
+    answer = client.call(InverseKinematics, "inverse_kinematics", group="left", wrist=far)
+    assert not answer.success
+    assert "out of reach" in answer.status.message
+    for q in ([0.0] * 8, [math.nan] * 9):
+        assert not client.call(ForwardKinematics, "forward_kinematics", group="left", q=q).success
+    answer = client.call(ForwardKinematics, "forward_kinematics", group="transporter")
+    assert "group 'transporter' is not in the preset in force, 2x9 (left, right), but in 3x6" in answer.status.message
+
+
+def test_a_line_is_straight(ready):
+    assert ready.move(ready.home + STEP).success  # away from the singularity of the wrist
+    begin = position(ready.group_state().wrist)
+    paths = ready.listen(GroupPath, "/left/path")
+    setpoints = ready.listen(GroupSetpoints, "/left/setpoints")
+    target = below(ready, 0.15)
+    result = ready.move(line=[target], line_speed=0.1)
+    assert result.success, result.status.message
+    assert result.duration > 1.5
+    np.testing.assert_allclose(position(result.state.wrist), position(target), atol=5e-4)
+    assert {path.kind for path in paths} >= {"line", ""}
+    ready.until(lambda: setpoints)
+    way = position(target) - begin
+    for setpoint in setpoints[:: max(1, len(setpoints) // 10)]:
+        offset = position(forward(ready, setpoint.position)) - begin
+        assert np.linalg.norm(np.cross(offset, way)) / np.linalg.norm(way) < 5e-4
+
+
+def test_wrong_lines_are_refused(ready):
+    assert "wrist singularity (left_j5 at 0)" in ready.move(line=[below(ready, 0.1)]).status.message
+    assert ready.move(ready.home + STEP).success
+    here, before = ready.group_state().wrist, ready.group_state().q_rest
+    far, nan, unnormed = Pose(), below(ready, 0.1), below(ready, 0.1)
+    far.position.z, far.orientation.w = 9.0, 1.0
+    nan.position.y = math.nan
+    unnormed.orientation.w += 1.0
+    for options, sentence in (
+        ({"line": [far]}, "reach"),
+        ({"line": [nan]}, "pose 1 of the line: the pose ["),
+        ({"line": [unnormed]}, "unit quaternion"),
+        ({"line": [here], "line_speed": -1.0}, "speed"),
+        ({"line": [here], "line_speed": math.inf}, "line_speed is inf"),
+    ):
+        result = ready.move(**options)
+        assert not result.success
+        assert sentence in result.status.message
+    assert "not both" in ready.move(ready.home, line=[here]).status.message
+    assert ready.group_state().q_rest == before
+
+
+def test_policies(ready):
+    _, first = ready.start_far_move()
+    refused = ready.move(ready.home)
+    assert not refused.success
+    assert refused.status.code == "state"
+    result = ready.move(ready.home, policy=Move.Goal.REPLACE)
+    assert result.success, result.status.message
+    assert not first().success
+    np.testing.assert_allclose(result.state.q_rest, ready.home, atol=1e-4)
+
+    _, first = ready.start_move(ready.home + STEP, speed_scale=0.5)
+    result = ready.move(ready.home, policy=Move.Goal.APPEND)
+    assert first().success
+    assert result.success, result.status.message
+    np.testing.assert_allclose(result.state.q_rest, ready.home, atol=1e-4)
+
+
+def test_blending_saves_time(ready):
+    points = [ready.home + STEP * k for k in (0.5, 1.0, 1.5, 2.0, 1.0, 0.0)]
+    with_stops = ready.move(*points)
+    blended = ready.move(*points, blend=0.1)
+    assert blended.success, blended.status.message
+    assert blended.duration < with_stops.duration - 0.5
+    np.testing.assert_allclose(blended.state.q_rest, ready.home, atol=1e-4)
+
+
+def test_pause_and_resume(ready):
+    _, result = ready.start_far_move()
+    answer = ready.call(GroupCommand, "pause", group="left")
+    assert answer.success, answer.message
+    ready.until(lambda: ready.status().paused and ready.status().speed == 0.0)
+    assert list(ready.states[-1].paused_groups) == ["left"]
+    held = ready.group_state().q
+    assert ready.status().moving
+    np.testing.assert_allclose(ready.group_state().q, held, atol=1e-3)
+    answer = ready.call(GroupCommand, "resume")
+    assert answer.success, answer.message
+    assert result().success
+
+
+def test_speed(ready):
+    full = ready.move(ready.home + STEP).duration
+    assert ready.call(SetSpeed, "set_speed", group="left", scale=0.5).success
+    half = ready.move(ready.home)
+    assert half.success
+    assert half.duration > 1.5 * full
+    ready.until(lambda: ready.status().speed == pytest.approx(0.5))
+    for scale in (0.0, -1.0, 1.5, math.nan):
+        assert not ready.call(SetSpeed, "set_speed", group="left", scale=scale).success
+    assert ready.call(SetSpeed, "set_speed", group="left", scale=1.0).success
+
+
+def test_protective_stop_is_named_and_resumed(ready):
+    _, result = ready.start_far_move()
+    answer = ready.trigger("protective_stop")
+    assert answer.success, answer.message
+    ready.until(lambda: ready.states[-1].protective_stop)
+    assert "request on /mcs/protective_stop" in ready.states[-1].protective_stop
+    assert ready.state() == "motion"
+    answer = ready.call(GroupCommand, "resume", group="left")
+    assert answer.success, answer.message
+    assert result().success
+    ready.until(lambda: not ready.states[-1].protective_stop)
+
+
+def test_a_law_takes_over_in_the_middle_of_a_motion(ready):
+    _, result = ready.start_far_move()
+    answer = ready.call(SetController, "set_controller", group="left", controller=COMPUTED_TORQUE)
+    assert answer.success, answer.message
+    assert answer.message == f"{COMPUTED_TORQUE} takes over left"
+    assert result().success
+    ready.until(lambda: ready.status().controller == COMPUTED_TORQUE)
+    for group, controller, sentence in (
+        ("left", "os:system", "there is no control law 'os:system'"),
+        ("left", "", "there is no control law ''"),
+        ("lefft", COMPUTED_TORQUE, "did you mean 'left'"),
+        ("right", COMPUTED_TORQUE, "group 'right' is not reserved"),
+    ):
+        answer = ready.call(SetController, "set_controller", group=group, controller=controller)
+        assert not answer.success
+        assert sentence in answer.message
+
+
+def test_payload(ready):
+    payload = Inertia(m=1.0, com=Vector3(z=0.05), ixx=0.002, iyy=0.002, izz=0.001)
+    answer = ready.call(SetPayload, "set_payload", group="left", payload=payload)
+    assert answer.success, answer.message
+    for wrong in (Inertia(m=-1.0), Inertia(m=math.nan), Inertia(m=99.0), Inertia(m=1.0, ixx=-1.0)):
+        answer = ready.call(SetPayload, "set_payload", group="left", payload=wrong)
+        assert not answer.success
+        assert answer.message
+    assert ready.call(SetPayload, "set_payload", group="left", payload=Inertia()).success
+    assert ready.move(ready.home + STEP).success
+
+
+def test_many_requests_at_once_are_all_answered(ready):
+    """A client that asks while the arm moves: every question is answered, the motion ends as it would have."""
+    _, result = ready.start_far_move()
+    answers = []
+    threads = [threading.Thread(target=lambda: answers.append(ready.group_state())) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(10.0)
+    assert len(answers) == 8
+    assert result().success

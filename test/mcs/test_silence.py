@@ -1,0 +1,68 @@
+"""A node, or a servo process, that lives but does nothing any more."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from im_core import clock, names
+from im_core.testbed_link import TestbedLink
+from im_msgs.srv import ReserveGroup
+
+SLOW = {"speed_scale": 0.02}
+
+
+@pytest.fixture
+def servo():
+    """Process id of the servo."""
+    link = TestbedLink.attach(names.instance(), 1.0)
+    yield lambda: link.read_truth().servo_pid
+    link.close()
+
+
+def test_a_node_whose_loop_stands_still_is_stopped_for_and_goes_on_afterwards(client):
+    """Its threads live on; only what spins the node hangs."""
+    client.to_motion()
+    _, result = client.start_far_move(**SLOW)
+
+    async def hang():
+        clock.sleep(client.mcs.config.safety.owner_silence_s + 2.0)
+
+    client.mcs.spawn(hang())
+    answer = result()
+    assert "the process that owns the servo gave no sign of life for 3" in answer.status.message
+    client.until(lambda: client.state() == "reserved" and not client.states[-1].power)
+    assert "gave no sign of life" in client.states[-1].reason
+    assert client.lifecycle() == "inactive"
+    stopped = client.group_state().q
+    assert client.trigger("power_on").success
+    client.until(lambda: client.state() == "active" and not client.states[-1].reason)
+    assert client.trigger("enable_motion").success
+    np.testing.assert_allclose(client.group_state().q_rest, stopped, atol=2e-4)
+    assert client.move(client.home).success
+
+
+def test_a_servo_that_hangs_is_named_and_waited_for_by_nobody(client, servo):
+    sentence = "the servo process hangs: it has given no sign of life for 3 s"
+    client.to_motion()
+    _, result = client.start_far_move(**SLOW)
+    pid = servo()
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        assert sentence in result().status.message
+        client.until(lambda: client.states[-1].reason == sentence)
+        answer = client.call(ReserveGroup, "reserve", group="right")
+        assert (answer.success, answer.message) == (False, sentence)
+        assert sentence in client.trigger("estop").message  # passed on nevertheless
+        link = TestbedLink.attach(names.instance(), 1.0)
+        link.request_time(1, 2)
+        client.until(lambda: link.read_state().brakes.all() and not link.read_state().power)
+        link.close()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    client.until(lambda: client.state() == "estopped" and client.states[-1].reason not in ("", sentence))
+    client.until(lambda: servo() == pid)
+    assert client.trigger("reset").success
+    client.to_motion()
+    assert client.move(client.home).success

@@ -1,0 +1,111 @@
+"""Node ``/mcs`` without the simulated testbed: a robot that speaks topics takes its place, in real time."""
+
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+import yaml
+from control_msgs.action import FollowJointTrajectory
+from rclpy.duration import Duration
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from im_core.config import package_file
+
+DRIVER = "im_mcs.testbed.joint_state:JointStateDriver"
+
+#: Every joint a mass of its own that gravity pulls; holds what has not been commanded for 0.1 s.
+ROBOT = """
+    import sys
+    import numpy as np
+    from rclpy.node import Node
+    from sensor_msgs.msg import JointState
+    from im_core import clock
+    from im_core.robot import load_cell
+    from im_core.ros import qos, run
+    from im_mcs.model import Model
+
+    class Robot(Node):
+        def __init__(self):
+            super().__init__("robot")
+            cell = load_cell()
+            self.model, self.names = Model(cell), list(cell.joint_names)
+            self.q, self.v, self.effort = cell.home.copy(), np.zeros(18), np.zeros(18)
+            self.inertia, self.commanded = self.model.inertia_diagonal(cell.home), np.full(18, -1.0)
+            self.last = clock.monotonic()
+            self.publisher = self.create_publisher(JointState, "/robot/state", qos.SENSOR)
+            self.create_subscription(JointState, "/robot/command", self.obey, qos.SENSOR)
+            self.create_timer(0.004, self.step)
+
+        def obey(self, message):
+            for name, effort in zip(message.name, message.effort):
+                k = self.names.index(name)
+                self.effort[k], self.commanded[k] = effort, clock.monotonic()
+
+        def step(self):
+            now = clock.monotonic()
+            dt, self.last = now - self.last, now
+            held = now - self.commanded > 0.1
+            for _ in range(4):
+                self.v += (self.effort - self.model.gravity(self.q)) / self.inertia * (dt / 4)
+                self.v[held] = 0.0
+                self.q = self.q + self.v * (dt / 4)
+            self.publisher.publish(JointState(name=self.names, position=self.q.tolist()))
+
+    sys.exit(run.main(Robot))
+"""
+
+
+@pytest.fixture
+def robot():
+    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(ROBOT)])
+    yield process
+    process.kill()
+    process.wait()
+
+
+@pytest.fixture
+def config(tmp_path):
+    """``mcs.yaml`` with another driver, a law that does not expect friction, and patience with a busy computer."""
+    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+    data["slots"] = [slot for slot in data["slots"] if slot.get("kind", "joint") == "joint"]
+    for slot in data["slots"]:
+        slot["driver"] = "robot"
+    settings = {
+        "joints": [slot["name"] for slot in data["slots"]],
+        "state_topic": "/robot/state",
+        "command_topic": "/robot/command",
+        "silence_s": 1.0,
+    }
+    data["testbed"].update(clock="robot", drivers={"robot": {"driver": DRIVER, "settings": settings}})
+    data["control"]["parameters"].update(
+        bandwidth_rad_s=15.0, integral_rad_s=2.0, feedforward={"gravity": 1.0, "inertia": 1.0}
+    )
+    data["safety"].update(driver_age_s=0.5, driver_age_estop_s=2.0)
+    data["servo"]["max_overruns"] = 200
+    data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=10.0)
+    path = tmp_path / "robot.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def test_a_trajectory_moves_a_robot_that_speaks_topics_and_its_death_is_an_estop(robot, config, without_testbed):
+    client = without_testbed(config=config, use_sim_time=False)
+    client.to_motion()
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = client.joints
+    target = client.home + 0.05
+    goal.trajectory.points = [
+        JointTrajectoryPoint(positions=target.tolist(), time_from_start=Duration(seconds=2.0).to_msg())
+    ]
+    result = client.follow(goal)[1]().result
+    assert result.error_code == result.SUCCESSFUL, result.error_string
+    np.testing.assert_allclose(client.group_state().q, target, atol=0.01)
+
+    robot.kill()
+    client.until(lambda: client.state() == "estopped")
+    assert "/robot/state" in client.states[-1].reason
+    refused = client.trigger("reset")
+    assert not refused.success
+    assert "/robot/state" in refused.message

@@ -1,0 +1,242 @@
+"""``/<group>/follow_joint_trajectory`` and ``/<group>/joint_trajectory``, as users of ros2_control expect them."""
+
+import math
+import threading
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Duration, Time
+from control_msgs.action import FollowJointTrajectory
+from control_msgs.msg import JointTolerance
+from diagnostic_msgs.msg import DiagnosticArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
+
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+Result = FollowJointTrajectory.Result
+STEP = np.array([0.05, 0.1, 0.05, 0.2, -0.2, 0.2, 0.3, 0.3, 0.3])
+ORDER = [4, 0, 8, 2, 6, 1, 3, 7, 5]
+
+
+def duration(seconds):
+    return Duration(sec=int(seconds), nanosec=round(1e9 * (seconds - int(seconds))))
+
+
+def stamp(seconds):
+    return Time(sec=int(seconds), nanosec=round(1e9 * (seconds - int(seconds))))
+
+
+def trajectory(client, *points, joints=(), start=0.0):
+    """A trajectory through (time, positions), at rest in the last point."""
+    message = JointTrajectory(joint_names=list(joints or client.joints))
+    message.header.stamp = stamp(start)
+    for time, q in points:
+        message.points.append(JointTrajectoryPoint(positions=list(map(float, q)), time_from_start=duration(time)))
+    return message
+
+
+def goal(client, *points, **options):
+    return FollowJointTrajectory.Goal(trajectory=trajectory(client, *points, **options))
+
+
+def now(client):
+    time = client.group_state().stamp
+    return time.sec + 1e-9 * time.nanosec
+
+
+def far(client, time=8.0):
+    """A goal of some seconds, a metre along the track."""
+    return goal(client, (time, client.home + np.eye(9)[0]))
+
+
+def started(client, request):
+    """A goal that is under way."""
+    moving = threading.Event()
+    handle, result = client.follow(request, lambda _: moving.set())
+    assert moving.wait(10.0)
+    return handle, result
+
+
+def test_joints_in_any_order_with_velocities_and_feedback(ready):
+    target, told = ready.home + STEP, []
+    shuffled = [ready.joints[i] for i in ORDER]
+    request = goal(ready, (1.0, (ready.home + STEP / 2)[ORDER]), (2.0, target[ORDER]), joints=shuffled)
+    request.trajectory.points[0].velocities = list((STEP / 2)[ORDER])
+    request.trajectory.points[1].velocities = [0.0] * 9
+    began = now(ready)
+    answer = ready.follow(request, lambda message: told.append(message.feedback))[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+    assert answer.result.error_code == Result.SUCCESSFUL
+    assert now(ready) - began >= 2.0
+    np.testing.assert_allclose(ready.group_state().q_rest, target, atol=1e-4)
+    assert len(told) >= 10
+    for feedback in told:
+        assert list(feedback.joint_names) == ready.joints
+        error = np.array(feedback.desired.positions) - feedback.actual.positions
+        np.testing.assert_allclose(feedback.error.positions, error, atol=1e-12)
+        assert np.abs(error).max() < 0.01
+    assert max(abs(f.desired.velocities[3]) for f in told) > 0.05
+
+
+def test_a_start_to_come_is_waited_for(ready):
+    begin = now(ready) + 1.0
+    answer = ready.follow(goal(ready, (1.0, ready.home + STEP), start=begin))[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+    assert now(ready) >= begin + 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "sentence"),
+    [
+        (lambda r: r.trajectory.joint_names.pop(), Result.INVALID_JOINTS, "lacks left_j6; all 9 joints are needed"),
+        (lambda r: r.trajectory.joint_names.clear(), Result.INVALID_JOINTS, "names no joints"),
+        (
+            lambda r: r.trajectory.joint_names.__setitem__(0, "left_trakc"),
+            Result.INVALID_JOINTS,
+            "'left_trakc'; did you mean 'left_track'",
+        ),
+        (lambda r: r.trajectory.joint_names.append("left_j1"), Result.INVALID_JOINTS, "'left_j1' is given 2 times"),
+        (lambda r: r.trajectory.points.clear(), Result.INVALID_GOAL, "has no points"),
+        (lambda r: r.trajectory.points[1].positions.pop(), Result.INVALID_GOAL, "point 2: position is given for 8"),
+        (
+            lambda r: r.trajectory.points[1].positions.__setitem__(3, math.nan),
+            Result.INVALID_GOAL,
+            "point 2: position of left_j1 is nan",
+        ),
+        (
+            lambda r: r.trajectory.points[0].velocities.extend([math.inf] * 9),
+            Result.INVALID_GOAL,
+            "point 1: velocity of left_track is inf",
+        ),
+        (lambda r: r.trajectory.points[0].effort.extend([0.0] * 9), Result.INVALID_GOAL, "point 1 has efforts"),
+        (
+            lambda r: setattr(r.trajectory.points[1], "time_from_start", duration(1.0)),
+            Result.INVALID_GOAL,
+            "does not come after",
+        ),
+        (
+            lambda r: setattr(r.trajectory.points[0], "time_from_start", Duration(sec=-1)),
+            Result.INVALID_GOAL,
+            "time_from_start -1 s is not >= 0",
+        ),
+        (
+            lambda r: setattr(r.trajectory.points[1], "time_from_start", duration(1.001)),
+            Result.INVALID_GOAL,
+            "beyond the limit",
+        ),
+        (lambda r: setattr(r.trajectory.header, "stamp", stamp(0.001)), Result.OLD_HEADER_TIMESTAMP, "before now"),
+        (
+            lambda r: r.multi_dof_trajectory.points.append(MultiDOFJointTrajectoryPoint()),
+            Result.INVALID_GOAL,
+            "multi_dof_trajectory is not empty",
+        ),
+        (
+            lambda r: r.path_tolerance.append(JointTolerance(name="j1", position=0.1)),
+            Result.INVALID_JOINTS,
+            "path_tolerance: there is no joint of group 'left' 'j1'",
+        ),
+        (
+            lambda r: r.goal_tolerance.append(JointTolerance(name="left_j1", position=math.nan)),
+            Result.INVALID_GOAL,
+            "goal_tolerance of left_j1: position nan",
+        ),
+        (lambda r: setattr(r, "goal_time_tolerance", Duration(sec=-3)), Result.INVALID_GOAL, "goal_time_tolerance"),
+    ],
+)
+def test_wrong_goals_are_refused_and_move_nothing(ready_once, change, code, sentence):
+    client = ready_once
+    before = client.group_state().q_rest
+    request = goal(client, (1.0, client.home + STEP / 2), (2.0, client.home + STEP))
+    change(request)
+    answer = client.follow(request)[1]()
+    assert answer.status == ABORTED
+    assert sentence in answer.result.error_string
+    assert answer.result.error_code == code
+    assert client.group_state().q_rest == before
+
+
+def test_path_tolerance_and_evidence(ready):
+    request = far(ready)
+    request.path_tolerance = [JointTolerance(name="left_track", position=1e-7)]
+    answer = ready.follow(request)[1]()
+    assert answer.status == ABORTED
+    assert answer.result.error_code == Result.PATH_TOLERANCE_VIOLATED
+    assert "left_track" in answer.result.error_string
+    assert "tick" in answer.result.error_string
+    path = answer.result.error_string.rpartition(" ")[2]
+    record = np.load(path)
+    assert list(record["joints"][:9]) == ready.joints
+    assert record["q"].shape == (len(record["tick"]), 18)
+    assert np.abs(record["following_error"][:, 0]).max() > 1e-7
+    assert ready.move(ready.home).success
+
+
+def test_tolerances_of_velocity_and_acceleration(ready):
+    request = far(ready)
+    request.path_tolerance = [JointTolerance(name="left_j1", velocity=1e-6)]
+    answer = ready.follow(request)[1]()
+    assert answer.result.error_code == Result.PATH_TOLERANCE_VIOLATED
+    assert "left_j1: velocity error" in answer.result.error_string
+    request.path_tolerance = [JointTolerance(name="left_j1", acceleration=1.0)]
+    assert "accelerations are not measured" in ready.follow(request)[1]().result.error_string
+    assert ready.move(ready.home).success
+
+
+def test_goal_tolerance(ready):
+    request = goal(ready, (1.0, ready.home + STEP))
+    request.goal_tolerance = [JointTolerance(name="left_j1", position=1e-9)]
+    request.goal_time_tolerance = duration(0.1)
+    answer = ready.follow(request)[1]()
+    assert answer.status == ABORTED
+    assert answer.result.error_code == Result.GOAL_TOLERANCE_VIOLATED
+    assert "left_j1" in answer.result.error_string
+
+
+def test_cancel_decelerates_on_the_path(ready):
+    handle, result = started(ready, far(ready, 60.0))
+    ready.cancel(handle)
+    assert result().status == CANCELED
+    state = ready.group_state()
+    assert state.at_rest
+    offset = np.array(state.q_rest) - ready.home
+    assert 0.0 < offset[0] < 1.0
+    np.testing.assert_allclose(offset[1:], 0.0, atol=1e-4)
+
+
+def test_a_new_goal_replaces_the_running_one(ready):
+    _, first = started(ready, far(ready, 60.0))
+    answer = ready.follow(goal(ready, (4.0, ready.home)))[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+    assert first().status == ABORTED
+    assert first().result.error_code == Result.INVALID_GOAL
+    np.testing.assert_allclose(ready.group_state().q_rest, ready.home, atol=1e-4)
+
+
+def test_the_topic_replaces_stops_and_counts_what_it_refuses(ready):
+    publisher = ready.talk(JointTrajectory, "/left/joint_trajectory")
+    _, result = started(ready, far(ready, 60.0))
+    publisher.publish(trajectory(ready, (40.0, ready.home - 0.2 * np.eye(9)[0])))
+    assert result().status == ABORTED
+    publisher.publish(JointTrajectory())
+    ready.until(lambda: ready.group_state().at_rest)
+    assert ready.group_state().q_rest[0] > ready.home[0] - 0.19
+
+    diagnostics = ready.listen(DiagnosticArray, "/diagnostics")
+    publisher.publish(trajectory(ready, (1.0, ready.home), joints=["left_j1"]))
+
+    def refused():
+        statuses = [s for m in diagnostics for s in m.status if s.name == "mcs: refused messages"]
+        return [v for s in statuses for v in s.values if v.key == "/left/joint_trajectory"]
+
+    assert int(ready.until(refused)[-1].value) == 1
+
+
+@pytest.fixture
+def ready_once(machine):
+    """As ``ready``, without a reset for each of many refusals."""
+    machine.until(lambda: machine.states)
+    if machine.state() != "motion":
+        machine.to_cold()
+        machine.to_motion()
+        machine.until(lambda: machine.state() == "motion")
+        assert machine.move(machine.home).success
+    return machine

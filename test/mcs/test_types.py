@@ -1,0 +1,138 @@
+"""The interfaces of control_msgs as in Jazzy: their type hashes, computed by another implementation.
+
+The definitions below are the fields of the ``jazzy`` branch of ros-controls/control_msgs (5.x), written down apart from
+the files of ``ros_ws/standard_msgs``; ``rosbags`` computes RIHS01 from them with code of its own, and with its own
+definitions of everything that they contain. The hashes that the built packages carry, computed by rosidl, must be the
+same: else no peer of a standard Jazzy would talk to us.
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_share_directory
+from control_msgs.action import FollowJointTrajectory, GripperCommand
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+DEFINITIONS = {
+    "control_msgs/msg/JointTolerance": "string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration\n",
+    "control_msgs/msg/JointComponentTolerance": """
+uint16 X_AXIS=1
+uint16 Y_AXIS=2
+uint16 Z_AXIS=3
+uint16 TRANSLATION=4
+uint16 ROTATION=5
+string joint_name
+uint16 component
+float64 position
+float64 velocity
+float64 acceleration
+""",
+    "control_msgs/action/FollowJointTrajectory_Goal": """
+trajectory_msgs/JointTrajectory trajectory
+trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
+control_msgs/JointTolerance[] path_tolerance
+control_msgs/JointComponentTolerance[] component_path_tolerance
+control_msgs/JointTolerance[] goal_tolerance
+control_msgs/JointComponentTolerance[] component_goal_tolerance
+builtin_interfaces/Duration goal_time_tolerance
+""",
+    "control_msgs/action/FollowJointTrajectory_Result": """
+int32 SUCCESSFUL = 0
+int32 INVALID_GOAL = -1
+int32 INVALID_JOINTS = -2
+int32 OLD_HEADER_TIMESTAMP = -3
+int32 PATH_TOLERANCE_VIOLATED = -4
+int32 GOAL_TOLERANCE_VIOLATED = -5
+int32 error_code
+string error_string
+""",
+    "control_msgs/action/FollowJointTrajectory_Feedback": """
+std_msgs/Header header
+string[] joint_names
+trajectory_msgs/JointTrajectoryPoint desired
+trajectory_msgs/JointTrajectoryPoint actual
+trajectory_msgs/JointTrajectoryPoint error
+string[] multi_dof_joint_names
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
+""",
+    "control_msgs/msg/GripperCommand": "float64 position\nfloat64 max_effort\n",
+    "control_msgs/action/GripperCommand_Goal": "control_msgs/GripperCommand command\n",
+    "control_msgs/action/GripperCommand_Result": (
+        "float64 position\nfloat64 effort\nbool stalled\nbool reached_goal\n"
+    ),
+    "control_msgs/action/GripperCommand_Feedback": (
+        "float64 position\nfloat64 effort\nbool stalled\nbool reached_goal\n"
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def store():
+    types = get_typestore(Stores.ROS2_JAZZY)
+    # rosidl makes uint8 of the char in service_msgs (char is a deprecated alias of it); rosbags keeps char.
+    event = "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client_gid\nint64 sequence_number\n"
+    types.fielddefs.update(get_types_from_msg(event, "service_msgs/msg/ServiceEventInfo"))
+    definitions = dict(DEFINITIONS)
+    for action in ("FollowJointTrajectory", "GripperCommand"):
+        definitions |= _with_services(f"control_msgs/action/{action}")
+    for name, text in definitions.items():
+        types.register(get_types_from_msg(text, name))
+    return types
+
+
+def _with_services(action: str) -> dict[str, str]:
+    """What rosidl makes of an action beside its goal, result and feedback."""
+    parts = {
+        f"{action}_SendGoal_Request": f"unique_identifier_msgs/UUID goal_id\n{action}_Goal goal\n",
+        f"{action}_SendGoal_Response": "bool accepted\nbuiltin_interfaces/Time stamp\n",
+        f"{action}_GetResult_Request": "unique_identifier_msgs/UUID goal_id\n",
+        f"{action}_GetResult_Response": f"int8 status\n{action}_Result result\n",
+        f"{action}_FeedbackMessage": f"unique_identifier_msgs/UUID goal_id\n{action}_Feedback feedback\n",
+    }
+    for service in ("SendGoal", "GetResult"):
+        name = f"{action}_{service}"
+        parts[f"{name}_Event"] = (
+            f"service_msgs/ServiceEventInfo info\n{name}_Request[<=1] request\n{name}_Response[<=1] response\n"
+        )
+        parts[name] = f"{name}_Request request_message\n{name}_Response response_message\n{name}_Event event_message\n"
+    parts[action] = (
+        f"{action}_Goal goal\n{action}_Result result\n{action}_Feedback feedback\n"
+        f"{action}_SendGoal send_goal_service\n{action}_GetResult get_result_service\n"
+        f"{action}_FeedbackMessage feedback_message\n"
+    )
+    return parts
+
+
+def _built_hashes(action):
+    """Type hashes in the built package, by type name."""
+    folder = Path(get_package_share_directory("control_msgs"))
+    described = json.loads((folder / "action" / f"{action}.json").read_text(encoding="utf-8"))
+    return {entry["type_name"]: entry["hash_string"] for entry in described["type_hashes"]}
+
+
+@pytest.mark.parametrize("action", [FollowJointTrajectory, GripperCommand])
+def test_type_hashes_are_those_of_jazzy(store, action):
+    built = _built_hashes(action.__name__)
+    ours = [name for name in built if name.startswith("control_msgs/")]
+    assert len(ours) >= 13
+    for name in ours:
+        assert built[name] == store.hash_rihs01(name), name
+
+
+def test_the_hash_of_the_action_is_on_the_wire(store):
+    """The type support that rclpy loads is the one whose description was read."""
+    goal = FollowJointTrajectory.Goal()
+    assert list(goal.get_fields_and_field_types()) == [
+        line.split()[1] for line in DEFINITIONS["control_msgs/action/FollowJointTrajectory_Goal"].strip().splitlines()
+    ]
+
+
+def test_a_different_definition_has_a_different_hash(store):
+    """The field that later branches add to the feedback is not in Jazzy's."""
+    name = "control_msgs/action/FollowJointTrajectory_Feedback"
+    other = get_typestore(Stores.ROS2_JAZZY)
+    other.register(get_types_from_msg(DEFINITIONS[name] + "int32 index\n", name))
+    assert other.hash_rihs01(name) != store.hash_rihs01(name)

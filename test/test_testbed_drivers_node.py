@@ -1,0 +1,132 @@
+"""A robot that speaks topics, driven by MCS through :class:`im_mcs.testbed.joint_state.JointStateDriver`."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from im_core import clock
+from im_core.errors import LinkError
+from im_mcs.testbed.driver import Drive
+from im_mcs.testbed.joint_state import JointStateDriver
+
+INSTANCE = f"imtopics{os.getpid()}"
+JOINTS = ["shoulder", "elbow"]
+NOTHING = np.zeros(0)
+
+#: Two masses of 1 kg m2 without friction; holds what has not been commanded for 0.1 s. Its joints have an order of
+#: their own.
+ROBOT = """
+    import sys
+    import rclpy
+    from rclpy.node import Node
+    from sensor_msgs.msg import JointState
+    from im_core import clock
+    from im_core.ros import qos, run
+
+    class Robot(Node):
+        def __init__(self):
+            super().__init__("robot")
+            self.q, self.v = {"gripper": 9.0, "elbow": 0.5, "shoulder": -0.5}, {}
+            self.effort, self.commanded = {}, {}
+            self.last = clock.monotonic()
+            self.publisher = self.create_publisher(JointState, "/robot/state", qos.SENSOR)
+            self.create_subscription(JointState, "/robot/command", self.obey, qos.SENSOR)
+            self.create_timer(0.004, self.step)
+
+        def obey(self, message):
+            for name, effort in zip(message.name, message.effort):
+                self.effort[name], self.commanded[name] = effort, clock.monotonic()
+
+        def step(self):
+            now = clock.monotonic()
+            dt, self.last = now - self.last, now
+            for name in self.q:
+                if now - self.commanded.get(name, 0.0) > 0.1:
+                    self.v[name] = 0.0
+                else:
+                    self.v[name] = self.v.get(name, 0.0) + self.effort[name] * dt
+                    self.q[name] += self.v[name] * dt
+            message = JointState(name=list(self.q), position=list(self.q.values()))
+            self.publisher.publish(message)
+
+    sys.exit(run.main(Robot))
+"""
+
+
+@contextlib.contextmanager
+def robot():
+    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(ROBOT)])
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def drive_to(driver, target, seconds):
+    """A PD law in every tick; the last reading."""
+    last, deadline = driver.read().q, clock.monotonic() + seconds
+    velocity = np.zeros(len(last))
+    while clock.monotonic() < deadline:
+        measured = driver.read()
+        velocity = 0.8 * velocity + 0.2 * (measured.q - last) / driver.period_s
+        last = measured.q
+        tau = 30.0 * (target - measured.q) - 9.0 * velocity
+        driver.write(Drive(tau, True, np.array([False, False]), NOTHING, True, NOTHING))
+        clock.sleep(driver.period_s)
+    return driver.read()
+
+
+def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
+    with robot() as process:
+        driver = JointStateDriver(
+            INSTANCE, 15.0, JOINTS, "/robot/state", "/robot/command", period_s=0.005, silence_s=0.3
+        )
+        try:
+            measured = driver.read()
+            assert measured.q.tolist() == [-0.5, 0.5], "joints are matched by name"
+            assert not measured.power
+            assert measured.brakes.all()
+            target = np.array([0.1, -0.2])
+            measured = drive_to(driver, target, 2.5)
+            np.testing.assert_allclose(measured.q, target, atol=0.03)
+            assert 0.0 <= measured.age_s.max() < 0.3
+
+            held = Drive(np.full(2, 50.0), True, np.array([True, False]), NOTHING, True, NOTHING)
+            off = Drive(np.full(2, 50.0), False, np.array([False, False]), NOTHING, True, NOTHING)
+            clock.sleep(0.2)  # the robot's own time-out has stopped it
+            before = driver.read().q
+            for _ in range(30):
+                driver.write(off)
+                clock.sleep(0.005)
+            np.testing.assert_allclose(driver.read().q, before, atol=1e-12)
+            for _ in range(30):
+                driver.write(held)
+                clock.sleep(0.005)
+            after = driver.read().q
+            assert after[0] == before[0], "a braked joint is not commanded"
+            assert after[1] > before[1] + 0.01
+
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            with pytest.raises(LinkError, match=r"topic '/robot/state' has said nothing of joint 'shoulder' for 0\.\d"):
+                drive_to(driver, target, 3.0)
+            with pytest.raises(LinkError, match=r"'/robot/state' .* 0.3 s are allowed"):
+                driver.connect()
+        finally:
+            driver.close()
+    assert not [name for name in os.listdir("/dev/shm") if INSTANCE in name]
+
+
+def test_a_joint_that_the_robot_does_not_have_is_named():
+    with (
+        robot(),
+        pytest.raises(LinkError, match="nothing of joint wrist within 3 s; it names gripper, elbow, shoulder"),
+    ):
+        JointStateDriver(INSTANCE, 3.0, ["elbow", "wrist"], "/robot/state", "/robot/command")
