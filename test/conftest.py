@@ -1,5 +1,6 @@
 """Fixtures of the tests with nodes and processes. Every session has a ROS domain and a run folder of its own."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from im_bringup import leftovers
-from im_core import clock
+from im_core import clock, names
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -143,3 +144,114 @@ hosts:
 def python():
     """The interpreter that runs the tests."""
     return sys.executable
+
+
+class VisionMachine:
+    """Testbed, vision services and a client of theirs, in this process; the camera process beside it."""
+
+    def __init__(self, folder):
+        import rclpy
+
+        from im_core.ros.run import spin_in_thread
+        from im_sim.ros.node import TestbedNode
+        from im_vss.ros.node import VssNode
+
+        self.folder = folder
+        rclpy.init(args=["--ros-args", "-p", "standalone:=true", "-p", "factor:=0.0", "-p", "seed:=4"])
+        self.testbed, self.client = TestbedNode(), rclpy.create_node("client")
+        self.clients = {}
+        self.spinners = [spin_in_thread(self.testbed, self.client)]
+        self.until(lambda: self.testbed.ready or self.testbed.failed)  # the vision node waits for it without spinning
+        self.vss = VssNode()
+        self.spinners.append(spin_in_thread(self.vss))
+        self.until(lambda: self.vss.ready or self.vss.failed)
+        assert self.vss.ready, self.vss.failed or self.testbed.failed
+
+    def until(self, condition, seconds=30.0):
+        deadline = clock.monotonic() + seconds
+        while not condition():
+            assert clock.monotonic() < deadline, "waited in vain"
+            clock.sleep(0.01)
+
+    def call(self, kind, service, **fields):
+        from im_core.ros.calls import call_blocking
+
+        if service not in self.clients:
+            self.clients[service] = self.client.create_client(kind, service)
+        return call_blocking(self.clients[service], kind.Request(**fields), 30.0, service)
+
+    def light(self, on):
+        from im_msgs.srv import SetLight
+
+        assert self.call(SetLight, "/testbed/set_light", name="left_led", on=on).success
+
+    def light_at_home(self):
+        """True place of the left light at the home position, by the Denavit-Hartenberg rows of the cell [m]."""
+        import numpy as np
+        from scipy.spatial.transform import Rotation
+
+        from im_core.robot import load_cell
+
+        cell = load_cell()
+        side, arm, cart = cell.sides["left"], cell.arm_models["puma_560"], cell.cart
+        track, rotation, tilt, *joints = side.home
+        pose = np.eye(4)
+
+        def then(rotvec=(0.0, 0.0, 0.0), xyz=(0.0, 0.0, 0.0)):
+            step = np.eye(4)
+            step[:3, :3], step[:3, 3] = Rotation.from_rotvec(rotvec).as_matrix(), xyz
+            pose[:] = pose @ step
+
+        then(xyz=(track, 0.0, cart.track.height))
+        then(xyz=(0.0, 0.0, cart.rotation.height))
+        then(rotvec=(0.0, 0.0, rotation), xyz=(0.0, 0.0, cart.tilt.height))
+        then(rotvec=(0.0, tilt, 0.0))
+        then(xyz=(0.0, 0.0, arm.mount_height))
+        for theta, row in zip(joints, arm.links, strict=True):
+            then(rotvec=(0.0, 0.0, theta))
+            then(xyz=(row.a, 0.0, row.d))
+            then(rotvec=(row.alpha, 0.0, 0.0))
+        then(xyz=json.loads((self.folder / "truth.json").read_text())["leds"]["left_led"]["offset_m"])
+        return pose[:3, 3]
+
+    def true_camera(self, name):
+        """A camera as the testbed has it."""
+        from im_core.camera_model import CameraModel
+
+        true = json.loads((self.folder / "truth.json").read_text())["cameras"][name]
+        return CameraModel(640, 480, true["K"], true["D"], true["R_cam_base"], true["t_cam_base_m"])
+
+    def calibrate_cameras(self, *names):
+        """Set intrinsics, lenses and poses of cameras as they truly are."""
+        from sensor_msgs.srv import SetCameraInfo
+
+        from im_vss.ros.messages import to_camera_info
+
+        for name in names:
+            model = self.true_camera(name)
+            message = to_camera_info(self.vss._book[name], 0)
+            message.k, message.d = model.K.ravel(), model.D
+            assert self.call(SetCameraInfo, f"/{name}/set_camera_info", camera_info=message).success
+            self.vss._book.set_pose(name, model)
+
+    def listen(self, kind, topic, profile):
+        received = []
+        self.client.create_subscription(kind, topic, received.append, profile)
+        self.until(lambda: self.client.count_publishers(topic) > 0)
+        return received
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    """The :class:`VisionMachine` of a test module."""
+    import rclpy
+
+    folder = tmp_path_factory.mktemp("vss")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IM_RUN_DIR", str(folder))
+        made = VisionMachine(folder)
+        yield made
+        for spinner in reversed(made.spinners):
+            spinner.stop()
+        rclpy.try_shutdown()
+    assert not [name for name in os.listdir("/dev/shm") if f"{names.instance()}_vss" in name]

@@ -7,73 +7,21 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-import rclpy
 import yaml
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 from tf2_msgs.msg import TFMessage
 
-from im_core import clock, names
+from im_core import clock
 from im_core.camera_model import CameraModel
-from im_core.robot import load_cell
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
-from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Observation, Spot
-from im_msgs.srv import Calibrate, SetLight, Snap, SpotFind
-from im_sim.ros.node import TestbedNode
+from im_msgs.srv import Calibrate, Snap, SpotFind
 from im_vss.ros.messages import quaternion
-from im_vss.ros.node import VssNode
 
 CEILING = ["ceiling_left", "ceiling_right"]
-
-
-def until(condition, seconds=30.0):
-    deadline = clock.monotonic() + seconds
-    while not condition():
-        assert clock.monotonic() < deadline, "waited in vain"
-        clock.sleep(0.01)
-
-
-class Machine:
-    """Testbed, vision services and a client of theirs."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        rclpy.init(args=["--ros-args", "-p", "standalone:=true", "-p", "factor:=0.0", "-p", "seed:=4"])
-        self.testbed, self.vss = TestbedNode(), VssNode()
-        self.client = rclpy.create_node("client")
-        self.clients = {}
-        self.spinner = spin_in_thread(self.testbed, self.vss, self.client)
-        until(lambda: self.vss.ready or self.vss.failed or self.testbed.failed)
-        assert self.vss.ready, self.vss.failed or self.testbed.failed
-
-    def call(self, kind, service, **fields):
-        if service not in self.clients:
-            self.clients[service] = self.client.create_client(kind, service)
-        return call_blocking(self.clients[service], kind.Request(**fields), 30.0, service)
-
-    def light(self, on):
-        assert self.call(SetLight, "/testbed/set_light", name="left_led", on=on).success
-
-    def listen(self, kind, topic, profile):
-        received = []
-        self.client.create_subscription(kind, topic, received.append, profile)
-        until(lambda: self.client.count_publishers(topic) > 0)
-        return received
-
-
-@pytest.fixture(scope="module")
-def machine(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("vss")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("IM_RUN_DIR", str(folder))
-        made = Machine(folder)
-        yield made
-        made.spinner.stop()
-        rclpy.try_shutdown()
-    assert not [name for name in os.listdir("/dev/shm") if f"{names.instance()}_vss" in name]
 
 
 def test_spots_are_where_the_light_is(machine):
@@ -82,7 +30,7 @@ def test_spots_are_where_the_light_is(machine):
     assert answer.success, answer.status.message
     truth = json.loads((machine.folder / "truth.json").read_text())
     assert [spot.camera for spot in answer.spots] == CEILING
-    light = light_at_home(truth)
+    light = machine.light_at_home()
     for spot in answer.spots:
         assert spot.found, spot.cause
         true = truth["cameras"][spot.camera]
@@ -95,31 +43,6 @@ def test_spots_are_where_the_light_is(machine):
     timing = json.loads(answer.timing_json)
     assert {"expose_s", "render_s", "sensor_s", "handover_s", "snap_s", "display_s", "find_s", "total_s"} == set(timing)
     assert timing["total_s"] < 2.0
-
-
-def light_at_home(truth):
-    """True place of the left light at the home position, by the Denavit-Hartenberg rows of the cell."""
-    cell = load_cell()
-    side, arm, cart = cell.sides["left"], cell.arm_models["puma_560"], cell.cart
-    track, rotation, tilt, *joints = side.home
-    pose = np.eye(4)
-
-    def then(rotvec=(0.0, 0.0, 0.0), xyz=(0.0, 0.0, 0.0)):
-        step = np.eye(4)
-        step[:3, :3], step[:3, 3] = Rotation.from_rotvec(rotvec).as_matrix(), xyz
-        pose[:] = pose @ step
-
-    then(xyz=(track, 0.0, cart.track.height))
-    then(xyz=(0.0, 0.0, cart.rotation.height))
-    then(rotvec=(0.0, 0.0, rotation), xyz=(0.0, 0.0, cart.tilt.height))
-    then(rotvec=(0.0, tilt, 0.0))
-    then(xyz=(0.0, 0.0, arm.mount_height))
-    for theta, row in zip(joints, arm.links, strict=True):
-        then(rotvec=(0.0, 0.0, theta))
-        then(xyz=(row.a, 0.0, row.d))
-        then(rotvec=(row.alpha, 0.0, 0.0))
-    then(xyz=truth["leds"]["left_led"]["offset_m"])
-    return pose[:3, 3]
 
 
 def test_light_off_is_not_found_with_its_cause(machine):
@@ -154,7 +77,7 @@ def test_images_infos_and_marker(machine):
     shown = machine.listen(Image, "/ceiling_left/image_display", qos.SENSOR)
     clock.sleep(0.5)
     answer = machine.call(SpotFind, "/vss/spot_find", cameras=["ceiling_left"])
-    until(lambda: len(raw) == 2 and len(info) == 2 and len(shown) == 1)
+    machine.until(lambda: len(raw) == 2 and len(info) == 2 and len(shown) == 1)
     assert [image.header for image in raw] == [camera.header for camera in info]
     assert raw[1].header.frame_id == "ceiling_left_optical_frame"
     assert raw[1].header.stamp == shown[0].header.stamp == answer.spots[0].stamp
@@ -251,7 +174,7 @@ def test_calibrate_applies_and_writes(machine, tmp_path):
         seen = found.transform.translation
         return found.header.frame_id == "world" and np.allclose([seen.x, seen.y, seen.z], position, atol=0.02)
 
-    until(placed, 5.0)
+    machine.until(placed, 5.0)
     answer = machine.call(
         Calibrate, "/vss/calibrate", cameras=CEILING, observations=observations_of(truth, 4), apply=True
     )
@@ -263,7 +186,7 @@ def test_calibrate_applies_and_writes(machine, tmp_path):
 
 def test_many_clients_at_once_are_all_answered(machine):
     clients = [machine.client.create_client(SpotFind, "/vss/spot_find") for _ in range(30)]
-    until(lambda: all(client.service_is_ready() for client in clients))
+    machine.until(lambda: all(client.service_is_ready() for client in clients))
     request = SpotFind.Request(cameras=CEILING)
     with ThreadPoolExecutor(len(clients)) as pool:
         answers = list(pool.map(lambda client: call_blocking(client, request, 20.0, "spot_find"), clients))

@@ -10,7 +10,8 @@ import numpy as np
 from im_core.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError
 from im_core.robot import Camera, Cell
-from im_vss.camera_info import camera_info_yaml
+from im_vss.camera_info import Rectified, camera_info_yaml, monocular
+from im_vss.stereo import rectify
 
 
 @dataclass(frozen=True)
@@ -21,12 +22,14 @@ class CameraEntry:
         name: Its name.
         parent: Frame of the robot it is fixed to.
         model: Intrinsics, lens and pose; the pose is relative to `parent`.
+        rectified: R and P of its camera infos; those of its stereo pair if it belongs to one.
         calibrated: Whether intrinsics have been set since the start.
     """
 
     name: str
     parent: str
     model: CameraModel
+    rectified: Rectified
     calibrated: bool = False
 
     @property
@@ -38,13 +41,31 @@ class CameraEntry:
 class CameraBook:
     """Calibrations by camera; what is set is also written to a file in the format of `camera_info_manager`."""
 
-    def __init__(self, cell: Cell, cameras: Iterable[str], directory: Path) -> None:
-        """Start from the nominal cameras of `cell`; files go to `directory`."""
-        self._entries = {
-            name: CameraEntry(name, cell.cameras[name].parent, nominal(cell.cameras[name])) for name in cameras
-        }
+    def __init__(
+        self, cell: Cell, cameras: Iterable[str], directory: Path, pairs: Iterable[tuple[str, str]] = ()
+    ) -> None:
+        """Start from the nominal cameras of `cell`.
+
+        Args:
+            cell: Nominal cameras.
+            cameras: Those in use.
+            directory: Where calibration files go.
+            pairs: Left and right cameras of the stereo pairs.
+
+        Raises:
+            DataError: The cameras of a pair move against each other.
+        """
+        self._entries: dict[str, CameraEntry] = {}
+        for name in cameras:
+            model = nominal(cell.cameras[name])
+            self._entries[name] = CameraEntry(name, cell.cameras[name].parent, model, monocular(model))
+        self._pairs = tuple(pairs)
         self._directory = directory
         self._lock = threading.Lock()
+        for left, right in self._pairs:
+            if self._entries[left].parent != self._entries[right].parent:
+                raise DataError(f"{left} and {right} are no stereo pair: they move against each other")
+        self._rectify()
         self.on_change: Callable[[], None] = lambda: None
 
     def __getitem__(self, name: str) -> CameraEntry:
@@ -85,13 +106,16 @@ class CameraBook:
                 f"{model.width} x {model.height} px",
                 camera=name,
             )
+        self._put(replace(entry, model=replace(old, K=model.K, D=model.D), calibrated=True))
         path = self._directory / f"{name}.yaml"
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
-            path.write_text(camera_info_yaml(name, model), encoding="utf-8")
+            for kept in self.entries():
+                if kept.calibrated:
+                    text = camera_info_yaml(kept.name, kept.model, kept.rectified)
+                    (self._directory / f"{kept.name}.yaml").write_text(text, encoding="utf-8")
         except OSError as error:
             raise DataError(f"{path}: cannot be written: {error.strerror}", file=str(path)) from error
-        self._put(replace(entry, model=replace(old, K=model.K, D=model.D), calibrated=True))
         return path
 
     def set_pose(self, name: str, model: CameraModel) -> None:
@@ -107,7 +131,21 @@ class CameraBook:
     def _put(self, entry: CameraEntry) -> None:
         with self._lock:
             self._entries[entry.name] = entry
+            self._rectify()
         self.on_change()
+
+    def _rectify(self) -> None:
+        """Renew R and P; cameras whose images can have no rows in common are described as single ones."""
+        for name, entry in self._entries.items():
+            self._entries[name] = replace(entry, rectified=monocular(entry.model))
+        for left, right in self._pairs:
+            first, second = self._entries[left], self._entries[right]
+            try:
+                rectification = rectify(first.model, second.model)
+            except DataError:
+                continue
+            self._entries[left] = replace(first, rectified=Rectified(*rectification.left))
+            self._entries[right] = replace(second, rectified=Rectified(*rectification.right))
 
 
 def nominal(camera: Camera) -> CameraModel:

@@ -1,5 +1,6 @@
 """Camera calibrations as YAML, in the format of ROS's `camera_info_manager`."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,21 +10,31 @@ from numpy.typing import NDArray
 from im_core.camera_model import CameraModel
 
 
-def projection_matrix(model: CameraModel) -> NDArray[np.float64]:
-    """P of a monocular camera without rectification, shape (3, 4) [px]."""
-    return np.hstack((model.K, np.zeros((3, 1))))
+@dataclass(frozen=True)
+class Rectified:
+    """What a `CameraInfo` says of rectified images: R, shape (3, 3), and P, shape (3, 4) [px]."""
+
+    R: NDArray[np.float64]
+    P: NDArray[np.float64]
 
 
-def camera_info_yaml(name: str, model: CameraModel) -> str:
+def monocular(model: CameraModel) -> Rectified:
+    """R and P of a camera that belongs to no stereo pair."""
+    return Rectified(np.eye(3), np.hstack((model.K, np.zeros((3, 1)))))
+
+
+def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None = None) -> str:
     """The calibration file of a camera.
 
     Args:
         name: Name of the camera.
         model: Its intrinsics and lens.
+        rectified: Its R and P; None: those of a single camera.
 
     Returns:
         Text of the file.
     """
+    rectified = rectified or monocular(model)
     content: dict[str, Any] = {
         "image_width": model.width,
         "image_height": model.height,
@@ -31,8 +42,8 @@ def camera_info_yaml(name: str, model: CameraModel) -> str:
         "camera_matrix": _matrix(model.K),
         "distortion_model": "plumb_bob",
         "distortion_coefficients": _matrix(model.D[None, :]),
-        "rectification_matrix": _matrix(np.eye(3)),
-        "projection_matrix": _matrix(projection_matrix(model)),
+        "rectification_matrix": _matrix(rectified.R),
+        "projection_matrix": _matrix(rectified.P),
     }
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
 

@@ -14,10 +14,26 @@ Implementation = Annotated[str, Field(pattern=r"^[a-z_][\w.]*:[A-Z]\w*$")]
 
 
 class ServiceEntry(Model):
-    """A Service: its class as ``module:Class``, and the Tools it calls."""
+    """A Service.
+
+    Attributes:
+        implementation: Its class as ``module:Class``.
+        port: The class that carries its messages, as ``module:Class``; only the node loads it.
+        tools: The Tools it calls.
+        process: Process that runs it, of those in `processes`.
+    """
 
     implementation: Implementation
+    port: Implementation
     tools: tuple[str, ...]
+    process: str
+
+
+class ProcessEntry(Model):
+    """A process of the Vision Services System: the host it runs on, and its node."""
+
+    host: str
+    node: Annotated[str, Field(pattern=r"^/[a-z][a-z0-9_]*$")]
 
 
 class ToolEntry(Model):
@@ -35,21 +51,33 @@ class ModuleEntry(Model):
 
 
 class Catalogue(Model):
-    """Everything that exists; ``managers`` says what each Vision Module Manager is for."""
+    """Everything that exists; ``managers`` says what each Vision Module Manager is for.
+
+    A Vision Module owns its hardware, so all Services that use it, directly or through a Tool, run in one process.
+    """
 
     services: dict[str, ServiceEntry]
     tools: dict[str, ToolEntry]
     modules: dict[str, ModuleEntry]
     managers: dict[str, str]
+    processes: dict[str, ProcessEntry]
 
     @model_validator(mode="after")
     def _references(self) -> Self:
         for name, service in self.services.items():
             _require(f"services.{name}.tools", service.tools, self.tools)
+            _require(f"services.{name}.process", [service.process], self.processes)
         for name, tool in self.tools.items():
             _require(f"tools.{name}.modules", tool.modules, self.modules)
         for name, module in self.modules.items():
             _require(f"modules.{name}.manager", [module.manager], self.managers)
+        owners: dict[str, str] = {}
+        for name, service in self.services.items():
+            for used in (used for tool in service.tools for used in self.tools[tool].modules):
+                if owners.setdefault(used, service.process) != service.process:
+                    raise ValueError(
+                        f"services.{name}.process: '{service.process}' uses {used}, which '{owners[used]}' owns"
+                    )
         return self
 
     def closure(self, services: Iterable[str]) -> Self:
@@ -69,7 +97,35 @@ class Catalogue(Model):
         modules = {name: module for name, module in self.modules.items() if name in used_modules}
         used_managers = {module.manager for module in modules.values()}
         managers = {name: purpose for name, purpose in self.managers.items() if name in used_managers}
-        return self.model_copy(update={"services": chosen, "tools": tools, "modules": modules, "managers": managers})
+        used_processes = {service.process for service in chosen.values()}
+        processes = {name: process for name, process in self.processes.items() if name in used_processes}
+        return self.model_copy(
+            update={
+                "services": chosen,
+                "tools": tools,
+                "modules": modules,
+                "managers": managers,
+                "processes": processes,
+            }
+        )
+
+    def in_process(self, process: str) -> Self:
+        """The part that one process runs.
+
+        Raises:
+            NotFoundError: There is no such process.
+        """
+        if process not in self.processes:
+            raise NotFoundError(kind="process of the vision services", name=process, known=self.processes)
+        return self.closure(name for name, service in self.services.items() if service.process == process)
+
+    def deployment(self) -> dict[str, Any]:
+        """The ``hosts`` of a deployment file that starts what these Services need: host -> process -> task."""
+        hosts: dict[str, Any] = {}
+        for name, process in self.processes.items():
+            task = {"package": "im_vss", "executable": "vss", "node": process.node}
+            hosts.setdefault(process.host, {})[name] = {name: task}
+        return hosts
 
 
 def load_catalogue(path: Path | None = None) -> Catalogue:

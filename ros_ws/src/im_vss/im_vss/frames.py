@@ -1,12 +1,26 @@
 """Images on their way from the cameras to the Tools."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from im_vss.spot.noise import SensorNoise
+
 Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class SensorControls:
+    """What can be set at a camera, relative to its data sheet: amplification and read noise [-]."""
+
+    gain: float = 1.0
+    noise: float = 1.0
+
+    def of(self, sheet: SensorNoise) -> SensorNoise:
+        """The sensor of a data sheet with these controls."""
+        return sheet.model_copy(update={"gain": sheet.gain / self.gain, "read_noise": sheet.read_noise * self.noise})
 
 
 @dataclass(frozen=True)
@@ -18,12 +32,21 @@ class SnapOrder:
         blank_light: For each frame in turn, whether the wrist lights are strobed off.
         exposure_s: Length of an exposure [s].
         timeout_s: Longest wait for the testbed, wall time [s].
+        controls: Controls of each camera; those of the data sheet where a camera is left out.
+        blank_laser: For each frame in turn, whether the laser is strobed off; empty: in none.
     """
 
     cameras: tuple[str, ...]
     blank_light: tuple[bool, ...]
     exposure_s: float
     timeout_s: float
+    controls: dict[str, SensorControls] = field(default_factory=dict)
+    blank_laser: tuple[bool, ...] = ()
+
+    @property
+    def strobes(self) -> tuple[tuple[bool, bool], ...]:
+        """For each frame, whether lights and laser are strobed off."""
+        return tuple(zip(self.blank_light, self.blank_laser or (False,) * len(self.blank_light), strict=True))
 
 
 @dataclass(frozen=True)
@@ -35,12 +58,14 @@ class Frame:
         image: Pixels, shape (h, w) [DN].
         stamp_ns: Testbed time of the middle of the exposure [ns].
         blank_light: Whether the wrist lights were strobed off.
+        controls: How the sensor was set.
     """
 
     camera: str
     image: Image
     stamp_ns: int
     blank_light: bool
+    controls: SensorControls = SensorControls()
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,28 @@
 """What the Vision Services System is built around: its settings, its cameras and its monitors."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import StateError
 from im_core.robot import Cell
 from im_vss.camera_book import CameraBook
+from im_vss.camera_controls import CameraControls
 from im_vss.frames import FrameSource, Screen
+from im_vss.laser.book import LaserBook
+from im_vss.laser.scanner import Scanner
 from im_vss.monitor import Monitors
 from im_vss.settings import VssSettings
+
+
+@dataclass(frozen=True)
+class LaserRig:
+    """The laser scanner: its driver, and its present calibration."""
+
+    scanner: Scanner
+    book: LaserBook
 
 
 @dataclass(frozen=True)
@@ -20,6 +36,10 @@ class Rig:
         source: The cameras.
         screen: Where images go.
         monitors: Image planes of the display.
+        controls: How each camera's sensor is set, and the exposure time that 0 stands for.
+        light_position: Where the robot's pose puts the light of calibrations at a testbed time [ns]: place in the
+            world, shape (3,) [m]; None if that is not known.
+        laser: The laser scanner; None where there is none.
     """
 
     settings: VssSettings
@@ -28,3 +48,17 @@ class Rig:
     source: FrameSource
     screen: Screen
     monitors: Monitors = field(default_factory=Monitors)
+    controls: CameraControls = field(default_factory=CameraControls)
+    light_position: Callable[[int], NDArray[np.float64] | None] = lambda stamp_ns: None
+    laser: LaserRig | None = None
+
+    @property
+    def scanner(self) -> LaserRig:
+        """The laser scanner.
+
+        Raises:
+            StateError: There is none.
+        """
+        if self.laser is None:
+            raise StateError("there is no laser scanner")
+        return self.laser

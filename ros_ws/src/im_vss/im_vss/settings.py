@@ -8,6 +8,9 @@ from pydantic import Field, model_validator
 from im_core.config import Model, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
 from im_core.robot import Cell
+from im_vss.edges import CircleGates, LineGates
+from im_vss.laser.calibration import CalibrationGates
+from im_vss.laser.line_peaks import LaserLineGates
 from im_vss.spot import SensorNoise, SpotGates
 
 Seconds = Annotated[float, Field(gt=0.0)]
@@ -34,6 +37,52 @@ class Light(Model):
     offset_prior_sd: Annotated[float, Field(ge=0.0)]
 
 
+class RegionRadius(Model):
+    """How far from its predicted place a light may be [px]: in a camera as drawn, and in one that is calibrated.
+
+    Attributes:
+        nominal, calibrated: The radii [px].
+        freshness: Oldest pose of the robot, relative to the exposure, that predicts anything [s] of testbed time.
+    """
+
+    nominal: Annotated[float, Field(gt=0.0)]
+    calibrated: Annotated[float, Field(gt=0.0)]
+    freshness: Seconds
+
+
+class StereoSettings(Model):
+    """Stereo.
+
+    Attributes:
+        pairs: Left and right camera of each pair whose camera infos are rectified together.
+        epipolar: Farthest that two spots of one light may be from each other's epipolar lines [px].
+    """
+
+    pairs: tuple[tuple[str, str], ...]
+    epipolar: Annotated[float, Field(gt=0.0)]
+
+
+class ControlRange(Model):
+    """Smallest and largest value of a control of the cameras."""
+
+    low: float
+    high: float
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low > self.high:
+            raise ValueError(f"low {self.low} is more than high {self.high}")
+        return self
+
+
+class ControlRanges(Model):
+    """Ranges of the controls: gain and read noise relative to the data sheet [-], rate [Hz]; rate 0: on demand."""
+
+    gain: ControlRange
+    noise: ControlRange
+    rate: ControlRange
+
+
 class Waits(Model):
     """Longest waits, wall time [s]: for a lease, of a lease, for an exposure, for the camera process."""
 
@@ -43,6 +92,36 @@ class Waits(Model):
     camera_start: Seconds
 
 
+class LaserGrid(Model):
+    """Spots that the scanner is calibrated with, when none are given: so many angles of each mirror, over its range."""
+
+    mirror1: Annotated[int, Field(ge=2, le=40)]
+    mirror2: Annotated[int, Field(ge=2, le=40)]
+    range: Annotated[float, Field(gt=0.0)]
+
+
+class LaserSettings(Model):
+    """The laser scanner.
+
+    Attributes:
+        spot_power: Power of the beam where it is a spot, 0 to 1.
+        line_power: Where it sweeps the whole range of mirror 1; shorter lines are as bright, and need less.
+        settle: Longest wait for the mirrors, wall time [s].
+        line: What a line looks like.
+        most_lines: Most lines of a scan.
+        grid: Spots of a calibration.
+        calibration: When a calibration is good enough.
+    """
+
+    spot_power: Annotated[float, Field(gt=0.0, le=1.0)]
+    line_power: Annotated[float, Field(gt=0.0, le=1.0)]
+    settle: Seconds
+    line: LaserLineGates
+    most_lines: Annotated[int, Field(ge=1)]
+    grid: LaserGrid
+    calibration: CalibrationGates
+
+
 class VssSettings(Model):
     """Configuration of the Vision Services System; cameras' noise is their data sheet's."""
 
@@ -50,19 +129,23 @@ class VssSettings(Model):
     cameras: Annotated[tuple[str, ...], Field(min_length=1)]
     sensor: SensorNoise
     exposure: ExposureRange
+    controls: ControlRanges
     light: Light
     spot: SpotGates
+    region: RegionRadius
+    stereo: StereoSettings
+    lines: LineGates
+    circles: CircleGates
+    laser: LaserSettings
     waits: Waits
     renderer: Literal["auto", "egl", "tiny"]
 
     def exposure_time(self, wanted: float) -> float:
-        """Exposure time for a request [s]; 0 stands for the nominal one.
+        """An exposure time [s] that was checked.
 
         Raises:
             ConfigError: It is out of range.
         """
-        if wanted == 0.0:
-            return self.exposure.nominal
         low, high = self.exposure.shortest, self.exposure.longest
         if not low <= wanted <= high:
             raise ConfigError(f"an exposure of {wanted:g} s is not between {low:g} and {high:g} s", exposure=wanted)
@@ -96,6 +179,9 @@ def load_settings(cell: Cell, path: Path | None = None) -> VssSettings:
     for name in settings.cameras:
         if name not in cell.cameras:
             raise NotFoundError(kind="camera", name=name, known=cell.cameras)
+    for name in (name for pair in settings.stereo.pairs for name in pair):
+        if name not in settings.cameras:
+            raise NotFoundError(kind="camera of a stereo pair", name=name, known=settings.cameras)
     if settings.light.name not in cell.light_names:
         raise NotFoundError(kind="light", name=settings.light.name, known=cell.light_names)
     return settings

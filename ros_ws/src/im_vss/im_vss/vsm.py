@@ -1,32 +1,55 @@
 """The Vision Services Manager: the central point of access to the Vision Services System (paper, section 5)."""
 
 import itertools
+import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
-from im_core.errors import NotFoundError
+from im_core.errors import NotFoundError, StateError
 from im_vss.catalogue import Catalogue, load_class
-from im_vss.managers import VisionClient, VisionModuleManager
+from im_vss.managers import ModuleState, VisionClient, VisionModuleManager
 from im_vss.modules import VisionModule
 from im_vss.rig import Rig
 from im_vss.services import Service
 from im_vss.tools import ModuleAccess, Tool
 
+PROCESS = "vss"
+"""Name in the catalogue of the process that owns the cameras."""
+
+
+@dataclass(frozen=True)
+class VisionState:
+    """What is loaded, queued and owned.
+
+    Attributes:
+        services: Names of the Services in use.
+        tools: Names of the Tools loaded for them.
+        requests: Names of the requests under way, oldest first.
+        modules: By name of each Vision Module, its manager and who uses it.
+    """
+
+    services: tuple[str, ...]
+    tools: tuple[str, ...]
+    requests: tuple[str, ...]
+    modules: dict[str, tuple[str, ModuleState]]
+
 
 class VisionServicesManager:
     """Loads what the Services in use need, and routes requests to them by name."""
 
-    def __init__(self, rig: Rig, catalogue: Catalogue) -> None:
+    def __init__(self, rig: Rig, catalogue: Catalogue, process: str = PROCESS) -> None:
         """Load the closure of the Services in use.
 
         Args:
             rig: Settings, which list the Services in use, and hardware.
             catalogue: All that exists.
+            process: Name of this process in the catalogue; Services of others are theirs.
 
         Raises:
             ImError: A Service does not exist, or its software cannot be loaded.
         """
-        self.catalogue = closure = catalogue.closure(rig.settings.services)
+        self.catalogue = closure = catalogue.closure(rig.settings.services).in_process(process)
         self.modules: dict[str, VisionModule] = {
             name: load_class(entry.implementation, VisionModule)(rig) for name, entry in closure.modules.items()
         }
@@ -48,6 +71,8 @@ class VisionServicesManager:
             for name, entry in closure.services.items()
         }
         self._numbers = itertools.count(1)
+        self._clients: dict[str, VisionClient] = {}
+        self._lock = threading.Lock()
 
     def request(self, service: str, request: Any, alive: Callable[[], bool] = lambda: True) -> Any:
         """Have a Service carry out a request; blocks until it has, from any number of threads.
@@ -59,12 +84,50 @@ class VisionServicesManager:
 
         Raises:
             NotFoundError: The Service is not loaded.
+            StateError: The request was cancelled.
             ImError: As raised by the Service.
         """
         if service not in self.services:
             raise NotFoundError(kind="vision service", name=service, known=self.services)
         client = VisionClient(f"{service} #{next(self._numbers)}", alive)
-        return self.services[service].serve(client, request)
+        with self._lock:
+            self._clients[client.name] = client
+        try:
+            result = self.services[service].serve(client, request)
+            if client.gone:
+                raise StateError(f"{client.name} was cancelled, or nobody waits for it any more", request=client.name)
+            return result
+        finally:
+            with self._lock:
+                del self._clients[client.name]
+
+    def cancel(self, request: str) -> None:
+        """Give up a request: its waits and leases end, and whoever asked gets a :class:`StateError`.
+
+        Args:
+            request: Its name, as in :meth:`state`.
+
+        Raises:
+            NotFoundError: No such request is under way.
+        """
+        with self._lock:
+            if request not in self._clients:
+                raise NotFoundError(kind="request under way", name=request, known=self._clients)
+            self._clients[request].cancel()
+
+    def state(self) -> VisionState:
+        """What is loaded, who waits for what, and who owns what."""
+        with self._lock:
+            requests = tuple(self._clients)
+        return VisionState(
+            services=tuple(self.services),
+            tools=tuple(self.tools),
+            requests=requests,
+            modules={
+                name: (entry.manager, self.managers[entry.manager].state(name))
+                for name, entry in self.catalogue.modules.items()
+            },
+        )
 
     def close(self) -> None:
         """End the Vision Modules' threads."""

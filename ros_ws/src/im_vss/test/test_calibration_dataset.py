@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import DataError
-from im_vss.calibration import calibrate_dataset
+from im_vss.calibration import calibrate_dataset, next_best_pose
 from im_vss.calibration.answer import answer
 from im_vss.calibration.dataset import problems
 from im_vss.calibration.synthetic import Design, make_scene
@@ -193,3 +193,37 @@ def test_the_command_names_a_file_it_cannot_use(tmp_path, capsys):
         assert calibrate_dataset.main([str(source), str(target)]) == 1
         assert str(target) in capsys.readouterr().err
     assert json.loads(source.read_text()) == SMALL
+
+
+def test_a_data_set_may_hold_known_lengths():
+    scenes, content = dataset(Design(lengths=3), [11])
+    content["known_lengths"] = {"length_m": [0.5] * 3, "sd_m": [1e-4] * 3, "sigma_u_px": [[0.1] * 3] * 2}
+    spots = scenes[0].problem.lengths.spots.tolist()
+    spots[1][2][0] = None
+    content["trials"][0]["length_u_px"] = spots
+    lengths = problems(content)[0].lengths
+    assert lengths.detected.sum() == 11
+    np.testing.assert_allclose(lengths.spot_covariances[0, 1, 1], 0.01 * np.eye(2))
+    assert first_answer(content)["scale"]["lengths_used"] == 2
+    content["known_lengths"]["length_m"][1] = -0.5
+    with pytest.raises(DataError, match="known length must be a finite number > 0"):
+        problems(content)
+    del content["trials"][0]["length_u_px"]
+    with pytest.raises(DataError, match=r"trials\[0\] has no field 'length_u_px'"):
+        problems(content)
+
+
+def test_the_command_names_the_next_best_poses(tmp_path, capsys):
+    _, content = dataset(Design(poses=20), [7])
+    data, poses = tmp_path / "data.json", tmp_path / "poses.yaml"
+    data.write_text(json.dumps(content))
+    pose = {"orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    places = np.random.default_rng(1).uniform((-1.0, -0.5, 0.6), (1.0, 0.5, 1.6), (8, 3)).tolist()
+    listed = [{"name": f"p{i}", "position_m": place, **pose} for i, place in enumerate(places)]
+    poses.write_text(json.dumps({"frame": "world", "poses": listed}))
+    assert next_best_pose.main([str(data), str(poses), "--count", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert lines[1].split()[0] in {f"p{i}" for i in range(8)}
+    assert next_best_pose.main([str(data), str(poses), "--trial", "1"]) == 1
+    assert "there is no trial 1" in capsys.readouterr().err

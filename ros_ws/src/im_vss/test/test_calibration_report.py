@@ -41,7 +41,13 @@ def test_the_report_holds_what_users_ask_for(solved):
     assert np.shape(camera["R_cam_base"]) == (3, 3)
     assert np.shape(camera["covariance"]) == (14, 14)
     assert camera["standard_deviations"]["fx"] > 0.0
-    assert {"triangulation_mm", "reprojection_px"} <= set(report["expected_error"])
+    expected = report["expected_error"]
+    where = np.array(expected["map"]["points_m"])
+    assert np.all((where > expected["workspace_low_m"]) & (where < expected["workspace_high_m"]))
+    for name in ("triangulation_mm", "reprojection_px"):
+        there = np.array(expected["map"][name], dtype=float)
+        assert len(there) == len(where)
+        assert np.sqrt(np.nanmean(there**2)) == pytest.approx(expected[name])
     assert report["verdicts"] == []
     assert len(report["joint_offsets_rad"]) == len(report["joint_offsets_standard_deviation_rad"]) == 6
 

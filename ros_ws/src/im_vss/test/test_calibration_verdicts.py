@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from im_vss.calibration import DegenerateDataError, InconsistentDataError, calibrate
+from im_vss.calibration.answer import answer
+from im_vss.calibration.evaluation.bad import BAD
 from im_vss.calibration.synthetic import Design, make_scene, random_rotations, with_stated_noise
 from im_vss.calibration.unknowns import rotation_exp
 
@@ -152,3 +154,15 @@ def test_noise_below_the_arithmetic_is_refused():
     tiny = np.tile(1e-18 * np.eye(2), (2, 20, 1, 1))
     with pytest.raises(InconsistentDataError):
         calibrate(replace(problem, spot_covariances=tiny))
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_each_kind_of_bad_data_gets_its_verdict(kind):
+    bad = BAD[kind]
+    assert answer(bad.make(3))["flags"] == [bad.verdict]
+
+
+def test_a_camera_that_moved_a_little_is_told_from_outliers():
+    calibration = calibrate(BAD["camera moved by 1 px"].make(909))
+    assert kinds(calibration) == {"MISFIT"}
+    assert "as if it had moved" in calibration.message

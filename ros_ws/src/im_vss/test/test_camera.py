@@ -5,7 +5,6 @@ import pytest
 
 from im_core.camera_model import CameraModel
 from im_core.robot import load_cell
-from im_core.robot.truth import CameraTruth, CellTruth, LedTruth
 from im_core.testbed_link import Exposure
 from im_vss.camera.bank import CameraBank
 from im_vss.camera.lens import Lens
@@ -20,28 +19,10 @@ SETTINGS = load_settings(CELL)
 DISTORTION = (-0.22, 0.04, 7e-4, -5e-4, 0.0)
 
 
-def truth():
-    """The nominal cell with lenses that distort."""
-    cameras = {}
-    for name, camera in CELL.cameras.items():
-        model = nominal(camera)
-        cameras[name] = CameraTruth(
-            parent=camera.parent,
-            width=640,
-            height=480,
-            K=model.K.tolist(),
-            D=DISTORTION,
-            R_cam_base=model.R_cam_base.tolist(),
-            t_cam_base_m=model.t_cam_base.tolist(),
-        )
-    led = LedTruth(offset_m=CELL.led.offset, axis=CELL.led.axis, diameter_m=CELL.led.diameter)
-    return CellTruth(seed=1, cameras=cameras, leds=dict.fromkeys(CELL.light_names, led))
-
-
 @pytest.fixture(scope="module")
-def bank():
+def bank(make_truth):
     scene = SceneMirror(CELL, "tiny")
-    yield CameraBank(CELL, truth(), SETTINGS, scene, seed=1)
+    yield CameraBank(CELL, make_truth(CELL), SETTINGS, scene, seed=1)
     scene.close()
 
 
@@ -53,7 +34,8 @@ def images(bank, camera, q):
     pair = []
     for frame, on in enumerate((0.0, 1.0)):
         pair.append(np.zeros((480, 640), np.uint8))
-        bank.read_out(camera, bank.expected(camera, exposure(q, on), 0.018), 10, frame, pair[-1])
+        mean = bank.expected(camera, exposure(q, on), 0.018, SETTINGS.sensor)
+        bank.read_out(camera, mean, 10, frame, pair[-1], SETTINGS.sensor)
     return pair
 
 
@@ -69,31 +51,31 @@ def test_spot_is_found_where_it_was_drawn(bank):
 
 def test_arm_hides_the_light(bank):
     q = CELL.home.copy()
-    bank.expected("ceiling_left", exposure(q), 0.018)
+    bank.expected("ceiling_left", exposure(q), 0.018, SETTINGS.sensor)
     assert bank.spot("ceiling_left", "left_led") is not None
     q[CELL.joint_names.index("left_j6")] += np.pi  # the light to the other side, and below the wrist
     q[CELL.joint_names.index("left_j4")] += np.pi / 2
     hidden = []
     for turn in np.linspace(0.0, 2.0 * np.pi, 12):
         q[CELL.joint_names.index("left_j6")] = turn - np.pi
-        bank.expected("ceiling_left", exposure(q), 0.018)
+        bank.expected("ceiling_left", exposure(q), 0.018, SETTINGS.sensor)
         hidden.append(bank.spot("ceiling_left", "left_led") is None)
     assert any(hidden)
     assert not all(hidden)
 
 
 def test_scene_moves_with_the_joints_and_is_rendered_once_while_they_rest(bank):
-    first = bank.expected("wall", exposure(CELL.home), 0.018)
-    again = bank.expected("wall", exposure(CELL.home + 1e-9), 0.018)
-    moved = bank.expected("wall", exposure(CELL.home + 0.05), 0.018)
+    first = bank.expected("wall", exposure(CELL.home), 0.018, SETTINGS.sensor)
+    again = bank.expected("wall", exposure(CELL.home + 1e-9), 0.018, SETTINGS.sensor)
+    moved = bank.expected("wall", exposure(CELL.home + 0.05), 0.018, SETTINGS.sensor)
     assert np.array_equal(first, again)
     assert np.abs(moved - first).max() > 10.0
 
 
 def test_longer_exposures_are_brighter(bank):
     black = SETTINGS.sensor.black_level
-    short = bank.expected("wall", exposure(CELL.home), 0.009) - black
-    long = bank.expected("wall", exposure(CELL.home), 0.018) - black
+    short = bank.expected("wall", exposure(CELL.home), 0.009, SETTINGS.sensor) - black
+    long = bank.expected("wall", exposure(CELL.home), 0.018, SETTINGS.sensor) - black
     np.testing.assert_allclose(long, 2.0 * short, rtol=1e-4)
 
 

@@ -111,10 +111,11 @@ def test_snap_is_one_exposure_with_the_lights_as_commanded(system):
 def test_references_of_a_catalogue_are_checked():
     content = yaml.safe_load(
         """
-        services: {a: {implementation: "m:A", tools: [t]}}
+        services: {a: {implementation: "m:A", port: "m:P", tools: [t], process: vss}}
         tools: {t: {implementation: "m:T", modules: [vm]}}
         modules: {vm: {implementation: "m:V", manager: nobody}}
         managers: {image_processing: x}
+        processes: {vss: {host: localhost, node: /vss}}
         """
     )
     with pytest.raises(ValueError, match=r"modules.vm.manager: 'nobody' is not one of image_processing"):

@@ -54,7 +54,37 @@ def test_fifty_clients_never_two_inside(module):
         results = list(pool.map(use, range(50)))
     assert sorted(results) == list(range(1, 51))
     assert module.most == 1
-    assert vmm.queue("vm_counter") == (None, ())
+    assert (vmm.state("vm_counter").owner, vmm.state("vm_counter").queue) == ("", ())
+
+
+def test_fifty_in_a_queue_of_whom_a_tenth_dies_are_served_in_the_order_they_came(module):
+    vmm = manager()
+    served, refused, alive = [], [], [True] * 50
+
+    def use(number):
+        client = VisionClient(str(number), alive=lambda: alive[number])
+        try:
+            with vmm.lend("vm_counter", client) as lease:
+                module.work(lease, 0.0)
+                served.append(number)
+        except StateError:
+            refused.append(number)
+
+    threads = [threading.Thread(target=use, args=(number,)) for number in range(50)]
+    with vmm.lend("vm_counter", VisionClient("first")):
+        for number, thread in enumerate(threads):
+            thread.start()
+            while len(vmm.state("vm_counter").queue) <= number:
+                clock.sleep(0.0005)
+        for number in range(3, 50, 10):
+            alive[number] = False
+    for thread in threads:
+        thread.join()
+    assert sorted(refused) == list(range(3, 50, 10))
+    assert served == [number for number in range(50) if number not in refused]
+    state = vmm.state("vm_counter")
+    assert (module.most, state.owner, state.queue) == (1, "", ())
+    assert state.leases == state.released + state.lapsed
 
 
 def test_first_come_first_served():
@@ -69,9 +99,10 @@ def test_first_come_first_served():
         for number in range(8):
             threads.append(threading.Thread(target=use, args=(number,)))
             threads[-1].start()
-            while len(vmm.queue("vm_counter")[1]) <= number:
+            while len(vmm.state("vm_counter").queue) <= number:
                 clock.sleep(0.001)
-        assert vmm.queue("vm_counter") == ("first", tuple(str(number) for number in range(8)))
+        state = vmm.state("vm_counter")
+        assert (state.owner, state.queue) == ("first", tuple(str(number) for number in range(8)))
     for thread in threads:
         thread.join()
     assert order == list(range(8))

@@ -50,6 +50,7 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         "parameters": list(result.parameter_names),
         "standard_deviations": numbers(result.standard_deviations),
         "covariance": [numbers(row) for row in np.asarray(result.covariance)],
+        "scale": report["scale"],
         "checks": report["checks"],
         "expected_error": report["expected_error"],
     }

@@ -22,13 +22,15 @@ IN.json (format vislab-calib-1) holds, for n poses of the robot and c cameras:
   wrist_R_base[n][3][3], led_offset_nominal_known, led_offset_prior_sd_m [m]
   J_joint[n][3][k], joint_offset_prior_sd_rad [rad]          where joint offsets are to be estimated
   trials[].x_base_m[n][3] [m]    trials[].u_px[c][n] = [u, v] [px], or null where the LED was not seen
+  known_lengths.length_m[k], .sd_m[k] [m], .sigma_u_px[c][k] [px], trials[].length_u_px[c][k][2] [px] or null:
+                                 two LEDs at a known distance, which show whether the robot's metre is right
 Truth, held-out points and bounds that such a file may hold as well are not read.
 
 OUT.json holds an entry for each trial, in order:
   cameras[].K, D, R_cam_base, t_cam_base_m   led_offset_error_m   joint_offsets_rad   chi2_per_dof   p_value
   flags: UNOBSERVABLE (the poses cannot tell some parameters; verdicts[] names them) and
          MISFIT (the stated noise cannot explain the residuals); both with what to do about it in verdicts[].advice
-  covariance of all parameters, outlier[c][n], checks, expected_error
+  covariance of all parameters, outlier[c][n], checks, expected_error with its map, scale by the known lengths
 
 exit codes: 0 OUT.json is written, whatever the flags; 1 IN.json or OUT.json cannot be used, and OUT.json is as before;
             2 wrong arguments; 130 interrupted

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from im_core.camera_model import CameraModel
 from im_vss.calibration.checks import Checks
 from im_vss.calibration.expected import ExpectedError
+from im_vss.calibration.scale import Scale
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -97,6 +98,7 @@ class Calibration:
         verdicts: Reasons not to trust the result; empty for a good one.
         expected: Errors to expect in the workspace.
         checks: How well parts of the data predict each other.
+        scale: What known lengths say about the robot's scale; None without any.
     """
 
     cameras: tuple[CameraEstimate, ...]
@@ -115,6 +117,7 @@ class Calibration:
     verdicts: tuple[Verdict, ...]
     expected: ExpectedError
     checks: Checks
+    scale: Scale | None
 
     @property
     def success(self) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_vss.calibration.covariance import covariance_of
-from im_vss.calibration.expected import expected_error, rms
+from im_vss.calibration.expected import expected_error, inside, rms
 from im_vss.calibration.gates import Gated, predict_from_others
 from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
 from im_vss.calibration.projection import image
@@ -69,8 +69,7 @@ def _split_half(gated: Gated, problem: CalibrationProblem, layout: Layout) -> tu
         variances.append(expected_error(found, by_data, problem.image_sizes, problem.workspace).reprojection_px ** 2)
     whole = gated.fit.unknowns
     pixels = image(whole.intrinsics, whole.rotations, whole.translations, points)
-    sizes = np.array(problem.image_sizes, dtype=float)[:, None, :]
-    seen = np.all((pixels > -0.5) & (pixels < sizes - 0.5), axis=2)
+    seen = inside(pixels, problem.image_sizes)
     squares = np.where(seen, ((images[0] - images[1]) ** 2).sum(axis=2), np.nan)
     per_point = np.sqrt(np.nansum(squares, axis=0) / np.where(seen.any(axis=0), seen.sum(axis=0), np.nan))
     return rms(per_point), rms(np.sqrt(variances[0] + variances[1]))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from im_core.errors import DataError
 from im_core.workspace import Workspace
 from im_vss.calibration.fields import ANY, array, field, scalar
+from im_vss.calibration.lengths import KnownLengths
 from im_vss.calibration.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
@@ -90,6 +91,7 @@ def problems(content: Any) -> tuple[CalibrationProblem, ...]:
                 joint_offset_prior_sd=joint_prior,
                 joint_jacobians=jacobians,
                 workspace=_box_around(positions),
+                lengths=_lengths(content, trial, c, place),
             )
         except DataError as error:
             raise _placed(place, error) from error
@@ -114,6 +116,19 @@ def _led_prior(content: Any) -> float:
     if prior <= 0.0:
         raise DataError(f"led_offset_prior_sd_m is {prior:g}, it must be > 0 [m] where the LED offset is not known.")
     return prior
+
+
+def _lengths(content: Any, trial: Any, c: int, place: str) -> KnownLengths | None:
+    """The optional ``known_lengths`` of a data set with a trial's spots of them."""
+    known = content.get("known_lengths")
+    if known is None:
+        return None
+    true = array(field(known, "length_m", "known_lengths"), (ANY,), "known_lengths.length_m")
+    k = len(true)
+    deviations = array(field(known, "sd_m", "known_lengths"), (k,), "known_lengths.sd_m")
+    sigma = array(field(known, "sigma_u_px", "known_lengths"), (c, k), "known_lengths.sigma_u_px")
+    spots = array(field(trial, "length_u_px", place), (c, k, 2, 2), f"{place}.length_u_px", holes=True)
+    return KnownLengths(true, deviations, spots, sigma[..., None, None, None] ** 2 * np.tile(np.eye(2), (2, 1, 1)))
 
 
 def _image_size(content: Any) -> tuple[int, int]:

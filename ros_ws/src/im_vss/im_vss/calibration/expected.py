@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """Predicted errors over the points of the workspace.
+    """Predicted errors over the points of the workspace: the map of how good the cameras are, place by place.
 
     Attributes:
         points: Points of the workspace, shape (m, 3) [m].
@@ -37,10 +37,81 @@ class ExpectedError:
         return rms(self.triangulation_mm)
 
 
+@dataclass(frozen=True)
+class Sensitivity:
+    """How errors of c cameras show at m points of a workspace, to first order.
+
+    Attributes:
+        points: The points, shape (m, 3) [m].
+        seen: Which camera sees which point, shape (c, m).
+        pixels: Derivatives of the images by each camera's parameters, 0 where not seen, shape (c, m, 2, 14).
+        points_moved: Derivatives of the triangulated points by the parameters of all cameras, NaN where fewer than two
+            cameras see the point, shape (m, 3, 14 c) [m].
+    """
+
+    points: Array
+    seen: NDArray[np.bool_]
+    pixels: Array
+    points_moved: Array
+
+    def reprojection_weight(self) -> Array:
+        """W for which ``trace(W P)`` is the mean square reprojection error by a covariance P, (14 c, 14 c) [px^2]."""
+        c = len(self.seen)
+        count = self.seen.sum(axis=0)
+        shares = np.where(count > 0, 1.0, 0.0) / np.maximum(count, 1) / max(1, int((count > 0).sum()))
+        weight = np.zeros((PER_CAMERA * c, PER_CAMERA * c))
+        for camera in range(c):
+            block = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1))
+            weight[block, block] = np.einsum("m,mia,mib->ab", shares, self.pixels[camera], self.pixels[camera])
+        return weight
+
+    def triangulation_weight(self) -> Array | None:
+        """W for which ``trace(W P)`` is the mean square triangulation error, (14 c, 14 c) [mm^2]; None without any."""
+        known = self.points_moved[self.seen.sum(axis=0) >= 2]
+        if not len(known):
+            return None
+        return np.asarray(1e6 * np.einsum("mia,mib->ab", known, known) / len(known))
+
+
 def rms(values: Array) -> float:
     """Root mean square of the values that are not NaN; NaN if there are none."""
     known = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+
+
+def sensitivity(unknowns: Unknowns, image_sizes: tuple[tuple[int, int], ...], workspace: Workspace) -> Sensitivity:
+    """Linearise images and triangulation over a workspace.
+
+    Triangulation is from noise-free images, least squares in all cameras that see the point: with A the derivatives of
+    the images by the point and B by the parameters, the point moves by ``-(A^T A)^-1 A^T B d(parameters)``.
+
+    Args:
+        unknowns: The cameras.
+        image_sizes: Width and height of each image [px].
+        workspace: Where.
+    """
+    points = workspace.grid()
+    c, m = len(image_sizes), len(points)
+    pixels, by_point, by_camera = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, points)
+    seen = inside(pixels, image_sizes)
+    by_point = np.where(seen[..., None, None], by_point, 0.0)
+    by_camera = np.where(seen[..., None, None], by_camera, 0.0)
+    both = seen.sum(axis=0) >= 2
+    moved = np.zeros((m, 3, PER_CAMERA * c))
+    for camera in range(c):
+        block = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1))
+        moved[:, :, block] = -np.swapaxes(by_point[camera], 1, 2) @ by_camera[camera]
+    moved[~both] = np.nan
+    if both.any():
+        normal = np.einsum("cmij,cmik->mjk", by_point, by_point)[both]
+        moved[both] = np.linalg.solve(normal, moved[both])
+    return Sensitivity(points, seen, by_camera, moved)
+
+
+def inside(pixels: Array, image_sizes: tuple[tuple[int, int], ...]) -> NDArray[np.bool_]:
+    """Which pixels lie in their images, shape (c, m, 2) -> (c, m)."""
+    limits = np.array(image_sizes, dtype=float)[:, None, :] - 0.5
+    return np.asarray(np.all((pixels > -0.5) & (pixels < limits), axis=2))
 
 
 def expected_error(
@@ -48,36 +119,20 @@ def expected_error(
 ) -> ExpectedError:
     """Propagate the covariance of the cameras to points of the workspace, to first order.
 
-    Triangulation is from noise-free images, least squares in all cameras that see the point: with A the derivatives of
-    the images by the point and B by the parameters, the point moves by ``-(A^T A)^-1 A^T B d(parameters)``.
-
     Args:
         unknowns: The estimate.
         covariance: Covariance of all unknowns, cameras first, shape (size, size).
         image_sizes: Width and height of each image [px].
         workspace: Where.
     """
-    points = workspace.grid()
-    c, m = len(image_sizes), len(points)
-    pixels, by_point, by_camera = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, points)
-    limits = np.array(image_sizes, dtype=float)[:, None, :] - 0.5
-    seen = np.all((pixels > -0.5) & (pixels < limits), axis=2)
-    by_point = np.where(seen[..., None, None], by_point, 0.0)
-    by_camera = np.where(seen[..., None, None], by_camera, 0.0)
+    gains = sensitivity(unknowns, image_sizes, workspace)
+    c = len(image_sizes)
     cameras = covariance[: PER_CAMERA * c, : PER_CAMERA * c]
-
-    variance = np.zeros((c, m))
-    gain = np.zeros((m, 3, PER_CAMERA * c))
+    variance = np.zeros(gains.seen.shape)
     for camera in range(c):
-        block = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1))
-        variance[camera] = np.einsum("mij,jk,mik->m", by_camera[camera], cameras[block, block], by_camera[camera])
-        gain[:, :, block] = np.swapaxes(by_point[camera], 1, 2) @ by_camera[camera]
-    count = seen.sum(axis=0)
+        block, by_camera = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1)), gains.pixels[camera]
+        variance[camera] = np.einsum("mij,jk,mik->m", by_camera, cameras[block, block], by_camera)
+    count = gains.seen.sum(axis=0)
     reprojection = np.where(count > 0, np.sqrt(variance.sum(axis=0) / np.maximum(count, 1)), np.nan)
-    triangulation = np.full(m, np.nan)
-    both = count >= 2
-    if both.any():
-        normal = np.einsum("cmij,cmik->mjk", by_point, by_point)[both]
-        gain = np.linalg.solve(normal, gain[both])
-        triangulation[both] = 1e3 * np.sqrt(np.einsum("mij,jk,mik->m", gain, cameras, gain))
-    return ExpectedError(points, reprojection, triangulation)
+    triangulation = 1e3 * np.sqrt(np.einsum("mij,jk,mik->m", gains.points_moved, cameras, gains.points_moved))
+    return ExpectedError(gains.points, reprojection, np.asarray(triangulation))

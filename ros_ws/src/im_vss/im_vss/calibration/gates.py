@@ -19,6 +19,8 @@ TRUSTED_SHARE = 0.6
 """Least share of the spots that has to agree; less is not a matter of outliers."""
 
 _ROUNDS = 20
+_STEPS = 30
+_LEAST_SHARE, _WORST_SHARE = 0.5, 0.1
 _RIDGE = 1e-12
 
 
@@ -92,7 +94,7 @@ def _iterate(first: Unknowns, problem: CalibrationProblem, layout: Layout, *, wi
     history: set[bytes] = set()
     recurring = False
     while True:
-        fit = maximise_likelihood(unknowns, problem, layout, used)
+        fit = maximise_likelihood(unknowns, problem, layout, used, max_steps=_STEPS)
         unknowns = fit.unknowns
         prediction = predict_from_others(fit, problem, layout, used)
         if widen:
@@ -104,10 +106,24 @@ def _iterate(first: Unknowns, problem: CalibrationProblem, layout: Layout, *, wi
         recurring = recurring or chosen.tobytes() in history or len(history) >= _ROUNDS
         if recurring:
             chosen &= used
-        if np.array_equal(chosen, used) or not _enough(chosen, layout):
+        enough = _enough(chosen, layout)
+        if not enough:  # what is used contradicts itself so much that nothing agrees with it: the worst has to go
+            chosen = _without_worst(used, _own_distances(prediction))
+            enough = _enough(chosen, layout) and chosen.sum() >= _LEAST_SHARE * detected.sum()
+        if np.array_equal(chosen, used) or not enough:
+            if fit.steps == _STEPS:
+                fit = maximise_likelihood(unknowns, problem, layout, used)
             return Gated(fit, used, np.where(detected, _own_distances(prediction), np.nan), scale)
         history.add(used.tobytes())
         used = chosen
+
+
+def _without_worst(used: Mask, distances: Array) -> Mask:
+    """Without the used spots that are farthest from where the other poses predict them: a tenth, at least one."""
+    order = np.argsort(np.where(used, -distances, np.inf), axis=None, kind="stable")
+    fewer = used.copy()
+    fewer.flat[order[: max(1, round(_WORST_SHARE * int(used.sum())))]] = False
+    return fewer
 
 
 def _noise_scale(prediction: Prediction, used: Mask) -> float:

@@ -15,11 +15,13 @@ from im_vss.calibration.expected import expected_error, rms
 from im_vss.calibration.gates import Gated
 from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.projection import project
+from im_vss.calibration.scale import Scale, measure_scale
 from im_vss.calibration.search import best_explanation
 from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
 from im_vss.calibration.verdicts import judge
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def calibrate(problem: CalibrationProblem) -> Calibration:
@@ -93,9 +95,17 @@ def _describe(problem: CalibrationProblem, layout: Layout, gated: Gated, checks:
         verdicts=(),
         expected=expected_error(unknowns, covariance.matrix, problem.image_sizes, problem.workspace),
         checks=checks,
+        scale=_scale(problem, unknowns, covariance.matrix, used),
     )
     by_data = covariance_of(fit.information - np.diag(layout.lens_precision))
     return replace(calibration, verdicts=judge(calibration, problem, layout, by_data))
+
+
+def _scale(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array, used: Mask) -> Scale | None:
+    if problem.lengths is None:
+        return None
+    middle = np.median(unknowns.robot_positions(problem)[used.any(axis=0)], axis=0)
+    return measure_scale(unknowns, covariance, problem.lengths, middle)
 
 
 def _camera_model(unknowns: Unknowns, c: int, image_size: tuple[int, int]) -> CameraModel:

@@ -42,7 +42,7 @@ def draw_scene(axes: Axes3D, calibration: Calibration, problem: CalibrationProbl
     everything = np.vstack((points, problem.workspace.low, problem.workspace.high, stands))
     low, high = everything.min(axis=0) - 0.1, everything.max(axis=0) + 0.1
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=1.1)
+    axes.set_box_aspect(high - low, zoom=0.88)
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.tick_params(labelsize=7)
     for axis, count in ((axes.xaxis, 5), (axes.yaxis, 3), (axes.zaxis, 6)):

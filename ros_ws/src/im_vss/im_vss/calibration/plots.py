@@ -12,6 +12,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from im_vss.calibration.calibration import Calibration
+from im_vss.calibration.plot_expected import draw_expected
 from im_vss.calibration.plot_scene import draw_scene
 from im_vss.calibration.problem import CalibrationProblem
 
@@ -101,24 +102,19 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
 
 
 def plot_geometry(calibration: Calibration, problem: CalibrationProblem, target: io.BytesIO) -> None:
-    """Cameras, LED positions and wrist directions in space, and maps of the error to expect.
+    """Cameras, LED positions and wrist directions in space, and maps of the errors to expect.
 
     Args:
         calibration: The result.
         problem: What it was made from.
         target: Where the PNG goes.
     """
-    figure = _figure(12.0, 7.0, gap=0.12)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15))
-    draw_scene(figure.add_subplot(grid[:, 0], projection="3d"), calibration, problem)
-    expected = calibration.expected
-    triangulated = bool(np.any(~np.isnan(expected.triangulation_mm)))
-    values = expected.triangulation_mm if triangulated else expected.reprojection_px
-    for row, third in enumerate((2, 1)):
-        axes = figure.add_subplot(grid[row, 1])
-        _plot_expected(figure, axes, expected.points, values, third, "mm" if triangulated else "px")
-    kind = "triangulation" if triangulated else "reprojection"
-    figure.suptitle(f"Geometry, and the {kind} error to expect (one standard deviation)", fontsize=11)
+    figure = _figure(15.0, 7.0, gap=0.12)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.35))
+    scene, maps = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
+    draw_scene(scene.add_subplot(projection="3d"), calibration, problem)
+    draw_expected(maps, calibration.expected)
+    figure.suptitle("Geometry, and the errors to expect (one standard deviation)", fontsize=11)
     _save(figure, target)
 
 
@@ -139,22 +135,6 @@ def _plot_chi2(axes: Axes, calibration: Calibration) -> None:
     axes.set_title(f"{figures}\n{calibration.points_used} poses", fontsize=9)
     axes.legend(fontsize=8, loc="lower right")
     _grid(axes)
-
-
-def _plot_expected(figure: Figure, axes: Axes, points: Array, values: Array, third: int, unit: str) -> None:
-    """Map of an error over two axes of the workspace, RMS over the third."""
-    i, j = (axis for axis in range(3) if axis != third)
-    across, up = np.unique(points[:, i]), np.unique(points[:, j])
-    column, row = np.searchsorted(across, points[:, i]), np.searchsorted(up, points[:, j])
-    shape, known = (len(up), len(across)), ~np.isnan(values)
-    squares, counts = np.zeros(shape), np.zeros(shape)
-    np.add.at(squares, (row[known], column[known]), values[known] ** 2)
-    np.add.at(counts, (row[known], column[known]), 1.0)
-    picture = axes.pcolormesh(across, up, np.sqrt(squares / np.where(counts > 0.0, counts, np.nan)), cmap="viridis")
-    figure.colorbar(picture, ax=axes, shrink=0.85, label=f"RMS over {'xyz'[third]} [{unit}]")
-    axes.set(aspect="equal", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
-    axes.set_title("Seen " + ("from above" if third == 2 else "from the side"), fontsize=9)
-    axes.tick_params(labelsize=8)
 
 
 def _left_out(calibration: Calibration, problem: CalibrationProblem, c: int) -> NDArray[np.bool_]:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError
 from im_core.workspace import Workspace
+from im_vss.calibration.lengths import KnownLengths
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,6 +38,7 @@ class CalibrationProblem:
         joint_jacobians: Derivatives of the positions by the joints, shape (n, 3, k) [m/rad]; None: no joint offsets.
         pose_names: One label a pose; empty: "0", "1", ...
         workspace: Where errors are predicted.
+        lengths: Pairs of LEDs at known distances, which judge the robot's scale; None: there are none.
     """
 
     camera_names: tuple[str, ...]
@@ -52,6 +54,7 @@ class CalibrationProblem:
     joint_jacobians: Array | None = None
     pose_names: tuple[str, ...] = ()
     workspace: Workspace = field(default_factory=Workspace)
+    lengths: KnownLengths | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values.
@@ -81,6 +84,8 @@ class CalibrationProblem:
                 raise DataError(f"{name} has shape {value.shape}, it must be {shape}.", array=name)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
+        if self.lengths is not None and len(self.lengths.spots) != c:
+            raise DataError(f"The known lengths have spots of {len(self.lengths.spots)} cameras, there are {c}.")
         if not self.pose_names:
             object.__setattr__(self, "pose_names", tuple(str(i) for i in range(n)))
         if len(self.pose_names) != n:

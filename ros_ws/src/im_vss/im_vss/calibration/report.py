@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from im_vss.calibration.calibration import Calibration, CameraEstimate
 from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.scale import Scale
 from im_vss.calibration.unknowns import CAMERA_PARAMETERS
 
 
@@ -54,14 +55,24 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
             {"kind": v.kind, "parameters": list(v.parameters), "reason": v.reason, "advice": v.advice}
             for v in calibration.verdicts
         ],
+        "scale": None if calibration.scale is None else _scale(calibration.scale),
         "checks": {name: number(value) for name, value in asdict(calibration.checks).items()},
         "expected_error": {
             "triangulation_mm": number(calibration.expected.triangulation_rms_mm),
             "reprojection_px": number(calibration.expected.reprojection_rms_px),
+            "map": {
+                "points_m": [numbers(point) for point in calibration.expected.points],
+                "triangulation_mm": numbers(calibration.expected.triangulation_mm),
+                "reprojection_px": numbers(calibration.expected.reprojection_px),
+            },
             "workspace_low_m": list(problem.workspace.low),
             "workspace_high_m": list(problem.workspace.high),
         },
     }
+
+
+def _scale(scale: Scale) -> dict[str, Any]:
+    return {name: number(value) for name, value in asdict(scale).items()}
 
 
 def _camera(camera: CameraEstimate) -> dict[str, Any]:
@@ -109,6 +120,12 @@ def summary(report: Mapping[str, Any]) -> str:
         f"two halves          {_found(report['checks'], 'split_half')}",
         "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
     ]
+    if report["scale"]:
+        scale = report["scale"]
+        lines.append(
+            f"robot's scale       {100.0 * scale['error']:+.3f} ± {100.0 * scale['standard_deviation']:.3f} % by "
+            f"{scale['lengths_used']:.0f} of {scale['lengths_given']:.0f} known lengths"
+        )
     if report["joint_offsets_rad"]:
         values = _vector(report["joint_offsets_rad"], report["joint_offsets_standard_deviation_rad"], 1e3)
         lines.append(f"joint offsets [mrad] {values}")

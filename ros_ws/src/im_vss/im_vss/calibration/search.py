@@ -13,16 +13,17 @@ import scipy
 
 from im_vss.calibration.agreement import FALSE_ALARM
 from im_vss.calibration.errors import DegenerateDataError, InconsistentDataError
-from im_vss.calibration.gates import Gated, fit_with_gates
+from im_vss.calibration.gates import TRUSTED_SHARE, Gated, fit_with_gates
 from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
 from im_vss.calibration.residuals import projectable
 from im_vss.calibration.solve import robust_cost, robust_fit
 from im_vss.calibration.start import FLAT, core_extent, start
-from im_vss.calibration.unknowns import Layout, Unknowns
+from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
 
-_PARTS = 6
+_PARTS, _MOST_PARTS = 6, 18
 _PART = 0.67
 _SEED = 1989
+_UNLIKELY = 1e-3
 _REDUNDANT_SPOTS = 25
 """Spots of a camera from which on the gates have not been seen to end in a wrong set."""
 
@@ -39,10 +40,14 @@ def best_explanation(problem: CalibrationProblem, layout: Layout) -> Gated:
         InconsistentDataError: No camera explains the spots.
     """
     best = fit_with_gates(_robust_start(problem, layout), problem, layout)
-    if np.array_equal(best.used, problem.detected) or best.used.sum(axis=1).min() >= _REDUNDANT_SPOTS:
+    all_believed = np.array_equal(best.used, problem.detected) and _plausible(best, problem, layout)
+    if all_believed or best.used.sum(axis=1).min() >= _REDUNDANT_SPOTS:
         return best
+    few = len(problem.positions) < _REDUNDANT_SPOTS
     least = unexplained(best, problem)
-    for unknowns in _starts_from_parts(problem, layout, best.fit.unknowns):
+    for i, unknowns in enumerate(_starts_from_parts(problem, layout, best.fit.unknowns)):
+        if i >= _PARTS and (not few or _plausible(best, problem, layout)):
+            break
         gated = fit_with_gates(unknowns, problem, layout)
         cost = unexplained(gated, problem)
         if cost < least:
@@ -57,6 +62,13 @@ def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
     blamed = np.where(whole, 0, seen - used).sum()
     gates = scipy.stats.chi2.isf(FALSE_ALARM, 2 * seen[whole]).sum() + blamed * scipy.stats.chi2.isf(FALSE_ALARM, 2)
     return float(gated.fit.chi2 + gates) if np.isfinite(gated.fit.chi2) else float("inf")
+
+
+def _plausible(gated: Gated, problem: CalibrationProblem, layout: Layout) -> bool:
+    """Whether most spots are believed, and the noise explains them; else it is worth to search on."""
+    believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
+    freedom = max(1, 2 * int(gated.used.sum()) - PER_CAMERA * layout.cameras)
+    return bool(believed and gated.fit.chi2 < scipy.stats.chi2.isf(_UNLIKELY, freedom))
 
 
 def _robust_start(problem: CalibrationProblem, layout: Layout) -> Unknowns:
@@ -86,7 +98,7 @@ def _robust_start(problem: CalibrationProblem, layout: Layout) -> Unknowns:
 def _starts_from_parts(problem: CalibrationProblem, layout: Layout, offsets: Unknowns) -> Iterator[Unknowns]:
     """Robust fits of random parts of the poses; every other one from the offsets found before."""
     rng, n = np.random.default_rng(_SEED), len(problem.positions)
-    for i in range(_PARTS):
+    for i in range(_MOST_PARTS):
         chosen = np.sort(rng.permutation(n)[: max(MINIMUM_SPOTS, round(_PART * n))])
         part = problem.taking(chosen)
         try:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from im_core.camera_model import CameraModel
 from im_core.workspace import Workspace
+from im_vss.calibration.lengths import KnownLengths
 from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.unknowns import rotation_exp
 
@@ -33,6 +34,8 @@ class Design:
         led_offset_prior_sd: Standard deviation of the LED offset error, drawn from it and told to the solver [m].
         joint_offset_prior_sd: Standard deviation of constant joint offsets, drawn and told likewise [rad].
         workspace: Box of the LED positions and of the predicted errors.
+        scale_error: True lengths over those in the robot's metres, less 1.
+        lengths: Number of placements of a bar with two LEDs, its length known to 0.1 mm.
     """
 
     poses: int = 40
@@ -46,6 +49,8 @@ class Design:
     led_offset_prior_sd: float = 5e-3
     joint_offset_prior_sd: float = 0.0
     workspace: Workspace = field(default_factory=Workspace)
+    scale_error: float = 0.0
+    lengths: int = 0
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ def make_scene(
         position_covariances *= np.exp(rng.uniform(-0.5, 0.5, (n, 1, 1)) * spread)
         spot_covariances *= np.exp(rng.uniform(-0.5, 0.5, (c, n, 1, 1)) * spread)
     noise = np.linalg.cholesky(position_covariances) @ rng.normal(size=(n, 3, 1))
-    measured = truth - rotations @ offset - jacobians @ joint_offsets + noise[..., 0]
+    measured = (truth - rotations @ offset - jacobians @ joint_offsets) / (1.0 + design.scale_error) + noise[..., 0]
     spots = np.stack([camera.project(truth) for camera in cameras])
     spots = spots + (np.linalg.cholesky(spot_covariances) @ rng.normal(size=(c, n, 2, 1)))[..., 0]
     outliers = np.zeros((c, n), dtype=bool)
@@ -118,6 +123,7 @@ def make_scene(
         joint_offset_prior_sd=design.joint_offset_prior_sd,
         joint_jacobians=jacobians if design.joint_offset_prior_sd > 0.0 else None,
         workspace=design.workspace,
+        lengths=_place_lengths(np.random.default_rng((seed, 1)), design, cameras) if design.lengths else None,
     )
     return SyntheticScene(problem, cameras, offset, joint_offsets, outliers)
 
@@ -151,6 +157,24 @@ def _draw_camera(rng: np.random.Generator, index: int, count: int, target: Array
     K = np.array([[f, 0.0, cx], [0.0, f * 1.0005, cy], [0.0, 0.0, 1.0]])
     D = np.array([-0.22 + rng.normal(0.0, 0.01), 0.04 + rng.normal(0.0, 0.01), *rng.normal(0.0, 7e-4, 2), 0.0])
     return CameraModel(640, 480, K, D, rotation, -rotation @ centre)
+
+
+def _place_lengths(rng: np.random.Generator, design: Design, cameras: tuple[CameraModel, ...]) -> KnownLengths:
+    """A bar of half a metre, its middle in the inner half of the workspace, turned to any side."""
+    low, high, k = np.array(design.workspace.low), np.array(design.workspace.high), design.lengths
+    length, own = 0.5, 1e-4
+    middle = (low + high) / 2.0 + rng.uniform(-0.25, 0.25, (k, 3)) * (high - low)
+    half = random_rotations(rng, k)[:, :, 0] * length / 2.0
+    ends = np.stack((middle - half, middle + half), axis=1)
+    spots = np.stack([camera.project(ends.reshape(-1, 3)).reshape(k, 2, 2) for camera in cameras])
+    spots = spots + rng.normal(0.0, design.sigma_px, spots.shape)
+    inside = np.stack(
+        [camera.contains(uv.reshape(-1, 2)).reshape(k, 2) for camera, uv in zip(cameras, spots, strict=True)]
+    )
+    spots[~inside] = np.nan
+    stated = length + rng.normal(0.0, own, k)
+    noise = np.tile(design.sigma_px**2 * np.eye(2), (*spots.shape[:3], 1, 1))
+    return KnownLengths(stated, np.full(k, own), spots, noise)
 
 
 def _covariances(rng: np.random.Generator, shape: tuple[int, ...], size: int, sigma: float, anisotropy: float) -> Array:

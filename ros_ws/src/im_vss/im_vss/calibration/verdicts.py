@@ -4,10 +4,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from im_vss.calibration.agreement import FALSE_ALARM
 from im_vss.calibration.calibration import Calibration, Verdict
 from im_vss.calibration.covariance import Covariance
 from im_vss.calibration.gates import TRUSTED_SHARE
 from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.scale import Scale
 from im_vss.calibration.start import FLAT, core_extent, robust_extent
 from im_vss.calibration.unknowns import CAMERA_PARAMETERS, PER_CAMERA, Layout
 
@@ -15,13 +17,16 @@ Array = NDArray[np.float64]
 
 UNOBSERVABLE, MISFIT = "UNOBSERVABLE", "MISFIT"
 
-_FEWEST_SPOTS = 10
+_FEWEST_SPOTS = 9
 _SAME_WRIST = 0.05
-_FALSE_ALARM = 1e-3
+_UNLIKELY = 1e-3
+_FEWEST_MOVED = 6
 _DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejections together are a misfit as well
-_FOCAL_LIMIT = 0.12
-_CENTRE_LIMIT = 0.25
-_LIMITS = {"k1": 2.0, "k2": 20.0, "p1": 0.1, "p2": 0.1, "rx": 0.25, "ry": 0.25, "rz": 0.25}
+_NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outliers; with some, less bad residuals do
+_NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
+_FOCAL_LIMIT = 0.07
+_CENTRE_LIMIT = 0.15
+_LIMITS = {"k1": 1.0, "k2": 12.0, "p1": 0.05, "p2": 0.05, "rx": 0.15, "ry": 0.15, "rz": 0.15}
 
 
 def judge(
@@ -48,6 +53,8 @@ def judge(
         verdicts.append(verdict)
     if misfit:
         verdicts.append(misfit)
+    if calibration.scale and (verdict := _wrong_scale(calibration.scale)):
+        verdicts.append(verdict)
     return tuple(verdicts)
 
 
@@ -132,10 +139,12 @@ def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: L
 def _misfit(calibration: Calibration, problem: CalibrationProblem) -> Verdict | None:
     """Residuals that the stated noise cannot explain."""
     detected, used = problem.detected.sum(axis=1), calibration.used.sum(axis=1)
-    noisy = calibration.p_value < _FALSE_ALARM
+    near = sum(rejection.sigmas < _NEAR_SIGMAS for rejection in calibration.rejections)
+    noisy = calibration.p_value < next(chance for fewest, chance in _NEAR_CHANCES if near >= fewest)
     trusted = _DOUBTED_SHARE if calibration.p_value < _DOUBTED_CHANCE else TRUSTED_SHARE
     contradictory = np.flatnonzero(used < trusted * detected)
-    if not len(contradictory) and not noisy:
+    moved = [c for c in range(len(calibration.cameras)) if _moved_alike(calibration, problem, c)]
+    if not len(contradictory) and not noisy and not moved:
         return None
     reasons = []
     if noisy:
@@ -143,16 +152,57 @@ def _misfit(calibration: Calibration, problem: CalibrationProblem) -> Verdict | 
             f"The residuals are {np.sqrt(calibration.chi2_per_dof):.1f} times as large as the stated noise explains "
             f"(chi2/dof {calibration.chi2_per_dof:.2f}, p {calibration.p_value:.1g}); {_worst_camera(calibration)}."
         )
+    if noisy and calibration.p_value >= _UNLIKELY:
+        reasons.append(f"{near} rejections are within {_NEAR_SIGMAS:.0f} sigma, nearer than gross outliers would be.")
     reasons += [
         f"Only {used[c]} of {detected[c]} spots of {problem.camera_names[c]} agree with each other."
         for c in contradictory
     ]
+    reasons += [_moved_alike(calibration, problem, c) for c in moved]
     return Verdict(
         MISFIT,
         (),
         " ".join(reasons),
         "Check that cameras and robot base did not move, that joint readings belong to the exposures, the robot's "
         "kinematic parameters and the stated noise.",
+    )
+
+
+def _moved_alike(calibration: Calibration, problem: CalibrationProblem, c: int) -> str:
+    """Rejected spots that lie off all alike: no outliers, but a camera that moved; empty if they do not."""
+    rejected = problem.detected[c] & ~calibration.used[c]
+    residuals, spread = calibration.residuals[c][rejected], calibration.residual_covariances[c][rejected]
+    if len(residuals) < _FEWEST_MOVED:
+        return ""
+    shift = np.median(residuals, axis=0)
+    left = residuals - shift
+    alike = (left * np.linalg.solve(spread, left[..., None])[..., 0]).sum(axis=1) < scipy.stats.chi2.isf(FALSE_ALARM, 2)
+    if alike.sum() < max(_FEWEST_MOVED, TRUSTED_SHARE * len(residuals)):
+        return ""
+    return (
+        f"{int(alike.sum())} of {len(residuals)} rejected spots of {problem.camera_names[c]} lie off by the same "
+        f"({shift[0]:.1f}, {shift[1]:.1f}) px, as if it had moved."
+    )
+
+
+def _wrong_scale(scale: Scale) -> Verdict | None:
+    """Known lengths that are not those of the robot, or not of one another."""
+    if scale.agreement < _UNLIKELY:
+        return Verdict(
+            MISFIT,
+            ("robot.scale",),
+            f"The {scale.lengths_used} known lengths contradict each other (p {scale.agreement:.1g}).",
+            "Check that each length is of the two LEDs that were seen, and its stated uncertainty.",
+        )
+    if scale.p_value > _UNLIKELY:
+        return None
+    return Verdict(
+        MISFIT,
+        ("robot.scale",),
+        f"Known lengths are {1.0 + scale.error:.5f} ± {scale.standard_deviation:.5f} times as long as in the robot's "
+        "metres, which no residual can show.",
+        "Correct the robot's link lengths and calibrate again; t_cam_base times this factor gives cameras in true "
+        "metres, if all links are wrong alike.",
     )
 
 

@@ -1,5 +1,6 @@
 """The bank of simulated cameras: true cameras and lights in the mirrored scene."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,11 +10,15 @@ from im_core.camera_model import CameraModel
 from im_core.robot import Cell
 from im_core.robot.truth import CellTruth
 from im_core.testbed_link import Exposure
-from im_vss.camera.lens import FloatImage, Lens
+from im_vss.camera.laser import LaserLight
+from im_vss.camera.lens import FloatImage, Lens, vignette
 from im_vss.camera.light import Spot, add_spot, image_of_light
+from im_vss.camera.mirror import reflect
 from im_vss.camera.scene import SceneMirror
 from im_vss.camera.sensor import noise_stream, read_out
+from im_vss.camera.targets import TargetPatch, target_patch
 from im_vss.settings import VssSettings
+from im_vss.spot import SensorNoise
 
 Array = NDArray[np.float64]
 
@@ -31,6 +36,8 @@ class _Camera:
     parent: str
     mounted: CameraModel
     lens: Lens
+    vignette: FloatImage
+    patches: list[TargetPatch] | None = None
     scene: FloatImage | None = None
     scene_q: Array | None = None
 
@@ -54,25 +61,28 @@ class CameraBank:
         self._scene = scene
         self._seed = seed
         self._cameras = {name: self._camera(name) for name in settings.cameras}
+        self._laser = LaserLight(cell, truth.laser.model(), scene, seed)
         self._prismatic = np.array([joint.kind == "prismatic" for joint in cell.joints])
 
-    def expected(self, camera: str, exposure: Exposure, exposure_s: float) -> FloatImage:
+    def expected(self, camera: str, exposure: Exposure, exposure_s: float, sensor: SensorNoise) -> FloatImage:
         """Expected pixel values of a camera, with black level, shape (h, w) [DN].
 
         Args:
             camera: Name of the camera.
             exposure: What the shutter saw.
             exposure_s: Length of the exposure [s].
+            sensor: How the sensor is set.
         """
         unit = self._cameras[camera]
         self._scene.set_joints(exposure.q_true)
         placed = self._placed(unit)
-        strength = exposure_s / self._settings.exposure.nominal
-        scene = self._scene_of(unit, placed, exposure.q_true)
-        mean = scene * np.float32(BACKGROUND_DN * strength) + np.float32(self._settings.sensor.black_level)
-        for light, fraction in exposure.light_fraction.items():
-            if fraction > 0.0 and (spot := self.spot(camera, light)) is not None:
-                add_spot(mean, spot, strength * fraction)
+        strength = exposure_s / self._settings.exposure.nominal * self._settings.sensor.gain / sensor.gain
+        mean = self._scene_of(unit, placed, exposure.q_true) * np.float32(BACKGROUND_DN)
+        for spot, share in self._spots(camera, placed, exposure):
+            add_spot(mean, spot, share)
+        self._laser.add(mean, camera, placed, exposure)
+        mean *= unit.vignette * np.float32(strength)
+        mean += np.float32(sensor.black_level)
         return mean
 
     def warm_up(self) -> None:
@@ -81,22 +91,70 @@ class CameraBank:
             self._scene.set_joints(self._cell.home)
             self._scene_of(unit, self._placed(unit), self._cell.home)
 
-    def read_out(self, camera: str, mean: FloatImage, start_tick: int, frame: int, out: NDArray[np.uint8]) -> None:
+    def read_out(
+        self,
+        camera: str,
+        mean: FloatImage,
+        start_tick: int,
+        frame: int,
+        out: NDArray[np.uint8],
+        sensor: SensorNoise,
+    ) -> None:
         """Write the noisy 8-bit image of expected values, shape (h, w) [DN], to `out`; see :func:`noise_stream`."""
-        read_out(mean, self._settings.sensor, noise_stream(self._seed, camera, start_tick, frame), out)
+        read_out(mean, sensor, noise_stream(self._seed, camera, start_tick, frame), out)
 
     def spot(self, camera: str, light: str) -> Spot | None:
         """Image of a light at the scene's joint positions; None where the camera cannot see it."""
         placed = self._placed(self._cameras[camera])
+        position, axis, diameter = self._light(light)
+        spot = self._image(placed, position, axis, diameter)
+        return spot if spot is not None and self._clear(position, placed.position, diameter) else None
+
+    def reflections(self, camera: str, light: str) -> list[Spot]:
+        """Images of a light in the cell's metal at the scene's joint positions."""
+        placed = self._placed(self._cameras[camera])
+        position, axis, diameter = self._light(light)
+        spots: list[Spot] = []
+        for mirror in self._cell.mirrors:
+            pose = self._scene.pose(mirror.link)
+            seen = reflect(mirror, *pose, position, axis, placed.position)
+            spot = self._image(placed, seen.position, seen.axis, diameter) if seen is not None else None
+            if seen is None or spot is None:
+                continue
+            if self._clear(position, seen.bounce, diameter) and self._scene.clear(seen.bounce, placed.position):
+                sigma = float(np.hypot(spot.sigma, mirror.roughness))
+                spots.append(Spot(spot.uv, spot.flux * mirror.reflectance, sigma))
+        return spots
+
+    def _spots(self, camera: str, placed: CameraModel, exposure: Exposure) -> Iterator[tuple[Spot, float]]:
+        """All lights in the image of a camera, each with the share of the exposure during which it was on."""
+        for light, fraction in exposure.light_fraction.items():
+            if fraction > 0.0:
+                direct = self.spot(camera, light)
+                for spot in ([direct] if direct is not None else []) + self.reflections(camera, light):
+                    yield spot, fraction
+        period = self._cell.period
+        for lamp in self._cell.lamps:
+            share = lamp.lit(exposure.start_tick * period, exposure.end_tick * period) * lamp.brightness
+            position = np.array(lamp.position)
+            towards = (placed.position - position) / np.linalg.norm(placed.position - position)
+            seen = self._image(placed, position, towards, self._cell.led.diameter) if share > 0.0 else None
+            if seen is not None and self._clear(position, placed.position, self._cell.led.diameter):
+                yield seen, share
+
+    def _light(self, light: str) -> tuple[Array, Array, float]:
+        """Position [m] and axis of a wrist light in the world, and its diameter [m]."""
         led = self._truth.leds[light]
         rotation, origin = self._scene.pose(f"{light.removesuffix('_led')}_wrist")
-        position, axis = origin + rotation @ np.array(led.offset_m), rotation @ np.array(led.axis)
-        spot = image_of_light(placed, position, axis, led.diameter_m, self._cell.led.half_angle)
-        if spot is None:
-            return None
-        towards = placed.position - position
-        surface = position + 0.5 * led.diameter_m * towards / np.linalg.norm(towards)
-        return spot if self._scene.clear(surface, placed.position) else None
+        return origin + rotation @ np.array(led.offset_m), rotation @ np.array(led.axis), led.diameter_m
+
+    def _image(self, placed: CameraModel, position: Array, axis: Array, diameter: float) -> Spot | None:
+        return image_of_light(placed, position, axis, diameter, self._cell.led.half_angle, self._cell.optics.blur)
+
+    def _clear(self, light: Array, end: Array, diameter: float) -> bool:
+        """Whether nothing stands between the surface of a light and a point of the world."""
+        towards = (end - light) / np.linalg.norm(end - light)
+        return self._scene.clear(light + 0.5 * diameter * towards, end)
 
     def _camera(self, name: str) -> _Camera:
         true = self._truth.cameras[name]
@@ -108,7 +166,8 @@ class CameraBank:
             np.array(true.R_cam_base),
             np.array(true.t_cam_base_m),
         )
-        return _Camera(name, true.parent, model, Lens(model, self._scene.renderer_offset))
+        shade = vignette(model, self._cell.optics.vignetting)
+        return _Camera(name, true.parent, model, Lens(model, self._scene.renderer_offset), shade)
 
     def _placed(self, unit: _Camera) -> CameraModel:
         """The camera with its pose in the world."""
@@ -121,9 +180,25 @@ class CameraBank:
     def _scene_of(self, unit: _Camera, placed: CameraModel, q: Array) -> FloatImage:
         """Brightness of the scene through the lens; rendered anew only when something moved visibly."""
         if unit.scene is None or unit.scene_q is None or self._motion_px(unit, q - unit.scene_q) > STILL_PX:
-            unit.scene = unit.lens.warp(self._scene.render(unit.lens.pinhole, placed))
-            unit.scene_q = q.copy()
+            brightness, depth = self._scene.render(unit.lens.pinhole, placed)
+            scene = unit.lens.warp(brightness)
+            patches = self._patches(unit, placed)
+            if patches:
+                depth = unit.lens.warp_depth(depth)
+            for patch in patches:
+                patch.paint(scene, depth, self._cell.optics.blur)
+            unit.scene, unit.scene_q = scene, q.copy()
         return unit.scene
+
+    def _patches(self, unit: _Camera, placed: CameraModel) -> list[TargetPatch]:
+        """The targets in the image of a camera; those of a fixed camera are drawn once."""
+        if unit.patches is not None:
+            return unit.patches
+        drawn = (target_patch(target, placed, unit.lens.ideal, self._cell.optics.blur) for target in self._cell.targets)
+        patches = [patch for patch in drawn if patch is not None]
+        if unit.parent == "world":
+            unit.patches = patches
+        return patches
 
     def _motion_px(self, unit: _Camera, dq: Array) -> float:
         """Bound on how far anything moved in the image [px]."""

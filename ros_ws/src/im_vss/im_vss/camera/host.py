@@ -9,7 +9,7 @@ from im_core.errors import ImError, LinkError, WaitTimeoutError
 from im_core.robot import Cell
 from im_core.shm import MessageRing, Semaphore, SharedBlock
 from im_vss.camera.protocol import ChannelNames, ImageStore, Reply, Request
-from im_vss.frames import Frame, FrameSet, SnapOrder
+from im_vss.frames import Frame, FrameSet, SensorControls, SnapOrder
 
 _SLICE_S = 0.1
 _RENDER_BUDGET_S = 5.0
@@ -100,7 +100,8 @@ class CameraHost:
             begin = clock.monotonic()
             self._await_ready()
             self._number += 1
-            request = Request(self._number, order.cameras, order.blank_light, order.exposure_s, order.timeout_s)
+            controls = {camera: order.controls.get(camera, SensorControls()) for camera in order.cameras}
+            request = Request(self._number, order.cameras, order.strobes, order.exposure_s, order.timeout_s, controls)
             self._requests.send(request.to_json())
             self._requested.post()
             timeout_s = len(order.blank_light) * order.timeout_s + _RENDER_BUDGET_S
@@ -113,7 +114,7 @@ class CameraHost:
                 raise ImError.restored(reply.error["code"], reply.error["message"], reply.error["facts"])
             frames = {
                 camera: tuple(
-                    Frame(camera, self._store.image(self._images, camera, index).copy(), stamp, blank)
+                    Frame(camera, self._store.image(self._images, camera, index).copy(), stamp, blank, controls[camera])
                     for index, (stamp, blank) in enumerate(zip(reply.stamps_ns, order.blank_light, strict=True))
                 )
                 for camera in order.cameras

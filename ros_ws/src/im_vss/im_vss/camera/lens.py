@@ -24,7 +24,12 @@ class Pinhole:
 
 
 class Lens:
-    """Warps a wider pinhole image into the image of a camera with distortion."""
+    """Warps a wider pinhole image into the image of a camera with distortion.
+
+    Attributes:
+        pinhole: The camera of the images that are warped.
+        ideal: For each pixel the ideal image point of its centre, shape (h, w, 2) [-].
+    """
 
     def __init__(self, camera: CameraModel, renderer_offset: tuple[float, float] = (0.0, 0.0)) -> None:
         """Prepare the warp.
@@ -37,6 +42,7 @@ class Lens:
         pixels = np.stack((columns.ravel(), rows.ravel()), axis=-1)
         same = np.eye(3)
         ideal = np.asarray(cv2.undistortPointsIter(pixels[:, None], camera.K, camera.D, same, same, _SOLVER))[:, 0]
+        self.ideal: Array = np.asarray(ideal, dtype=float).reshape(camera.height, camera.width, 2)
         low, high = ideal.min(axis=0), ideal.max(axis=0)
         size = np.array([camera.width, camera.height])
         focal = (size - 1) / (high - low)
@@ -46,8 +52,28 @@ class Lens:
         source = (ideal * focal + centre + np.array(renderer_offset)).astype(np.float32)
         source = source.reshape(camera.height, camera.width, 2)
         self._whole, self._fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
+        self._nearest = np.rint(source).astype(np.int16)
+
+    def warp_depth(self, depth: FloatImage) -> FloatImage:
+        """Depths through the lens, not interpolated, of an image of :attr:`pinhole`, shape (h, w) [m]."""
+        columns = np.clip(self._nearest[..., 0], 0, depth.shape[1] - 1)
+        rows = np.clip(self._nearest[..., 1], 0, depth.shape[0] - 1)
+        return np.asarray(depth[rows, columns], dtype=np.float32)
 
     def warp(self, image: FloatImage) -> FloatImage:
         """The image through the lens, of an image of :attr:`pinhole`, shape (h, w)."""
         warped = cv2.remap(image, self._whole, self._fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(warped, dtype=np.float32)
+
+
+def vignette(camera: CameraModel, loss: float) -> FloatImage:
+    """Share of its brightness that each pixel keeps, shape (h, w): the loss grows with the square of the distance.
+
+    Args:
+        camera: Image size and principal point.
+        loss: Share that is lost at half of the image's diagonal.
+    """
+    columns = np.arange(camera.width) - camera.K[0, 2]
+    rows = np.arange(camera.height) - camera.K[1, 2]
+    squares = (columns**2)[None, :] + (rows**2)[:, None]
+    return np.asarray(1.0 - loss * squares / (0.25 * (camera.width**2 + camera.height**2)), dtype=np.float32)

@@ -14,8 +14,6 @@ FloatImage = NDArray[np.float32]
 REFERENCE_DISTANCE_M = 3.5
 REFERENCE_AMPLITUDE_DN = 165.0
 """Peak of a light seen along its axis from the reference distance, at the nominal exposure."""
-BLUR_PX = 0.9
-"""Standard deviation of the lens's blur; with the disc of a 2 cm light at 3.5 m it makes a spot of 1.2 px."""
 SIDEWAYS_LOSS = 0.3
 """Share of its brightness a light loses seen at a right angle to its axis."""
 _REFERENCE_SIGMA_PX = 1.2
@@ -32,7 +30,7 @@ class Spot:
 
 
 def image_of_light(
-    camera: CameraModel, position: Array, axis: Array, diameter_m: float, half_angle_rad: float
+    camera: CameraModel, position: Array, axis: Array, diameter_m: float, half_angle_rad: float, blur_px: float
 ) -> Spot | None:
     """Project a diffuse dome, as if nothing stood in the way.
 
@@ -45,6 +43,7 @@ def image_of_light(
         axis: Direction it faces, unit vector in the world, shape (3,) [-].
         diameter_m: Its diameter [m].
         half_angle_rad: Angle off the axis beyond which no light is seen [rad].
+        blur_px: Standard deviation of the lens's blur [px].
 
     Returns:
         The spot, None where the light faces away or is behind the camera or out of its image.
@@ -58,7 +57,7 @@ def image_of_light(
     disc = 0.25 * diameter_m * float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) / distance
     flux = amplitude_to_flux(REFERENCE_AMPLITUDE_DN, _REFERENCE_SIGMA_PX) * (REFERENCE_DISTANCE_M / distance) ** 2
     brightness = 1.0 - SIDEWAYS_LOSS * (1.0 - cosine)
-    return Spot((float(uv[0]), float(uv[1])), brightness * flux, float(np.hypot(BLUR_PX, disc)))
+    return Spot((float(uv[0]), float(uv[1])), brightness * flux, float(np.hypot(blur_px, disc)))
 
 
 def add_spot(image: FloatImage, spot: Spot, strength: float) -> None:

@@ -78,16 +78,17 @@ class CameraProcess:
             self._reattach()
         ticks = max(1, round(request.exposure_s / self._link.period_s))
         begin = clock.monotonic()
-        exposures = [self._link.expose(ticks, blank, request.timeout_s) for blank in request.blank_light]
+        exposures = [self._link.expose(ticks, light, request.timeout_s, laser) for light, laser in request.strobes]
         exposed = clock.monotonic()
         render_s = sensor_s = 0.0
         for frame, exposure in enumerate(exposures):
             for camera in request.cameras:
                 start = clock.monotonic()
-                mean = self._bank.expected(camera, exposure, ticks * self._link.period_s)
+                sensor = request.controls[camera].of(self._settings.sensor)
+                mean = self._bank.expected(camera, exposure, ticks * self._link.period_s, sensor)
                 middle = clock.monotonic()
                 out = self._store.image(self._images, camera, frame)
-                self._bank.read_out(camera, mean, exposure.start_tick, frame, out)
+                self._bank.read_out(camera, mean, exposure.start_tick, frame, out, sensor)
                 render_s += middle - start
                 sensor_s += clock.monotonic() - middle
         return Reply(

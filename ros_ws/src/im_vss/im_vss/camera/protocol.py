@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, ImError
 from im_core.robot import Cell
 from im_core.shm import SharedBlock
+from im_vss.frames import SensorControls
 
 MOST_FRAMES = 4
 """Most exposures of a request."""
@@ -52,9 +53,10 @@ class Request:
 
     number: int
     cameras: tuple[str, ...]
-    blank_light: tuple[bool, ...]
+    strobes: tuple[tuple[bool, bool], ...]
     exposure_s: float
     timeout_s: float
+    controls: dict[str, SensorControls]
 
     def to_json(self) -> dict[str, Any]:
         """As a message of a ring."""
@@ -63,7 +65,9 @@ class Request:
     @classmethod
     def from_json(cls, message: dict[str, Any]) -> Self:
         """From a message of a ring."""
-        return cls(**{**message, "cameras": tuple(message["cameras"]), "blank_light": tuple(message["blank_light"])})
+        fields = {"cameras": tuple(message["cameras"]), "strobes": tuple(map(tuple, message["strobes"]))}
+        controls = {camera: SensorControls(**values) for camera, values in message["controls"].items()}
+        return cls(**{**message, **fields, "controls": controls})
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ _NEAR_M, _FAR_M = 0.03, 9.0
 _LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32) / 255.0
 _SUN = (0.4, -0.6, 1.0)
 _BASE = -1
+_MOST_RAYS = 8192
 
 
 class SceneMirror:
@@ -77,9 +78,28 @@ class SceneMirror:
         hit = pybullet.rayTest(list(start), list(end), physicsClientId=self._client)
         return int(hit[0][0]) < 0
 
-    def render(self, pinhole: Pinhole, camera: CameraModel) -> FloatImage:
-        """Brightness, 0 to 1, of a pinhole image at the pose of `camera`, shape (h, w)."""
-        pixels = pybullet.getCameraImage(
+    def first_hits(self, starts: Array, ends: Array) -> tuple[Array, Array]:
+        """Where rays first meet what can be touched of the robot.
+
+        Args:
+            starts: Shape (n, 3) [m].
+            ends: Shape (n, 3) [m].
+
+        Returns:
+            Share of each way that is free, shape (n,), 1 where nothing is met; and outward normals, shape (n, 3).
+        """
+        share, normals = np.ones(len(starts)), np.zeros((len(starts), 3))
+        for first in range(0, len(starts), _MOST_RAYS):
+            part = slice(first, first + _MOST_RAYS)
+            hits = pybullet.rayTestBatch(starts[part].tolist(), ends[part].tolist(), physicsClientId=self._client)
+            for index, (body, _, fraction, _, normal) in enumerate(hits, first):
+                if body >= 0:
+                    share[index], normals[index] = fraction, normal
+        return share, normals
+
+    def render(self, pinhole: Pinhole, camera: CameraModel) -> tuple[FloatImage, FloatImage]:
+        """Brightness, 0 to 1, and depth [m] of a pinhole image at the pose of `camera`, each of shape (h, w)."""
+        pixels, buffer = pybullet.getCameraImage(
             pinhole.width,
             pinhole.height,
             viewMatrix=_view(camera),
@@ -94,9 +114,12 @@ class SceneMirror:
             renderer=self._flag,
             flags=pybullet.ER_NO_SEGMENTATION_MASK,
             physicsClientId=self._client,
-        )[2]
-        colours = np.asarray(pixels, dtype=np.uint8).reshape(pinhole.height, pinhole.width, 4)
-        return np.asarray(colours[..., :3] @ _LUMA, dtype=np.float32)
+        )[2:4]
+        shape = (pinhole.height, pinhole.width)
+        colours = np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4)
+        nearness = np.asarray(buffer, dtype=np.float32).reshape(shape)
+        depth = _FAR_M * _NEAR_M / (_FAR_M - (_FAR_M - _NEAR_M) * nearness)
+        return np.asarray(colours[..., :3] @ _LUMA, dtype=np.float32), np.asarray(depth, dtype=np.float32)
 
     def close(self) -> None:
         """Release the client."""

@@ -4,12 +4,41 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from im_core import clock
 from im_core.errors import NotFoundError, StateError, WaitTimeoutError
 from im_vss.managers.lease import Lease, VisionClient
 
 _SLICE_S = 0.2
+
+
+@dataclass(frozen=True)
+class ModuleState:
+    """Who uses a Vision Module.
+
+    Attributes:
+        owner: Name of the client that holds it; empty if it is free.
+        remaining_s: Time left of its lease [s].
+        queue: Names of those who wait, first come first.
+        leases: Given since the start.
+        released: Of these, given back by their owner in time.
+        lapsed: Of these, ended by their deadline or the cancellation or death of their owner.
+    """
+
+    owner: str
+    remaining_s: float
+    queue: tuple[str, ...]
+    leases: int
+    released: int
+    lapsed: int
+
+
+@dataclass
+class _Count:
+    leases: int = 0
+    released: int = 0
+    lapsed: int = 0
 
 
 class VisionModuleManager:
@@ -43,6 +72,7 @@ class VisionModuleManager:
         self._changed = threading.Condition()
         self._queues: dict[str, deque[VisionClient]] = {module: deque() for module in modules}
         self._held: dict[str, Lease] = {}
+        self._counts = {module: _Count() for module in self._queues}
 
     @contextmanager
     def lend(self, module: str, client: VisionClient) -> Iterator[Lease]:
@@ -58,15 +88,25 @@ class VisionModuleManager:
             yield lease
         finally:
             with self._changed:
+                count = self._counts[module]
+                count.released += lease.valid
+                count.lapsed += not lease.valid
                 lease.released = True
                 self._changed.notify_all()
 
-    def queue(self, module: str) -> tuple[str | None, tuple[str, ...]]:
-        """Name of the client that holds a module, None if it is free, and of those who wait, first come first."""
+    def state(self, module: str) -> ModuleState:
+        """Who uses a module, and who waits for it."""
         with self._changed:
-            held = self._held.get(module)
-            holder = held.client.name if held is not None and held.valid else None
-            return holder, tuple(client.name for client in self._queues[module])
+            held, count = self._held.get(module), self._counts[module]
+            owned = held is not None and held.valid
+            return ModuleState(
+                owner=held.client.name if held is not None and owned else "",
+                remaining_s=held.remaining() if held is not None and owned else 0.0,
+                queue=tuple(client.name for client in self._queues[module]),
+                leases=count.leases,
+                released=count.released,
+                lapsed=count.lapsed,
+            )
 
     def _acquire(self, module: str, client: VisionClient) -> Lease:
         queue = self._queues.get(module)
@@ -86,6 +126,7 @@ class VisionModuleManager:
                     raise StateError(f"{client.name} gave up waiting for {module}", module=module)
                 lease = Lease(module, client, self._now() + self.hold_s, self.hold_s, self._now)
                 self._held[module] = lease
+                self._counts[module].leases += 1
                 return lease
             finally:
                 if client in queue:

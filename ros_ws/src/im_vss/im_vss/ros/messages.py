@@ -1,6 +1,7 @@
 """Between the Vision Services System's types and messages."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,18 +9,19 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose, TransformStamped
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from std_msgs.msg import Header
 
 from im_core.camera_model import CameraModel
 from im_core.errors import DataError
-from im_msgs.msg import CalibrationReport, CameraCalibration, Rejection, Spot
+from im_core.laser_model import LaserModel
+from im_msgs.msg import CalibrationReport, CameraCalibration, Rejection, Spot, SpotCandidates
 from im_msgs.msg import Observation as ObservationMessage
 from im_vss.calibration import Calibration
 from im_vss.camera_book import CameraEntry
-from im_vss.camera_info import projection_matrix
 from im_vss.services.svc_calibrate import Observation, SeenSpot
 from im_vss.services.svc_spot_find import CameraSpot
+from im_vss.tools.region import Region
 
 Array = NDArray[np.float64]
 
@@ -61,8 +63,8 @@ def to_camera_info(entry: CameraEntry, stamp_ns: int) -> CameraInfo:
         distortion_model="plumb_bob",
         d=model.D.tolist(),
         k=model.K.ravel(),
-        r=np.eye(3).ravel(),
-        p=projection_matrix(model).ravel(),
+        r=entry.rectified.R.ravel(),
+        p=entry.rectified.P.ravel(),
     )
 
 
@@ -105,6 +107,23 @@ def to_spot(seen: CameraSpot) -> Spot:
         message.amplitude, message.sigma = spot.amplitude, spot.sigma
         message.saturated = spot.saturated > 0
     return message
+
+
+def to_candidates(seen: CameraSpot) -> SpotCandidates:
+    """What the search in one camera handed on, as a message."""
+    finding = seen.finding
+    message = SpotCandidates(camera=seen.camera, stamp=to_time(seen.stamp_ns), refused=list(finding.refused))
+    for candidate in finding.candidates:
+        message.candidates.append(to_spot(replace(seen, finding=replace(finding, spot=candidate, cause=""))))
+    if finding.region is not None:
+        message.predicted = True
+        message.u, message.v, message.radius = finding.region.u, finding.region.v, finding.region.radius
+    return message
+
+
+def from_region(region: RegionOfInterest) -> Region:
+    """A part of an image from a message."""
+    return Region(region.x_offset, region.y_offset, region.width, region.height)
 
 
 def from_observation(message: ObservationMessage) -> Observation:
@@ -183,6 +202,16 @@ def rotation_matrix(pose: Pose, name: str) -> Array:
     if not abs(length - 1.0) < 1e-3:
         raise DataError(f"the orientation of pose '{name}' has length {length:.4g}, it must be 1", pose=name)
     return np.asarray(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix())
+
+
+def to_laser_transform(model: LaserModel, stamp_ns: int) -> TransformStamped:
+    """Pose of the laser scanner in the world."""
+    message = TransformStamped(header=to_header("world", stamp_ns), child_frame_id="laser_scanner")
+    target = message.transform
+    target.translation.x, target.translation.y, target.translation.z = (float(value) for value in model.position)
+    x, y, z, w = quaternion(model.rotation)
+    target.rotation.x, target.rotation.y, target.rotation.z, target.rotation.w = x, y, z, w
+    return message
 
 
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:

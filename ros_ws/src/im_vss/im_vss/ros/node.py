@@ -1,10 +1,8 @@
 """Node ``/vss``: ROS shell of the Vision Services System; translates messages, decides nothing."""
 
-import json
 import sys
 import threading
 import traceback
-from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -19,27 +17,23 @@ from im_core.robot.truth import FILE_NAME
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
-from im_core.ros.status import ok_status, to_status
 from im_core.ros.subprocess import ChildProcess
-from im_msgs.srv import Calibrate, Snap, SpotFind
 from im_vss.camera.host import CameraHost
 from im_vss.camera_book import CameraBook
-from im_vss.catalogue import load_catalogue
-from im_vss.rig import Rig
-from im_vss.ros.messages import (
-    from_camera_info,
-    from_observation,
-    to_camera_info,
-    to_image,
-    to_report,
-    to_spot,
-)
+from im_vss.catalogue import load_catalogue, load_class
+from im_vss.laser.book import LaserBook
+from im_vss.laser.scanner import LinkedScanner
+from im_vss.rig import LaserRig, Rig
+from im_vss.ros.askers import Askers
+from im_vss.ros.controls import ControlParameters
+from im_vss.ros.light_tracker import LightTracker
+from im_vss.ros.messages import from_camera_info
 from im_vss.ros.outputs import ImageOutputs
-from im_vss.services.svc_calibrate import CalibrateRequest, CalibrateResult
-from im_vss.services.svc_snap import SnapRequest, SnapResult
-from im_vss.services.svc_spot_find import SpotFindRequest, SpotFindResult
+from im_vss.ros.ports import Port
+from im_vss.ros.state_port import StatePort
+from im_vss.services.svc_snap import SnapRequest
 from im_vss.settings import load_settings
-from im_vss.vsm import VisionServicesManager
+from im_vss.vsm import PROCESS, VisionServicesManager
 
 WATCH_PERIOD_S = 1.0
 
@@ -49,10 +43,11 @@ class VssNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("vss")
-        self.declare_parameter("settings", "")
-        self.declare_parameter("cell", "")
+        for parameter, default in (("settings", ""), ("cell", ""), ("catalogue", ""), ("process", PROCESS)):
+            self.declare_parameter(parameter, default)
         self._host: CameraHost | None = None
         self._vsm: VisionServicesManager | None = None
+        self._streaming: set[str] = set()
 
     def phase_configure(self) -> None:
         """Load the Services in use and start the camera process."""
@@ -60,13 +55,20 @@ class VssNode(ManagedNode):
         cell = load_cell(cell_file)
         settings = load_settings(cell, settings_file)
         run_dir = names.run_dir()
-        self._book = CameraBook(cell, settings.cameras, run_dir / "camera_info")
-        self._outputs = ImageOutputs(self, self._book)
-        self._book.on_change = self._outputs.publish_transforms
+        self._book = CameraBook(cell, settings.cameras, run_dir / "camera_info", settings.stereo.pairs)
+        laser_book = LaserBook(cell.laser, run_dir / "laser")
+        self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
+        self._outputs = ImageOutputs(self, self._book, laser_book)
+        self._book.on_change = laser_book.on_change = self._outputs.publish_transforms
         spawn = partial(self._spawn, run_dir, cell_file, settings_file)
         self._host = CameraHost(names.instance(), cell, spawn, settings.renderer, settings.waits.camera_start)
-        self._rig = Rig(settings, cell, self._book, self._host, self._outputs)
-        self._vsm = VisionServicesManager(self._rig, load_catalogue())
+        tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness)
+        self._rig = Rig(
+            settings, cell, self._book, self._host, self._outputs, light_position=tracker.position, laser=self._laser
+        )
+        self._controls = ControlParameters(self, settings, self._rig.controls, self._stream)
+        catalogue = load_catalogue(self._file("catalogue"))
+        self._vsm = VisionServicesManager(self._rig, catalogue, str(self.get_parameter("process").value))
         self._host.start()
 
     def phase_start(self) -> None:
@@ -75,18 +77,16 @@ class VssNode(ManagedNode):
         assert self._vsm is not None
         self._host.wait_ready()
         self._outputs.publish_transforms()
-        offered: dict[str, tuple[type, Callable[..., Any]]] = {
-            "snap": (Snap, self._snap),
-            "spot_find": (SpotFind, self._spot_find),
-            "calibrate": (Calibrate, self._calibrate),
-        }
-        for name in self._vsm.services:
-            kind, callback = offered[name]
-            self.create_service(kind, f"/vss/{name}", callback)
+        for name, entry in self._vsm.catalogue.services.items():
+            port: Port = load_class(entry.port, Port)(self._rig)
+            askers = Askers(self, f"/vss/{name}")
+            self.create_service(port.kind, f"/vss/{name}", partial(self._serve, name, port, askers))
+        StatePort(self, self._vsm)
         for entry in self._book.entries():
             self.create_service(
                 SetCameraInfo, f"/{entry.name}/set_camera_info", partial(self._set_camera_info, entry.name)
             )
+        self._controls.start()
         self.create_timer(WATCH_PERIOD_S, self._watch, clock=self.steady_clock)
         # Loading these takes seconds that neither the start nor the first calibration need wait for.
         libraries = ("scipy.stats", "im_vss.calibration.plots")
@@ -96,50 +96,46 @@ class VssNode(ManagedNode):
         """End the camera process."""
         if self._vsm is not None:
             self._vsm.close()
+            self._laser.scanner.close()
         if self._host is not None:
             self._host.close()
 
-    async def _snap(self, request: Snap.Request, response: Snap.Response) -> Snap.Response:
+    async def _serve(self, name: str, port: Port, askers: Askers, request: Any, response: Any) -> Any:
+        """Have a Service carry out a request, in a thread; what goes wrong becomes its status."""
+        vsm = self._vsm
+        assert vsm is not None
+        alive = askers.present()
+
         def serve() -> None:
-            result: SnapResult = self._request("snap", SnapRequest(tuple(request.cameras), request.exposure))
-            for frame in result.frames:
-                entry = self._book[frame.camera]
-                response.images.append(to_image(entry.frame, frame.stamp_ns, frame.image))
-                response.camera_infos.append(to_camera_info(entry, frame.stamp_ns))
-            response.timing_json = json.dumps(result.timing)
+            port.answer(vsm.request(name, port.request(request), alive), response)
 
-        return await self._answer(response, serve)
+        try:
+            await run_in_thread(self, serve)
+        except ImError as error:
+            port.refuse(error, response)
+        except Exception as error:  # a fault of this program must not end the node
+            self.get_logger().error(traceback.format_exc())
+            port.refuse(ImError(f"fault in /vss: {error!r}", code="internal"), response)
+        else:
+            port.succeed(response)
+        return response
 
-    async def _spot_find(self, request: SpotFind.Request, response: SpotFind.Response) -> SpotFind.Response:
-        def serve() -> None:
-            result: SpotFindResult = self._request(
-                "spot_find", SpotFindRequest(tuple(request.cameras), request.exposure)
-            )
-            response.spots = [to_spot(spot) for spot in result.spots]
-            response.timing_json = json.dumps(result.timing)
+    def _stream(self, camera: str) -> None:
+        """Take an image with a camera, unless the one before is still being taken."""
+        vsm = self._vsm
+        if vsm is None or camera in self._streaming:
+            return
+        self._streaming.add(camera)
 
-        return await self._answer(response, serve)
+        def take() -> None:
+            try:
+                vsm.request("snap", SnapRequest((camera,)))
+            except ImError as error:
+                self.get_logger().warning(f"no image of {camera}: {error.message}", throttle_duration_sec=5.0)
+            finally:
+                self._streaming.discard(camera)
 
-    async def _calibrate(self, request: Calibrate.Request, response: Calibrate.Response) -> Calibrate.Response:
-        def serve() -> None:
-            result: CalibrateResult = self._request(
-                "calibrate",
-                CalibrateRequest(
-                    cameras=tuple(request.cameras),
-                    observations=tuple(from_observation(message) for message in request.observations),
-                    directory=Path(request.directory) if request.directory else None,
-                    apply=request.apply,
-                ),
-            )
-            response.report = to_report(
-                result.calibration,
-                self._rig.cell.led.offset,
-                result.calibration.message,
-                directory=request.directory,
-                json=json.dumps(result.report),
-            )
-
-        return await self._answer(response, serve)
+        threading.Thread(target=take, name=f"stream {camera}", daemon=True).start()
 
     def _set_camera_info(
         self, camera: str, request: SetCameraInfo.Request, response: SetCameraInfo.Response
@@ -151,24 +147,6 @@ class VssNode(ManagedNode):
             return response
         response.success = True
         response.status_message = f"{camera} is calibrated; written to {path.name}"
-        return response
-
-    def _request(self, service: str, request: Any) -> Any:
-        assert self._vsm is not None
-        return self._vsm.request(service, request)
-
-    async def _answer(self, response: Any, serve: Callable[[], None]) -> Any:
-        """Fill a response in a thread; what goes wrong becomes its status."""
-        try:
-            await run_in_thread(self, serve)
-        except ImError as error:
-            response.status = to_status(error)
-        except Exception as error:  # a fault of this program must not end the node
-            self.get_logger().error(traceback.format_exc())
-            response.status = to_status(ImError(f"fault in /vss: {error!r}", code="internal"))
-        else:
-            response.success = True
-            response.status = ok_status()
         return response
 
     def _watch(self) -> None:

@@ -9,16 +9,18 @@ from im_core.ros.node import ManagedNode
 from im_vss.camera_book import CameraBook
 from im_vss.frames import Frame
 from im_vss.frames import Image as Pixels
-from im_vss.ros.messages import to_camera_info, to_image, to_transform
+from im_vss.laser.book import LaserBook
+from im_vss.ros.messages import to_camera_info, to_image, to_laser_transform, to_transform
 
 
 class ImageOutputs:
     """The :class:`im_vss.frames.Screen` of the node: what is shown is published, if anybody looks."""
 
-    def __init__(self, node: ManagedNode, book: CameraBook) -> None:
+    def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook) -> None:
         """Create ``image_raw``, ``camera_info`` and ``image_display`` of each camera, and ``/tf_static``."""
         self._node = node
         self._book = book
+        self._laser = laser
         names = [entry.name for entry in book.entries()]
         self._raw = self._publishers(names, Image, "image_raw")
         self._info = self._publishers(names, CameraInfo, "camera_info")
@@ -38,9 +40,11 @@ class ImageOutputs:
             self._display[camera].publish(to_image(self._book[camera].frame, stamp_ns, image))
 
     def publish_transforms(self) -> None:
-        """Publish where the cameras are, as far as is known."""
+        """Publish where cameras and laser scanner are, as far as is known."""
         stamp_ns = self._node.get_clock().now().nanoseconds
-        self._tf_static.publish(TFMessage(transforms=[to_transform(entry, stamp_ns) for entry in self._book.entries()]))
+        transforms = [to_transform(entry, stamp_ns) for entry in self._book.entries()]
+        transforms.append(to_laser_transform(self._laser.entry.model, stamp_ns))
+        self._tf_static.publish(TFMessage(transforms=transforms))
 
     def _publishers(self, names: list[str], kind: type, topic: str) -> dict[str, Publisher]:
         return {name: self._node.create_publisher(kind, f"/{name}/{topic}", qos.IMAGES) for name in names}

@@ -4,7 +4,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from im_vss.frames import FrameSet
 from im_vss.managers import VisionClient
+from im_vss.services.stopwatch import Stopwatch
 from im_vss.tools import Tool
 
 if TYPE_CHECKING:
@@ -24,6 +26,18 @@ class Service(ABC):
     def tool(self, name: str) -> Any:
         """The Tool of that name, callable."""
         return self._tools[name]
+
+    def shown(self, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, watch: Stopwatch) -> FrameSet:
+        """An image of each camera, with the lights as they are, taken and shown on the cameras' displays.
+
+        Raises:
+            ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
+        """
+        with watch.step("snap_s"):
+            images: FrameSet = self.tool("tool_snap")(client, cameras, exposure_s, (False,))
+        with watch.step("display_s"):
+            self.tool("tool_image_disp")(client, images)
+        return images
 
     @abstractmethod
     def serve(self, client: VisionClient, request: Any) -> Any:

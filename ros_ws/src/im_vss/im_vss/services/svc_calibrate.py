@@ -61,11 +61,12 @@ class CalibrateRequest:
 
 @dataclass(frozen=True)
 class CalibrateResult:
-    """The estimate, the report of it, and whether it is now in use."""
+    """The estimate, the report of it, whether it is now in use, and where plots and files went, if anywhere."""
 
     calibration: Calibration
     report: dict[str, Any]
     applied: bool
+    directory: Path | None
 
 
 class SvcCalibrate(Service):
@@ -89,7 +90,7 @@ class SvcCalibrate(Service):
             for estimate in calibration.cameras:
                 self.rig.book.set_intrinsics(estimate.name, estimate.model)
                 self.rig.book.set_pose(estimate.name, estimate.model)
-        return CalibrateResult(calibration, report_of(calibration, problem), applied)
+        return CalibrateResult(calibration, report_of(calibration, problem), applied, request.directory)
 
     def _problem(self, request: CalibrateRequest) -> CalibrationProblem:
         """The observations in the solver's terms.

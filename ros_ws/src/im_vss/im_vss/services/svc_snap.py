@@ -37,9 +37,6 @@ class SvcSnap(Service):
             ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
         """
         watch = Stopwatch()
-        with watch.step("snap_s"):
-            images = self.tool("tool_snap")(client, request.cameras, request.exposure_s, (False,))
-        with watch.step("display_s"):
-            self.tool("tool_image_disp")(client, images)
+        images = self.shown(client, request.cameras, request.exposure_s, watch)
         frames = tuple(images.frames[camera][0] for camera in request.cameras)
         return SnapResult(frames, {**images.timing, **watch.report()})

@@ -47,18 +47,38 @@ class SvcSpotFind(Service):
                 not found is no error: its finding says why.
         """
         watch = Stopwatch()
-        with watch.step("snap_s"):
-            images = self.tool("tool_snap")(client, request.cameras, request.exposure_s, (True, False))
-        with watch.step("display_s"):
-            self.tool("tool_image_disp")(client, images)
-        findings: dict[str, Finding] = {}
-        with watch.step("find_s"):
-            for camera in request.cameras:
-                off, on = images.frames[camera]
-                findings[camera] = self.tool("tool_spot_find")(off, on)
-        with watch.step("display_s"):
-            self.tool("tool_spot_disp")(client, findings)
-        spots = tuple(
-            CameraSpot(camera, images.frames[camera][1].stamp_ns, finding) for camera, finding in findings.items()
-        )
-        return SpotFindResult(spots, {**images.timing, **watch.report()})
+        spots, timing = find_in_pairs(self, client, request.cameras, request.exposure_s, watch)
+        return SpotFindResult(spots, {**timing, **watch.report()})
+
+
+def find_in_pairs(
+    service: Service, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, watch: Stopwatch
+) -> tuple[tuple[CameraSpot, ...], dict[str, float]]:
+    """The four Tools of SpotFind in turn.
+
+    Args:
+        service: Whose Tools are called.
+        client: Who asks.
+        cameras: Names of the cameras.
+        exposure_s: Length of an exposure [s]; 0: the nominal one.
+        watch: Counts the time of each Tool.
+
+    Returns:
+        What each camera saw, and where the time of the exposures went, by step [s].
+
+    Raises:
+        ImError: See :meth:`SvcSpotFind.serve`.
+    """
+    with watch.step("snap_s"):
+        images = service.tool("tool_snap")(client, cameras, exposure_s, (True, False), (True, True))
+    with watch.step("display_s"):
+        service.tool("tool_image_disp")(client, images)
+    findings: dict[str, Finding] = {}
+    with watch.step("find_s"):
+        for camera in cameras:
+            off, on = images.frames[camera]
+            findings[camera] = service.tool("tool_spot_find")(off, on)
+    with watch.step("display_s"):
+        service.tool("tool_spot_disp")(client, findings)
+    spots = tuple(CameraSpot(camera, images.frames[camera][1].stamp_ns, found) for camera, found in findings.items())
+    return spots, images.timing

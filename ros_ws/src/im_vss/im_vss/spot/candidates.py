@@ -51,6 +51,12 @@ class MatchedFilter:
         _, snr, _, (u, v) = cv2.minMaxLoc(self._response)
         return Peak(u=u, v=v, snr=snr)
 
+    def confine(self, u: float, v: float, radius: float) -> None:
+        """Leave only a disc of `radius` [px] around (u, v) [px] to the search."""
+        outside = np.full(self._response.shape, 255, np.uint8)
+        cv2.circle(outside, (round(u), round(v)), int(np.ceil(radius)), 0, thickness=-1)
+        self._response[outside > 0] = -np.inf
+
     def erase(self, u: float, v: float, radius: float) -> None:
         """Take a disc of `radius` [px] around (u, v) [px] out of the search."""
         cv2.circle(self._response, (round(u), round(v)), int(np.ceil(radius)), -np.inf, thickness=-1)

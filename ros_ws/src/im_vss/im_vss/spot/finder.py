@@ -1,6 +1,6 @@
 """Decision whether a pair of frames shows the light, where, and if not, why."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from im_vss.spot.noise import SensorNoise
 Frame = NDArray[np.uint8]
 
 _MOST_PEAKS = 6
+_MOST_CANDIDATES = 3
 _ERASE_SIGMAS = 5.0
 _ERASE_MINIMUM_PX = 8.0
 
@@ -46,6 +47,15 @@ class SpotGates(Model):
 
 
 @dataclass(frozen=True)
+class Region:
+    """A disc in which the light must be: centre and radius [px]."""
+
+    u: float
+    v: float
+    radius: float
+
+
+@dataclass(frozen=True)
 class Finding:
     """Result of :func:`find_spot`.
 
@@ -53,16 +63,20 @@ class Finding:
         spot: The spot, None when it was not found.
         cause: Why it was not found, one clause; empty when it was.
         snr: Strongest response of the matched filter [-].
-        candidates: Spots that passed every gate, brightest first.
+        candidates: Up to three spots that passed every gate, brightest first.
+        refused: What looked like a spot and was none, and why.
+        region: Where the light was searched; None: everywhere.
     """
 
     spot: SpotFit | None
     cause: str
     snr: float
     candidates: tuple[SpotFit, ...] = ()
+    refused: tuple[str, ...] = ()
+    region: Region | None = None
 
 
-def find_spot(on: Frame, off: Frame, noise: SensorNoise, gates: SpotGates) -> Finding:
+def find_spot(on: Frame, off: Frame, noise: SensorNoise, gates: SpotGates, region: Region | None = None) -> Finding:
     """Find the light in the difference of two frames of the same scene.
 
     Args:
@@ -70,6 +84,7 @@ def find_spot(on: Frame, off: Frame, noise: SensorNoise, gates: SpotGates) -> Fi
         off: Frame without it, shape (h, w) [DN].
         noise: Noise of the sensor that took the frames.
         gates: What the spot must be like.
+        region: Where it must be, if that is known.
 
     Returns:
         The spot with its covariance, or the cause why there is none.
@@ -80,6 +95,8 @@ def find_spot(on: Frame, off: Frame, noise: SensorNoise, gates: SpotGates) -> Fi
     if on.shape != off.shape:
         raise DataError(f"The frames of a pair have shapes {on.shape} and {off.shape}, they must be the same.")
     response = MatchedFilter(on, off, gates.sigma_expected, noise)
+    if region is not None:
+        response.confine(region.u, region.v, region.radius)
     first = peak = response.strongest()
     accepted: list[SpotFit] = []
     refusals: list[str] = []
@@ -95,7 +112,13 @@ def find_spot(on: Frame, off: Frame, noise: SensorNoise, gates: SpotGates) -> Fi
         response.erase(peak.u, peak.v, max(_ERASE_MINIMUM_PX, _ERASE_SIGMAS * min(fit.sigma, gates.sigma_high)))
         peak = response.strongest()
     accepted.sort(key=lambda fit: -fit.amplitude * fit.sigma**2)
-    return _decide(tuple(accepted), refusals, first.snr, gates)
+    finding = _decide(tuple(accepted), refusals, max(first.snr, 0.0), gates)
+    cause = finding.cause
+    if region is not None and finding.spot is None and not finding.candidates:
+        cause += f"; searched within {region.radius:g} px of ({region.u:.0f}, {region.v:.0f}) px"
+    return replace(
+        finding, cause=cause, candidates=finding.candidates[:_MOST_CANDIDATES], refused=tuple(refusals), region=region
+    )
 
 
 def _refusal(fit: SpotFit, shape: tuple[int, ...], gates: SpotGates) -> str:

@@ -13,15 +13,21 @@ class ToolSnap(Tool):
     name: ClassVar[str] = "tool_snap"
 
     def __call__(
-        self, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, blank_light: tuple[bool, ...]
+        self,
+        client: VisionClient,
+        cameras: tuple[str, ...],
+        exposure_s: float,
+        blank_light: tuple[bool, ...],
+        blank_laser: tuple[bool, ...] = (),
     ) -> FrameSet:
         """Expose one frame for each element of `blank_light`, all cameras together.
 
         Args:
             client: Who asks.
             cameras: Names of the cameras.
-            exposure_s: Length of each exposure [s]; 0: the nominal one.
+            exposure_s: Length of each exposure [s]; 0: the one that is set.
             blank_light: For each frame, whether the wrist lights are strobed off.
+            blank_laser: For each frame, whether the laser is; empty: in none.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
@@ -30,8 +36,10 @@ class ToolSnap(Tool):
         order = SnapOrder(
             cameras=settings.check_cameras(cameras),
             blank_light=blank_light,
-            exposure_s=settings.exposure_time(exposure_s),
+            exposure_s=settings.exposure_time(self.rig.controls.exposure(exposure_s, settings.exposure.nominal)),
             timeout_s=settings.waits.exposure,
+            controls=self.rig.controls.sensors(cameras),
+            blank_laser=blank_laser,
         )
         with self.modules.use("vm_snap", client) as (vm_snap, lease):
             frames: FrameSet = vm_snap.snap(lease, order)

@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from im_vss.frames import Frame
-from im_vss.spot import Finding, find_spot
+from im_vss.spot import Finding, Region, find_spot
 from im_vss.tools.tool import Tool
 
 
@@ -19,4 +19,18 @@ class ToolSpotFind(Tool):
             off: Frame with the lights strobed off.
             on: Frame with the lights as commanded.
         """
-        return find_spot(on.image, off.image, self.rig.settings.sensor, self.rig.settings.spot)
+        sensor = on.controls.of(self.rig.settings.sensor)
+        return find_spot(on.image, off.image, sensor, self.rig.settings.spot, self._region(on))
+
+    def _region(self, frame: Frame) -> Region | None:
+        """Where the light must be if the robot's pose at the exposure is known and the camera is fixed."""
+        entry = self.rig.book[frame.camera]
+        light = self.rig.light_position(frame.stamp_ns)
+        if light is None or entry.parent != "world":
+            return None
+        uv = entry.model.project(light)
+        radii = self.rig.settings.region
+        radius = radii.calibrated if entry.calibrated else radii.nominal
+        if not bool(entry.model.contains(uv, margin=-radius)):
+            return None
+        return Region(float(uv[0]), float(uv[1]), radius)

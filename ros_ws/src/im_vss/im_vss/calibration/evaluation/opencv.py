@@ -60,9 +60,7 @@ def _consensus(points: Array, pixels: Array, guess: CameraModel) -> NDArray[np.b
     return kept
 
 
-def _calibrate(
-    points: Array, pixels: Array, kept: NDArray[np.bool_], guess: CameraModel
-) -> tuple[CameraModel, Array]:
+def _calibrate(points: Array, pixels: Array, kept: NDArray[np.bool_], guess: CameraModel) -> tuple[CameraModel, Array]:
     _, K, D, rotations, translations = cv2.calibrateCamera(
         [points[kept].astype(np.float32)],
         [pixels[kept].astype(np.float32)],

@@ -56,12 +56,12 @@ def score(design: Design, seeds: Iterable[int]) -> Score:
         scene = make_scene(design, seed)
         calibration = calibrate(scene.problem)
         verdicts += not calibration.success
-        ours.append(_errors(tuple(camera.model for camera in calibration.cameras), scene))
+        ours.append(errors(tuple(camera.model for camera in calibration.cameras), scene))
         bound = cramer_rao(scene)
         bounds.append((bound.reprojection_rms_px, bound.triangulation_rms_mm))
         for answers, trim in ((plain, False), (trimmed, True)):
             cameras = opencv_cameras(scene.problem, scene.cameras[0], trim=trim)
-            answers.append(_errors(cameras, scene))
+            answers.append(errors(cameras, scene))
         inside.append(np.abs(deviations(calibration, scene)) < 1.959964 * calibration.standard_deviations)
     own = _rms(ours)
     opencv = np.minimum(_rms(plain), _rms(trimmed))
@@ -90,7 +90,8 @@ def deviations(calibration: Calibration, scene: SyntheticScene) -> Array:
     return np.concatenate(parts)
 
 
-def _errors(cameras: tuple[CameraModel, ...] | None, scene: SyntheticScene) -> tuple[float, float]:
+def errors(cameras: tuple[CameraModel, ...] | None, scene: SyntheticScene) -> tuple[float, float]:
+    """RMS reprojection [px] and triangulation error [mm] over the workspace, bounded; None: the cameras are lost."""
     if cameras is None:
         return _LOST, _LOST
     try:

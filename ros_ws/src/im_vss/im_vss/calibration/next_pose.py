@@ -1,0 +1,158 @@
+"""Which further pose would improve a calibration most, and how far: optimal design from the information matrix.
+
+A pose not yet measured has no spots, but it is known where they will be and how the noise will be: its information
+``J^T S^-1 J`` adds to what there is. The errors over the workspace are quadratic forms ``trace(W P)`` of the covariance
+P, so that a candidate lowers their mean square by ``trace(W P J^T (S + J P J^T)^-1 J P)``. Source: Pukelsheim, "Optimal
+Design of Experiments" (1993), chapter 9 (A-optimality with a weight); the update is the matrix inversion lemma.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import DataError
+from im_vss.calibration.calibration import Calibration
+from im_vss.calibration.expected import inside, sensitivity
+from im_vss.calibration.problem import CalibrationProblem
+from im_vss.calibration.projection import image
+from im_vss.calibration.residuals import linearise
+from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Poses that could be measured next.
+
+    Attributes:
+        names: One label a pose.
+        positions: LED positions by the robot with the nominal LED offset, shape (m, 3) [m].
+        position_covariances: Their covariances, shape (m, 3, 3) [m^2].
+        wrist_rotations: Rotations wrist -> base, shape (m, 3, 3).
+        spot_covariances: Covariances that spots will have, shape (c, m, 2, 2) [px^2].
+        joint_jacobians: Derivatives of the positions by the joints, shape (m, 3, k) [m/rad]; None: no joint offsets.
+    """
+
+    names: tuple[str, ...]
+    positions: Array
+    position_covariances: Array
+    wrist_rotations: Array
+    spot_covariances: Array
+    joint_jacobians: Array | None = None
+
+
+@dataclass(frozen=True)
+class NextPose:
+    """A pose to measure, and what it will bring.
+
+    Attributes:
+        index: Its place among the candidates.
+        name: Its name.
+        cameras: Cameras that will see the LED.
+        reprojection_px: Expected RMS reprojection error over the workspace without it and with it [px].
+        triangulation_mm: Expected RMS triangulation error without and with it, NaN for one camera [mm].
+    """
+
+    index: int
+    name: str
+    cameras: tuple[str, ...]
+    reprojection_px: tuple[float, float]
+    triangulation_mm: tuple[float, float]
+
+
+def next_best_poses(
+    calibration: Calibration, problem: CalibrationProblem, candidates: Candidates, count: int = 1
+) -> tuple[NextPose, ...]:
+    """The poses to measure next, best first, each on top of those before it.
+
+    Best is what lowers the expected triangulation error most; reprojection error where no two cameras see a common part
+    of the workspace. No candidate comes twice.
+
+    Args:
+        calibration: What is known so far.
+        problem: What it was made from.
+        candidates: Poses that can be measured.
+        count: How many to choose.
+
+    Raises:
+        DataError: There are fewer candidates that a camera sees, or their arrays do not fit the problem.
+    """
+    layout, unknowns = Layout.of(problem), unknowns_of(calibration, len(candidates.names))
+    predicted = _predicted(problem, candidates, unknowns)
+    visible = predicted.detected
+    if not 1 <= count <= int(visible.any(axis=0).sum()):
+        raise DataError(
+            f"{count} poses are wanted, {int(visible.any(axis=0).sum())} of {len(candidates.names)} candidates are in "
+            "view of a camera."
+        )
+    line = linearise(unknowns, predicted, layout, visible)
+    errors = _Errors(unknowns, problem)
+    covariance, chosen = calibration.covariance, list[NextPose]()
+    left: NDArray[np.bool_] = np.array(visible.any(axis=0))
+    for _ in range(count):
+        before = errors(covariance)
+        moved = line.jacobians @ covariance
+        spread: Array = np.asarray(np.linalg.inv(line.covariances + moved @ np.swapaxes(line.jacobians, 1, 2)))
+        best = int(np.argmax(np.where(left, errors.lowered(moved, spread), -np.inf)))
+        covariance = covariance - moved[best].T @ spread[best] @ moved[best]
+        covariance, left[best] = (covariance + covariance.T) / 2.0, False
+        after = errors(covariance)
+        cameras = tuple(np.array(problem.camera_names, dtype=object)[visible[:, best]])
+        chosen.append(NextPose(best, candidates.names[best], cameras, (before[0], after[0]), (before[1], after[1])))
+    return tuple(chosen)
+
+
+def unknowns_of(calibration: Calibration, poses: int) -> Unknowns:
+    """The estimate as a value of all unknowns, the LED of any number of poses where the robot puts it."""
+    models = [camera.model for camera in calibration.cameras]
+    return Unknowns(
+        np.array([[m.K[0, 0], m.K[1, 1], m.K[0, 2], m.K[1, 2], *m.D[:4]] for m in models]),
+        np.array([m.R_cam_base for m in models]),
+        np.array([m.t_cam_base for m in models]),
+        calibration.led_offset_error,
+        calibration.joint_offsets,
+        np.zeros((poses, 3)),
+    )
+
+
+class _Errors:
+    """Expected RMS errors over the workspace as functions of the covariance."""
+
+    def __init__(self, unknowns: Unknowns, problem: CalibrationProblem) -> None:
+        gains = sensitivity(unknowns, problem.image_sizes, problem.workspace)
+        self._size = PER_CAMERA * len(problem.camera_names)
+        self._pixels, self._points = gains.reprojection_weight(), gains.triangulation_weight()
+
+    def __call__(self, covariance: Array) -> tuple[float, float]:
+        """Reprojection [px] and triangulation [mm]."""
+        cameras = covariance[: self._size, : self._size]
+        pixels = float(np.sqrt(np.sum(self._pixels * cameras)))
+        return pixels, float("nan") if self._points is None else float(np.sqrt(np.sum(self._points * cameras)))
+
+    def lowered(self, moved: Array, spread: Array) -> Array:
+        """By how much each candidate lowers the mean square error, shape (m,)."""
+        weight = self._pixels if self._points is None else self._points
+        cameras = moved[:, :, : self._size]
+        return np.asarray(np.einsum("mij,mja,ab,mib->m", spread, cameras, weight, cameras, optimize=True))
+
+
+def _predicted(problem: CalibrationProblem, candidates: Candidates, unknowns: Unknowns) -> CalibrationProblem:
+    """The candidates as a problem whose spots are where the calibration expects them, none outside the images."""
+    m = len(candidates.positions)
+    if np.shape(candidates.spot_covariances) != (len(problem.camera_names), m, 2, 2):
+        raise DataError(f"Spot covariances of {m} candidates in {len(problem.camera_names)} cameras are needed.")
+    predicted = replace(
+        problem,
+        positions=candidates.positions,
+        position_covariances=candidates.position_covariances,
+        wrist_rotations=candidates.wrist_rotations,
+        spots=np.zeros((len(problem.camera_names), m, 2)),
+        spot_covariances=candidates.spot_covariances,
+        joint_jacobians=candidates.joint_jacobians,
+        pose_names=candidates.names,
+    )
+    points = unknowns.robot_positions(predicted)
+    pixels = image(unknowns.intrinsics, unknowns.rotations, unknowns.translations, points)
+    return replace(predicted, spots=np.where(inside(pixels, problem.image_sizes)[..., None], pixels, np.nan))

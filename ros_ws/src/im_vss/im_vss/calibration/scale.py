@@ -1,0 +1,148 @@
+"""Scale of the robot: known lengths against the same lengths measured by the calibrated cameras.
+
+Cameras calibrated by a robot whose links are 1 % too long measure 1 % too long, and no residual shows it. A pair of
+LEDs at a known distance L, triangulated at a distance d, says that the scale is wrong by ``L / d - 1``; what all pairs
+say is combined by generalised least squares, the errors of the cameras being common to all of them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from im_vss.calibration.agreement import FALSE_ALARM
+from im_vss.calibration.lengths import KnownLengths
+from im_vss.calibration.projection import project
+from im_vss.calibration.unknowns import PER_CAMERA, Unknowns
+
+Array = NDArray[np.float64]
+
+_STEPS = 50
+_CONVERGED_M = 1e-9
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What known lengths say about the metre of the robot.
+
+    Attributes:
+        error: True lengths over those in the robot's metres, less 1.
+        standard_deviation: Of `error`, by the spots, the lengths' own uncertainty and the covariance of the cameras.
+        p_value: Probability of an error this large or larger if the robot's scale is right.
+        lengths_used: Lengths whose ends two cameras see and agree about.
+        lengths_given: All lengths.
+        agreement: Probability of lengths that differ among each other this much or more; NaN for one length.
+    """
+
+    error: float
+    standard_deviation: float
+    p_value: float
+    lengths_used: int
+    lengths_given: int
+    agreement: float
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Triangulated points: where, which are good, and what noise and errors of the cameras do to them."""
+
+    places: Array
+    good: NDArray[np.bool_]
+    covariances: Array
+    by_cameras: Array
+
+
+def measure_scale(unknowns: Unknowns, covariance: Array, lengths: KnownLengths, guess: Array) -> Scale | None:
+    """Compare known lengths with those that the cameras measure.
+
+    Args:
+        unknowns: The calibrated cameras.
+        covariance: Covariance of all unknowns, cameras first, shape (size, size).
+        lengths: The known lengths.
+        guess: Some place in view of the cameras, shape (3,) [m].
+
+    Returns:
+        The scale; None where no length can be used.
+    """
+    c, k = len(lengths.spots), len(lengths.lengths)
+    order = np.lexsort(np.nan_to_num(np.swapaxes(lengths.spots, 0, 1)).reshape(k, -1).T)  # sums in any order differ
+    cameras = covariance[: PER_CAMERA * c, : PER_CAMERA * c]
+    points = _triangulate(
+        unknowns,
+        cameras,
+        lengths.spots[:, order].reshape(c, 2 * k, 2),
+        lengths.spot_covariances[:, order].reshape(c, 2 * k, 2, 2),
+        guess,
+    )
+    used = points.good.reshape(k, 2).all(axis=1)
+    if not used.any():
+        return None
+    ends = points.places.reshape(k, 2, 3)[used]
+    measured = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    along = (ends[:, 1] - ends[:, 0]) / measured[:, None]
+    moved = points.by_cameras.reshape(k, 2, 3, -1)[used]
+    by_cameras = np.einsum("ni,nip->np", along, moved[:, 1] - moved[:, 0])
+    noise = np.einsum("ni,neij,nj->n", along, points.covariances.reshape(k, 2, 3, 3)[used], along)
+    true, own = np.array(lengths.lengths)[order][used], lengths.standard_deviations[order][used]
+    ratio = true / measured
+    spread = np.diag(own**2 + ratio**2 * noise) + ratio[:, None] * (by_cameras @ cameras @ by_cameras.T) * ratio
+    weights = np.linalg.inv(spread / np.outer(measured, measured))
+    precision = float(weights.sum())
+    error = float(weights.sum(axis=0) @ (ratio - 1.0)) / precision
+    left = ratio - 1.0 - error
+    n = int(used.sum())
+    return Scale(
+        error=error,
+        standard_deviation=precision**-0.5,
+        p_value=float(scipy.stats.chi2.sf(error**2 * precision, 1)),
+        lengths_used=n,
+        lengths_given=k,
+        agreement=float(scipy.stats.chi2.sf(left @ weights @ left, n - 1)) if n > 1 else float("nan"),
+    )
+
+
+def _triangulate(unknowns: Unknowns, cameras: Array, spots: Array, spot_covariances: Array, guess: Array) -> _Points:
+    """Points nearest to their spots, weighted by their noise; good where two cameras agree within it and their own."""
+    c, m = spots.shape[:2]
+    seen = ~np.isnan(spots[..., 0])
+    weights = np.linalg.inv(np.where(seen[..., None, None], spot_covariances, np.eye(2)))
+    weights = np.where(seen[..., None, None], weights, 0.0)
+    good = seen.sum(axis=0) >= 2
+    places = np.tile(np.asarray(guess, dtype=float), (m, 1))
+    for _ in range(_STEPS):
+        pixels, by_point, by_camera = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, places)
+        good &= np.all(np.isfinite(pixels) | ~seen[..., None], axis=(0, 2))
+        counts = (seen & good)[..., None, None]
+        by_point, by_camera = np.where(counts, by_point, 0.0), np.where(counts, by_camera, 0.0)
+        residuals = np.where(counts[..., 0], spots - pixels, 0.0)
+        normal = np.einsum("cmai,cmab,cmbj->mij", by_point, weights, by_point)
+        normal = np.where(good[:, None, None], normal, np.eye(3))
+        pull = np.linalg.solve(normal[None], np.swapaxes(by_point, 2, 3) @ weights)
+        step = np.einsum("cmia,cma->mi", pull, residuals)
+        if np.abs(step).max(initial=0.0) < _CONVERGED_M:
+            break
+        places = places + step
+    moved = np.concatenate([-pull[i] @ by_camera[i] for i in range(c)], axis=2)
+    good &= _agree(residuals, by_point, by_camera, spot_covariances, cameras, seen)
+    return _Points(places, good, np.linalg.inv(normal), moved)
+
+
+def _agree(
+    residuals: Array, by_point: Array, by_camera: Array, noise: Array, cameras: Array, seen: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Whether the spots of each point can be of one place, given their noise and the cameras', shape (m,)."""
+    c, m = seen.shape
+    rows = np.swapaxes(by_point, 0, 1).reshape(m, 2 * c, 3)
+    errors = np.zeros((m, 2 * c, PER_CAMERA * c))
+    spread = np.zeros((m, 2 * c, 2 * c))
+    for i in range(c):
+        pair = slice(2 * i, 2 * i + 2)
+        errors[:, pair, PER_CAMERA * i : PER_CAMERA * (i + 1)] = by_camera[i]
+        spread[:, pair, pair] = np.where(seen[i][:, None, None], noise[i], np.eye(2))
+    # A place that may be anywhere explains all of a residual but what the cameras say against each other.
+    spread = spread + errors @ cameras @ np.swapaxes(errors, 1, 2) + rows @ np.swapaxes(rows, 1, 2)
+    stacked = np.swapaxes(residuals, 0, 1).reshape(m, 2 * c, 1)
+    distance = (stacked * np.linalg.solve(spread, stacked)).sum(axis=(1, 2))
+    limits = scipy.stats.chi2.isf(FALSE_ALARM, np.maximum(1, 2 * seen.sum(axis=0) - 3))
+    return np.asarray(distance <= limits)

@@ -1,0 +1,120 @@
+"""Printed targets as a camera sees them: drawn by rays through the true lens, as the renderer would alias."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.camera_model import CameraModel
+from im_core.robot.scenery import Target
+from im_vss.fiducial.dictionary import CELLS, code_of
+
+Array = NDArray[np.float64]
+FloatImage = NDArray[np.float32]
+
+WHITE, BLACK = 0.9, 0.06
+"""Brightness of paper and ink, relative to a white surface."""
+_MOST_SAMPLES = 2_000_000
+_FINEST = 8
+_BEHIND_M = 0.02
+_NEAREST_M = 0.05
+_BLUR_REACH = 4.0
+
+
+@dataclass(frozen=True)
+class TargetPatch:
+    """A target in an image, sharp: the part of the image, coverage and brightness there, and depths [m]."""
+
+    area: tuple[slice, slice]
+    coverage: FloatImage
+    brightness: FloatImage
+    depth: FloatImage
+
+    def paint(self, scene: FloatImage, depth: FloatImage, blur: float) -> None:
+        """Put the target into a scene, behind what stands in front of it.
+
+        Args:
+            scene: Brightness, 0 to 1, shape (h, w); changed in place.
+            depth: Depth of what the scene shows, shape (h, w) [m].
+            blur: Standard deviation of the lens's blur [px].
+        """
+        seen = (depth[self.area] > self.depth - _BEHIND_M).astype(np.float32)
+        covered = cv2.GaussianBlur(self.coverage * seen, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
+        bright = cv2.GaussianBlur(self.brightness * seen, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
+        scene[self.area] = scene[self.area] * (1.0 - covered) + bright
+
+
+def target_patch(target: Target, camera: CameraModel, ideal: Array, blur: float) -> TargetPatch | None:
+    """Draw a target, as if nothing stood in the way.
+
+    Args:
+        target: The target.
+        camera: The true camera, with its pose in the world.
+        ideal: For each pixel the ideal image point of its centre, shape (h, w, 2) [-].
+        blur: Standard deviation of the lens's blur [px], for which room is left.
+
+    Returns:
+        The target, None where it is out of view or faces away.
+    """
+    rotation, position = target.pose()
+    R, t = camera.R_cam_base @ rotation, camera.to_camera(position)
+    if t @ R[:, 2] >= 0.0:
+        return None
+    area = _area(target, camera, rotation, position, blur)
+    if area is None:
+        return None
+    steps = _samples(area)
+    coverage, brightness, depth = (np.zeros(ideal[area].shape[:2]) for _ in range(3))
+    along_v, along_u = np.gradient(ideal[area], axis=(0, 1))
+    offset = float(R[:, 2] @ t)
+    for dv in steps:
+        for du in steps:
+            points = ideal[area] + du * along_u + dv * along_v
+            rays = np.concatenate((points, np.ones((*points.shape[:2], 1))), axis=-1)
+            distance = offset / (rays @ R[:, 2])
+            x, y = np.moveaxis((rays * distance[..., None] - t) @ R[:, :2], -1, 0)
+            inside = (np.abs(x) <= target.plate / 2) & (np.abs(y) <= target.plate / 2) & (distance > 0.0)
+            coverage += inside
+            brightness += inside * np.where(_ink(target, x, y), BLACK, WHITE)
+            depth += distance
+    share = len(steps) ** 2
+    return TargetPatch(area, *((image / share).astype(np.float32) for image in (coverage, brightness, depth)))
+
+
+def _area(
+    target: Target, camera: CameraModel, rotation: Array, position: Array, blur: float
+) -> tuple[slice, slice] | None:
+    """The part of the image that the target may touch."""
+    turn = np.linspace(-0.5, 0.5, 9)
+    rim = [(s, e) for s in turn for e in (-0.5, 0.5)] + [(e, s) for s in turn for e in (-0.5, 0.5)]
+    world = position + target.plate * np.array(rim) @ rotation[:, :2].T
+    if np.any(camera.to_camera(world)[:, 2] < _NEAREST_M):
+        return None
+    pixels = camera.project(world)
+    margin = _BLUR_REACH * blur + 1.0
+    low = np.maximum(np.floor(pixels.min(axis=0) - margin), 0).astype(int)
+    high = np.minimum(np.ceil(pixels.max(axis=0) + margin) + 1, [camera.width, camera.height]).astype(int)
+    if np.any(high - low < 3):
+        return None
+    return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def _samples(area: tuple[slice, slice]) -> Array:
+    """Places of the samples within a pixel, one row of a square grid [px]; fewer where the target is large."""
+    pixels = (area[0].stop - area[0].start) * (area[1].stop - area[1].start)
+    count = int(np.clip(np.sqrt(_MOST_SAMPLES / pixels), 2, _FINEST))
+    return np.asarray((np.arange(count) + 0.5) / count - 0.5)
+
+
+def _ink(target: Target, x: Array, y: Array) -> NDArray[np.bool_]:
+    """Whether the print is black at places of the plate, shape (h, w) [m]."""
+    half = target.size / 2.0
+    if target.kind == "circle":
+        return np.asarray(np.hypot(x, y) <= half)
+    inside = (np.abs(x) < half) & (np.abs(y) < half)
+    if target.kind == "edge":
+        return np.asarray(inside & (x > 0.0))
+    column = np.clip((x + half) / target.size * CELLS, 0, CELLS - 1).astype(int)
+    row = np.clip((half - y) / target.size * CELLS, 0, CELLS - 1).astype(int)
+    return np.asarray(inside & ~code_of(target.id)[row, column])

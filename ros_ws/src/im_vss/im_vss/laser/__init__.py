@@ -1,0 +1,1 @@
+"""The laser scanner: its driver, its calibration, and what images of its lines say."""

@@ -1,0 +1,227 @@
+"""Pose and mirrors of the laser scanner from spots in the world.
+
+Each spot must lie on its beam. What is left over, across the beam, is weighted by the covariance of the spot and by the
+mirrors' repeatability; gains, offset and gap are also held by the tolerances of the data sheet. The maximum of the
+posterior is found by least squares (Levenberg and Marquardt), its covariance is the inverse of the information there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from im_core.config import Model
+from im_core.laser_model import LaserModel
+from im_core.robot.scenery import LaserScanner
+
+Array = NDArray[np.float64]
+
+PARAMETERS = ("turn x", "turn y", "turn z", "x", "y", "z", "gain of mirror 1", "gain of mirror 2", "offset", "gap")
+"""In this order: turn of the scanner in the world [rad], position [m], gains [-], offset of mirror 1 [rad], gap [m]."""
+_POSE = 6
+_LOSSES = ("soft_l1", "cauchy", "linear", "linear", "linear")
+"""From what has one minimum to what is most precise."""
+_MOST_EVALUATIONS = 200
+_NOTHING = 1e-14
+"""Information below this, relative to the most, is rounding."""
+
+
+class CalibrationGates(Model):
+    """When a calibration of the scanner is good enough.
+
+    Attributes:
+        fewest: Spots that it takes.
+        depth: Least standard deviation of the spots across the plane that fits them best [m].
+        position_sd: Largest standard deviation of the scanner's position [m].
+        chi2_per_dof: Largest misfit [-].
+        outlier: Farthest a spot may be off its beam, in standard deviations.
+        share: Least share of the spots that must be nearer [-].
+    """
+
+    fewest: int = Field(ge=6)
+    depth: float = Field(gt=0.0)
+    position_sd: float = Field(gt=0.0)
+    chi2_per_dof: float = Field(gt=1.0)
+    outlier: float = Field(gt=3.0)
+    share: float = Field(gt=0.0, le=1.0)
+
+
+@dataclass(frozen=True)
+class LaserSpot:
+    """A spot: angles the mirrors reported, shape (2,) [rad], its place [m] and covariance, shape (3, 3) [m^2]."""
+
+    angles: Array
+    position: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class LaserCalibration:
+    """What spots say of a scanner.
+
+    Attributes:
+        model: The estimate.
+        covariance: Of :data:`PARAMETERS`, shape (10, 10).
+        verdicts: Why it cannot be used; empty if it can.
+        rms_m: Of the distances of the spots used from their beams [m].
+        chi2_per_dof: Misfit [-].
+        used: For each spot, whether it was used, shape (n,).
+        off: For each spot, how far it is off its beam, in standard deviations, shape (n,).
+    """
+
+    model: LaserModel
+    covariance: Array
+    verdicts: tuple[str, ...]
+    rms_m: float
+    chi2_per_dof: float
+    used: NDArray[np.bool_]
+    off: Array
+
+
+def calibrate(sheet: LaserScanner, spots: Sequence[LaserSpot], gates: CalibrationGates) -> LaserCalibration:
+    """Estimate pose and mirrors.
+
+    Args:
+        sheet: The scanner as drawn, with its tolerances.
+        spots: What was seen.
+        gates: What is good enough.
+
+    Returns:
+        The estimate; where the spots do not suffice, the best there is, with a verdict.
+    """
+    used = np.ones(len(spots), dtype=np.bool_)
+    rotation, position = sheet.pose()
+    model = LaserModel(rotation, position, sheet.gap)
+    problem = _Problem(sheet, spots)
+    if len(spots) < gates.fewest:
+        verdict = f"UNOBSERVABLE: {len(spots)} spots are fewer than {gates.fewest}; take more, at different depths"
+        unknown = np.full((len(PARAMETERS), len(PARAMETERS)), np.nan)
+        return LaserCalibration(
+            model, unknown, (verdict,), float("nan"), float("nan"), used, np.full(len(spots), np.nan)
+        )
+    for loss in _LOSSES:
+        model, covariance = problem.solve(model, used, loss)
+        off = problem.deviations(model)
+        within = off <= gates.outlier
+        if loss == "soft_l1" or within.sum() < gates.fewest:
+            continue
+        if loss == "linear" and np.array_equal(within, used):
+            break
+        used = within
+    across = problem.across(model)[used]
+    dof = 2 * int(used.sum()) - _POSE  # the data sheet gives as many numbers as the mirrors have parameters
+    chi2 = (float((off[used] ** 2).sum()) + problem.prior_misfit(model)) / dof
+    rms = float(np.sqrt((across**2).sum(axis=1).mean()))
+    places = [spot.position for spot, use in zip(spots, used, strict=True) if use]
+    return LaserCalibration(
+        model, covariance, _verdicts(np.array(places), len(spots), covariance, chi2, gates), rms, chi2, used, off
+    )
+
+
+def _verdicts(places: Array, offered: int, covariance: Array, chi2: float, gates: CalibrationGates) -> tuple[str, ...]:
+    """Why an estimate from spots, shape (n, 3) [m], out of more that were offered, cannot be used."""
+    found: list[str] = []
+    if len(places) < gates.share * offered:
+        found.append(
+            f"MISFIT: only {len(places)} of {offered} spots lie on their beams, at least {gates.share:.0%} must; look "
+            "at what the rejected ones were, and calibrate the cameras anew"
+        )
+    depth = float(np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(places)))
+    if depth < gates.depth:
+        found.append(
+            f"UNOBSERVABLE: all spots lie within {1e3 * depth:.1f} mm (standard deviation) of one plane, at least "
+            f"{1e3 * gates.depth:g} mm are needed to tell the scanner's place from the gains of its mirrors; take "
+            "spots at other depths"
+        )
+    deviation = np.sqrt(np.diag(covariance)[3:_POSE])
+    poor = [f"{name} {1e3 * sd:.1f} mm" for name, sd in zip("xyz", deviation, strict=True) if sd > gates.position_sd]
+    if poor:
+        found.append(
+            f"UNOBSERVABLE: standard deviation of the scanner's position: {', '.join(poor)}, at most "
+            f"{1e3 * gates.position_sd:g} mm are allowed; take more spots, over wider angles and at other depths"
+        )
+    if chi2 > gates.chi2_per_dof:
+        found.append(
+            f"MISFIT: chi2 per degree of freedom is {chi2:.1f}, at most {gates.chi2_per_dof:g} are allowed; calibrate "
+            "the cameras anew"
+        )
+    return tuple(found)
+
+
+class _Problem:
+    """Residuals of the spots, whitened about the latest estimate."""
+
+    def __init__(self, sheet: LaserScanner, spots: Sequence[LaserSpot]) -> None:
+        self._angles = np.array([spot.angles for spot in spots]).reshape(-1, 2)
+        self._places = np.array([spot.position for spot in spots]).reshape(-1, 3)
+        self._covariances = np.array([spot.covariance for spot in spots]).reshape(-1, 3, 3)
+        self._jitter = 2.0 * sheet.repeatability
+        limits = sheet.tolerance
+        self._expected = np.array([1.0, 1.0, 0.0, sheet.gap])
+        self._tolerance = np.array([limits.gain, limits.gain, limits.offset, limits.gap])
+
+    def solve(self, start: LaserModel, used: NDArray[np.bool_], loss: str) -> tuple[LaserModel, Array]:
+        """The best model and its covariance, from the spots in use, shape (n,); see `_LOSSES`."""
+        model = start
+        for _ in range(2):  # weights depend on directions and distances, which hardly change
+            whiten, base = self._whitening(model)[used], model
+
+            def residuals(step: Array, base: LaserModel = base, whiten: Array = whiten) -> Array:
+                moved = _moved(base, step)
+                spots = np.einsum("nij,nj->ni", whiten, self._off(moved)[used]).ravel()
+                return np.concatenate((spots, self._prior(moved)))
+
+            scale = np.concatenate((np.full(3, 0.01), np.full(3, 0.01), self._tolerance))
+            fit = least_squares(
+                residuals, np.zeros(len(PARAMETERS)), x_scale=scale, loss=loss,
+                max_nfev=_MOST_EVALUATIONS, xtol=1e-12, ftol=1e-12,
+            )  # fmt: skip
+            model = _moved(base, fit.x)
+        jacobian = fit.jac * scale
+        information, axes = np.linalg.eigh(jacobian.T @ jacobian)
+        variance = 1.0 / np.maximum(information, _NOTHING * information[-1])
+        return model, np.asarray((axes * variance) @ axes.T * np.outer(scale, scale))
+
+    def deviations(self, model: LaserModel) -> Array:
+        """How far each spot is off its beam, in standard deviations, shape (n,)."""
+        return np.asarray(np.linalg.norm(np.einsum("nij,nj->ni", self._whitening(model), self._off(model)), axis=1))
+
+    def across(self, model: LaserModel) -> Array:
+        """Vectors from the beams to the spots, shape (n, 3) [m]."""
+        return self._off(model)
+
+    def prior_misfit(self, model: LaserModel) -> float:
+        """Squared deviation of the mirrors from the data sheet [-]."""
+        return float((self._prior(model) ** 2).sum())
+
+    def _prior(self, model: LaserModel) -> Array:
+        return np.asarray((np.array([*model.gain, model.offset, model.gap]) - self._expected) / self._tolerance)
+
+    def _off(self, model: LaserModel) -> Array:
+        origins, directions = model.rays(self._angles)
+        way = self._places - origins
+        return np.asarray(way - np.einsum("ni,ni->n", way, directions)[:, None] * directions)
+
+    def _whitening(self, model: LaserModel) -> Array:
+        """For each spot a matrix, shape (n, 2, 3) [1/m], that makes its vector off the beam two unit normal numbers."""
+        origins, directions = model.rays(self._angles)
+        distance = np.linalg.norm(self._places - origins, axis=1)
+        basis = np.linalg.svd(directions[:, None, :])[2][:, 1:, :]
+        seen = np.einsum("nij,njk,nlk->nil", basis, self._covariances, basis)
+        seen = seen + (self._jitter * distance)[:, None, None] ** 2 * np.eye(2)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(seen)) @ basis)
+
+
+def _moved(model: LaserModel, step: Array) -> LaserModel:
+    """A model changed by a step in :data:`PARAMETERS`, shape (10,)."""
+    return LaserModel(
+        rotation=Rotation.from_rotvec(step[:3]).as_matrix() @ model.rotation,
+        position=model.position + step[3:_POSE],
+        gain=(model.gain[0] + float(step[6]), model.gain[1] + float(step[7])),
+        offset=model.offset + float(step[8]),
+        gap=model.gap + float(step[9]),
+    )

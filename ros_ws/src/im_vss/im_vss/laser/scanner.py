@@ -1,0 +1,116 @@
+"""Drivers of the laser scanner."""
+
+from typing import Protocol
+
+from im_core import clock
+from im_core.errors import LimitError, LinkError, StateError, WaitTimeoutError
+from im_core.robot.scenery import LaserScanner
+from im_core.testbed_link import LaserBeam, Slot, TestbedLink
+
+_THERE_RAD = 1e-9
+_SPARE_TICKS = 2
+_SLICE_S = 0.5
+_ATTACH_TIMEOUT_S = 2.0
+
+
+class Scanner(Protocol):
+    """The laser scanner, as far as its Vision Module sees it."""
+
+    def drive(self, beam: LaserBeam, timeout_s: float) -> int:
+        """Move the mirrors, set the power, wait until it is so; the testbed time then [ns].
+
+        Raises:
+            ImError: The scanner is not there, or does not get there in time.
+        """
+
+    def reading(self) -> LaserBeam:
+        """What the scanner's own sensors say.
+
+        Raises:
+            ImError: The scanner is not there.
+        """
+
+    def close(self) -> None:
+        """Leave the scanner alone; the beam is dark."""
+
+
+class LinkedScanner:
+    """The scanner at the other end of the testbed link, attached to when first used."""
+
+    def __init__(self, instance: str, sheet: LaserScanner) -> None:
+        """Drive the scanner of an instance of the machine, with the rate of its data sheet."""
+        self._instance = instance
+        self._sheet = sheet
+        self._link: TestbedLink | None = None
+
+    def drive(self, beam: LaserBeam, timeout_s: float) -> int:
+        """See :class:`Scanner`.
+
+        Raises:
+            LinkError: The testbed is missing.
+            WaitTimeoutError: The mirrors were not there in time.
+        """
+        link = self._attached()
+        link.set_laser(beam)
+        here = link.laser()
+        way = max(abs(beam.mirror1 - here.mirror1), abs(beam.mirror2 - here.mirror2))
+        ticks = int(way / (self._sheet.rate * link.period_s)) + _SPARE_TICKS
+        deadline = clock.monotonic() + timeout_s
+        while True:
+            until = link.request_time(Slot.VSS, ticks)
+            link.wait_tick(until, max(deadline - clock.monotonic(), _SLICE_S))
+            if _near(link.laser(), beam):
+                return until * link.period_ns
+            if clock.monotonic() > deadline:
+                raise WaitTimeoutError(
+                    what="the mirrors of the laser scanner to be where they shall", seconds=timeout_s
+                )
+            ticks = _SPARE_TICKS
+
+    def reading(self) -> LaserBeam:
+        """See :class:`Scanner`.
+
+        Raises:
+            LinkError: The testbed is missing.
+        """
+        return self._attached().laser()
+
+    def close(self) -> None:
+        """See :class:`Scanner`."""
+        if self._link is not None:
+            self._link.set_laser(LaserBeam())
+            self._link.close()
+            self._link = None
+
+    def _attached(self) -> TestbedLink:
+        if self._link is not None and not self._link.physics_alive():
+            self._link.close()
+            self._link = None
+        if self._link is None:
+            try:
+                self._link = TestbedLink.attach(self._instance, _ATTACH_TIMEOUT_S)
+            except LinkError:
+                raise LinkError("the testbed is missing: no laser without its physics process") from None
+        return self._link
+
+
+def check_beam(beam: LaserBeam, sheet: LaserScanner) -> LaserBeam:
+    """A beam that the scanner can show.
+
+    Raises:
+        LimitError: A mirror would turn too far.
+        StateError: The power is not between 0 and 1.
+    """
+    ends = {"mirror1": abs(beam.mirror1) + abs(beam.half_sweep), "mirror2": abs(beam.mirror2)}
+    for mirror, angle in ends.items():
+        if not angle <= sheet.range:
+            value = beam.mirror1 if mirror == "mirror1" else beam.mirror2
+            signed = angle if value >= 0.0 else -angle
+            raise LimitError(joint=f"{mirror} of the laser scanner", value=signed, limit=sheet.range, unit="rad")
+    if not 0.0 <= beam.power <= 1.0:
+        raise StateError(f"the power of the laser {beam.power} is not between 0 and 1", power=beam.power)
+    return beam
+
+
+def _near(here: LaserBeam, there: LaserBeam) -> bool:
+    return all(abs(a - b) <= _THERE_RAD for a, b in zip(here.values(), there.values(), strict=True))

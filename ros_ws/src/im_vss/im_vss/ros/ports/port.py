@@ -1,0 +1,62 @@
+"""Base of all ports."""
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
+
+from std_srvs.srv import Trigger
+
+from im_core.errors import ImError
+from im_core.ros.status import ok_status, to_status
+from im_vss.rig import Rig
+
+
+class Port(ABC):
+    """The ROS side of a Service: translates, decides nothing."""
+
+    kind: ClassVar[type]
+
+    def __init__(self, rig: Rig) -> None:
+        """Translate for Services on `rig`."""
+        self.rig = rig
+
+    @abstractmethod
+    def request(self, message: Any) -> Any:
+        """The Service's request.
+
+        Raises:
+            ImError: The message holds what no request can hold.
+        """
+
+    @abstractmethod
+    def answer(self, result: Any, response: Any) -> None:
+        """Fill a response from the Service's result."""
+
+    def succeed(self, response: Any) -> None:
+        """Mark a response as the answer of a request that was carried out."""
+        response.success = True
+        response.status = ok_status()
+
+    def refuse(self, error: ImError, response: Any) -> None:
+        """Say in a response what went wrong."""
+        response.status = to_status(error)
+
+
+class TriggerPort(Port):
+    """For Services that are asked with nothing and answer a sentence: `std_srvs/srv/Trigger`."""
+
+    kind: ClassVar[type] = Trigger
+
+    def request(self, message: Trigger.Request) -> None:
+        """There is nothing to ask."""
+
+    def answer(self, result: str, response: Trigger.Response) -> None:
+        """The sentence."""
+        response.message = result
+
+    def succeed(self, response: Trigger.Response) -> None:
+        """Mark success."""
+        response.success = True
+
+    def refuse(self, error: ImError, response: Trigger.Response) -> None:
+        """Say what went wrong."""
+        response.message = error.message

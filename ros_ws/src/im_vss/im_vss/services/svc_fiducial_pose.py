@@ -1,0 +1,75 @@
+"""Service that finds fiducial plates and their poses."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from im_core.errors import NotFoundError
+from im_core.robot.scenery import Target
+from im_vss.fiducial import FiducialFit
+from im_vss.managers import VisionClient
+from im_vss.services.service import Service
+from im_vss.services.stopwatch import Stopwatch
+
+
+@dataclass(frozen=True)
+class FiducialPoseRequest:
+    """Which plates to find, by number of their code (none: all of the cell); exposure 0 stands for the nominal one."""
+
+    cameras: tuple[str, ...]
+    ids: tuple[int, ...] = ()
+    exposure_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class SeenFiducial:
+    """A plate in an image: name of the camera, testbed time of the exposure [ns], and the fit."""
+
+    camera: str
+    stamp_ns: int
+    fit: FiducialFit
+
+
+@dataclass(frozen=True)
+class FiducialPoseResult:
+    """The plates by camera and number, why others were not seen, and where the time went, by step [s]."""
+
+    found: tuple[SeenFiducial, ...]
+    cause: str
+    timing: dict[str, float]
+
+
+class SvcFiducialPose(Service):
+    """Takes images, shows them, and computes where the cell's fiducial plates are relative to the cameras."""
+
+    name: ClassVar[str] = "fiducial_pose"
+
+    def serve(self, client: VisionClient, request: FiducialPoseRequest) -> FiducialPoseResult:
+        """Find plates.
+
+        Raises:
+            ImError: A camera or a plate is unknown, the exposure out of range, or the cameras do not deliver.
+        """
+        wanted = self._wanted(request.ids)
+        watch = Stopwatch()
+        images = self.shown(client, request.cameras, request.exposure_s, watch)
+        found: list[SeenFiducial] = []
+        causes: list[str] = []
+        with watch.step("find_s"):
+            for camera in request.cameras:
+                (frame,) = images.frames[camera]
+                fits, missed = self.tool("tool_fiducial_pose")(frame, wanted)
+                found += [SeenFiducial(camera, frame.stamp_ns, fit) for fit in fits]
+                causes += [f"{wanted[number].name} in {camera} {cause}" for number, cause in missed.items()]
+        return FiducialPoseResult(tuple(found), "; ".join(causes), {**images.timing, **watch.report()})
+
+    def _wanted(self, ids: tuple[int, ...]) -> dict[int, Target]:
+        """The plates of the cell, by number.
+
+        Raises:
+            NotFoundError: The cell has no plate of a number.
+        """
+        known = {target.id: target for target in self.rig.cell.targets if target.kind == "fiducial"}
+        for number in ids:
+            if number not in known:
+                raise NotFoundError(kind="fiducial", name=str(number), known=[str(one) for one in known])
+        return {number: known[number] for number in ids or known}

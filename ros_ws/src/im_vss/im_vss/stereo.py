@@ -1,0 +1,115 @@
+"""Two cameras: triangulation with covariance, epipolar distances, rectification."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.camera_model import CameraModel
+from im_core.errors import DataError
+
+Array = NDArray[np.float64]
+
+_ITERATIONS = 20
+_TOLERANCE_M = 1e-10
+_PARALLEL = 1e-9
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point in the world: position, shape (3,) [m], and its covariance, shape (3, 3) [m^2]."""
+
+    position: Array
+    covariance: Array
+
+
+def triangulate(cameras: Sequence[CameraModel], spots: Sequence[Array], covariances: Sequence[Array]) -> Point:
+    """The point that explains its images best: Gauss-Newton from the point nearest to all rays.
+
+    Args:
+        cameras: Two cameras or more, with their poses.
+        spots: Where each saw the point, shape (2,) [px].
+        covariances: Of the spots, shape (2, 2) [px^2].
+
+    Returns:
+        The point; its covariance is that of the spots alone.
+
+    Raises:
+        DataError: The rays are parallel, or the lens model cannot be inverted at a spot.
+    """
+    across = [np.eye(3) - np.outer(ray, ray) for ray in (c.ray(uv) for c, uv in zip(cameras, spots, strict=True))]
+    normal = np.asarray(sum(across))
+    if np.linalg.eigvalsh(normal)[0] < _PARALLEL:
+        raise DataError("the rays of the two spots are parallel")
+    position = np.linalg.solve(normal, sum(a @ c.position for a, c in zip(across, cameras, strict=True)))
+    weights = [np.linalg.inv(covariance) for covariance in covariances]
+    for _ in range(_ITERATIONS):
+        jacobians = [camera.project_jacobian(position) for camera in cameras]
+        information = sum(J.T @ W @ J for J, W in zip(jacobians, weights, strict=True))
+        slope = sum(
+            J.T @ W @ (uv - camera.project(position))
+            for J, W, uv, camera in zip(jacobians, weights, spots, cameras, strict=True)
+        )
+        step = np.linalg.solve(information, slope)
+        position = position + step
+        if not np.all(np.isfinite(position)):
+            raise DataError("the two spots are not of a point in front of both cameras")
+        if np.abs(step).max() < _TOLERANCE_M:
+            break
+    return Point(position, np.linalg.inv(np.asarray(information)))
+
+
+def essential_matrix(first: CameraModel, second: CameraModel) -> Array:
+    """E with ``y' E x = 0`` for ideal images x, y of one point in two cameras with poses, shape (3, 3)."""
+    rotation = second.R_cam_base @ first.R_cam_base.T
+    t = second.t_cam_base - rotation @ first.t_cam_base
+    cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
+    return np.asarray(cross @ rotation)
+
+
+def epipolar_distance(first: CameraModel, second: CameraModel, spots: Sequence[Array]) -> float:
+    """How far each of two spots is from the epipolar line of the other, the larger of the two [px].
+
+    Args:
+        first: A camera with its pose.
+        second: Another.
+        spots: What each saw, shape (2,) [px]; measured where the lens distortion is taken out.
+
+    Raises:
+        DataError: The lens model cannot be inverted at a spot.
+    """
+    essential = essential_matrix(first, second)
+    x, y = (np.append(camera.undistort(uv), 1.0) for camera, uv in zip((first, second), spots, strict=True))
+    error = abs(float(y @ essential @ x))
+    lines = (essential.T @ y, first), (essential @ x, second)
+    return max(float(error * np.sqrt(camera.K[0, 0] * camera.K[1, 1]) / np.hypot(*line[:2])) for line, camera in lines)
+
+
+@dataclass(frozen=True)
+class Rectification:
+    """R, shape (3, 3), and P, shape (3, 4) [px], of the left and of the right camera, as in a `CameraInfo`."""
+
+    left: tuple[Array, Array]
+    right: tuple[Array, Array]
+
+
+def rectify(left: CameraModel, right: CameraModel) -> Rectification:
+    """Rotations that align the image rows of two cameras, and their projections; ``P[0, 3]`` holds the baseline.
+
+    Source: A. Fusiello, E. Trucco, A. Verri, "A compact algorithm for rectification of stereo pairs", 2000, as in
+    OpenCV.
+
+    Raises:
+        DataError: The second camera is not beside the first: their images cannot have rows in common.
+    """
+    rotation = right.R_cam_base @ left.R_cam_base.T
+    t = right.t_cam_base - rotation @ left.t_cam_base
+    size = (left.width, left.height)
+    R1, R2, P1, P2, *_ = cv2.stereoRectify(
+        left.K, left.D, right.K, right.D, size, rotation, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1.0
+    )
+    if not P2[0, 3] < 0.0 or abs(P2[1, 3]) > 1e-9:
+        raise DataError("the cameras of a stereo pair must stand side by side, the left one first")
+    return Rectification((np.asarray(R1), np.asarray(P1)), (np.asarray(R2), np.asarray(P2)))

@@ -1,0 +1,25 @@
+"""Tool that computes where fiducial plates are."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from im_core.robot.scenery import Target
+from im_vss.fiducial import FiducialFit, find_fiducials
+from im_vss.frames import Frame
+from im_vss.tools.tool import Tool
+
+
+class ToolFiducialPose(Tool):
+    """Finds fiducials and computes their poses; a calculation, without a Vision Module."""
+
+    name: ClassVar[str] = "tool_fiducial_pose"
+
+    def __call__(self, frame: Frame, wanted: Mapping[int, Target]) -> tuple[list[FiducialFit], dict[int, str]]:
+        """The plates in an image, and why those that are missing are.
+
+        Args:
+            frame: The image.
+            wanted: Plates by number of their code.
+        """
+        sensor = frame.controls.of(self.rig.settings.sensor)
+        return find_fiducials(frame.image, self.rig.book[frame.camera].model, sensor, wanted)

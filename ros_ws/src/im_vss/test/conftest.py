@@ -1,0 +1,70 @@
+"""A camera above the table with its printed plates."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from im_core.camera_model import CameraModel
+from im_core.robot import load_cell
+from im_core.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth
+from im_core.testbed_link import Exposure
+from im_vss.camera.bank import CameraBank
+from im_vss.camera.scene import SceneMirror
+from im_vss.camera_book import nominal
+from im_vss.settings import load_settings
+
+DISTORTION = (-0.22, 0.04, 7e-4, -5e-4, 0.0)
+
+
+def true_cell(cell):
+    """The nominal cell with lenses that distort."""
+    cameras = {}
+    for name, camera in cell.cameras.items():
+        model = nominal(camera)
+        cameras[name] = CameraTruth(
+            parent=camera.parent, width=640, height=480, K=model.K.tolist(), D=DISTORTION,
+            R_cam_base=model.R_cam_base.tolist(), t_cam_base_m=model.t_cam_base.tolist(),
+        )  # fmt: skip
+    led = LedTruth(offset_m=cell.led.offset, axis=cell.led.axis, diameter_m=cell.led.diameter)
+    rotation, position = cell.laser.pose()
+    laser = LaserTruth(
+        rotation=rotation.tolist(), position_m=position.tolist(), gain=(1.0, 1.0), offset=0.0, gap_m=cell.laser.gap
+    )
+    return CellTruth(seed=1, cameras=cameras, leds=dict.fromkeys(cell.light_names, led), laser=laser)
+
+
+@dataclass
+class Plates:
+    """What the camera sees; its model is the true one."""
+
+    cell: object
+    settings: object
+    bank: CameraBank
+    camera: CameraModel
+    mean: np.ndarray
+
+    def image(self, number):
+        """An image with noise of its own."""
+        out = np.zeros((480, 640), np.uint8)
+        self.bank.read_out("ceiling_left", self.mean, number, 0, out, self.settings.sensor)
+        return out
+
+
+@pytest.fixture(scope="session")
+def plates():
+    cell = load_cell()
+    settings, truth = load_settings(cell), true_cell(cell)
+    scene = SceneMirror(cell, "tiny")
+    bank = CameraBank(cell, truth, settings, scene, seed=1)
+    dark = Exposure(start_tick=0, end_tick=4, stamp_ns=0, q_true=cell.home, light_fraction={})
+    mean = bank.expected("ceiling_left", dark, settings.exposure.nominal, settings.sensor)
+    true = truth.cameras["ceiling_left"]
+    camera = CameraModel(640, 480, true.K, true.D, true.R_cam_base, true.t_cam_base_m)
+    yield Plates(cell, settings, bank, camera, mean)
+    scene.close()
+
+
+@pytest.fixture(scope="session")
+def make_truth():
+    return true_cell

@@ -1,0 +1,62 @@
+"""Poses of fiducial plates: within their covariance of the truth, hidden ones are missing with a cause."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from im_core.camera_model import CameraModel
+from im_vss.fiducial import find_fiducials
+from im_vss.fiducial.corners import Corners
+from im_vss.fiducial.pose import _linearised, plate_poses
+
+TRIALS = 40
+
+
+def wanted(cell):
+    return {target.id: target for target in cell.targets if target.kind == "fiducial"}
+
+
+def test_pose_is_within_its_covariance(plates):
+    tag = wanted(plates.cell)[7]
+    rotation, centre = tag.pose()
+    true_rotation, true_place = plates.camera.R_cam_base @ rotation, plates.camera.to_camera(centre)
+    nees, chi2, errors = [], [], []
+    for number in range(TRIALS):
+        found, missed = find_fiducials(plates.image(number), plates.camera, plates.settings.sensor, wanted(plates.cell))
+        assert list(missed) == [11]
+        assert "not seen" in missed[11]
+        (fit,) = found
+        turn = Rotation.from_matrix(fit.pose.rotation @ true_rotation.T).as_rotvec()
+        error = np.concatenate((fit.pose.translation - true_place, turn))
+        errors.append(error)
+        nees.append(error @ np.linalg.solve(fit.pose.covariance, error) / 6.0)
+        chi2.append(fit.pose.chi2)
+        assert fit.ambiguity < 0.5
+    assert 0.75 < np.mean(nees) < 1.3
+    assert 1.0 < np.mean(chi2) < 3.0  # 2 degrees of freedom
+    assert np.linalg.norm(np.mean(errors, axis=0)[:3]) < 0.004
+
+
+def test_jacobian_of_the_pose():
+    rng = np.random.default_rng(2)
+    rotation = Rotation.from_rotvec([2.8, 0.3, 0.4]).as_matrix()
+    place, K = np.array([0.1, -0.2, 2.0]), np.array([[600.0, 0.0, 320.0], [0.0, 590.0, 240.0], [0.0, 0.0, 1.0]])
+    plate = np.c_[rng.uniform(-0.1, 0.1, (4, 2)), np.zeros(4)]
+
+    def seen(step):
+        turned = Rotation.from_rotvec(step[3:]).as_matrix() @ rotation
+        return -_linearised(turned, place + step[:3], plate, np.zeros((4, 2)), K)[0]
+
+    jacobian = _linearised(rotation, place, plate, np.zeros((4, 2)), K)[1]
+    numeric = np.stack([(seen(d) - seen(-d)) / 2e-6 for d in 1e-6 * np.eye(6)], axis=1)
+    np.testing.assert_allclose(jacobian, numeric, rtol=1e-5, atol=1e-4)
+
+
+def test_exact_corners_give_the_exact_pose():
+    camera = CameraModel(640, 480, np.array([[600.0, 0.0, 320.0], [0.0, 590.0, 240.0], [0.0, 0.0, 1.0]]), np.zeros(5))
+    rotation, place = Rotation.from_rotvec([2.7, 0.4, 0.5]).as_matrix(), np.array([0.2, 0.1, 1.5])
+    half = 0.1
+    plate = np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
+    corners = Corners(camera.project(plate @ rotation.T + place), 1e-4 * np.eye(8))
+    best = plate_poses(corners, camera.K, 2.0 * half)[0]
+    np.testing.assert_allclose(best.rotation, rotation, atol=1e-6)
+    np.testing.assert_allclose(best.translation, place, atol=1e-6)

@@ -1,0 +1,193 @@
+"""The scanner's Vision Module and the Tools that borrow it, with a scanner that only remembers."""
+
+import numpy as np
+import pytest
+
+from im_core.errors import LimitError, StateError
+from im_core.laser_model import LaserModel
+from im_core.robot import load_cell
+from im_core.testbed_link import LaserBeam
+from im_vss.camera_book import CameraBook
+from im_vss.catalogue import load_catalogue
+from im_vss.frames import Frame, FrameSet
+from im_vss.laser.book import LaserBook
+from im_vss.laser.scanner import check_beam
+from im_vss.managers import VisionClient
+from im_vss.rig import LaserRig, Rig
+from im_vss.services.laser_spots import why_not
+from im_vss.services.svc_laser_point import LaserPointRequest
+from im_vss.services.svc_spot_find import CameraSpot
+from im_vss.settings import load_settings
+from im_vss.spot import Finding, SpotFit
+from im_vss.tools.tool_triangulate import StereoFinding
+from im_vss.vsm import VisionServicesManager
+
+CELL = load_cell()
+POWER = load_settings(CELL).laser.spot_power
+
+
+class Scanner:
+    """Is at once where it shall be, and remembers where it was."""
+
+    def __init__(self):
+        self.driven = []
+
+    def drive(self, beam, timeout_s):
+        self.driven.append(beam)
+        return 1000 + len(self.driven)
+
+    def reading(self):
+        return self.driven[-1] if self.driven else LaserBeam()
+
+    def close(self):
+        self.driven.append(LaserBeam())
+
+
+class Cameras:
+    """Black images; `meanwhile` runs while the shutter is open."""
+
+    def __init__(self, scanner):
+        self.scanner, self.orders, self.seen, self.meanwhile = scanner, [], [], lambda: None
+
+    def take(self, order):
+        self.orders.append(order)
+        self.seen.append(self.scanner.reading())
+        self.meanwhile()
+        black = np.zeros((480, 640), np.uint8)
+        frames = {
+            camera: tuple(Frame(camera, black, number, blank) for number, blank in enumerate(order.blank_light))
+            for camera in order.cameras
+        }
+        return FrameSet(frames, {})
+
+
+class Screen:
+    """Shows nothing."""
+
+    def raw(self, frame):
+        """Not looked at."""
+
+    def display(self, camera, image, stamp_ns):
+        """Not looked at."""
+
+
+@pytest.fixture
+def system(tmp_path):
+    def build(*services, laser=True):
+        settings = load_settings(CELL).model_copy(update={"services": services})
+        scanner = Scanner()
+        cameras, book = Cameras(scanner), LaserBook(CELL.laser, tmp_path)
+        rig = Rig(
+            settings, CELL, CameraBook(CELL, settings.cameras, tmp_path), cameras, Screen(),
+            laser=LaserRig(scanner, book) if laser else None,
+        )  # fmt: skip
+        systems.append(VisionServicesManager(rig, load_catalogue()))
+        return systems[-1], scanner, cameras
+
+    systems = []
+    yield build
+    for made in systems:
+        made.close()
+
+
+def test_only_what_pointing_needs_is_loaded(system):
+    vsm, _, _ = system("laser_point")
+    assert (list(vsm.tools), list(vsm.modules), list(vsm.managers)) == (
+        ["tool_laser_point"], ["vm_laser"], ["laser_scanner"],
+    )  # fmt: skip
+    both, _, _ = system("laser_spot_3d")
+    assert set(both.managers) == {"image_processing", "laser_scanner"}
+    assert "vm_laser" not in system("snap", "spot_find")[0].modules
+
+
+def test_pointing_at_a_target_is_the_inverse_of_the_drawn_scanner(system):
+    vsm, scanner, _ = system("laser_point")
+    target = np.array([0.2, 0.9, 0.75])
+    result = vsm.request("laser_point", LaserPointRequest((0.0, 0.0), target, on=True))
+    start, way = LaserModel(*CELL.laser.pose(), CELL.laser.gap).rays([result.beam.mirror1, result.beam.mirror2])
+    assert np.linalg.norm(np.cross(target - start, way)) < 1e-12
+    assert (scanner.driven[-1].power, result.stamp_ns, result.calibrated) == (POWER, 1001, False)
+    vsm.request("laser_point", LaserPointRequest((0.01, 0.02), None, on=False))
+    assert scanner.driven[-1] == LaserBeam(0.01, 0.02, 0.0, 0.0)
+
+
+def test_a_pair_of_frames_is_taken_in_the_beam_and_it_is_dark_afterwards(system):
+    vsm, scanner, cameras = system("laser_spot_3d")
+    beam = LaserBeam(0.05, -0.02, 0.0, POWER)
+    _, reading = vsm.tools["tool_laser_snap"](VisionClient("me"), ("wall",), beam, 0.0)
+    assert (reading, cameras.seen) == (beam, [beam])
+    assert (cameras.orders[0].blank_light, cameras.orders[0].blank_laser) == ((True, True), (True, False))
+    assert scanner.driven == [beam, LaserBeam(0.05, -0.02, 0.0, 0.0)]
+    vsm.tools["tool_laser_snap"](VisionClient("me"), ("wall",), None, 0.0)
+    assert len(scanner.driven) == 2  # as it is, it stays
+
+
+def test_the_beam_of_a_client_that_gave_up_is_dark(system):
+    vsm, scanner, cameras = system("laser_spot_3d")
+    client = VisionClient("me")
+    cameras.meanwhile = client.cancel
+    vsm.tools["tool_laser_snap"](client, ("wall",), LaserBeam(0.05, 0.0, 0.0, POWER), 0.0)
+    assert scanner.driven[-1].power == 0.0
+    state = vsm.state().modules["vm_laser"][1]
+    assert (state.owner, state.leases, state.lapsed) == ("", 1, 1)
+
+
+def test_the_beam_of_the_next_client_is_left_alone(system):
+    vsm, scanner, _ = system("laser_point")
+    module, vmm = vsm.modules["vm_laser"], vsm.managers["laser_scanner"]
+    first, second = LaserBeam(0.05, 0.0, 0.0, POWER), LaserBeam(0.06, 0.0, 0.0, POWER)
+    for name, beam in (("one", first), ("two", second)):
+        with vmm.lend("vm_laser", VisionClient(name)) as lease:
+            module.drive(lease, beam)
+    module.darken(first)
+    assert scanner.reading() == second
+    with pytest.raises(StateError, match="the lease of vm_laser by two is over"):
+        module.drive(lease, first)
+
+
+def test_a_cell_without_a_scanner_says_so(system):
+    vsm, _, _ = system("laser_point", laser=False)
+    with pytest.raises(StateError, match="there is no laser scanner"):
+        vsm.request("laser_point", LaserPointRequest((0.0, 0.0), None, on=True))
+
+
+@pytest.mark.parametrize(
+    ("place", "sentence"),
+    [
+        ([0.05, 1.47, 0.75], "out of sight of table: it would be behind it"),
+        ([0.05, 1.2, 0.75], "out of sight of table: it would be at ("),
+        ([0.0, 0.2, 1.0], "table: hidden, or too dark: it would be at ("),
+    ],
+)
+def test_one_camera_and_the_beam_say_where_the_other_would_see_the_spot(system, place, sentence):
+    vsm, _, _ = system("laser_spot_3d")
+    rig = vsm.services["laser_spot_3d"].rig
+    model = rig.book["ceiling_left"].model
+    u, v = model.project(place)
+    fit = SpotFit(u, v, np.eye(2) * 1e-3, 100.0, 1.0, 50.0, 1.0, 0, True)
+    spots = (
+        CameraSpot("ceiling_left", 0, Finding(fit, "", 50.0, (fit,))),
+        CameraSpot("table", 0, Finding(None, "no light seen", 0.0)),
+    )
+    none = StereoFinding(None, "table: no light seen", float("nan"), (fit, None))
+    first, second = rig.scanner.book.entry.model.angles_to(place)
+    told = why_not(rig, spots, none, LaserBeam(first, second, 0.0, POWER))
+    assert told.startswith(sentence)
+    if "(" in sentence:
+        wanted = rig.book["table"].model.project(place)
+        assert f"({wanted[0]:.0f}, {wanted[1]:.0f}) px" in told
+    assert why_not(rig, spots, none, LaserBeam(first, second)) == "the laser is not lit"
+
+
+@pytest.mark.parametrize(
+    ("beam", "kind", "sentence"),
+    [
+        (LaserBeam(-0.23), LimitError, "mirror1 of the laser scanner: position -0.23 rad is beyond the limit 0.22 rad"),
+        (LaserBeam(0.2, 0.0, 0.05), LimitError, "mirror1 of the laser scanner: position 0.25 rad is beyond"),
+        (LaserBeam(0.0, float("inf")), LimitError, "mirror2 of the laser scanner: position inf rad"),
+        (LaserBeam(0.0, 0.0, 0.0, 1.5), StateError, "the power of the laser 1.5 is not between 0 and 1"),
+    ],
+)
+def test_beams_that_cannot_be_shown(beam, kind, sentence):
+    with pytest.raises(kind, match=sentence):
+        check_beam(beam, CELL.laser)

@@ -1,0 +1,157 @@
+"""The Vision Services Manager: cancelling, what is loaded and owned, processes and their deployment."""
+
+import threading
+
+import pytest
+import yaml
+
+from im_core import clock
+from im_core.errors import NotFoundError, StateError
+from im_core.robot import load_cell
+from im_vss import deployment
+from im_vss.camera_book import CameraBook
+from im_vss.catalogue import Catalogue, load_catalogue
+from im_vss.frames import FrameSet
+from im_vss.rig import Rig
+from im_vss.services.svc_snap import SnapRequest
+from im_vss.settings import load_settings
+from im_vss.vsm import VisionServicesManager
+
+CELL = load_cell()
+
+
+class SlowCameras:
+    """Deliver nothing until they are told to."""
+
+    def __init__(self):
+        self.go, self.inside, self.most = threading.Event(), 0, 0
+
+    def take(self, order):
+        self.inside += 1
+        self.most = max(self.most, self.inside)
+        self.go.wait(10.0)
+        self.inside -= 1
+        return FrameSet(dict.fromkeys(order.cameras, ()), {})
+
+
+class Screen:
+    """Dark."""
+
+    def raw(self, frame):
+        """Nothing is shown."""
+
+    def display(self, camera, image, stamp_ns):
+        """Nothing is shown."""
+
+
+@pytest.fixture
+def system(tmp_path):
+    settings = load_settings(CELL)
+    source = SlowCameras()
+    vsm = VisionServicesManager(
+        Rig(settings, CELL, CameraBook(CELL, settings.cameras, tmp_path), source, Screen()), load_catalogue()
+    )
+    yield vsm, source
+    source.go.set()
+    vsm.close()
+
+
+def ask(vsm, outcomes):
+    def run():
+        try:
+            vsm.request("snap", SnapRequest(("wall",)))
+        except (StateError, IndexError) as error:
+            outcomes.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread
+
+
+def until(condition):
+    deadline = clock.monotonic() + 5.0
+    while not condition():
+        assert clock.monotonic() < deadline
+        clock.sleep(0.002)
+
+
+def test_state_says_who_owns_and_who_waits(system):
+    vsm, source = system
+    outcomes, threads = [], []
+    for number in range(3):
+        threads.append(ask(vsm, outcomes))
+        until(lambda number=number: len(vsm.state().requests) == number + 1)
+    until(lambda: len(vsm.state().modules["vm_snap"][1].queue) == 2)
+    state = vsm.state()
+    manager, module = state.modules["vm_snap"]
+    assert (manager, module.owner, module.queue) == ("image_processing", "snap #1", ("snap #2", "snap #3"))
+    assert 0.0 < module.remaining_s <= 30.0
+    assert set(state.services) == set(load_settings(CELL).services)
+    source.go.set()
+    for thread in threads:
+        thread.join()
+    assert source.most == 1
+    module = vsm.state().modules["vm_snap"][1]
+    assert (module.owner, module.leases, module.released, module.lapsed) == ("", 3, 3, 0)
+    assert vsm.state().requests == ()
+
+
+def test_a_cancelled_request_leaves_the_queue_and_the_module(system):
+    vsm, source = system
+    outcomes, threads = [], []
+    for number in range(2):
+        threads.append(ask(vsm, outcomes))
+        until(lambda number=number: len(vsm.state().requests) == number + 1)
+    until(lambda: vsm.state().modules["vm_snap"][1].queue == ("snap #2",))
+    vsm.cancel("snap #2")
+    threads[1].join()
+    assert "snap #2 gave up waiting for vm_snap" in outcomes[0].message
+    vsm.cancel("snap #1")
+    assert vsm.state().modules["vm_snap"][1].owner == ""
+    source.go.set()
+    threads[0].join()
+    assert isinstance(outcomes[1], StateError)
+    assert vsm.state().modules["vm_snap"][1].lapsed == 1
+    with pytest.raises(NotFoundError, match="no request under way 'snap #1'"):
+        vsm.cancel("snap #1")
+
+
+def test_the_deployment_of_the_services_in_use(capsys):
+    assert deployment.main(["snap", "calibrate"]) == 0
+    (task,) = yaml.safe_load(capsys.readouterr().out)["hosts"]["localhost"]["vss"].values()
+    assert (task["package"], task["executable"], task["node"]) == ("im_vss", "vss", "/vss")
+    assert deployment.main(["snip"]) == 1
+    assert "no vision service 'snip'; did you mean 'snap'" in capsys.readouterr().err
+
+
+CONTENT = """
+services:
+  a: {implementation: "m:A", port: "m:P", tools: [t], process: vss}
+  b: {implementation: "m:B", port: "m:P", tools: [u], process: vss_far}
+tools:
+  t: {implementation: "m:T", modules: [vm]}
+  u: {implementation: "m:T", modules: []}
+modules:
+  vm: {implementation: "m:V", manager: image_processing}
+managers: {image_processing: x}
+processes:
+  vss: {host: localhost, node: /vss}
+  vss_far: {host: far, node: /vss_far}
+"""
+
+
+def test_services_go_to_their_processes_and_hosts():
+    catalogue = Catalogue.model_validate(yaml.safe_load(CONTENT))
+    assert list(catalogue.in_process("vss_far").services) == ["b"]
+    assert catalogue.in_process("vss_far").modules == {}
+    assert set(catalogue.deployment()) == {"localhost", "far"}
+    assert set(catalogue.closure(["a"]).deployment()) == {"localhost"}
+    with pytest.raises(NotFoundError, match="no process of the vision services 'vss_near'"):
+        catalogue.in_process("vss_near")
+
+
+def test_a_module_has_one_process():
+    content = yaml.safe_load(CONTENT)
+    content["tools"]["u"]["modules"] = ["vm"]
+    with pytest.raises(ValueError, match=r"services.b.process: 'vss_far' uses vm, which 'vss' owns"):
+        Catalogue.model_validate(content)

@@ -1,0 +1,214 @@
+"""Services of ``/vss`` beyond the spot: stereo, circles, lines, fiducials; controls, state, cancelling."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import TransformStamped
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import Parameter
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
+from tf2_msgs.msg import TFMessage
+
+from im_core import clock
+from im_core.robot import load_cell
+from im_core.ros import qos
+from im_msgs.msg import VisionState
+from im_msgs.srv import CircleFind, FiducialPose, LineFind, Snap, SpotFindStereo, VisionCancel, VisionQuery
+from im_vss.edges.band import undistorted
+from im_vss.managers import VisionClient
+
+CEILING = ["ceiling_left", "ceiling_right"]
+CELL = load_cell()
+
+
+@pytest.fixture(scope="module")
+def calibrated(machine):
+    """The machine, its ceiling cameras and the wall's calibrated as they truly are."""
+    machine.calibrate_cameras(*CEILING, "wall")
+    return machine
+
+
+def set_parameters(machine, **values):
+    message = [Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()]
+    return machine.call(SetParameters, "/vss/set_parameters", parameters=message).results
+
+
+def test_no_point_from_cameras_as_drawn(machine):
+    """First in this module: the cameras are still as the drawing has them."""
+    machine.light(on=True)
+    answer = machine.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=CEILING)
+    assert answer.success, answer.status.message
+    assert not answer.found
+    assert answer.cause == "no point from cameras that are not calibrated: ceiling_left, ceiling_right"
+    assert answer.epipolar_distance > 1.0
+    assert all(spot.found for spot in answer.spots)
+
+
+def test_stereo_point_is_within_its_covariance(calibrated):
+    calibrated.light(on=True)
+    answer = calibrated.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=CEILING)
+    assert answer.found, answer.cause
+    left, right = (calibrated.true_camera(name) for name in CEILING)
+    point = np.array([answer.point.point.x, answer.point.point.y, answer.point.point.z])
+    covariance = np.array(answer.covariance).reshape(3, 3)
+    for spot, camera in zip(answer.spots, (left, right), strict=True):
+        assert np.linalg.norm(camera.project(point) - (spot.u, spot.v)) < 0.25
+    assert answer.epipolar_distance < 0.3
+    error = point - calibrated.light_at_home()
+    assert error @ np.linalg.solve(covariance, error) < 25.0
+    assert 1e-5 < np.sqrt(covariance[2, 2]) < 2e-3
+    assert [len(each.candidates) for each in answer.candidates] == [1, 1]
+    assert not any(each.predicted for each in answer.candidates)  # no robot is running
+    wrong = calibrated.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=["wall", "wrist_left"])
+    assert "wrist_left moves with left_wrist: stereo needs fixed cameras" in wrong.status.message
+    wrong = calibrated.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=["wall"])
+    assert "stereo needs two cameras, got 1: wall" in wrong.status.message
+
+
+def test_the_robot_says_where_to_look(calibrated):
+    """Where the pose on /tf puts the light, it is found; elsewhere it is not looked for."""
+    calibrated.light(on=True)
+    tf = calibrated.client.create_publisher(TFMessage, "/tf", qos.EVENTS)
+    calibrated.until(lambda: tf.get_subscription_count() > 0)
+    offset = np.array(CELL.led.offset)
+
+    def look(shift):
+        place = calibrated.light_at_home() - offset + shift
+        before = calibrated.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=CEILING).spots[0].stamp
+        link = TransformStamped(child_frame_id="left_link6")
+        link.header.frame_id, link.header.stamp = "world", before
+        link.transform.translation.x, link.transform.translation.y, link.transform.translation.z = place
+        tf.publish(TFMessage(transforms=[link]))
+        clock.sleep(0.2)
+        return calibrated.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=CEILING)
+
+    answer = look(np.zeros(3))
+    assert answer.found, answer.cause
+    for name, each in zip(CEILING, answer.candidates, strict=True):
+        assert each.predicted
+        assert each.radius == 15.0
+        assert np.hypot(*(calibrated.true_camera(name).project(calibrated.light_at_home()) - (each.u, each.v))) < 1.0
+    elsewhere = look(np.array([0.3, 0.0, 0.0]))
+    assert not elsewhere.found
+    assert "searched within 15 px of" in elsewhere.cause
+    clock.sleep(0.1)
+
+
+def test_stereo_without_a_light_says_so_for_each_camera(calibrated):
+    calibrated.light(on=False)
+    answer = calibrated.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=CEILING)
+    assert (answer.success, answer.found) == (True, False)
+    assert answer.cause.count("no light seen") == 2
+
+
+def test_fiducial_is_where_it_truly_is(calibrated):
+    answer = calibrated.call(FiducialPose, "/vss/fiducial_pose", cameras=CEILING)
+    assert answer.success, answer.status.message
+    assert [(f.camera, f.name) for f in answer.fiducials] == [(name, "table_tag") for name in CEILING]
+    assert answer.cause.count("board_tag in ceiling_") == 2
+    rotation, place = next(target for target in CELL.targets if target.name == "table_tag").pose()
+    for fiducial in answer.fiducials:
+        camera = calibrated.true_camera(fiducial.camera)
+        pose, q = fiducial.pose.pose.pose, fiducial.pose.pose.pose.orientation
+        assert fiducial.pose.header.frame_id == f"{fiducial.camera}_optical_frame"
+        seen = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        turn = Rotation.from_matrix(seen @ (camera.R_cam_base @ rotation).T).as_rotvec()
+        shift = np.array([pose.position.x, pose.position.y, pose.position.z]) - camera.to_camera(place)
+        error, covariance = np.concatenate((shift, turn)), np.array(fiducial.pose.pose.covariance).reshape(6, 6)
+        assert error @ np.linalg.solve(covariance, error) < 30.0
+    wrong = calibrated.call(FiducialPose, "/vss/fiducial_pose", cameras=CEILING, ids=[3])
+    assert "there is no fiducial '3'" in wrong.status.message
+
+
+def test_circle_and_line_are_where_they_truly_are(calibrated):
+    targets, camera = {target.name: target for target in CELL.targets}, calibrated.true_camera("ceiling_left")
+    u, v = camera.project(targets["table_disc"].position)
+    region = RegionOfInterest(x_offset=int(u) - 40, y_offset=int(v) - 40, width=80, height=80)
+    answer = calibrated.call(CircleFind, "/vss/circle_find", camera="ceiling_left", region=region)
+    (circle,) = answer.circles
+    error, covariance = np.array([circle.u - u, circle.v - v]), np.array(circle.covariance).reshape(2, 2)
+    assert (
+        error @ np.linalg.solve(covariance + 0.05**2 * np.eye(2), error) < 20.0
+    )  # a disc's centre is not its ellipse's
+    assert circle.dark
+    assert circle.coverage == 1.0
+    rotation, centre = targets["table_edge"].pose()
+    start, end = undistorted(camera, camera.project(centre + np.array([[0, -0.17, 0], [0, 0.17, 0]]) @ rotation.T))
+    along = (end - start) / np.linalg.norm(end - start)
+    answer = calibrated.call(LineFind, "/vss/line_find", camera="ceiling_left")
+    middles = [(np.array(line.start) + np.array(line.end)) / 2.0 for line in answer.lines]
+    near = [
+        (line, m) for line, m in zip(answer.lines, middles, strict=True) if np.linalg.norm(m - (start + end) / 2) < 15
+    ]
+    (line, middle) = min(near, key=lambda pair: -pair[0].contrast)
+    across = (middle - start) @ [-along[1], along[0]]
+    assert abs(across) < 5.0 * np.sqrt(line.covariance[0])
+    wrong = calibrated.call(CircleFind, "/vss/circle_find", camera="wall", radius_min=50.0, radius_max=20.0)
+    assert "radii from 50 to 20 px" in wrong.status.message
+    far = RegionOfInterest(x_offset=600, y_offset=0, width=80, height=80)
+    wrong = calibrated.call(LineFind, "/vss/line_find", camera="wall", region=far)
+    assert "a region of 80 x 80 px at (600, 0) px is not in the image of 640 x 480 px" in wrong.status.message
+
+
+def test_controls_are_parameters_with_ranges(machine):
+    names = ["exposure", "wall.gain", "wall.noise", "wall.rate"]
+    described = machine.call(DescribeParameters, "/vss/describe_parameters", names=names).descriptors
+    spans = [each.floating_point_range[0] for each in described]
+    assert [(span.from_value, span.to_value) for span in spans] == [
+        (0.0045, 0.45),
+        (0.25, 8.0),
+        (0.0, 10.0),
+        (0.0, 10.0),
+    ]
+
+    def image():
+        return np.frombuffer(machine.call(Snap, "/vss/snap", cameras=["wall"]).images[0].data, np.uint8).astype(float)
+
+    before = image()
+    assert all(result.successful for result in set_parameters(machine, wall__gain=2.0, wall__noise=0.0))
+    bright = image()
+    assert bright.mean() - 8.0 == pytest.approx(2.0 * (before.mean() - 8.0), rel=0.03)
+    assert all(result.successful for result in set_parameters(machine, wall__gain=1.0, wall__noise=1.0, exposure=0.009))
+    assert image().mean() - 8.0 == pytest.approx(0.5 * (before.mean() - 8.0), rel=0.05)
+    (refused,) = set_parameters(machine, wall__gain=9.0)
+    assert not refused.successful
+    assert set_parameters(machine, exposure=0.018)[0].successful
+
+
+def test_images_flow_at_a_rate(machine):
+    images = machine.listen(Image, "/table/image_raw", qos.SENSOR)
+    infos = machine.listen(CameraInfo, "/table/camera_info", qos.SENSOR)
+    assert set_parameters(machine, table__rate=5.0)[0].successful
+    machine.until(lambda: len(images) >= 3)
+    assert set_parameters(machine, table__rate=0.0)[0].successful
+    machine.until(lambda: len(infos) == len(images))
+    assert [image.header for image in images] == [info.header for info in infos]
+    stamps = [image.header.stamp.sec * 10**9 + image.header.stamp.nanosec for image in images]
+    assert stamps == sorted(set(stamps))
+
+
+def test_state_is_answered_and_latched_and_cancels(machine):
+    state = machine.call(VisionQuery, "/vss/query").state
+    assert set(state.services) == set(machine.vss._vsm.services)
+    assert [module.name for module in state.modules] == ["vm_snap", "vm_image_disp", "vm_spot_disp", "vm_laser"]
+    assert all(module.leases == module.released + module.lapsed for module in state.modules)
+    answer = machine.call(VisionCancel, "/vss/cancel", request="snap #0")
+    assert "there is no request under way 'snap #0'" in answer.status.message
+    seen = machine.listen(VisionState, "/vss/state", qos.LATCHED)
+    machine.until(lambda: seen)
+    slow = machine.client.create_client(Snap, "/vss/snap")
+    machine.until(slow.service_is_ready)
+    vmm = machine.vss._vsm.managers["image_processing"]
+    with vmm.lend("vm_snap", VisionClient("somebody")):
+        futures = [slow.call_async(Snap.Request(cameras=["wall"])) for _ in range(4)]
+        machine.until(lambda: len(seen[-1].modules[0].queue) == 4)
+        assert (seen[-1].modules[0].owner, len(seen[-1].requests)) == ("somebody", 4)
+        last = machine.call(VisionQuery, "/vss/query").state.modules[0].queue[-1]
+        assert machine.call(VisionCancel, "/vss/cancel", request=last).success
+        machine.until(lambda: any(future.done() for future in futures))
+    machine.until(lambda: all(future.done() for future in futures))
+    answers = [future.result() for future in futures]
+    assert [answer.success for answer in answers].count(False) == 1
+    (given_up,) = [answer.status for answer in answers if not answer.success]
+    assert last in given_up.message
+    machine.until(lambda: seen[-1].requests == [])
