@@ -30,6 +30,7 @@ class PathPlanningCoordinator(PntNode):
     def __init__(self) -> None:
         functions = {
             "find_configuration": self.find_configuration,
+            "find_another": self.find_another,
             "plan_direct": self.plan_direct,
             "plan_detour": self.plan_detour,
             "check_given": self.check_given,
@@ -38,7 +39,12 @@ class PathPlanningCoordinator(PntNode):
             "path_planning_coordinator",
             [package_file("im_coordinators", "nets/path_planning_coordinator.yaml")],
             functions=functions,
-            guards={"detour_may_help": woken_by()(lambda ctx: ctx.failure.code in DETOUR_FAILURES)},
+            guards={
+                "detour_may_help": woken_by()(lambda ctx: ctx.failure.code in DETOUR_FAILURES),
+                "another_may_help": woken_by()(
+                    lambda ctx: ctx.failure.code in DETOUR_FAILURES and "another" not in ctx.memory
+                ),
+            },
             asks={**{name: again(function) for name, function in functions.items()}, "check_given": self.given_checked},
         )
         self._tucked = list(load_cell().sides[GROUP].home)
@@ -47,15 +53,15 @@ class PathPlanningCoordinator(PntNode):
         self._check = self.create_client(CheckPath, "/mcs/check_path")
 
     async def find_configuration(self, ctx: Any) -> None:
-        """Finds joint positions for the destination in the DOM, from where the group is."""
-        destination = await self.dom.get("destination", PoseStamped)
+        """Finds joint positions for the destination in the DOM, near to where the group is."""
         here = await self._here()
-        request = InverseKinematics.Request(
-            group=GROUP, wrist=destination.pose, seed=_position(here), avoid_collisions=True
-        )
-        answer = await self._ask(self._kinematics, request, "inverse kinematics")
-        goal = _trajectory(here.joints, [answer.q])
-        await self.dom.put("goal_configuration", goal, place="path_planning_coordinator.goal_valid")
+        await self._find(here, _position(here))
+
+    async def find_another(self, ctx: Any) -> None:
+        """Finds other joint positions for the destination, near to where the arm is out of the way."""
+        here = await self._here()
+        ctx.memory["another"] = True
+        await self._find(here, [*_position(here)[:CART_JOINTS], *self._tucked[CART_JOINTS:]])
 
     async def plan_direct(self, ctx: Any) -> None:
         """Stores the joint-interpolated path to the goal if it is free."""
@@ -83,6 +89,13 @@ class PathPlanningCoordinator(PntNode):
     async def _here(self) -> GroupState:
         request = GetGroupState.Request(group=GROUP)
         return (await self._ask(self._state, request, f"the position of {GROUP}")).state
+
+    async def _find(self, here: GroupState, seed: Sequence[float]) -> None:
+        destination = await self.dom.get("destination", PoseStamped)
+        request = InverseKinematics.Request(group=GROUP, wrist=destination.pose, seed=seed, avoid_collisions=True)
+        answer = await self._ask(self._kinematics, request, "inverse kinematics")
+        goal = _trajectory(here.joints, [answer.q])
+        await self.dom.put("goal_configuration", goal, place="path_planning_coordinator.goal_valid")
 
     async def _goal(self) -> list[float]:
         goal = await self.dom.get("goal_configuration", JointTrajectory)
