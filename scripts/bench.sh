@@ -8,11 +8,14 @@
 #   scripts/bench.sh --seeds 10         instead: true errors over expected ones, over ten seeds
 #   scripts/bench.sh --nets             instead: the nets: firings, search, remote tokens, journal; against peers
 #   scripts/bench.sh --nets remote      only that; --nets --help tells what there is
+#   scripts/bench.sh --mcs              instead: motion control: tracking, lines, the tick, deadlines, lockstep
+#   scripts/bench.sh --mcs tick line    only those; --mcs --help tells what there is
 #
 # The peers (SNAKES, libpetri, pm4py) are installed once, from scripts/peers.txt into .venv-peers, an environment of
 # their own; without the network their rows say so, and the others are measured.
 #
-# The figures are also in results/bench-<date>-<time>.json, or results/bench-nets-<date>-<time>.json.
+# The figures are also in results/bench-<date>-<time>.json, or results/bench-nets-<date>-<time>.json, or
+# results/bench-mcs-<date>-<time>.json.
 # Exit codes: 0 all bars that could be measured are met, 1 a bar is missed or something did not work, 2 bad usage,
 # 130 interrupted.
 set -euo pipefail
@@ -32,14 +35,20 @@ install_peers() {
     printf '%s\n' "$wanted" >"$PEERS/.im-installed"
 }
 
-nets=0
+nets=0 mcs=0
 arguments=()
 for argument in "$@"; do
-  if [[ "$argument" == --nets ]]; then nets=1; else arguments+=("$argument"); fi
+  case "$argument" in
+    --nets) nets=1 ;;
+    --mcs) mcs=1 ;;
+    *) arguments+=("$argument") ;;
+  esac
 done
-if wants_help "$@" && ((!nets)); then help; exit 0; fi
+((nets && mcs)) && die 2 "--nets and --mcs are two benchmarks; name one"
+if wants_help "$@" && ((!nets && !mcs)); then help; exit 0; fi
 "$IM_ROOT/scripts/setup.sh"
 im_env
+((mcs)) && exec "$IM_VENV/bin/python" -m im_mcs.bench --machine-bench "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
 ((nets)) || exec "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
 
 peers=(--peers "$PEERS/bin/python")

@@ -28,7 +28,8 @@ class Task(Model):
         package: ROS package of the executable.
         executable: Its console script.
         node: Fully qualified name of the node.
-        parameters: ROS parameters; ``${clock_factor}``, ``${seed}`` and ``${port}`` stand for those of the deployment.
+        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}`` and ``${port}`` stand for those of
+            the deployment.
     """
 
     package: Name
@@ -53,12 +54,14 @@ class Deployment(Model):
 
     Attributes:
         clock_factor: Simulated seconds a second of wall time; 0: as fast as it goes.
+        period: Of servo and testbed [s].
         seed: Seed of everything drawn at random.
         port: TCP port of the display.
         hosts: Host name -> process name -> task name -> task, in starting order.
     """
 
     clock_factor: Annotated[float, pydantic.Field(ge=0.0, le=100.0)] = 1.0
+    period: Annotated[float, pydantic.Field(ge=0.0005, le=0.02)] = 0.0045
     seed: Annotated[int, pydantic.Field(ge=0, le=2**31 - 1)] = 1
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
     hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
@@ -94,7 +97,7 @@ class Deployment(Model):
                     )
 
     def _variables(self) -> dict[str, Scalar]:
-        return {"clock_factor": self.clock_factor, "seed": self.seed, "port": self.port}
+        return {"clock_factor": self.clock_factor, "period": self.period, "seed": self.seed, "port": self.port}
 
     def tasks(self) -> Iterator[Placed]:
         """All tasks with their places, in starting order; ids count from 1."""
@@ -129,13 +132,15 @@ class Deployment(Model):
             return variables[whole.group(1)]
         return _REFERENCE.sub(lambda match: str(variables[match.group(1)]), text)
 
-    def with_values(self, factor: float | None, seed: int | None, port: int | None) -> "Deployment":
+    def with_values(
+        self, factor: float | None, seed: int | None, port: int | None, period: float | None = None
+    ) -> "Deployment":
         """The same deployment with some of its values replaced; None leaves a value as it is.
 
         Raises:
             ConfigError: A value is out of range.
         """
-        given = {"clock_factor": factor, "seed": seed, "port": port}
+        given = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})

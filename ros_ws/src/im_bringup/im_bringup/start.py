@@ -30,6 +30,7 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("deployment", nargs="?", help="deployment file (default: the one of im_bringup)")
     parser.add_argument("--factor", type=float, help="simulated seconds a second; 0: as fast as it goes")
+    parser.add_argument("--period", type=float, help="of servo and testbed in s, e.g. 0.001")
     parser.add_argument("--seed", type=int, help="seed of all that is drawn at random")
     parser.add_argument("--port", type=int, help="TCP port of the display")
     parser.add_argument("--timeout", type=float, default=TIMEOUT_S, help="longest wait in s (default: %(default)g)")
@@ -42,7 +43,9 @@ def main() -> int:
     interrupt_once()
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     try:
-        deployment = deployments.load(path).with_values(arguments.factor, arguments.seed, arguments.port)
+        deployment = deployments.load(path).with_values(
+            arguments.factor, arguments.seed, arguments.port, arguments.period
+        )
     except ImError as error:
         print(f"start: {error.message}", file=sys.stderr)
         return 2
@@ -122,6 +125,7 @@ def spawn_bootstrap(deployment: Deployment, path: Path) -> "subprocess.Popen[byt
         str(path_of("im_bringup", "bootstrap")),
         str(path),
         *("--factor", repr(deployment.clock_factor)),
+        *("--period", repr(deployment.period)),
         *("--seed", str(deployment.seed)),
         *("--port", str(deployment.port)),
     ]

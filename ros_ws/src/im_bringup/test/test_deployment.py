@@ -80,7 +80,10 @@ def test_a_task_may_refuse_simulated_time():
             {"localhost": {"a": {"one": "{}", "two": "{}"}}},
             "process 'a' of host 'localhost' has 2 tasks, it must have 1",
         ),
-        ({"localhost": {"a": {"one": '{x: "${sed}"}'}}}, "refers to '${sed}'; known are clock_factor, port, seed"),
+        (
+            {"localhost": {"a": {"one": '{x: "${sed}"}'}}},
+            "refers to '${sed}'; known are clock_factor, period, port, seed",
+        ),
     ],
 )
 def test_contradictions_are_refused(hosts, sentence):

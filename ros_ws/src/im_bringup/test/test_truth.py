@@ -31,6 +31,13 @@ TRUTH = CellTruth.model_validate(
             for name, x, parent in (("left", -0.5, "world"), ("right", 0.5, "world"), ("wrist", 0.0, "left_wrist"))
         },
         "leds": {"left_led": {"offset_m": [0.0, 0.06, 0.05], "axis": [0.0, 0.0, 1.0], "diameter_m": 0.02}},
+        "laser": {
+            "rotation": FACING_DOWN,
+            "position_m": [0.0, 0.0, 4.0],
+            "gain": [1.0, 1.0],
+            "offset": 0.0,
+            "gap_m": 0.02,
+        },
     }
 )
 

@@ -7,6 +7,7 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -17,6 +18,7 @@ from im_bringup import leftovers, stop
 from im_bringup.interrupts import interrupt_once
 from im_bringup.measure import memory_mib
 from im_bringup.ros.calibrate_camera import Client
+from im_bringup.ros.deadlines import deadline_lines
 from im_bringup.ros.truth_error import get_truth
 from im_bringup.start import start
 from im_bringup.truth import truth_error
@@ -167,6 +169,8 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=2, help="commands at clock factor 0 (default: %(default)d)")
     parser.add_argument("--real-time", action="store_true", help="also one command in real time, for the servo")
     parser.add_argument("--seeds", type=int, default=0, help="instead: the accuracy over this many seeds")
+    parser.add_argument("--deadlines", action="store_true", help="instead: missed deadlines of the servo in real time")
+    parser.add_argument("--lines", type=Path, metavar="FILE", help="write the figures here only, as JSON")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--port", type=int, default=8080)
     arguments = parser.parse_args()
@@ -174,7 +178,9 @@ def main() -> int:
         parser.error(f"--runs {arguments.runs} must be at least 1, --seeds {arguments.seeds} at least 0")
     interrupt_once()
     try:
-        if arguments.seeds:
+        if arguments.deadlines:
+            lines = deadline_lines(arguments.seed, arguments.port)
+        elif arguments.seeds:
             lines = accuracy_lines(arguments.seeds, arguments.port)
         else:
             lines = machine_lines(0.0, arguments.seed, arguments.port, arguments.runs)
@@ -186,6 +192,9 @@ def main() -> int:
     except ImError as error:
         print(f"bench: {error.message}", file=sys.stderr)
         return 1
+    if arguments.lines is not None:
+        write(arguments.lines, lines)
+        return 0
     print(table(lines))
     path = results_dir() / f"bench-{clock.stamp_name()}.json"
     write(path, lines)

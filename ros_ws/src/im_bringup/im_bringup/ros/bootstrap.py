@@ -134,13 +134,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
     parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
     parser.add_argument("--factor", type=float)
+    parser.add_argument("--period", type=float)
     parser.add_argument("--seed", type=int)
     parser.add_argument("--port", type=int)
     arguments = parser.parse_args()
 
     def make_node() -> BootstrapNode:
         deployment = deployments.load(arguments.deployment)
-        deployment = deployment.with_values(arguments.factor, arguments.seed, arguments.port)
+        deployment = deployment.with_values(arguments.factor, arguments.seed, arguments.port, arguments.period)
         return BootstrapNode(deployment, Path(arguments.deployment).resolve(), local_host(deployment))
 
     return run.main(make_node, args=[], at_end=BootstrapNode.shut_down)

@@ -27,6 +27,7 @@ fields mean and in which unit.
 def tables(node: Node) -> str:
     """The page, from what the graph holds now."""
     owners: dict[str, set[str]] = {}
+    listeners: dict[str, set[str]] = {}
     for name, space in node.get_node_names_and_namespaces():
         if name.startswith(("_", node.get_name())):
             continue
@@ -35,7 +36,9 @@ def tables(node: Node) -> str:
         offered += node.get_publisher_names_and_types_by_node(name, space)
         for interface, _ in offered:
             owners.setdefault(interface, set()).add(whole)
-    services, actions, topics = [], [], []
+        for topic, _ in node.get_subscriber_names_and_types_by_node(name, space):
+            listeners.setdefault(topic, set()).add(whole)
+    services, actions, topics, driven = [], [], [], []
     for name, types in node.get_service_names_and_types():
         if ACTION in name:
             if name.endswith("/send_goal"):
@@ -44,10 +47,15 @@ def tables(node: Node) -> str:
         elif name in owners and not any(common in name for common in COMMON):
             services.append((name, types[0], owners[name]))
     for name, types in node.get_topic_names_and_types():
-        if name in owners and name not in COMMON_TOPICS and ACTION not in name and not name.endswith("_event"):
+        if name in COMMON_TOPICS or ACTION in name or name.endswith("_event"):
+            continue
+        if name in owners:
             topics.append((name, types[0], owners[name]))
+        elif name in listeners:
+            driven.append((name, types[0], listeners[name]))
     parts = [HEAD, _table("Actions", "of", actions), _table("Services", "of", services)]
-    return "\n".join([*parts, _table("Topics", "published by", topics)])
+    parts += [_table("Topics", "published by", topics), _table("Topics that wait for a publisher", "heard by", driven)]
+    return "\n".join(parts)
 
 
 def _table(title: str, owned: str, rows: Iterable[tuple[str, str, set[str]]]) -> str:
