@@ -68,8 +68,8 @@ def remove_shared_memory() -> list[str]:
     while True:
         more, dying = _remove_dds_segments()
         removed += more
-        if not dying or clock.monotonic() > deadline:
-            return removed
+        if not (more or dying) or clock.monotonic() > deadline:
+            return removed  # after a look that found nothing: owners may die while others' segments are removed
         clock.sleep(0.02)
 
 
