@@ -1,10 +1,13 @@
 """Lines of a benchmark: a figure with a baseline of the same run, and a bar that it should meet."""
 
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
+
+from im_core.errors import ImError
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,29 @@ class Line:
 
 def _readable(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 10_000 else f"{value:.4g}"
+
+
+def measure(work: Mapping[str, Callable[[], list[Line]]], names: Sequence[str]) -> tuple[list[Line], bool]:
+    """Measure parts of a benchmark; one that fails does not keep the others from being measured.
+
+    Args:
+        work: What measures each part, by its name.
+        names: Parts to measure.
+
+    Returns:
+        The lines, between the load averages before and after, and whether a part failed.
+    """
+    lines = [Line(f"load average before, {os.cpu_count()} CPUs", os.getloadavg()[0], "")]
+    failed = False
+    for name in names:
+        print(f"bench: {name}", flush=True)
+        try:
+            lines += work[name]()
+        except ImError as error:
+            failed = True
+            lines.append(Line(name, None, "", None, error.message))
+    lines.append(Line("load average after", os.getloadavg()[0], ""))
+    return lines, failed
 
 
 def table(lines: Sequence[Line]) -> str:

@@ -8,7 +8,7 @@ import pytest
 
 from im_core.errors import LinkError
 from im_pnt.bench import firings, searches
-from im_pnt.bench.__main__ import measure
+from im_pnt.bench.__main__ import measure_groups
 from im_pnt.bench.nets import by_name, catching_philosophers, kanban, philosophers, ring
 from im_pnt.bench.peers import Peers, plain
 from im_pnt.bench.player import Player
@@ -164,7 +164,7 @@ def test_a_group_that_fails_is_told_and_does_not_end_the_others(tmp_path):
     options = argparse.Namespace(
         peers=None, peer_programs=tmp_path, peers_missing="none", quick=True, shipped=[broken], groups=[]
     )
-    lines, failed = measure(["verify"], options)
+    lines, failed = measure_groups(["verify"], options)
     assert failed
     assert "broken.yaml" in next(line.against for line in lines if line.name == "verify")
 

@@ -2,16 +2,15 @@
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from im_core.clock import stamp_name
 from im_core.errors import ImError
-from im_core.figures import Line, table, write
+from im_core.figures import Line, measure, table, write
 from im_core.names import results_dir
 from im_mcs.bench import durations, line, lockstep, process, tick, tracking
 from im_mcs.config import McsConfig, load_config
@@ -52,7 +51,7 @@ def main() -> int:
     if unknown:
         parser.error(f"there is no part '{unknown[0]}'; there are {', '.join(PARTS)}")
     try:
-        lines, failed = measure(options.parts or list(PARTS), load_config(options.config), options)
+        lines, failed = measure(_work(load_config(options.config), options), options.parts or list(PARTS))
     except ImError as error:
         print(f"bench: {error.message}", file=sys.stderr)
         return 2
@@ -66,18 +65,9 @@ def main() -> int:
     return 1 if failed or any(line.met is False for line in lines) else 0
 
 
-def measure(parts: Sequence[str], config: McsConfig, options: argparse.Namespace) -> tuple[list[Line], bool]:
-    """Measure parts; one that fails does not keep the others from being measured.
-
-    Args:
-        parts: Their names.
-        config: Configuration.
-        options: Of the command line.
-
-    Returns:
-        The lines, and whether a part failed.
-    """
-    work: dict[str, Callable[[], list[Line]]] = {
+def _work(config: McsConfig, options: argparse.Namespace) -> dict[str, Callable[[], list[Line]]]:
+    """What measures each part."""
+    return {
         "tracking": lambda: tracking.lines(config, options.seed),
         "line": lambda: line.lines(config, options.seed),
         "tick": lambda: tick.lines(config, options.seed),
@@ -86,17 +76,6 @@ def measure(parts: Sequence[str], config: McsConfig, options: argparse.Namespace
         "lockstep": lambda: lockstep.lines(config, options.seed),
         "deadlines": lambda: _machine_lines(options.machine_bench),
     }
-    lines = [Line(f"load average before, {os.cpu_count()} CPUs", os.getloadavg()[0], "")]
-    failed = False
-    for part in parts:
-        print(f"bench: {part}", flush=True)
-        try:
-            lines += work[part]()
-        except ImError as error:
-            failed = True
-            lines.append(Line(part, None, "", None, error.message))
-    lines.append(Line("load average after", os.getloadavg()[0], ""))
-    return lines, failed
 
 
 def _machine_lines(program: Path) -> list[Line]:

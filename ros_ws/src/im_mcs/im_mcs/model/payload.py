@@ -60,7 +60,8 @@ class Payload:
             if abs(value) > reach_m:
                 limit = math.copysign(reach_m, value)
                 raise LimitError(joint="payload", value=value, limit=limit, unit="m", what=f"center.{axis}")
-        payload = cls(mass, (center[0], center[1], center[2]), tuple(inertia))  # type: ignore[arg-type]
+        (x, y, z), (xx, xy, xz, yy, yz, zz) = center, inertia
+        payload = cls(mass, (x, y, z), (xx, xy, xz, yy, yz, zz))
         _check_inertia(payload, reach_m)
         return payload
 

@@ -38,11 +38,11 @@ class Answers:
         """Keep the last seconds as evidence of a fault; its facts name the record."""
         fault.facts.setdefault("evidence", self._recorder.freeze())
 
-    def end(self, goal: Goal, fault: ImError | None, results: Mapping[str, object]) -> None:
+    def end(self, goal: Goal, fault: ImError | None, results: Mapping[str, Any]) -> None:
         """Tell the result of a goal; an abort of a motion names its evidence."""
         told = dict(results)
         if fault is not None and fault.code not in ("cancelled", "replaced"):
-            if "evidence" not in fault.facts and float(told.get("duration", 0.0)) > 0.0:  # type: ignore[arg-type]
+            if "evidence" not in fault.facts and told.get("duration", 0.0) > 0.0:
                 self.accuse(fault)
             if "evidence" in fault.facts:
                 told["evidence"] = fault.facts["evidence"]

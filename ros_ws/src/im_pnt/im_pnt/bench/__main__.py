@@ -1,15 +1,13 @@
 """``python -m im_pnt.bench``: the figures of nets, next to peers of the same run; for ``scripts/bench.sh --nets``."""
 
 import argparse
-import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from im_core.clock import stamp_name
-from im_core.errors import ImError
-from im_core.figures import Line, table, write
+from im_core.figures import Line, measure, table, write
 from im_core.names import results_dir
 from im_pnt.bench import firings, idle, journals, links, searches
 from im_pnt.bench.peers import Peers
@@ -58,7 +56,7 @@ def main() -> int:
     if unknown:
         parser.error(f"there is no group '{unknown[0]}'; there are {', '.join(GROUPS)}")
     try:
-        lines, failed = measure(options.groups or list(GROUPS), options)
+        lines, failed = measure_groups(options.groups or list(GROUPS), options)
     except KeyboardInterrupt:
         print("bench: interrupted", file=sys.stderr)
         return 130
@@ -69,8 +67,8 @@ def main() -> int:
     return 1 if failed or any(line.met is False for line in lines) else 0
 
 
-def measure(groups: Sequence[str], options: argparse.Namespace) -> tuple[list[Line], bool]:
-    """Measures groups of figures; one that fails does not keep the others from being measured.
+def measure_groups(groups: Sequence[str], options: argparse.Namespace) -> tuple[list[Line], bool]:
+    """Measures groups of figures, as :func:`im_core.figures.measure` does.
 
     Args:
         groups: Their names.
@@ -82,8 +80,6 @@ def measure(groups: Sequence[str], options: argparse.Namespace) -> tuple[list[Li
     peers = Peers(options.peers, options.peer_programs, options.peers_missing)
     share = 10 if options.quick else 1
     rounds = 1 if options.quick else ROUNDS
-    lines = [Line(f"load average before, {os.cpu_count()} CPUs", os.getloadavg()[0], "")]
-    failed = False
     with tempfile.TemporaryDirectory(prefix="im_bench_") as name:
         folder = Path(name)
         work: dict[str, Callable[[], list[Line]]] = {
@@ -95,15 +91,7 @@ def measure(groups: Sequence[str], options: argparse.Namespace) -> tuple[list[Li
             "journal": lambda: journals.lines(ENTRIES // share, folder),
             "remote": lambda: links.lines(TRIPS // share, rounds, folder),
         }
-        for group in groups:
-            print(f"bench: {group}", flush=True)
-            try:
-                lines += work[group]()
-            except ImError as error:
-                failed = True
-                lines.append(Line(group, None, "", None, error.message))
-    lines.append(Line("load average after", os.getloadavg()[0], ""))
-    return lines, failed
+        return measure(work, groups)
 
 
 if __name__ == "__main__":
