@@ -45,7 +45,7 @@ ROBOT = """
 
         def step(self):
             now = clock.monotonic()
-            dt, self.last = now - self.last, now
+            dt, self.last = min(now - self.last, 0.01), now
             held = now - self.commanded > 0.1
             for _ in range(4):
                 self.v += (self.effort - self.model.gravity(self.q)) / self.inertia * (dt / 4)
@@ -76,13 +76,13 @@ def config(tmp_path):
         "joints": [slot["name"] for slot in data["slots"]],
         "state_topic": "/robot/state",
         "command_topic": "/robot/command",
-        "silence_s": 1.0,
+        "silence_s": 3.0,
     }
     data["testbed"].update(clock="robot", drivers={"robot": {"driver": DRIVER, "settings": settings}})
     data["control"]["parameters"].update(
         bandwidth_rad_s=15.0, integral_rad_s=2.0, feedforward={"gravity": 1.0, "inertia": 1.0}
     )
-    data["safety"].update(driver_age_s=0.5, driver_age_estop_s=2.0)
+    data["safety"].update(driver_age_s=2.0, driver_age_estop_s=4.0)
     data["servo"]["max_overruns"] = 200
     data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=10.0)
     path = tmp_path / "robot.yaml"

@@ -21,7 +21,12 @@ def interrupt_once() -> None:
 def ignore_interrupts() -> None:
     """Finish, whatever comes; for commands that take a few seconds at most."""
     for number in _NUMBERS:
-        signal.signal(number, signal.SIG_IGN)
+        signal.signal(number, _nothing)  # not SIG_IGN: Python complains of a signal that came just before
+    signal.pthread_sigmask(signal.SIG_BLOCK, _NUMBERS)  # also while the interpreter ends, when handlers are gone
+
+
+def _nothing(number: int, frame: FrameType | None) -> None:
+    pass
 
 
 def _raise(number: int, frame: FrameType | None) -> NoReturn:

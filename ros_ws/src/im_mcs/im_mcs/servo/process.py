@@ -185,6 +185,5 @@ def run(instance: str, config: McsConfig) -> int:
     for number in numbers:
         signal.signal(number, process.stop)
     process.run()
-    for number in numbers:
-        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_BLOCK, numbers)  # while the interpreter ends, when handlers are gone
     return 0
