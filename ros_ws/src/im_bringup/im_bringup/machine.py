@@ -8,6 +8,7 @@ from typing import Any
 
 from im_core import names
 from im_core.errors import DataError, StateError
+from im_core.files import write_whole
 from im_core.shm import ProcessId
 
 STARTING, READY, FAILED, STOPPING = "starting", "ready", "failed", "stopping"
@@ -85,10 +86,7 @@ def read_running() -> MachineRecord:
 
 def write(record: MachineRecord) -> None:
     """Replace the record in one step."""
-    path = record_path()
-    new = path.with_name(f"{path.name}.{os.getpid()}")
-    new.write_text(json.dumps(asdict(record)), encoding="utf-8")
-    os.replace(new, path)
+    write_whole(record_path(), json.dumps(asdict(record)))
 
 
 def remove() -> None:

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from im_core.calibration_error import evaluate
 from im_core.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError
+from im_core.files import write_whole
 from im_core.robot.truth import CameraTruth, CellTruth
 from im_core.workspace import Workspace
 
@@ -66,9 +66,7 @@ def add_to_report(path: Path, truth: CellTruth) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise DataError(f"{path} is not a report: {error}", file=str(path)) from error
     report["truth_error"] = truth_error(report, truth)
-    new = path.with_name(f".{path.name}.{os.getpid()}")
-    new.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(new, path)
+    write_whole(path, json.dumps(report, indent=2, allow_nan=False) + "\n")
     return report
 
 

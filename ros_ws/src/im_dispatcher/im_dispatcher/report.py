@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from im_core.files import write_whole
+
 LATEST = "latest"
 
 
@@ -88,10 +90,7 @@ def make_directory(results: Path, stamp: str) -> Path:
 
 def write_report(directory: Path, report: Mapping[str, object]) -> Path:
     """Write ``report.json`` at one stroke, and let ``latest`` beside the folder point to it."""
-    path = directory / "report.json"
-    partial = directory / ".report.json.partial"
-    partial.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    path = write_whole(directory / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
     link = directory.parent / f".{LATEST}.{os.getpid()}"
     link.unlink(missing_ok=True)
     link.symlink_to(directory.name)

@@ -7,10 +7,10 @@ the entropy of that choice is the uncertainty of the decision in the sense of Sa
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from im_core.files import write_whole
 from im_pnt.errors import NetError
 from im_pnt.net import Strategy
 
@@ -58,13 +58,7 @@ class StrategyBook:
             OSError: It cannot be written.
         """
         content = {name: {"successes": s, "failures": f} for name, (s, f) in sorted(self._counts.items())}
-        new = path.with_name(f"{path.name}.{os.getpid()}.new")
-        try:
-            new.write_text(json.dumps({"strategies": content}, indent=1) + "\n")
-            new.replace(path)
-        except OSError:
-            new.unlink(missing_ok=True)
-            raise
+        write_whole(path, json.dumps({"strategies": content}, indent=1) + "\n")
 
 
 def probabilities(weights: Sequence[float]) -> list[float]:

@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from im_core.errors import ImError
+from im_core.files import write_whole
 from im_mcs.servo.recorder import PER_JOINT
 
 _AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -37,8 +37,8 @@ def write_evidence(folder: Path, record: Mapping[str, Any], fault: ImError, join
     np.savez_compressed(arrays, fault=np.array(told), joints=np.array(joints), **dict(record))
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _write(folder / f"{stem}.csv", _table(record, joints, fault).encode())
-        return _write(folder / f"{stem}.npz", arrays.getvalue())
+        write_whole(folder / f"{stem}.csv", _table(record, joints, fault))
+        return write_whole(folder / f"{stem}.npz", arrays.getvalue())
     except OSError as error:
         raise ImError(f"evidence cannot be written to {folder}: {error}", code="file", file=str(folder)) from error
 
@@ -53,10 +53,3 @@ def _table(record: Mapping[str, Any], joints: tuple[str, ...], fault: ImError) -
     for tick, stamp, row in zip(record["tick"], record["stamp_ns"], values.tolist(), strict=True):
         lines.append(f"{tick},{stamp}," + ",".join(f"{value:.9g}" for value in row))
     return "\n".join(lines) + "\n"
-
-
-def _write(path: Path, data: bytes) -> Path:
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    part.write_bytes(data)
-    os.replace(part, path)
-    return path

@@ -9,7 +9,7 @@ from pathlib import Path
 from im_core.clock import monotonic
 from im_core.errors import ImError
 from im_pnt.cli.exits import OK, Subcommands
-from im_pnt.cli.output import write_whole
+from im_pnt.cli.output import write_output
 from im_pnt.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.net import Net
 from im_pnt.netfile import PNML_SUFFIXES, load_net, parse_net
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
         parse_net(text, str(output))
     else:
         text, notes = pnml_text(net), tuple(_unseen(net))
-    write_whole(output, text, overwrite=options.force)
+    write_output(output, text, overwrite=options.force)
     for note in notes:
         print(f"pnt: {note}", file=sys.stderr)
     print(f"{output}: net {net.name}, {len(net.places)} places, {len(net.transitions)} transitions")

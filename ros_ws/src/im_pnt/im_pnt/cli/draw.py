@@ -5,7 +5,7 @@ from pathlib import Path
 
 from im_core.errors import ImError
 from im_pnt.cli.exits import OK, Subcommands
-from im_pnt.cli.output import write_whole
+from im_pnt.cli.output import write_output
 from im_pnt.draw import dot, draw, svg
 from im_pnt.netfile import load_net
 
@@ -25,6 +25,6 @@ def run(options: argparse.Namespace) -> int:
     if output.suffix not in (".svg", ".dot"):
         raise ImError(f"cannot draw into '{output}': the name must end in .svg or .dot", code="input")
     drawing = draw(load_net(options.file), phases=options.phases)
-    write_whole(output, svg(drawing) if output.suffix == ".svg" else dot(drawing), overwrite=True)
+    write_output(output, svg(drawing) if output.suffix == ".svg" else dot(drawing), overwrite=True)
     print(f"{output}: {len(drawing.nodes)} nodes, {len(drawing.arcs)} arcs")
     return OK

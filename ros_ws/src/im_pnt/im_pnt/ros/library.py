@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from im_core.files import write_whole
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import NetDescription
@@ -58,7 +59,7 @@ class Library:
         if self._kept is None:
             return net
         path = self._kept / f"{net.name}-{fingerprint(net)}.yaml"
-        path.write_text(yaml_text(net), encoding="utf-8")
+        write_whole(path, yaml_text(net))
         return replace(net, source=str(path))
 
     def partners(self, net: Net, own: Sequence[Net]) -> list[Net]:

@@ -1,11 +1,11 @@
 """Drawings of expected times, for those who would rather look than read."""
 
 import io
-import os
 from pathlib import Path
 from typing import Any
 
 from im_core.errors import ImError
+from im_core.files import write_whole
 from im_pnt.timed.comparison import Comparison
 from im_pnt.timed.durations import CommandDuration
 from im_pnt.timed.steady import SteadyState
@@ -84,9 +84,7 @@ def _figure(rows: int) -> tuple[Any, Any]:
 def _write(figure: Any, output: Path) -> None:
     drawing = io.BytesIO()
     figure.savefig(drawing, format=output.suffix.removeprefix("."), dpi=120)
-    partial = output.with_name(f".{output.name}.partial")
     try:
-        partial.write_bytes(drawing.getvalue())
-        os.replace(partial, output)
+        write_whole(output, drawing.getvalue())
     except OSError as error:
         raise ImError(f"cannot write '{output}': {error.strerror}", code="input") from error

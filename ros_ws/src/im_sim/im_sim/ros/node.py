@@ -2,9 +2,7 @@
 
 import json
 import math
-import os
 import sys
-from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -15,6 +13,7 @@ from std_msgs.msg import String
 
 from im_core import clock, names, shm
 from im_core.errors import ConfigError, DataError, ImError, LinkError, StateError
+from im_core.files import write_whole
 from im_core.robot import load_cell
 from im_core.robot.truth import FILE_NAME, CellTruth
 from im_core.ros import qos
@@ -70,7 +69,7 @@ class TestbedNode(ManagedNode):
             self._cell = self._cell.at_period(period)
         self._truth = draw_truth(self._cell, seed)
         run_dir = names.run_dir()
-        _replace(run_dir / FILE_NAME, self._truth.model_dump_json(indent=1))
+        write_whole(run_dir / FILE_NAME, self._truth.model_dump_json(indent=1))
         arguments = ["--instance", names.instance(), "--factor", repr(factor), "--seed", str(seed)]
         arguments += ["--period", repr(self._cell.period)]
         if path:
@@ -226,13 +225,6 @@ def _number(value: Any, name: str, lowest: float, highest: float = math.inf) -> 
 
 def _time(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file so that a reader sees the old or the new one, never half of it."""
-    part = path.with_suffix(".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
 
 
 def main() -> int:

@@ -2,13 +2,13 @@
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from im_core.clock import monotonic
 from im_core.errors import ImError
+from im_core.files import write_whole
 from im_vss.calibration.answer import answer
 from im_vss.calibration.dataset import load_problems
 
@@ -88,18 +88,9 @@ def _calibrate(source: Path, target: Path) -> None:
         if monotonic() - told > _QUIET_S:
             told = monotonic()
             print(f"{i + 1} of {len(problems)} trials, {told - begin:.0f} s", file=sys.stderr, flush=True)
-    _write_whole(target, json.dumps({"trials": trials}, indent=1, allow_nan=False) + "\n")
+    write_whole(target, json.dumps({"trials": trials}, indent=1, allow_nan=False) + "\n")
     for i, trial in enumerate(trials):
         print(f"trial {i}: {trial['message']}")
-
-
-def _write_whole(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

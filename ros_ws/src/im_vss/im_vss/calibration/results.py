@@ -2,10 +2,10 @@
 
 import io
 import json
-import os
 from pathlib import Path
 
 from im_core.errors import DataError
+from im_core.files import write_whole
 from im_vss.calibration.calibration import Calibration
 from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.report import report_of, summary
@@ -40,7 +40,7 @@ def write_results(directory: Path | str, calibration: Calibration, problem: Cali
     target = Path(directory)
     try:
         target.mkdir(parents=True, exist_ok=True)
-        return tuple(_write_whole(target / name, content) for name, content in contents.items())
+        return tuple(write_whole(target / name, content) for name, content in contents.items())
     except OSError as error:
         raise DataError(f"The results cannot be written to {target}: {error.strerror}.", file=str(target)) from error
 
@@ -55,13 +55,3 @@ def _pictures(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         plot(calibration, problem, buffer)
         pictures[f"{name}.png"] = buffer.getvalue()
     return pictures
-
-
-def _write_whole(path: Path, content: bytes) -> Path:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.write_bytes(content)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return path

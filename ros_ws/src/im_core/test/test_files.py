@@ -1,0 +1,71 @@
+"""Files that are written whole or not at all."""
+
+import os
+import stat
+import threading
+
+import pytest
+
+from im_core.files import write_whole
+
+
+def test_text_and_bytes_replace_what_was_there(tmp_path):
+    path = tmp_path / "a.txt"
+    assert write_whole(path, "grün\n") == path
+    assert path.read_bytes() == "grün\n".encode()
+    write_whole(path, b"\x00\xff")
+    assert path.read_bytes() == b"\x00\xff"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_the_umask_decides_who_may_read(tmp_path):
+    before = os.umask(0o027)
+    try:
+        assert stat.S_IMODE(write_whole(tmp_path / "a", "").stat().st_mode) == 0o640
+    finally:
+        os.umask(before)
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "there").write_text("old")
+    (tmp_path / "link").symlink_to("there")
+    write_whole(tmp_path / "link", "new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "there").read_text() == "new"
+
+
+def test_what_cannot_be_written_leaves_nothing(tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "full").touch()
+    with pytest.raises(OSError, match="folder"):
+        write_whole(tmp_path / "folder", "text")
+    with pytest.raises(FileNotFoundError):
+        write_whole(tmp_path / "missing" / "a", "text")
+    with pytest.raises(UnicodeEncodeError):
+        write_whole(tmp_path / "b", "\ud800")
+    assert os.listdir(tmp_path) == ["folder"]
+
+
+def test_a_reader_sees_one_whole_version(tmp_path):
+    path = write_whole(tmp_path / "a", "0" * 50_000)
+    done = threading.Event()
+    seen = set()
+
+    def read():
+        while not done.is_set():
+            seen.add(path.read_text())
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    writers = [
+        threading.Thread(target=lambda digit=digit: [write_whole(path, digit * 50_000) for _ in range(20)])
+        for digit in "123"
+    ]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    done.set()
+    reader.join()
+    assert seen <= {digit * 50_000 for digit in "0123"}
+    assert os.listdir(tmp_path) == ["a"]
