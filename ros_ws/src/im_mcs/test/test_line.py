@@ -5,8 +5,8 @@ import pytest
 from im_core.errors import ImError, LimitError, StateError
 from im_mcs.limits import JointLimits
 from im_mcs.planning.arguments import LineMove
+from im_mcs.planning.context import PlanContext
 from im_mcs.planning.line import LinePreparation
-from im_mcs.planning.preparation import PlanContext
 
 PERIOD = 0.0045
 SIX, NINE = np.arange(3, 9), np.arange(9)

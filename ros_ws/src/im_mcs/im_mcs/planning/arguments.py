@@ -16,7 +16,7 @@ from im_mcs.planning.trajectory_arguments import TOLERANCES, TrajectoryMove, che
 from im_mcs.planning.values import as_amount, as_list, as_numbers, check_fields, is_number
 
 if TYPE_CHECKING:
-    from im_mcs.planning.preparation import PlanContext
+    from im_mcs.planning.context import PlanContext
 
 SLOWEST = 0.01
 """Smallest scale of speed: a motion slowed down further would seem to stand, and never end."""

@@ -9,7 +9,7 @@ from im_core.errors import LimitError
 from im_mcs.planning.polynomial import PiecewisePolynomial
 
 if TYPE_CHECKING:
-    from im_mcs.planning.preparation import PlanContext
+    from im_mcs.planning.context import PlanContext
 
 _SAMPLES = 33
 _TOLERANCE = 1e-4

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.planning.arguments import Move, Policy
-from im_mcs.planning.preparation import PlanContext, Preparation
+from im_mcs.planning.context import PlanContext, Preparation
 from im_mcs.planning.stream import Lease, StreamFollower
 from im_mcs.planning.tolerance import Tolerances
 from im_mcs.planning.trajectory import Trajectory

@@ -10,7 +10,7 @@ from im_core.errors import DataError, LimitError
 from im_mcs.planning.values import as_list, as_numbers
 
 if TYPE_CHECKING:
-    from im_mcs.planning.preparation import PlanContext
+    from im_mcs.planning.context import PlanContext
 
 _ROUNDING = 1e-6
 

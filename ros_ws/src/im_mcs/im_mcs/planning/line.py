@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from im_core.errors import StateError
 from im_mcs.inverse import Arm, ArmTracker
 from im_mcs.planning.arguments import LineMove
+from im_mcs.planning.context import PlanContext
 from im_mcs.planning.line_carriers import CarrierChoice
 from im_mcs.planning.line_curve import LineCurve
 from im_mcs.planning.line_fit import fit
@@ -17,7 +18,6 @@ from im_mcs.planning.line_geometry import LinePath, parameter_length
 from im_mcs.planning.line_joints import JointCurve
 from im_mcs.planning.line_profile import Profile
 from im_mcs.planning.polynomial import PiecewisePolynomial
-from im_mcs.planning.preparation import PlanContext
 
 # Quintics in time between knots this far apart follow curve and profile to far less than a micrometre [s].
 _KNOT_S = 0.02

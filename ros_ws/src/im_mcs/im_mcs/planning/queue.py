@@ -5,9 +5,10 @@ from typing import Any
 
 from im_core.errors import ImError, StateError
 from im_mcs.planning.arguments import LineMove, Policy
+from im_mcs.planning.context import PlanContext
 from im_mcs.planning.goals import Current, Goal, Queued, Rates, tolerances_of
 from im_mcs.planning.planner import GroupPlanner
-from im_mcs.planning.preparation import PlanContext, prepare
+from im_mcs.planning.preparation import prepare
 from im_mcs.planning.setpoint import Setpoint
 
 Ended = tuple[Goal, ImError | None, dict[str, Any]]

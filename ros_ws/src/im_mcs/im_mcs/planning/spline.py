@@ -28,7 +28,7 @@ from im_mcs.planning.trajectory import Trajectory
 from im_mcs.planning.trajectory_arguments import TrajectoryMove
 
 if TYPE_CHECKING:
-    from im_mcs.planning.preparation import PlanContext
+    from im_mcs.planning.context import PlanContext
 
 _PIECES_A_SLICE = 12
 

@@ -13,7 +13,7 @@ from im_mcs.planning.joint_values import check_points, per_joint, within
 from im_mcs.planning.values import as_amount, as_list, check_fields, is_number
 
 if TYPE_CHECKING:
-    from im_mcs.planning.preparation import PlanContext
+    from im_mcs.planning.context import PlanContext
 
 TOLERANCES = ("path_tolerance", "path_velocity_tolerance", "goal_tolerance", "goal_velocity_tolerance")
 """Fields of a trajectory with a bound per joint, which are those of :class:`TrajectoryMove` too."""

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from im_core.errors import ImError
 from im_mcs.config import McsConfig
 from im_mcs.control import ControlInput, ControlLaws, LawSource
+from im_mcs.planning.context import PlanContext
 from im_mcs.planning.goals import Goal
 from im_mcs.planning.motions import GroupMotions
 from im_mcs.planning.planner import GroupPlanner
-from im_mcs.planning.preparation import PlanContext
 from im_mcs.planning.queue import Ended
 from im_mcs.planning.setpoint import Setpoint
 from im_mcs.servo.rest import RestMonitor, RestPhase

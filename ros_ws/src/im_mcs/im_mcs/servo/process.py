@@ -9,7 +9,6 @@ from im_core.errors import LinkError
 from im_core.robot import load_cell
 from im_mcs.config import McsConfig
 from im_mcs.model import Model
-from im_mcs.planning import line as _line  # noqa: F401  (loaded in the loop it would cost deadlines)
 from im_mcs.servo.channel import ServoChannel
 from im_mcs.servo.core import Mcs
 from im_mcs.servo.hardware import GuardedTestbed

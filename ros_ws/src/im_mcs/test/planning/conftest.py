@@ -12,8 +12,8 @@ from im_mcs.config import McsConfig
 from im_mcs.control import ControlInput
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
+from im_mcs.planning.context import PlanContext
 from im_mcs.planning.planner import GroupPlanner
-from im_mcs.planning.preparation import PlanContext
 from im_mcs.planning.setpoint import Setpoint
 from im_mcs.servo.group import ControlledGroup, Goal
 from im_mcs.servo.rest import RestMonitor
