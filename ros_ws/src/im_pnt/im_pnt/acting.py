@@ -5,13 +5,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from im_core.errors import ImError
+from im_pnt.action import RequestAction
 from im_pnt.choosing import Chooser
 from im_pnt.doubt import Answer
 from im_pnt.firing import FiringRule
 from im_pnt.functions import ActionContext, ActionFunction
 from im_pnt.inquiry import Inquiry
 from im_pnt.jobs import NO_LINEAGE, Activity, ActivityState, Lineage, as_failure
-from im_pnt.net import RequestAction, Role
+from im_pnt.net import Role
 from im_pnt.timers import Timers
 
 if TYPE_CHECKING:

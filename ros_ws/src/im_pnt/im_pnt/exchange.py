@@ -6,12 +6,13 @@ from typing import Protocol
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, LinkError, StateError
+from im_pnt.action import RequestAction
 from im_pnt.errors import NetError, nearest
 from im_pnt.events import ActionEnded, Observer
 from im_pnt.executive import Executive
 from im_pnt.inboxes import Inboxes
 from im_pnt.jobs import Activity, Command, Request
-from im_pnt.net import RemotePlace, RequestAction
+from im_pnt.net import RemotePlace
 from im_pnt.record import Entry
 from im_pnt.remote import VOID, Kind, Message, token_message
 from im_pnt.requests import RequestBook, Waiting, cancel_message, cancelled_by, request_message, request_of

@@ -12,6 +12,7 @@ from typing import Protocol
 from im_core.clock import monotonic
 from im_core.errors import ImError
 from im_pnt.acting import Actions, CheckObjects
+from im_pnt.action import Action
 from im_pnt.choosing import Chooser
 from im_pnt.doubt import Answer
 from im_pnt.errors import NetError, nearest
@@ -20,7 +21,7 @@ from im_pnt.firing import FiringRule
 from im_pnt.functions import ActionContext, ActionFunction, Functions
 from im_pnt.jobs import Activities, Activity, Command, CommandResult, Job
 from im_pnt.modes import Mode
-from im_pnt.net import Action, Net
+from im_pnt.net import Net
 from im_pnt.operation import Operation
 from im_pnt.record import Entry, Record, encode_command
 from im_pnt.replaying import replay

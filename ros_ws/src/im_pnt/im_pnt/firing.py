@@ -8,11 +8,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from im_core.errors import ImError
+from im_pnt.action import RequestAction
 from im_pnt.errors import NetError
 from im_pnt.events import Observer, Phase
 from im_pnt.expand import active_place, cancelling_place, doubt_place, input_place
 from im_pnt.jobs import NO_LINEAGE, Activity, ActivityState, Lineage
-from im_pnt.net import Net, RemotePlace, RequestAction, Role
+from im_pnt.net import Net, RemotePlace, Role
 from im_pnt.netstate import NetState
 from im_pnt.record import Entry, changed_data, restore_data
 from im_pnt.remote import encode_error

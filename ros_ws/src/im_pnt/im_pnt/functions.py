@@ -4,10 +4,11 @@ import math
 from collections.abc import Awaitable, Callable, Mapping
 
 from im_core.errors import ImError
+from im_pnt.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.doubt import Answer
 from im_pnt.errors import NetError, NetFileError, nearest
 from im_pnt.jobs import NO_COMMAND, NO_LINEAGE, Activity, Command, Lineage
-from im_pnt.net import FunctionAction, GoalAction, Net, RequestAction, ServiceAction, TopicAction, Transition
+from im_pnt.net import Net, Transition
 
 ProgressSink = Callable[[Lineage, str, float], None]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from im_core.errors import ImError
-from im_pnt.net import Action
+from im_pnt.action import Action
 from im_pnt.timers import Timer
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from im_pnt.action import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.delay import Delay
 
 Arcs = Mapping[str, int]
@@ -58,91 +59,6 @@ class Guard:
 
     def __str__(self) -> str:
         return f"not {self.name}" if self.negated else self.name
-
-
-@dataclass(frozen=True, slots=True)
-class FunctionAction:
-    """Calls a registered function."""
-
-    function: str
-
-    def __str__(self) -> str:
-        return f"function {self.function}"
-
-
-@dataclass(frozen=True, slots=True)
-class ServiceAction:
-    """Calls a service.
-
-    Attributes:
-        name: Name of the service.
-        type: Its type, ``package/srv/Type``.
-        fields: Fields of the request.
-        build: Registered function that makes further fields.
-        handle: Registered function that reads the response.
-        task: Task that answers, whose death ends the wait; None: the first part of the name, if that is a task.
-    """
-
-    name: str
-    type: str
-    fields: Mapping[str, object] = field(default_factory=dict)
-    build: str | None = None
-    handle: str | None = None
-    task: str | None = None
-
-    def __str__(self) -> str:
-        return f"service {self.name}"
-
-
-@dataclass(frozen=True, slots=True)
-class GoalAction:
-    """Sends an action goal; the attributes are those of :class:`ServiceAction`, the type is ``package/action/Type``."""
-
-    name: str
-    type: str
-    fields: Mapping[str, object] = field(default_factory=dict)
-    build: str | None = None
-    handle: str | None = None
-    task: str | None = None
-
-    def __str__(self) -> str:
-        return f"goal {self.name}"
-
-
-@dataclass(frozen=True, slots=True)
-class RequestAction:
-    """Asks another net for one of its services through its coordination structure (paper, Figure 11)."""
-
-    net: str
-    service: str
-    fields: Mapping[str, object] = field(default_factory=dict)
-    build: str | None = None
-
-    def __str__(self) -> str:
-        return f"request {self.net}.{self.service}"
-
-
-@dataclass(frozen=True, slots=True)
-class TopicAction:
-    """Publishes one message; confirms when it has been handed to the middleware.
-
-    Attributes:
-        name: Name of the topic.
-        type: Its type, ``package/msg/Type``.
-        fields: Fields of the message.
-        build: Registered function that makes further fields.
-    """
-
-    name: str
-    type: str
-    fields: Mapping[str, object] = field(default_factory=dict)
-    build: str | None = None
-
-    def __str__(self) -> str:
-        return f"topic {self.name}"
-
-
-Action = FunctionAction | ServiceAction | GoalAction | RequestAction | TopicAction
 
 
 @dataclass(frozen=True, slots=True)

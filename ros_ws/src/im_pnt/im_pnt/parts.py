@@ -7,6 +7,7 @@ It stands where an arc to a distant place, to a place that many transitions lead
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from im_pnt.action import FunctionAction, RequestAction
 from im_pnt.expand import (
     INPUT_SEMAPHORE,
     OUTPUT_SEMAPHORE,
@@ -17,7 +18,7 @@ from im_pnt.expand import (
     input_place,
 )
 from im_pnt.layers import Box, Edge
-from im_pnt.net import Arcs, FunctionAction, Net, Place, RequestAction, Role, Transition
+from im_pnt.net import Arcs, Net, Place, Role, Transition
 from im_pnt.references import far_edges
 
 RADIUS = 11.0

@@ -5,12 +5,12 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping
 
 from im_core.clock import monotonic
 from im_core.errors import ImError
+from im_pnt.action import Action, FunctionAction, RequestAction
 from im_pnt.doubt import Answer, Verdict
 from im_pnt.exchange import Exchange
 from im_pnt.executive import Executive
 from im_pnt.functions import ActionContext, ActionFunction, Functions
 from im_pnt.jobs import Activity, as_failure
-from im_pnt.net import Action, FunctionAction, RequestAction
 from im_pnt.record import plain_dict
 
 GRACE_S = 1.0

@@ -4,6 +4,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
+from im_pnt.action import Action, FunctionAction
 from im_pnt.doubt import Answer, Verdict
 from im_pnt.events import Firing, Observer, Phase
 from im_pnt.exchange import Exchange, Transport
@@ -11,7 +12,7 @@ from im_pnt.executive import Executive
 from im_pnt.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
 from im_pnt.jobs import Activity, Command, CommandResult, Job
 from im_pnt.modes import Mode
-from im_pnt.net import Action, FunctionAction, Net
+from im_pnt.net import Net
 from im_pnt.record import Record
 from im_pnt.runner import FunctionRunner, Spawn
 from im_pnt.strategies import StrategyBook

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from im_pnt.action import FunctionAction
 from im_pnt.delay import Delay
 from im_pnt.draw import dot, draw, svg
 from im_pnt.layout import Box, layered
-from im_pnt.net import FunctionAction, Net, Place, Transition
+from im_pnt.net import Net, Place, Transition
 from im_pnt.netfile import load_net
 
 boxes = st.builds(Box, st.floats(5, 60), st.floats(5, 60), st.floats(10, 50))

@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
+from im_pnt.action import FunctionAction
 from im_pnt.events import CommandCancelled, Observer
 from im_pnt.functions import ActionContext
-from im_pnt.net import FunctionAction, Guard, Net, Place, Transition
+from im_pnt.net import Guard, Net, Place, Transition
 from im_pnt.testing import Process
 
 PLACES = tuple("abcdef")

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from im_core.errors import ImError, LinkError
+from im_pnt.action import FunctionAction, RequestAction, TopicAction
 from im_pnt.events import CommandCancelled, Observer, TokenArrived
 from im_pnt.functions import ActionContext
 from im_pnt.jobs import Command, CommandResult
@@ -17,7 +18,6 @@ from im_pnt.journal.guarded_runner import GuardedRunner
 from im_pnt.journal.memory import MemoryFiles
 from im_pnt.journal.process_journal import Journal
 from im_pnt.journal.testing import JournalledProcess
-from im_pnt.net import FunctionAction, RequestAction, TopicAction
 from im_pnt.netfile import parse_net
 
 LINE = "net: n\nplaces: {a: {tokens: 3, remote: true}, b: }\ntransitions: {t: {in: [a, a, a], out: b}}"

@@ -3,18 +3,10 @@ import os
 import pytest
 
 from im_core.errors import ImError
+from im_pnt.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.delay import Delay
 from im_pnt.errors import NetFileError
-from im_pnt.net import (
-    FunctionAction,
-    GoalAction,
-    Guard,
-    RemotePlace,
-    RequestAction,
-    ServiceAction,
-    Strategy,
-    TopicAction,
-)
+from im_pnt.net import Guard, RemotePlace, Strategy
 from im_pnt.netfile import load_net, parse_net
 
 GOOD = """\

@@ -8,22 +8,10 @@ import jsonschema
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from im_pnt.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.delay import Delay
 from im_pnt.errors import NetFileError
-from im_pnt.net import (
-    FunctionAction,
-    GoalAction,
-    Guard,
-    Net,
-    Place,
-    RemotePlace,
-    RequestAction,
-    Service,
-    ServiceAction,
-    Strategy,
-    TopicAction,
-    Transition,
-)
+from im_pnt.net import Guard, Net, Place, RemotePlace, Service, Strategy, Transition
 from im_pnt.netfile import load_net, parse_net
 from im_pnt.netfile.describe import describe
 from im_pnt.netfile.writer import yaml_text

@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
+from im_pnt.action import FunctionAction, RequestAction
 from im_pnt.analysis.verify import verify
 from im_pnt.delay import Delay, exponential
 from im_pnt.errors import NetError
-from im_pnt.net import FunctionAction, Net, Place, RequestAction, Service, Strategy, Transition
+from im_pnt.net import Net, Place, Service, Strategy, Transition
 from im_pnt.netfile import load_net
 from im_pnt.replay import Script, read_script, replay
 from im_pnt.simulate import simulate

@@ -4,9 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from im_pnt.action import FunctionAction, RequestAction
 from im_pnt.delay import Delay, exponential
 from im_pnt.errors import NetError
-from im_pnt.net import FunctionAction, Guard, Net, Place, RequestAction, Service, Transition
+from im_pnt.net import Guard, Net, Place, Service, Transition
 from im_pnt.timed.comparison import compare
 from im_pnt.timed.durations import expected_command
 from im_pnt.timed.fit import fit_delays

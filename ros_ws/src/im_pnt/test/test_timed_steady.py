@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from im_pnt.action import FunctionAction, RequestAction
 from im_pnt.compiled import compile_net
 from im_pnt.delay import Delay, exponential
 from im_pnt.errors import NetError
-from im_pnt.net import FunctionAction, Net, Place, RequestAction, Service, Transition
+from im_pnt.net import Net, Place, Service, Transition
 from im_pnt.netfile import load_net
 from im_pnt.timed.steady import steady_state
 

@@ -8,11 +8,12 @@ has come, ``t.patience`` keeps it from giving up once more.
 from collections.abc import Iterator
 from dataclasses import replace
 
+from im_pnt.action import RequestAction
 from im_pnt.analysis.commands import Caller, Commands
 from im_pnt.analysis.flat import Flat
 from im_pnt.errors import NetError, nearest
 from im_pnt.expand import doubt_place, input_place
-from im_pnt.net import Net, Place, RequestAction, Role, Transition
+from im_pnt.net import Net, Place, Role, Transition
 
 _IN_DOUBT = ".in_doubt"
 

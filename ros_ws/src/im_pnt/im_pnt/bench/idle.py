@@ -9,12 +9,13 @@ from statistics import median
 
 from im_core.clock import cpu, monotonic, sleep
 from im_core.figures import Line
+from im_pnt.action import FunctionAction
 from im_pnt.bench.serving import serve
 from im_pnt.bench.workers import number, own
 from im_pnt.exchange import Exchange
 from im_pnt.executive import Executive
 from im_pnt.functions import ActionContext, Functions
-from im_pnt.net import FunctionAction, Net, Place, Transition
+from im_pnt.net import Net, Place, Transition
 from im_pnt.runner import FunctionRunner
 
 ACTIONS = 1000

@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Mapping
 
+from im_pnt.action import FunctionAction
 from im_pnt.errors import NetError, nearest
-from im_pnt.net import FunctionAction, Net, Place, Transition
+from im_pnt.net import Net, Place, Transition
 
 ACTION = "count"
 """Name of the function that the transitions of a net with actions call."""

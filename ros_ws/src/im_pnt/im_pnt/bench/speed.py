@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from im_core.clock import cpu, monotonic
 from im_core.errors import ImError
+from im_pnt.action import GoalAction, ServiceAction, TopicAction
 from im_pnt.analysis.problem import problem_of
 from im_pnt.analysis.reachability import Limits, Search
 from im_pnt.analysis.semiflows import p_semiflows
@@ -15,7 +16,7 @@ from im_pnt.exchange import Exchange
 from im_pnt.executive import Executive
 from im_pnt.functions import ActionContext, Functions
 from im_pnt.jobs import Activity, Command, CommandResult
-from im_pnt.net import GoalAction, Net, ServiceAction, TopicAction
+from im_pnt.net import Net
 from im_pnt.runner import FunctionRunner
 
 _AT_ONCE = 1000

@@ -2,11 +2,11 @@
 
 from collections.abc import Awaitable, Callable
 
+from im_pnt.action import Action, RequestAction
 from im_pnt.executive import Executive, Runner
 from im_pnt.functions import ActionContext, ActionFunction
 from im_pnt.jobs import Activity
 from im_pnt.journal.errors import JournalError
-from im_pnt.net import Action, RequestAction
 
 
 class GuardedRunner:

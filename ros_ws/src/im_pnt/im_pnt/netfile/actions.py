@@ -3,9 +3,10 @@
 import re
 from collections.abc import Mapping
 
+from im_pnt.action import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.delay import Delay
 from im_pnt.errors import NetError, nearest
-from im_pnt.net import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, Strategy, TopicAction
+from im_pnt.net import Strategy
 from im_pnt.netfile import keys
 from im_pnt.netfile.names import checked, is_name
 from im_pnt.netfile.node import Node

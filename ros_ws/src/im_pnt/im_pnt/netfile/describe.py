@@ -2,22 +2,10 @@
 
 from collections.abc import Mapping
 
+from im_pnt.action import Action, FunctionAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.delay import Delay
 from im_pnt.errors import NetError
-from im_pnt.net import (
-    Action,
-    Arcs,
-    FunctionAction,
-    Net,
-    Place,
-    RemotePlace,
-    RequestAction,
-    Role,
-    ServiceAction,
-    Strategy,
-    TopicAction,
-    Transition,
-)
+from im_pnt.net import Arcs, Net, Place, RemotePlace, Role, Strategy, Transition
 
 
 def describe(net: Net) -> dict[str, object]:

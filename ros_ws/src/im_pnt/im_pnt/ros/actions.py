@@ -10,10 +10,10 @@ from im_core.ros.calls import pause, wait
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import status_to_error
+from im_pnt.action import Action, GoalAction, ServiceAction, TopicAction
 from im_pnt.errors import NetError
 from im_pnt.functions import ActionContext, Functions
 from im_pnt.jobs import Activity
-from im_pnt.net import Action, GoalAction, ServiceAction, TopicAction
 
 DISCOVERY_TIMEOUT_S = 6.0
 SETTLING_S = 1.0

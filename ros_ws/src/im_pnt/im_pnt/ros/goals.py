@@ -17,10 +17,10 @@ from unique_identifier_msgs.msg import UUID
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
 from im_core.ros.calls import pause
+from im_pnt.action import Action, GoalAction
 from im_pnt.doubt import Answer, Verdict
 from im_pnt.functions import ActionContext
 from im_pnt.jobs import Activity
-from im_pnt.net import Action, GoalAction
 from im_pnt.ros.actions import Surroundings, failure_of, require_success, time_left
 from im_pnt.ros.fields import fill, interface_class
 

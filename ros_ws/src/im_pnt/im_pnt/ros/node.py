@@ -12,13 +12,14 @@ from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import ObjectChange
+from im_pnt.action import GoalAction, ServiceAction, TopicAction
 from im_pnt.analysis.report import Report
 from im_pnt.events import CommandCancelled, GuardsChanged, ObjectInvalidated
 from im_pnt.exchange import Exchange
 from im_pnt.executive import Executive
 from im_pnt.functions import AskFunction, Functions, GuardFunction
 from im_pnt.journal.process_journal import Journal
-from im_pnt.net import GoalAction, Net, ServiceAction, TopicAction
+from im_pnt.net import Net
 from im_pnt.ros.actions import RosAction, Surroundings
 from im_pnt.ros.commands import CommandOutcome, Commands, ProgressListener
 from im_pnt.ros.control import Operator

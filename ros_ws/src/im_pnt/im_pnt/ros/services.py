@@ -3,9 +3,9 @@
 from rclpy.client import Client
 
 from im_core.clock import monotonic
+from im_pnt.action import Action, ServiceAction
 from im_pnt.functions import ActionContext
 from im_pnt.jobs import Activity
-from im_pnt.net import Action, ServiceAction
 from im_pnt.ros.actions import Surroundings, require_success, time_left
 from im_pnt.ros.fields import fill, interface_class
 

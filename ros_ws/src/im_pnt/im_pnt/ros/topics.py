@@ -3,9 +3,9 @@
 from rclpy.publisher import Publisher
 
 from im_core.ros import qos
+from im_pnt.action import Action, TopicAction
 from im_pnt.functions import ActionContext
 from im_pnt.jobs import Activity
-from im_pnt.net import Action, TopicAction
 from im_pnt.ros.actions import Surroundings
 from im_pnt.ros.fields import fill, interface_class
 

@@ -4,8 +4,9 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from im_pnt.action import RequestAction
 from im_pnt.delay import Delay
-from im_pnt.net import Net, RequestAction, Transition
+from im_pnt.net import Net, Transition
 from im_pnt.timed.measured import Observation
 
 _CONSTANT = 0.01

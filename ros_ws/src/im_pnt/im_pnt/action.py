@@ -1,0 +1,84 @@
+"""What a transition does between taking its tokens and giving new ones."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionAction:
+    """Calls a registered function."""
+
+    function: str
+
+    def __str__(self) -> str:
+        return f"function {self.function}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Message:
+    """A message to somebody in ROS.
+
+    Attributes:
+        name: Name of the service, action or topic.
+        type: Its type, ``package/srv/Type``, ``package/action/Type`` or ``package/msg/Type``.
+        fields: Fields of the message.
+        build: Registered function that makes further fields.
+    """
+
+    name: str
+    type: str
+    fields: Mapping[str, object] = field(default_factory=dict)
+    build: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Call(_Message):
+    """A message that is answered.
+
+    Attributes:
+        handle: Registered function that reads the answer.
+        task: Task that answers, whose death ends the wait; None: the first part of the name, if that is a task.
+    """
+
+    handle: str | None = None
+    task: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceAction(_Call):
+    """Calls a service."""
+
+    def __str__(self) -> str:
+        return f"service {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class GoalAction(_Call):
+    """Sends an action goal."""
+
+    def __str__(self) -> str:
+        return f"goal {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicAction(_Message):
+    """Publishes one message; confirms when it has been handed to the middleware."""
+
+    def __str__(self) -> str:
+        return f"topic {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class RequestAction:
+    """Asks another net for one of its services through its coordination structure (paper, Figure 11)."""
+
+    net: str
+    service: str
+    fields: Mapping[str, object] = field(default_factory=dict)
+    build: str | None = None
+
+    def __str__(self) -> str:
+        return f"request {self.net}.{self.service}"
+
+
+Action = FunctionAction | ServiceAction | GoalAction | RequestAction | TopicAction
