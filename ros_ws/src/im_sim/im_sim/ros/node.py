@@ -3,7 +3,8 @@
 import json
 import math
 import sys
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -32,6 +33,8 @@ CLOCK_POLL_S = 0.01
 CLOCK_REPEAT_S = 1.0
 DIAGNOSTICS_PERIOD_S = 1.0
 LONGEST_ADVANCE_S = 3600.0
+
+_Answer = TypeVar("_Answer", InjectFault.Response, PutInJaws.Response)
 
 
 class TestbedNode(ManagedNode):
@@ -173,19 +176,19 @@ class TestbedNode(ManagedNode):
         return response
 
     def _inject_fault(self, request: InjectFault.Request, response: InjectFault.Response) -> InjectFault.Response:
-        try:
-            panel = FaultPanel(self._cell, self._running())
-            response.message = panel.inject(request.fault, request.joint, request.active, request.duration)
-        except ImError as error:
-            response.message = error.message
-            return response
-        response.success = True
-        return response
+        return self._at_panel(
+            response, lambda panel: panel.inject(request.fault, request.joint, request.active, request.duration)
+        )
 
     def _put_in_jaws(self, request: PutInJaws.Request, response: PutInJaws.Response) -> PutInJaws.Response:
+        return self._at_panel(
+            response,
+            lambda panel: panel.put_in_jaws(request.gripper, request.width, request.stiffness, request.mass),
+        )
+
+    def _at_panel(self, response: _Answer, act: Callable[[FaultPanel], str]) -> _Answer:
         try:
-            panel = FaultPanel(self._cell, self._running())
-            response.message = panel.put_in_jaws(request.gripper, request.width, request.stiffness, request.mass)
+            response.message = act(FaultPanel(self._cell, self._running()))
         except ImError as error:
             response.message = error.message
             return response
