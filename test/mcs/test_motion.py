@@ -109,7 +109,7 @@ def test_wrong_lines_are_refused(ready):
 
 
 def test_policies(ready):
-    _, first = ready.start_far_move()
+    _, first = ready.start_far_move(speed_scale=0.3)  # under way still when a busy computer comes to the second request
     refused = ready.move(ready.home)
     assert not refused.success
     assert refused.status.code == "state"

@@ -103,7 +103,7 @@ class JointLimits:
     def overspeed(self, v: NDArray[np.float64]) -> LimitError | None:
         """The fault if a measured velocity, shape (18,), is far beyond what any motion commands."""
         beyond = np.abs(v) > self._speed
-        if not np.count_nonzero(beyond):
+        if 1 not in beyond.tobytes():
             return None
         i = int(np.argmax(beyond))
         return LimitError(

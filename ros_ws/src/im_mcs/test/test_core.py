@@ -1,7 +1,6 @@
 """The whole of MCS, tick by tick, over the loopback driver."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,7 +97,7 @@ def test_estop_interrupts_a_transition(bench, request_name):
     if request_name == "enable_motion":
         bench.ask("power_on")
     else:
-        bench.driver.drive = replace(bench.driver.drive, power=False)
+        bench.driver.drive = bench.driver.drive._replace(power=False)
     number = bench.send(request_name)
     assert bench.reply(number) is None
     bench.mcs.tick(
@@ -208,7 +207,7 @@ def test_a_jammed_joint_stops_the_motion_and_is_named(bench, cell, target):
 
 def test_power_loss_and_missing_readings_are_estops(bench, cell):
     bench.to_motion("left")
-    bench.driver.drive = replace(bench.driver.drive, power=False)
+    bench.driver.drive = bench.driver.drive._replace(power=False)
     bench.mcs.tick([])
     assert bench.mcs.manager.state is State.ESTOPPED
     assert "cut the power at tick" in bench.mcs.manager.cause

@@ -1,7 +1,6 @@
 """Drivers that fail, power and brakes that do not obey, torques that a client drives itself."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,7 +60,7 @@ class Deaf:
         self.driver, self.overrides = driver, overrides
 
     def __call__(self):
-        return replace(type(self.driver).read(self.driver), **self.overrides)
+        return type(self.driver).read(self.driver)._replace(**self.overrides)
 
 
 def test_power_that_does_not_come_is_given_up(bench):

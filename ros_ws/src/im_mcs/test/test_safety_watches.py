@@ -43,7 +43,7 @@ def changed(joint, **values):
             array = getattr(measured, name).copy()
             array[joint] = value if not callable(value) else value(array[joint])
             fields[name] = array
-        return replace(measured, **fields)
+        return measured._replace(**fields)
 
     return read
 
@@ -68,7 +68,7 @@ def read(**values):
 
 
 def cut_power(bench):
-    bench.driver.drive = replace(bench.driver.drive, power=False)
+    bench.driver.drive = bench.driver.drive._replace(power=False)
 
 
 def wrong_law(bench):

@@ -1,5 +1,7 @@
 """Motors, gears and brakes: from commanded torques to the torques pybullet must apply."""
 
+import math
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -15,17 +17,20 @@ class Actuators:
     """What sits between a torque command and a joint.
 
     pybullet knows neither rotor inertia nor dry friction. With the mass matrix M(q), bias torques h(q, v), reflected
-    rotor inertias A and viscous frictions B (both diagonal), the joints move over a step dt by
+    rotor inertias A and viscous frictions B (both diagonal), the joints accelerate over a step dt by a = (v' - v) / dt:
 
-        (M + A + dt B) v' = (M + A) v + dt (tau - h) + p
+        (M + C) a = tau - B v + p / dt - h,   C = A + dt B
 
     with the impulse p of dry friction and brakes (:class:`~im_sim.friction.DryFriction`). pybullet, which integrates
-    M (v' - v) / dt = tau_applied - h, arrives at the same v' under
+    M a = tau_applied - h, arrives at the same v' under
 
-        tau_applied = M (v' - v) / dt + h.
+        tau_applied = M a + h = tau - B v + p / dt - C a.
 
     Exact in free motion; where something is touched, the contact feels the arm without its rotors and loads. While
     something is held, M and h on the first line are those with it, and pybullet's own on the last.
+
+    As long as every joint goes on sliding, p is known beforehand and the articulated-body algorithm gives a; else M is
+    needed to find out which joints stick.
 
     Args:
         cell: Motor, gear and limit of each joint.
@@ -34,32 +39,38 @@ class Actuators:
     """
 
     def __init__(self, cell: Cell, dynamics: Dynamics, dt: float) -> None:
-        self._dt = dt
         self._dynamics = dynamics
-        self._rotors = cell.per_joint("rotor_inertia")
-        self._added_inertia = np.diag(self._rotors + dt * cell.per_joint("viscous"))
+        self._viscous = cell.per_joint("viscous")
+        self._own_inertia = cell.per_joint("rotor_inertia") + dt * self._viscous
+        dynamics.reflect(self._own_inertia)
+        self._dt = np.full_like(self._viscous, dt)  # numpy is quicker with two arrays than with a number and an array
         self._positive = cell.per_joint("coulomb_positive")
         self._negative = cell.per_joint("coulomb_negative")
         self._held: bytes | None = None
         self._torque_limits = cell.per_joint("limits.torque")
+        self._least_torques = -self._torque_limits
         self._brake_torques = BRAKE_FACTOR * self._torque_limits
-        self._friction = DryFriction(len(self._rotors))
-        self.command(np.zeros(len(self._rotors)), False, np.ones(len(self._rotors), dtype=np.bool_))
+        n = len(self._viscous)
+        self._all_held = np.ones(n, dtype=np.bool_)
+        self._friction = DryFriction(n)
+        self.command(np.zeros(n), False, self._all_held)
 
     def command(self, tau: NDArray[np.float64], power: bool, brakes: NDArray[np.bool_]) -> None:
         """Set the torques [Nm or N], shape (n,); beyond the motors' limits they are cut, NaN gives none.
 
         Without power there is no torque and every brake is engaged.
         """
-        limits = self._torque_limits
         if power:
-            finite = np.where(np.isfinite(tau), tau, 0.0)
-            self._tau = np.minimum(np.maximum(finite, -limits), limits)
+            if not math.isfinite(tau.dot(tau)):
+                tau = np.where(np.isfinite(tau), tau, 0.0)
+            self._tau = np.minimum(np.maximum(tau, self._least_torques), self._torque_limits)
         else:
-            self._tau = np.zeros_like(limits)
-        self._brakes = brakes | (not power)
-        if self._brakes.tobytes() != self._held:
-            self._held = self._brakes.tobytes()
+            self._tau = np.zeros(len(tau))
+        self._sliding: NDArray[np.float64] | None = None  # the impulses that the torques of sliding joints contain
+        self._brakes = brakes if power else self._all_held
+        held_now = self._brakes.tobytes()
+        if held_now != self._held:
+            self._held = held_now
             held = np.where(self._brakes, self._brake_torques, 0.0)
             self._friction.bound(self._dt * (self._positive + held), self._dt * (self._negative + held))
 
@@ -80,13 +91,23 @@ class Actuators:
             q: True positions, shape (n,) [rad or m].
             v: True velocities, shape (n,) [rad/s or m/s].
         """
-        dt, dynamics = self._dt, self._dynamics
-        mass = pin.crba(dynamics.model, dynamics.data, q)
-        bias = pin.nonLinearEffects(dynamics.model, dynamics.data, q, v)
-        momentum = mass.dot(v) + self._rotors * v + dt * (self._tau - bias)
-        after = self._friction.solve(mass + self._added_inertia, momentum)
+        dynamics, friction = self._dynamics, self._friction
+        viscous: NDArray[np.float64] = self._viscous * v
+        sliding = friction.all_slip
+        if sliding:
+            if self._sliding is not friction.impulse:
+                self._sliding, self._tau_sliding = friction.impulse, self._tau + friction.impulse / self._dt
+            given = self._tau_sliding - viscous
+            a = pin.aba(dynamics.model, dynamics.data, q, v, given, pin.Convention.WORLD)
+            sliding = friction.slips_on(v + self._dt * a)
+        if sliding:
+            torques: NDArray[np.float64] = given - self._own_inertia * a
+        else:
+            inertia = pin.crba(dynamics.model, dynamics.data, q)
+            bias = pin.nonLinearEffects(dynamics.model, dynamics.data, q, v)
+            after = friction.solve(inertia, inertia.dot(v) + self._dt * (self._tau - viscous - bias))
+            a = (after - v) / self._dt
+            torques = inertia.dot(a) + bias - self._own_inertia * a
         if dynamics.loaded:  # pybullet moves the arms without what the grippers hold
-            mass = pin.crba(dynamics.bare, dynamics.bare_data, q)
-            bias = pin.nonLinearEffects(dynamics.bare, dynamics.bare_data, q, v)
-        torques: NDArray[np.float64] = mass.dot(after - v) / dt + bias
+            torques = pin.rnea(dynamics.bare, dynamics.bare_data, q, v, a) - self._own_inertia * a
         return torques

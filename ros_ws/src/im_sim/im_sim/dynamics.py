@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from im_core.robot import Cell, urdf
 from im_core.testbed_link import JawObject
@@ -18,6 +19,7 @@ class Dynamics:
         model: With loads; the same object as ``bare`` while nothing is held.
         data: Its workspace.
         wrists: Joint index and placement of the wrist frame on that joint's link, of each side.
+        wrist_forces: What the arm exerts on those links, after :func:`pinocchio.rnea` with ``model`` and ``data``.
     """
 
     def __init__(self, cell: Cell) -> None:
@@ -28,13 +30,17 @@ class Dynamics:
         self.bare = pin.buildModelFromXML(urdf(cell, shapes=False, frames=False))
         self.bare.gravity.linear = np.array([0.0, 0.0, -cell.gravity])
         self.bare_data = self.bare.createData()
-        self.model, self.data = self.bare, self.bare_data
         self._held: tuple[JawObject | None, ...] = (None,) * len(self.wrists)
+        self._use(self.bare, self.bare_data)
 
     @property
     def loaded(self) -> bool:
         """Whether a gripper holds something."""
         return self.model is not self.bare
+
+    def reflect(self, inertias: NDArray[np.float64]) -> None:
+        """Let each joint have an inertia of its own, as that of a rotor seen through its gear, shape (n,)."""
+        self.bare.armature = inertias
 
     def carry(self, held: Sequence[JawObject | None]) -> None:
         """Say what each gripper holds: a cube between the jaws."""
@@ -42,12 +48,16 @@ class Dynamics:
             return
         self._held = tuple(held)
         if not any(self._held):
-            self.model, self.data = self.bare, self.bare_data
+            self._use(self.bare, self.bare_data)
             return
-        self.model = self.bare.copy()
+        model = self.bare.copy()
         for (joint, wrist), load in zip(self.wrists, self._held, strict=True):
             if load is not None and load.mass > 0.0:
                 cube = pin.Inertia.FromBox(load.mass, load.width, load.width, load.width)
                 jaws = wrist * pin.SE3(np.eye(3), np.array([0.0, 0.0, self._reach]))
-                self.model.inertias[joint] = self.model.inertias[joint] + jaws.act(cube)
-        self.data = self.model.createData()
+                model.inertias[joint] = model.inertias[joint] + jaws.act(cube)
+        self._use(model, model.createData())
+
+    def _use(self, model: pin.Model, data: pin.Data) -> None:
+        self.model, self.data = model, data
+        self.wrist_forces = [data.f[joint] for joint, _ in self.wrists]

@@ -25,8 +25,9 @@ class Exposures:
 
     def begin_tick(self, tick: int) -> None:
         """Open the shutter if somebody asked for it."""
-        self._lights = self._link.lights()
         request = self._link.pending_exposure()
+        if request is not None or self._request is not None:
+            self._lights = self._link.lights()
         if request is None or (self._request is not None and request.request == self._request.request):
             return
         self._request, self._start = request, tick

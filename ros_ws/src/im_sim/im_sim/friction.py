@@ -27,11 +27,13 @@ class DryFriction:
 
     Attributes:
         stuck: Whether every joint stuck in the last step.
+        all_slip: Whether every joint slid in the last step.
+        impulse: Of friction on joints that go on sliding as in the last step, shape (n,) [Nms or Ns].
     """
 
     def __init__(self, n: int) -> None:
         self._identity = np.eye(n)
-        self._sign = np.zeros(n)
+        self._sign = self._zero = np.zeros(n)
         self.bound(np.zeros(n), np.zeros(n))
 
     def bound(self, p_positive: NDArray[np.float64], p_negative: NDArray[np.float64]) -> None:
@@ -43,6 +45,10 @@ class DryFriction:
         """
         self._least, self._most = -p_positive, p_negative
         self._pivot(self._sign)
+
+    def slips_on(self, v: NDArray[np.float64]) -> bool:
+        """Whether joints that slid have, with velocities ``v``, shape (n,), not come to a stop."""
+        return 1 not in (v * self._sign < self._zero).tobytes()
 
     def solve(self, inertia: NDArray[np.float64], momentum: NDArray[np.float64]) -> NDArray[np.float64]:
         """Velocities v at the end of the step.
@@ -57,8 +63,8 @@ class DryFriction:
         best, in_vain = len(momentum) + 1, 0
         for _ in range(_MAX_PIVOTS):
             v, needed = self._assumed(inertia, momentum)
-            wrong = v * self._sign < 0.0
-            if not self._all_slip:
+            wrong = v * self._sign < self._zero
+            if not self.all_slip:
                 wrong |= self._sticks & ((needed > self._most) | (needed < self._least))
             count = wrong.tobytes().count(1)  # a tenth of what numpy takes to count
             if count == 0:
@@ -77,9 +83,9 @@ class DryFriction:
         """Velocities if the joints do as assumed, and the impulses that this needs of joints that stick."""
         if self.stuck:
             return np.zeros_like(momentum), -momentum
-        if self._all_slip:
-            return _solve(inertia, momentum + self._friction), momentum  # nothing sticks, nothing is needed
-        v = _solve(inertia * self._coupled + self._alone, (momentum + self._friction) * self._slips)
+        if self.all_slip:
+            return _solve(inertia, momentum + self.impulse), momentum  # nothing sticks, nothing is needed
+        v = _solve(inertia * self._coupled + self._alone, (momentum + self.impulse) * self._slips)
         return v, inertia.dot(v) - momentum
 
     def _pivot(self, sign: NDArray[np.float64]) -> None:
@@ -87,12 +93,12 @@ class DryFriction:
         self._sign = sign
         self._sticks = sign == 0.0
         self._slips = np.abs(sign)
-        self._friction = np.where(sign > 0.0, self._least, self._most)
+        self.impulse = np.where(sign > 0.0, self._least, self._most)
         self._coupled = self._slips[:, None] * self._slips  # rows and columns of joints that stick become those of
         self._alone = np.where(self._coupled > 0.0, 0.0, self._identity)  # the identity
         count = self._sticks.tobytes().count(1)
         self.stuck: bool = count == len(sign)
-        self._all_slip = count == 0
+        self.all_slip: bool = count == 0
 
 
 def _solve(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -26,12 +26,15 @@ class Grippers:
         self._objects: list[JawObject | None] = [None, None]
         self._wanted = [gripper.initial, gripper.initial]
         self._allowed = [gripper.force, gripper.force]
+        self._told = b"", b""
+        self._resting = False
         self.opening = np.full(2, gripper.initial)
         self.force = np.zeros(2)
 
     def put(self, objects: Sequence[JawObject | None]) -> None:
         """Say what is between the jaws of each gripper; wide things push the jaws apart."""
         self._objects = list(objects)
+        self._resting = False
         self.step(0.0)
 
     def held(self) -> tuple[JawObject | None, ...]:
@@ -45,6 +48,10 @@ class Grippers:
 
         Values out of range are cut to it, NaN changes nothing.
         """
+        told = opening.tobytes(), force.tobytes()
+        if told == self._told:
+            return
+        self._told, self._resting = told, False
         g = self._gripper
         for i, (wanted, allowed) in enumerate(zip(opening.tolist(), force.tolist(), strict=True)):
             if not math.isnan(wanted):
@@ -52,11 +59,20 @@ class Grippers:
             if not math.isnan(allowed):
                 self._allowed[i] = min(max(allowed, 0.0), g.force)
 
-    def step(self, dt: float) -> None:
-        """Let ``dt`` [s] pass; the valves keep their position without motor power."""
+    def step(self, dt: float) -> bool:
+        """Let ``dt`` [s] pass; the valves keep their position without motor power.
+
+        Returns:
+            Whether anything has changed.
+        """
+        if self._resting:
+            return False
+        before = self.opening.tobytes(), self.force.tobytes()
         moved = [self._move(i, before, self._gripper.rate * dt) for i, before in enumerate(self.opening.tolist())]
         self.opening = np.array([opening for opening, _ in moved])
         self.force = np.array([force for _, force in moved])
+        self._resting = dt > 0.0 and before == (self.opening.tobytes(), self.force.tobytes())
+        return not self._resting
 
     def _move(self, i: int, before: float, reach: float) -> tuple[float, float]:
         """Opening and force after jaws that can travel ``reach`` have done so."""

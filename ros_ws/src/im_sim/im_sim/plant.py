@@ -32,6 +32,7 @@ class Plant:
 
     def __init__(self, cell: Cell, seed: int) -> None:
         self._dt = cell.period / cell.substeps
+        self._period = cell.period
         self._substeps = cell.substeps
         self._world = World(cell, self._dt)
         self._dynamics = Dynamics(cell)
@@ -42,6 +43,7 @@ class Plant:
         self._jaws = ForceSensors([cell.gripper.force_sensor] * len(cell.sides), seed, _JAW_STREAM)
         self._last_joints = [joint - 1 for joint, _ in self._dynamics.wrists]
         self._n = len(cell.joints)
+        self._dt_each = np.full(self._n, self._dt)
         self._held_brakes = np.ones(self._n, dtype=np.bool_)
         self._faults = Faults.none(self._n)
         self._tick = 0
@@ -108,8 +110,8 @@ class Plant:
             if self._actuators.stuck and max(map(abs, self.v.tolist())) < _AT_REST:
                 break
         self._feel(q, v)
-        self._grippers.step(self._dt * self._substeps)
-        self._dynamics.carry(self._grippers.held())
+        if self._grippers.step(self._period):
+            self._dynamics.carry(self._grippers.held())
 
     def close(self) -> None:
         """End the simulation."""
@@ -117,4 +119,4 @@ class Plant:
 
     def _feel(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
         """Let the wrist sensors feel the step that began at ``q`` with ``v``, shape (n,) each."""
-        self._wrists.update(q, v, (self.v - v) / self._dt, self._world.contacts(self._last_joints))
+        self._wrists.update(q, v, (self.v - v) / self._dt_each, self._world.contacts(self._last_joints))

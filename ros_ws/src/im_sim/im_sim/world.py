@@ -59,17 +59,20 @@ class World:
     def state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions and velocities, shape (n,) each [rad or m, by s]."""
         q, v, _, _ = zip(*pybullet.getJointStates(self.body, self._joints, self.client), strict=True)
-        return np.array(q), np.array(v)
+        both = np.fromiter(q + v, np.float64, 2 * len(q))
+        return both[: len(q)], both[len(q) :]
 
     def step(self, tau: NDArray[np.float64]) -> None:
         """One step under joint torques, shape (n,) [Nm or N]."""
         pybullet.setJointMotorControlArray(
-            self.body, self._joints, pybullet.TORQUE_CONTROL, forces=tau.tolist(), **self._options
+            self.body, self._joints, pybullet.TORQUE_CONTROL, forces=tau.tolist(), physicsClientId=self.client
         )
-        pybullet.stepSimulation(**self._options)
+        pybullet.stepSimulation(self.client)
 
     def contacts(self, joints: Sequence[int]) -> list[list[Contact]]:
         """What touches the child links of some joints, by rank, after the last step."""
+        if not pybullet.getContactPoints(self.body, physicsClientId=self.client):
+            return [[] for _ in joints]
         return [
             [_contact(point) for point in pybullet.getContactPoints(bodyA=self.body, linkIndexA=link, **self._options)]
             for link in (self._joints[joint] for joint in joints)

@@ -30,10 +30,11 @@ class WristSensors:
         sensor = cell.wrist_sensor
         self._sensors = ForceSensors(([sensor.force] * 3 + [sensor.torque] * 3) * len(cell.sides), seed, _STREAM)
         self._true = np.zeros((len(cell.sides), 6))
+        self._signals = self._true.ravel()  # the same memory
 
     def read(self, tick: int) -> NDArray[np.float64]:
         """Readings at a tick, force then torque of each side, shape (2, 6) [N, Nm]."""
-        return self._sensors.read(tick, self._true.ravel()).reshape(-1, 6)
+        return self._sensors.read(tick, self._signals).reshape(-1, 6)
 
     @property
     def true(self) -> NDArray[np.float64]:
@@ -59,8 +60,7 @@ class WristSensors:
         pin.rnea(dynamics.model, dynamics.data, q, v, a)
         if any(contacts):
             pin.forwardKinematics(dynamics.model, dynamics.data, q)  # contacts are told in the world
-        for side, (joint, wrist) in enumerate(dynamics.wrists):
-            wrench = dynamics.data.f[joint]
+        for side, ((joint, wrist), wrench) in enumerate(zip(dynamics.wrists, dynamics.wrist_forces, strict=True)):
             if contacts[side]:
                 wrench = wrench - _contact_wrench(dynamics.data.oMi[joint], contacts[side])
             self._true[side] = wrist.actInv(wrench).vector

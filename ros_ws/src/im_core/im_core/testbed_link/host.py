@@ -54,19 +54,18 @@ class HostSide:
         shared, view = self._shared, self._shared.view
         if not self.servo_attached():
             return None
-        tick = int(view["tick"])
-        servo = ProcessId(int(view["servo_pid"]), int(view["servo_start"]))
+        tick, pid = int(view["tick"]), int(view["servo_pid"])
         shared.command.drain()
         shared.state.post()
         deadline = 0.0
         while not shared.command.wait(_SLICE_S) or int(view["command_tick"]) != tick:
             deadline = deadline or clock.monotonic() - _SLICE_S + timeout_s
-            if int(view["servo_pid"]) != servo.pid:
+            if int(view["servo_pid"]) != pid:
                 return None
-            if clock.monotonic() > deadline or not servo.alive():
+            if clock.monotonic() > deadline or not ProcessId(pid, int(view["servo_start"])).alive():
                 self._declare_gone()
                 return None
-        if int(view["servo_pid"]) != servo.pid:
+        if int(view["servo_pid"]) != pid:
             return None
         return Command(
             tau=view["command_tau"].copy(),

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,7 @@ class Slot(IntEnum):
     VSS = 2
 
 
-@dataclass(frozen=True)
-class Sensors:
+class Sensors(NamedTuple):
     """What the testbed's sensors say.
 
     Attributes:
@@ -41,9 +41,8 @@ class Sensors:
     gripper_force: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class State(Sensors):
-    """The sensors at the start of a tick.
+class State(NamedTuple):
+    """What :class:`Sensors` say at the start of a tick.
 
     Attributes:
         tick: Number of the tick.
@@ -52,10 +51,16 @@ class State(Sensors):
 
     tick: int
     stamp_ns: int
+    q: NDArray[np.float64]
+    power: bool
+    brakes: NDArray[np.bool_]
+    gripper: NDArray[np.float64]
+    age_s: NDArray[np.float64]
+    wrench: NDArray[np.float64]
+    gripper_force: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """What the servo wants during a tick.
 
     Attributes:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from im_mcs.model.places import place_of
 from im_mcs.planning.motion_limits import MotionLimits
 
 _TINY = 1e-12
@@ -54,9 +55,9 @@ class BrakingDistance:
             index = group.index
             own_v, own_a = v[index], a[index]
             if curves and (ahead := curves.get(int(index[0]))) is not None:
-                way[index] = ahead(group.seconds_on_curve(own_v, own_a))
+                way[group.place] = ahead(group.seconds_on_curve(own_v, own_a))
             elif np.count_nonzero(own_v) or np.count_nonzero(own_a):
-                way[index] = group.displacement(own_v, own_a)
+                way[group.place] = group.displacement(own_v, own_a)
         return way
 
 
@@ -64,7 +65,7 @@ class _Group:
     """Joints that brake together."""
 
     def __init__(self, limits: MotionLimits, index: NDArray[np.intp], reaction_s: float) -> None:
-        self.index = index
+        self.index, self.place = index, place_of(index)
         self._acceleration, self._jerk = limits.acceleration, limits.jerk
         self._inverse = 1.0 / np.stack([limits.acceleration, limits.jerk])
         self._weight = limits.velocity**-2.0
@@ -74,13 +75,13 @@ class _Group:
     def displacement(self, v: NDArray[np.float64], a: NDArray[np.float64]) -> NDArray[np.float64]:
         """Way until rest, shape (k,); not all of ``v`` and ``a`` are zero."""
         forward = self._forward(v, a)
-        if np.count_nonzero(np.abs(a - forward * v) <= self._across) < len(v):
+        if 0 in (np.abs(a - forward * v) <= self._across).tobytes():
             return self._apart(v, a)
         # straight on: in proportion, no joint needs more way alone than together with the others
         gain = 1.0 + self._reaction * forward
         if abs(gain) < 1.0:
             gain = 1.0
-        return v * (gain * (self._seconds(gain * v, forward / gain) + self._reaction))
+        return v * (gain * (self._seconds(v, forward / gain, gain) + self._reaction))
 
     def seconds_on_curve(self, v: NDArray[np.float64], a: NDArray[np.float64]) -> float:
         """How far on its path, in time, a stop may end."""
@@ -101,10 +102,10 @@ class _Group:
         weighted = self._weight * v
         return float(weighted.dot(a)) / max(float(weighted.dot(v)), _TINY)
 
-    def _seconds(self, v: NDArray[np.float64], forward: float) -> float:
-        """Way until rest of the joints together, in seconds at the velocities ``v``."""
+    def _seconds(self, v: NDArray[np.float64], forward: float, gain: float = 1.0) -> float:
+        """Way until rest of the joints together, in seconds at ``gain`` times the velocities ``v``."""
         acceleration, jerk = np.maximum.reduce(self._inverse * np.abs(v), axis=1).tolist()
-        return _to_rest(1.0, forward, 1.0 / max(acceleration, _TINY), 1.0 / max(jerk, _TINY))
+        return _to_rest(1.0, forward, 1.0 / max(gain * acceleration, _TINY), 1.0 / max(gain * jerk, _TINY))
 
 
 def _to_rest(speed: float, forward: float, most: float, jerk: float) -> float:

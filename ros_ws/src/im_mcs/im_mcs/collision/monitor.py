@@ -76,6 +76,7 @@ class CollisionMonitor:
         self._settings = settings
         self._braking = BrakingDistance(limits, groups, settings.reaction_ticks * period_s)
         self._levers = lever_bounds(model, self._bodies)
+        self._names = [self._bodies.pair_names(pair) for pair in range(len(self._bodies.pairs))]
         self._lower = np.full(len(self._bodies.pairs), -np.inf)
         self._place = np.zeros(model.n)
         pairs = range(len(self._lower))
@@ -114,7 +115,7 @@ class CollisionMonitor:
             closest = int(self._lower.argmin()) if culprit is None else culprit
         self._ceiling = min(ceiling, self._ceiling + self._rise)
         distance = float(self._lower[closest])
-        return Proximity(distance, *self._bodies.pair_names(closest), self._ceiling, culprit is not None)
+        return Proximity(distance, *self._names[closest], self._ceiling, culprit is not None)
 
     def _refresh(self) -> int:
         """Measure some pairs in turn, and those that may be the closest; the closest."""

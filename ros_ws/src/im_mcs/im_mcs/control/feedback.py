@@ -56,7 +56,10 @@ class Feedback:
         self._kd = 2.0 * p.damping * p.bandwidth_rad_s * inertia
         self._ki_dt = self._kp * p.integral_rad_s * period_s
         self._integral_limit, self._least_integral = integral_limit, -integral_limit
-        self._smoothing = 1.0 - math.exp(-period_s / _SMOOTHING_S)
+        # numpy is quicker with two arrays than with a number and an array
+        self._smoothing = np.full_like(inertia, 1.0 - math.exp(-period_s / _SMOOTHING_S))
+        self._deadband = np.full_like(inertia, p.deadband)
+        self._rest_deadband = np.full_like(inertia, p.rest_deadband)
         self._rate = VelocityEstimator(len(inertia), period_s, p.derivative_bandwidth_rad_s)
         self._zero = np.zeros_like(inertia)
         self.reset()
@@ -74,7 +77,7 @@ class Feedback:
     def update(self, error: NDArray[np.float64]) -> NDArray[np.float64]:
         """The answer to an error, shape (n,)."""
         if self.holding:
-            error = self.smooth_error + beyond(error - self.smooth_error, self.parameters.rest_deadband)
+            error = self.smooth_error + beyond(error - self.smooth_error, self._rest_deadband)
         else:
             self.smooth_error = self.smooth_error + self._smoothing * (error - self.smooth_error)
         self._error = error
@@ -89,15 +92,15 @@ class Feedback:
         """
         if self.holding:
             return
-        step = self._ki_dt * beyond(self._error, self.parameters.deadband)
+        step = self._ki_dt * beyond(self._error, self._deadband)
         free = np.abs(tau) < torque_limit
-        if np.count_nonzero(free) < len(tau):
+        if 0 in free.tobytes():
             step = np.where(free | (tau * self._error < 0.0), step, 0.0)
         self._integral = clip(self._integral + step, self._least_integral, self._integral_limit)
 
 
-def beyond(x: NDArray[np.float64], deadband: float) -> NDArray[np.float64]:
-    """What of ``x`` lies beyond a dead band around 0, shape (n,)."""
+def beyond(x: NDArray[np.float64], deadband: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What of ``x`` lies beyond a dead band around 0, shape (n,) each."""
     return np.asarray(x - clip(x, -deadband, deadband))
 
 

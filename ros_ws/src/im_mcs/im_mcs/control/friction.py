@@ -30,9 +30,11 @@ class FrictionFeedforward:
     """
 
     def __init__(self, parameters: FrictionParameters, setup: ControllerSetup) -> None:
-        self._share = parameters.friction
+        n = len(setup.joints)
+        self._share = np.full(n, parameters.friction)
         self._stiction = parameters.stiction
-        self._speed = parameters.friction_speed
+        self._speed = np.full(n, parameters.friction_speed)
+        self._zero = np.zeros(n)
         self._positive = setup.model.coulomb_positive[setup.joints]
         self._negative = setup.model.coulomb_negative[setup.joints]
         self._viscous = parameters.friction * setup.model.viscous_friction[setup.joints]
@@ -47,7 +49,7 @@ class FrictionFeedforward:
         direction = self._share * np.tanh(v / self._speed)
         if feedback is not None and not feedback.holding and np.count_nonzero(v) < len(v):
             direction = np.where(v != 0.0, direction, self._push(feedback))
-        coulomb = np.where(direction > 0.0, self._positive, self._negative)
+        coulomb = np.where(direction > self._zero, self._positive, self._negative)
         return np.asarray(coulomb * direction + self._viscous * v)
 
     def _push(self, feedback: Feedback) -> NDArray[np.float64]:

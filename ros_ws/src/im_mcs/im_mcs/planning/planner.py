@@ -150,11 +150,11 @@ class GroupPlanner:
             ends = np.array((before.q, before.v, before.a, knot.q, knot.v, knot.a))
             if np.count_nonzero(ends[1:3]) or np.count_nonzero(ends[4:]):
                 between = self._bases[ticks].dot(ends)
-                self._ready += [Setpoint(*rows) for rows in between[::-1]]
+                self._ready += [Setpoint(*between[k : k + 3]) for k in range(3 * ticks - 6, -1, -3)]
 
 
 def _basis(ticks: int, period_s: float) -> NDArray[np.float64]:
-    """Rows for the setpoints between two knots, shape (ticks - 1, 3, 6), from what both are: q, v, a and q, v, a."""
+    """Rows for the setpoints between two knots, shape (3 ticks - 3, 6), from what both are: q, v, a and q, v, a."""
     coefficients = quintic(np.array([ticks * period_s]), *np.eye(6).reshape(2, 3, 6).swapaxes(0, 1))[0]
     times = np.asarray(np.arange(1, ticks) * period_s, dtype=np.float64)
-    return np.asarray(powers(times) @ coefficients)
+    return np.asarray(powers(times) @ coefficients).reshape(-1, 6)

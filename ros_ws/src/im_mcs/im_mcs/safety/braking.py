@@ -61,12 +61,16 @@ class Reach:
     """
 
     def __init__(self, limits: MotionLimits) -> None:
-        ramp = limits.acceleration / limits.jerk
-        self._half_ramp, self._third = ramp / 2.0, ramp**2 / 3.0
-        self._square, self._per_jerk = 1.0 / (2.0 * limits.acceleration), 1.0 / limits.jerk
+        # f * (s * f + r) + (v / jerk + (2 r)^2 / 3) * a with f = v + r * a, multiplied out: this is asked in every tick
+        r, s = limits.acceleration / limits.jerk / 2.0, 1.0 / (2.0 * limits.acceleration)
+        self._squares = np.array([s, s * r**2])
+        self._singles = np.array([r, r**2 + (2.0 * r) ** 2 / 3.0])
+        self._product = 2.0 * s * r + 1.0 / limits.jerk
 
-    def way(self, v: Array, a: Array) -> Array:
-        """Bound of the way, shape (n,); magnitudes of velocity and acceleration, shape (n,) each."""
-        added = self._half_ramp * a
-        fastest = v + added
-        return np.asarray(fastest * (self._square * fastest + self._half_ramp) + (self._per_jerk * v + self._third) * a)
+    def way(self, motion: Array) -> Array:
+        """Bound of the way, shape (n,); magnitudes of velocities and accelerations, shape (2, n)."""
+        way = self._squares * motion
+        way += self._singles
+        way[0] += self._product * motion[1]
+        way *= motion
+        return np.asarray(way[0] + way[1])

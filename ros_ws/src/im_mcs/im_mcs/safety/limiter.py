@@ -79,10 +79,11 @@ class SetpointLimiter:
         rows[3:5] = wanted[1:]
         np.subtract(wanted[0], self._middle, out=rows[5])
         np.abs(rows, out=rows)
-        rows[5] += self._reach.way(rows[3], rows[4])
+        rows[5] += self._reach.way(rows[3:5])
         within = rows <= self._bounds
-        fine = not self._any_catching and _all(within[:5])
-        if fine and not _all(within[5]):  # then only looking closer tells; what is not a number is never within
+        flags = within.tobytes()  # what numpy takes longer to look through
+        fine = not self._any_catching and 0 not in flags[: 5 * len(self._names)]
+        if fine and 0 in flags:  # then only looking closer tells; what is not a number is never within
             fine = bool(np.isfinite(wanted).all() and not self._leaves_range(wanted, ~within[5]).any())
         changed = not fine and self._cut(wanted, within)
         self._last[:] = wanted
@@ -158,8 +159,3 @@ class SetpointLimiter:
         """Bounds of every joint under control, in the order of their rows; none for the others."""
         half = (self._limits.upper - self._limits.lower) / 2.0
         return np.where(self._free, np.inf, np.vstack([self._leap, self._given, half]))
-
-
-def _all(flags: NDArray[np.bool_]) -> bool:
-    """Several times faster than ``flags.all()``, and this is asked in every tick."""
-    return bool(np.count_nonzero(flags) == flags.size)

@@ -40,7 +40,7 @@ class FollowingWatch:
             if not group.engaged:
                 continue
             error = group.following_error(now.measured.q)
-            if not np.count_nonzero(np.abs(error) > self._limits.following_error[group.index]):
+            if 1 not in (np.abs(error) > self._limits.following_error[group.place]).tobytes():
                 continue
             tick = now.measured.tick
             beyond = self._limits.following(group.index, error, _ESTOP_FACTOR, tick)

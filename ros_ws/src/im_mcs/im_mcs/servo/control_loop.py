@@ -116,7 +116,8 @@ class ControlLoop:
             if self.driving.torque(group.name) is None:
                 group.plan()
                 setpoint = group.advance()
-                wanted[0, index], wanted[1, index], wanted[2, index] = setpoint.q, setpoint.v, setpoint.a
+                place = group.place
+                wanted[0, place], wanted[1, place], wanted[2, place] = setpoint.q, setpoint.v, setpoint.a
             else:
                 group.planner.hold(m.q[index])
                 group.monitor.restart()
@@ -161,11 +162,11 @@ class ControlLoop:
         for group in self.engaged:
             driven = self.driving.torque(group.name)
             own = group.torque(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
-            tau[group.index] = own
+            tau[group.place] = own
         limit = self._limits.torque
         self.tau = np.minimum(np.maximum(tau, -limit), limit)
         cut = self.tau != tau
-        if np.count_nonzero(cut):
+        if 1 in cut.tobytes():
             self._saturations.add("torque", cut)
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from im_core.errors import ImError
 from im_mcs.config import McsConfig
 from im_mcs.control import ControlInput, ControlLaws, LawSource
+from im_mcs.model.places import place_of
 from im_mcs.planning.context import PlanContext
 from im_mcs.planning.goals import Goal
 from im_mcs.planning.motions import GroupMotions
@@ -30,6 +31,7 @@ class ControlledGroup(GroupMotions):
 
     Attributes:
         index: Its joints among all, shape (n,).
+        place: The same, quicker to write to.
         controller: Motion control layer; a law in force of several.
         monitor: Judge of rest.
         engaged: Whether it has setpoints and torques.
@@ -51,7 +53,7 @@ class ControlledGroup(GroupMotions):
         monitor: RestMonitor,
     ) -> None:
         super().__init__(name, planner, context)
-        self.index = context.index
+        self.index, self.place = context.index, place_of(context.index)
         self.controller = controller
         self.monitor = monitor
         self.engaged = False

@@ -93,7 +93,7 @@ class Reporter:
         rows[len(mcs.groups) :] = self._no_group
         fields["reserved"][...] = False
         for rank, (name, group) in enumerate(mcs.groups.items()):
-            i, monitor = group.index, group.monitor
+            i, monitor = group.place, group.monitor
             reservation = mcs.manager.reservations.of(name)
             fields["reserved"][i] = reservation is not None
             fields["at_rest"][i] = monitor.at_rest

@@ -3,8 +3,7 @@
 import importlib
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Protocol, cast
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,7 @@ from im_core.errors import ConfigError
 _OFFERED = ("instance", "timeout_s")
 
 
-@dataclass(frozen=True)
-class Measured:
+class Measured(NamedTuple):
     """What the channels say at the start of a tick.
 
     Attributes:
@@ -41,8 +39,7 @@ class Measured:
     gripper_force: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Drive:
+class Drive(NamedTuple):
     """What the channels shall do until the next tick.
 
     Attributes:

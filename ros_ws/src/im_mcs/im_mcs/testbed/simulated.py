@@ -55,8 +55,7 @@ class SimulatedDriver:
 
     def read(self) -> Measured:
         """Encoder readings, power, brakes and grippers of the newest tick."""
-        s = self._link.read_state()
-        return Measured(s.tick, s.stamp_ns, s.q, s.power, s.brakes, s.gripper, s.age_s, s.wrench, s.gripper_force)
+        return Measured(*self._link.read_state())
 
     def write(self, drive: Drive) -> None:
         """Answer the tick.
@@ -64,9 +63,7 @@ class SimulatedDriver:
         Raises:
             LinkError: The testbed has declared this servo gone.
         """
-        self._link.write_command(
-            Command(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time, drive.gripper_force)
-        )
+        self._link.write_command(Command(*drive))
 
     def after_tick(self, tick: int) -> None:
         """Wait until physics has completed ``tick``; it takes a fraction of a millisecond on an idle computer.
