@@ -6,12 +6,14 @@
 #   scripts/start.sh --factor 0 --seed 7         simulated time as fast as it goes, another seed
 #   scripts/start.sh --port 8081                 another port for the display (a web page)
 #   scripts/start.sh --timeout 120               a longer wait (default 60 s)
+#   scripts/start.sh --calibration results/latest   cameras (and laser scanner) as calibrated before, not as drawn
 #
 # A second machine on this host needs another ROS_DOMAIN_ID, and another --port:
 #   ROS_DOMAIN_ID=7 scripts/start.sh --port 8081
 #
 # Logs: .run/im<domain>/log/<task>.log. Stop it with scripts/stop.sh.
-# Exit codes: 0 ready, 1 not started (said why; nothing is left running), 2 bad usage or deployment, 130 interrupted.
+# Exit codes: 0 ready, 1 not started (said why; nothing is left running), 2 bad usage, deployment or calibration,
+# 130 interrupted.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi

@@ -1,6 +1,7 @@
 """The deployment file: which task runs in which process on which host."""
 
 import re
+import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ Name = Annotated[str, pydantic.StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
 HostName = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]*$")]
 
+_VALUES = ("clock_factor", "period", "seed", "port", "calibration")
 _REFERENCE = re.compile(r"\$\{(\w+)\}")
 
 
@@ -28,8 +30,8 @@ class Task(Model):
         package: ROS package of the executable.
         executable: Its console script.
         node: Fully qualified name of the node.
-        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}`` and ``${port}`` stand for those of
-            the deployment.
+        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}`` and ``${calibration}``
+            stand for those of the deployment.
     """
 
     package: Name
@@ -57,6 +59,8 @@ class Deployment(Model):
         period: Of servo and testbed [s].
         seed: Seed of everything drawn at random.
         port: TCP port of the display.
+        calibration: Folder of the calibrations to start with, as read from a file relative to it; empty: none, cameras
+            and laser scanner are as drawn.
         hosts: Host name -> process name -> task name -> task, in starting order.
     """
 
@@ -64,6 +68,7 @@ class Deployment(Model):
     period: Annotated[float, pydantic.Field(ge=0.0005, le=0.02)] = 0.0045
     seed: Annotated[int, pydantic.Field(ge=0, le=2**31 - 1)] = 1
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
+    calibration: str = ""
     hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
 
     @pydantic.model_validator(mode="after")
@@ -97,7 +102,7 @@ class Deployment(Model):
                     )
 
     def _variables(self) -> dict[str, Scalar]:
-        return {"clock_factor": self.clock_factor, "period": self.period, "seed": self.seed, "port": self.port}
+        return {name: getattr(self, name) for name in _VALUES}
 
     def tasks(self) -> Iterator[Placed]:
         """All tasks with their places, in starting order; ids count from 1."""
@@ -118,6 +123,11 @@ class Deployment(Model):
             raise NotFoundError(kind="host of the deployment", name=host, known=self.hosts)
         return [placed for placed in self.tasks() if placed.host == host]
 
+    def local_host(self) -> str:
+        """The host that this process runs on: this computer's name if it is there, else ``localhost``."""
+        name = socket.gethostname()
+        return name if name in self.hosts else "localhost"
+
     def parameters_of(self, task: Task) -> dict[str, ParameterValue]:
         """ROS parameters of a task: references replaced, ``use_sim_time`` true unless the file says otherwise."""
         values: dict[str, ParameterValue] = {"use_sim_time": True}
@@ -133,21 +143,28 @@ class Deployment(Model):
         return _REFERENCE.sub(lambda match: str(variables[match.group(1)]), text)
 
     def with_values(
-        self, factor: float | None, seed: int | None, port: int | None, period: float | None = None
+        self,
+        factor: float | None,
+        seed: int | None,
+        port: int | None,
+        period: float | None = None,
+        calibration: str | None = None,
     ) -> "Deployment":
         """The same deployment with some of its values replaced; None leaves a value as it is.
 
         Raises:
             ConfigError: A value is out of range.
         """
-        given = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
+        given = {"clock_factor": factor, "seed": seed, "port": port, "period": period, "calibration": calibration}
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})
         except pydantic.ValidationError as error:
             fault = error.errors()[0]
             name = str(fault["loc"][0])
-            raise ConfigError(f"{name}: {changed[name]:g}: {fault['msg']}", field=name) from error
+            value = changed[name]
+            shown = f"{value:g}" if isinstance(value, float) else value
+            raise ConfigError(f"{name}: {shown}: {fault['msg']}", field=name) from error
 
 
 def default_path() -> Path:
@@ -156,9 +173,13 @@ def default_path() -> Path:
 
 
 def load(path: str | Path) -> Deployment:
-    """Read a deployment file.
+    """Read a deployment file; its folder of calibrations is relative to it.
 
     Raises:
         ConfigError: It cannot be read or is not a deployment; names file, line and field.
     """
-    return config.load_model(path, Deployment)
+    deployment = config.load_model(path, Deployment)
+    if not deployment.calibration:
+        return deployment
+    folder = (Path(path).resolve().parent / deployment.calibration).resolve()
+    return deployment.model_copy(update={"calibration": str(folder)})

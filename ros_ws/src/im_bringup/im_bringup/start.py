@@ -15,9 +15,11 @@ from im_bringup.executables import path_of
 from im_bringup.interrupts import interrupt_once
 from im_bringup.machine import MachineRecord
 from im_core import clock, names
-from im_core.errors import ImError, StateError
+from im_core.errors import ConfigError, ImError, StateError
+from im_core.robot import load_cell
 
 TIMEOUT_S = 60.0
+CALIBRATION = "${calibration}"
 _POLL_S = 0.05
 
 
@@ -26,13 +28,20 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="start",
         description="Start the machine of this ROS domain; return when every task is ready.",
-        epilog="Exit codes: 0 ready, 1 not started (said why), 2 bad usage or deployment file.",
+        epilog="Exit codes: 0 ready, 1 not started (said why), 2 bad usage, deployment file or calibration.",
     )
     parser.add_argument("deployment", nargs="?", help="deployment file (default: the one of im_bringup)")
     parser.add_argument("--factor", type=float, help="simulated seconds a second; 0: as fast as it goes")
     parser.add_argument("--period", type=float, help="of servo and testbed in s, e.g. 0.001")
     parser.add_argument("--seed", type=int, help="seed of all that is drawn at random")
     parser.add_argument("--port", type=int, help="TCP port of the display")
+    parser.add_argument(
+        "--calibration",
+        metavar="FOLDER",
+        type=_folder,
+        help="start with the calibrations in this folder: results of calibrate_camera, or what /vss kept in "
+        "results/vss (default: cameras and laser scanner as drawn)",
+    )
     parser.add_argument("--timeout", type=float, default=TIMEOUT_S, help="longest wait in s (default: %(default)g)")
     return parser
 
@@ -44,8 +53,9 @@ def main() -> int:
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     try:
         deployment = deployments.load(path).with_values(
-            arguments.factor, arguments.seed, arguments.port, arguments.period
+            arguments.factor, arguments.seed, arguments.port, arguments.period, arguments.calibration
         )
+        check_calibration(deployment, path)
     except ImError as error:
         print(f"start: {error.message}", file=sys.stderr)
         return 2
@@ -58,6 +68,35 @@ def main() -> int:
     except ImError as error:
         print(f"start: {error.message}", file=sys.stderr)
         return 1
+
+
+def check_calibration(deployment: Deployment, path: Path) -> None:
+    """Read the calibrations that tasks of this host are to start with, if there are any, and say what there is.
+
+    Args:
+        deployment: What is to be started.
+        path: The file it came from.
+
+    Raises:
+        ConfigError: They are missing or wrong, or no task takes them, or one of a host that knows the file only.
+    """
+    if not deployment.calibration:
+        return
+    from im_core.calibration_files import read_calibration  # takes half a second, which few starts need
+
+    takers = [placed for placed in deployment.tasks() if CALIBRATION in placed.task.parameters.values()]
+    if not takers:
+        raise ConfigError(f"calibration: {deployment.calibration}: no task has '{CALIBRATION}' among its parameters")
+    for taker in takers:
+        if taker.host == deployment.local_host():
+            cell = load_cell(str(taker.task.parameters.get("cell", "")) or None)
+            files = read_calibration(Path(deployment.calibration), cell)
+            print(f"start: {taker.name} starts with {files.folder}: {files.summary()}")
+        elif deployment.calibration != deployments.load(path).calibration:
+            raise ConfigError(
+                f"calibration: {deployment.calibration}: {taker.name} is on host {taker.host}, which reads {path}; "
+                "write the folder there"
+            )
 
 
 def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
@@ -128,6 +167,7 @@ def spawn_bootstrap(deployment: Deployment, path: Path) -> "subprocess.Popen[byt
         *("--period", repr(deployment.period)),
         *("--seed", str(deployment.seed)),
         *("--port", str(deployment.port)),
+        *(("--calibration", deployment.calibration) if deployment.calibration else ()),
     ]
     with (run_dir / "log" / "bootstrap.log").open("ab") as log:
         return subprocess.Popen(
@@ -138,6 +178,12 @@ def spawn_bootstrap(deployment: Deployment, path: Path) -> "subprocess.Popen[byt
             env=environment(os.environ, run_dir),
             start_new_session=True,
         )
+
+
+def _folder(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("the name of a folder is needed")
+    return str(Path(text).resolve())
 
 
 def give_up(sentence: str, record: MachineRecord | None) -> int:

@@ -1,45 +1,31 @@
 """The present calibration of each camera: nominal until something better is set."""
 
 import threading
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from im_core.calibration_files import (
+    EXTRINSICS,
+    CalibrationFiles,
+    CameraPose,
+    Rectified,
+    camera_info_yaml,
+    extrinsics_yaml,
+    monocular,
+)
 from im_core.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError
+from im_core.files import write_whole
 from im_core.robot import Camera, Cell
-from im_vss.camera_info import Rectified, camera_info_yaml, monocular
+from im_vss.camera_entry import CameraEntry
 from im_vss.stereo import rectify
 
 
-@dataclass(frozen=True)
-class CameraEntry:
-    """What is known of a camera.
-
-    Attributes:
-        name: Its name.
-        parent: Frame of the robot it is fixed to.
-        model: Intrinsics, lens and pose; the pose is relative to `parent`.
-        rectified: R and P of its camera infos; those of its stereo pair if it belongs to one.
-        calibrated: Whether intrinsics have been set since the start.
-    """
-
-    name: str
-    parent: str
-    model: CameraModel
-    rectified: Rectified
-    calibrated: bool = False
-
-    @property
-    def frame(self) -> str:
-        """Name of its optical frame."""
-        return f"{self.name}_optical_frame"
-
-
 class CameraBook:
-    """Calibrations by camera; what is set is also written to a file in the format of `camera_info_manager`."""
+    """Calibrations by camera; what is set is also written to files, see :mod:`im_core.calibration_files`."""
 
     def __init__(
         self, cell: Cell, cameras: Iterable[str], directory: Path, pairs: Iterable[tuple[str, str]] = ()
@@ -55,17 +41,17 @@ class CameraBook:
         Raises:
             DataError: The cameras of a pair move against each other.
         """
-        self._entries: dict[str, CameraEntry] = {}
+        entries: dict[str, CameraEntry] = {}
         for name in cameras:
             model = nominal(cell.cameras[name])
-            self._entries[name] = CameraEntry(name, cell.cameras[name].parent, model, monocular(model))
+            entries[name] = CameraEntry(name, cell.cameras[name].parent, model, monocular(model))
         self._pairs = tuple(pairs)
         self._directory = directory
-        self._lock = threading.Lock()
+        self._changing = threading.Lock()
         for left, right in self._pairs:
-            if self._entries[left].parent != self._entries[right].parent:
+            if entries[left].parent != entries[right].parent:
                 raise DataError(f"{left} and {right} are no stereo pair: they move against each other")
-        self._rectify()
+        self._entries: Mapping[str, CameraEntry] = _rectified(entries, self._pairs)
         self.on_change: Callable[[], None] = lambda: None
 
     def __getitem__(self, name: str) -> CameraEntry:
@@ -74,78 +60,113 @@ class CameraBook:
         Raises:
             NotFoundError: It is not known.
         """
-        with self._lock:
-            if name not in self._entries:
-                raise NotFoundError(kind="camera", name=name, known=self._entries)
-            return self._entries[name]
+        entries = self._entries
+        if name not in entries:
+            raise NotFoundError(kind="camera", name=name, known=entries)
+        return entries[name]
 
     def entries(self) -> tuple[CameraEntry, ...]:
         """All entries, in the order of the settings."""
-        with self._lock:
-            return tuple(self._entries.values())
+        return tuple(self._entries.values())
 
     def set_intrinsics(self, name: str, model: CameraModel) -> Path:
-        """Set intrinsics and lens of a camera; its pose stays.
-
-        Args:
-            name: Name of the camera.
-            model: Source of width, height, K and D.
+        """Set intrinsics and lens of a camera, from `model`; its pose stays.
 
         Returns:
-            The file that was written.
+            The folder of the files.
 
         Raises:
             NotFoundError: The camera is not known.
-            DataError: The image size is not the camera's, or the file cannot be written.
+            DataError: The image size is not the camera's, or the files cannot be written; nothing has changed then.
         """
-        entry = self[name]
-        old = entry.model
-        if (model.width, model.height) != (old.width, old.height):
-            raise DataError(
-                f"{name} takes images of {old.width} x {old.height} px, the calibration is for "
-                f"{model.width} x {model.height} px",
-                camera=name,
-            )
-        self._put(replace(entry, model=replace(old, K=model.K, D=model.D), calibrated=True))
-        path = self._directory / f"{name}.yaml"
-        try:
-            self._directory.mkdir(parents=True, exist_ok=True)
-            for kept in self.entries():
-                if kept.calibrated:
-                    text = camera_info_yaml(kept.name, kept.model, kept.rectified)
-                    (self._directory / f"{kept.name}.yaml").write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise DataError(f"{path}: cannot be written: {error.strerror}", file=str(path)) from error
-        return path
+        return self._set({name: model}, intrinsics=True)
 
-    def set_pose(self, name: str, model: CameraModel) -> None:
+    def set_pose(self, name: str, model: CameraModel) -> Path:
         """Set the pose of a camera, relative to its parent, from `model`.
 
+        Returns:
+            The folder of the files.
+
         Raises:
             NotFoundError: The camera is not known.
+            DataError: The files cannot be written; nothing has changed then.
         """
-        entry = self[name]
-        pose = replace(entry.model, R_cam_base=model.R_cam_base, t_cam_base=model.t_cam_base)
-        self._put(replace(entry, model=pose))
+        return self._set({name: model}, pose=True)
 
-    def _put(self, entry: CameraEntry) -> None:
-        with self._lock:
-            self._entries[entry.name] = entry
-            self._rectify()
+    def set_cameras(self, models: Mapping[str, CameraModel]) -> Path:
+        """Set intrinsics, lenses and poses of cameras at one stroke.
+
+        Returns:
+            The folder of the files.
+
+        Raises:
+            NotFoundError: A camera is not known.
+            DataError: An image size is not the camera's, or the files cannot be written; nothing has changed then.
+        """
+        return self._set(models, intrinsics=True, pose=True)
+
+    def take(self, files: CalibrationFiles) -> tuple[str, ...]:
+        """Use calibrations of an earlier run, and write what is in use now.
+
+        Args:
+            files: As they were read.
+
+        Returns:
+            A sentence for each camera that is not in use.
+
+        Raises:
+            DataError: The files cannot be written; nothing has changed then.
+        """
+        with self._changing:
+            entries = {name: self._entries[name] for name in files.cameras if name in self._entries}
+            for name, entry in entries.items():
+                if (lens := files.intrinsics.get(name)) is not None:
+                    entry = entry.with_intrinsics(lens, files.folder)
+                if (pose := files.poses.get(name)) is not None:
+                    entry = entry.with_pose(pose, files.folder)
+                entries[name] = entry
+            self._put(entries)
         self.on_change()
+        return tuple(
+            f"{name} is not in use; its calibration is passed over" for name in files.cameras if name not in entries
+        )
 
-    def _rectify(self) -> None:
-        """Renew R and P; cameras whose images can have no rows in common are described as single ones."""
-        for name, entry in self._entries.items():
-            self._entries[name] = replace(entry, rectified=monocular(entry.model))
-        for left, right in self._pairs:
-            first, second = self._entries[left], self._entries[right]
-            try:
-                rectification = rectify(first.model, second.model)
-            except DataError:
-                continue
-            self._entries[left] = replace(first, rectified=Rectified(*rectification.left))
-            self._entries[right] = replace(second, rectified=Rectified(*rectification.right))
+    def _set(self, models: Mapping[str, CameraModel], intrinsics: bool = False, pose: bool = False) -> Path:
+        with self._changing:
+            entries = {}
+            for name, model in models.items():
+                entry = self[name]
+                if intrinsics:
+                    entry = entry.with_intrinsics(model, self._directory)
+                if pose:
+                    entry = entry.with_pose(CameraPose.of(entry.parent, model), self._directory)
+                entries[name] = entry
+            self._put(entries)
+        self.on_change()
+        return self._directory
+
+    def _put(self, changed: Mapping[str, CameraEntry]) -> None:
+        """Write, then use; under the lock."""
+        entries = _rectified({**self._entries, **changed}, self._pairs)
+        self._write(entries.values())
+        self._entries = entries
+
+    def _write(self, entries: Iterable[CameraEntry]) -> None:
+        contents, poses = {}, {}
+        for entry in entries:
+            if entry.intrinsics_file is not None:
+                contents[f"{entry.name}.yaml"] = camera_info_yaml(entry.name, entry.model, entry.rectified)
+            if entry.pose_file is not None:
+                poses[entry.name] = CameraPose.of(entry.parent, entry.model)
+        if poses:
+            contents[EXTRINSICS] = extrinsics_yaml(poses)
+        try:
+            self._directory.mkdir(parents=True, exist_ok=True)
+            for name, text in contents.items():
+                write_whole(self._directory / name, text)
+        except OSError as error:
+            directory = str(self._directory)
+            raise DataError(f"{directory}: cannot be written: {error.strerror}", file=directory) from error
 
 
 def nominal(camera: Camera) -> CameraModel:
@@ -160,3 +181,17 @@ def nominal(camera: Camera) -> CameraModel:
         R_cam_base=rotation,
         t_cam_base=translation,
     )
+
+
+def _rectified(entries: Mapping[str, CameraEntry], pairs: Iterable[tuple[str, str]]) -> Mapping[str, CameraEntry]:
+    """With new R and P; cameras whose images can have no rows in common are described as single ones."""
+    renewed = {name: replace(entry, rectified=monocular(entry.model)) for name, entry in entries.items()}
+    for left, right in pairs:
+        first, second = renewed[left], renewed[right]
+        try:
+            rectification = rectify(first.model, second.model)
+        except DataError:
+            continue
+        renewed[left] = replace(first, rectified=Rectified(*rectification.left))
+        renewed[right] = replace(second, rectified=Rectified(*rectification.right))
+    return renewed

@@ -123,7 +123,8 @@ class Catalogue(Model):
         """The ``hosts`` of a deployment file that starts what these Services need: host -> process -> task."""
         hosts: dict[str, Any] = {}
         for name, process in self.processes.items():
-            task = {"package": "im_vss", "executable": "vss", "node": process.node}
+            parameters = {"calibration": "${calibration}"}
+            task = {"package": "im_vss", "executable": "vss", "node": process.node, "parameters": parameters}
             hosts.setdefault(process.host, {})[name] = {name: task}
         return hosts
 

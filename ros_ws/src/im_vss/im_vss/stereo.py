@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 _ITERATIONS = 20
 _TOLERANCE_M = 1e-10
 _PARALLEL = 1e-9
+_SHORTEST_BASELINE_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -102,14 +103,18 @@ def rectify(left: CameraModel, right: CameraModel) -> Rectification:
     OpenCV.
 
     Raises:
-        DataError: The second camera is not beside the first: their images cannot have rows in common.
+        DataError: The second camera is not beside the first, or where the first is: their images cannot have rows in
+            common.
     """
     rotation = right.R_cam_base @ left.R_cam_base.T
     t = right.t_cam_base - rotation @ left.t_cam_base
     size = (left.width, left.height)
+    if not np.linalg.norm(t) > _SHORTEST_BASELINE_M:
+        raise DataError("the cameras of a stereo pair are at the same place")
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
         left.K, left.D, right.K, right.D, size, rotation, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1.0
     )
-    if not P2[0, 3] < 0.0 or abs(P2[1, 3]) > 1e-9:
+    finite = np.all(np.isfinite(np.hstack((R1, R2, P1, P2))))
+    if not finite or not P2[0, 3] < 0.0 or abs(P2[1, 3]) > 1e-9:
         raise DataError("the cameras of a stereo pair must stand side by side, the left one first")
     return Rectification((np.asarray(R1), np.asarray(P1)), (np.asarray(R2), np.asarray(P2)))

@@ -71,6 +71,8 @@ def test_camera_infos_of_a_pair_are_rectified_together_and_follow_a_calibration(
 def test_no_pair_no_rectification(tmp_path):
     with pytest.raises(DataError, match="side by side"):
         rectify(RIGHT, LEFT)
+    with pytest.raises(DataError, match="at the same place"):
+        rectify(LEFT, LEFT)
     with pytest.raises(DataError, match="they move against each other"):
         CameraBook(CELL, ["wall", "wrist_left"], tmp_path, [("wall", "wrist_left")])
     with pytest.raises(DataError, match="parallel"):

@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import socket
 import sys
 from pathlib import Path
 from typing import Any
@@ -123,12 +122,6 @@ class BootstrapNode(Node):
             self._written = record
 
 
-def local_host(deployment: Deployment) -> str:
-    """The host of the deployment on which the bootstrap runs: this host's name if it is there, else ``localhost``."""
-    name = socket.gethostname()
-    return name if name in deployment.hosts else "localhost"
-
-
 def main() -> int:
     """Run ``/bootstrap`` until SIGINT or SIGTERM."""
     parser = argparse.ArgumentParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
@@ -137,12 +130,15 @@ def main() -> int:
     parser.add_argument("--period", type=float)
     parser.add_argument("--seed", type=int)
     parser.add_argument("--port", type=int)
+    parser.add_argument("--calibration")
     arguments = parser.parse_args()
 
     def make_node() -> BootstrapNode:
         deployment = deployments.load(arguments.deployment)
-        deployment = deployment.with_values(arguments.factor, arguments.seed, arguments.port, arguments.period)
-        return BootstrapNode(deployment, Path(arguments.deployment).resolve(), local_host(deployment))
+        deployment = deployment.with_values(
+            arguments.factor, arguments.seed, arguments.port, arguments.period, arguments.calibration
+        )
+        return BootstrapNode(deployment, Path(arguments.deployment).resolve(), deployment.local_host())
 
     return run.main(make_node, args=[], at_end=BootstrapNode.shut_down)
 

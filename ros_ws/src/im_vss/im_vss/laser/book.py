@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from im_core.calibration_files import LASER, CalibrationFiles, LaserEstimate, laser_yaml
 from im_core.errors import DataError
+from im_core.files import write_whole
 from im_core.laser_model import LaserModel
 from im_core.robot.scenery import LaserScanner
 
@@ -25,8 +26,12 @@ class LaserEntry:
 
     @property
     def calibrated(self) -> bool:
-        """Whether it was calibrated since the start."""
+        """Whether it is better known than by the drawing."""
         return self.file is not None
+
+    def told(self) -> str:
+        """Where its calibration comes from, in a sentence."""
+        return f"laser scanner: {self.file or 'as drawn'}"
 
 
 class LaserBook:
@@ -42,14 +47,13 @@ class LaserBook:
         rotation, position = sheet.pose()
         self._entry = LaserEntry(LaserModel(rotation, position, sheet.gap))
         self._directory = directory
-        self._lock = threading.Lock()
+        self._changing = threading.Lock()
         self.on_change: Callable[[], None] = lambda: None
 
     @property
     def entry(self) -> LaserEntry:
         """What is known of the scanner."""
-        with self._lock:
-            return self._entry
+        return self._entry
 
     def set(self, model: LaserModel, covariance: Array) -> Path:
         """Use a calibration from now on.
@@ -64,21 +68,26 @@ class LaserBook:
         Raises:
             DataError: It cannot be written; nothing has changed then.
         """
-        path = self._directory / "laser.yaml"
-        content = {
-            "rotation": model.rotation.tolist(),
-            "position": model.position.tolist(),
-            "gain": list(map(float, model.gain)),
-            "offset": float(model.offset),
-            "gap": float(model.gap),
-            "covariance": covariance.tolist(),
-        }
-        try:
-            self._directory.mkdir(parents=True, exist_ok=True)
-            path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        except OSError as error:
-            raise DataError(f"{path}: cannot be written: {error.strerror}", file=str(path)) from error
-        with self._lock:
-            self._entry = LaserEntry(model, path)
-        self.on_change()
+        path = self._directory / LASER
+        self._change(LaserEntry(model, path), LaserEstimate(model, covariance))
         return path
+
+    def take(self, files: CalibrationFiles) -> None:
+        """Use the calibration of an earlier run, if it has one, and write what is in use now.
+
+        Raises:
+            DataError: It cannot be written; nothing has changed then.
+        """
+        if files.laser is not None:
+            self._change(LaserEntry(files.laser.model, files.folder / LASER), files.laser)
+
+    def _change(self, entry: LaserEntry, estimate: LaserEstimate) -> None:
+        path = self._directory / LASER
+        with self._changing:
+            try:
+                self._directory.mkdir(parents=True, exist_ok=True)
+                write_whole(path, laser_yaml(estimate))
+            except OSError as error:
+                raise DataError(f"{path}: cannot be written: {error.strerror}", file=str(path)) from error
+            self._entry = entry
+        self.on_change()

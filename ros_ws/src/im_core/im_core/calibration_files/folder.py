@@ -1,0 +1,126 @@
+"""A folder of calibrations, checked against the cell they are for."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from im_core.calibration_files.extrinsics import EXTRINSICS, FRAME_END, CameraPose, frame_of, read_extrinsics
+from im_core.calibration_files.fault import fault
+from im_core.calibration_files.intrinsics import read_intrinsics
+from im_core.calibration_files.laser import LASER, LaserEstimate, read_laser
+from im_core.camera_model import CameraModel
+from im_core.errors import ConfigError, NotFoundError
+from im_core.robot import Camera, Cell
+
+
+@dataclass(frozen=True)
+class CalibrationFiles:
+    """What a folder holds.
+
+    Attributes:
+        folder: The folder.
+        intrinsics: By camera; the models have no pose.
+        poses: By camera.
+        laser: The laser scanner; None: as drawn.
+        notes: What is odd but not wrong, one sentence each.
+    """
+
+    folder: Path
+    intrinsics: Mapping[str, CameraModel]
+    poses: Mapping[str, CameraPose]
+    laser: LaserEstimate | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Cameras of which something is known."""
+        return tuple(dict.fromkeys((*self.intrinsics, *self.poses)))
+
+    def summary(self) -> str:
+        """What is there, in a line."""
+        parts = []
+        for camera in self.cameras:
+            known = [word for word, kind in (("intrinsics", self.intrinsics), ("pose", self.poses)) if camera in kind]
+            parts.append(f"{camera} ({' and '.join(known)})")
+        if self.laser is not None:
+            parts.append("laser scanner")
+        return ", ".join(parts)
+
+
+def read_calibration(folder: Path, cell: Cell) -> CalibrationFiles:
+    """Read all calibrations of a folder.
+
+    Args:
+        folder: The folder: results of ``calibrate_camera``, or where ``/vss`` kept what it used.
+        cell: The cell whose cameras they must be for.
+
+    Raises:
+        ConfigError: The folder is missing or holds no calibration, or a file of it is wrong; the message names file,
+            line, field and value.
+    """
+    if not folder.is_dir():
+        what = "it is a file, the folder around it is needed" if folder.exists() else "there is no such folder"
+        raise ConfigError(f"{folder}: no calibration: {what}", file=str(folder))
+    try:
+        files = sorted(path for path in folder.glob("*.yaml") if not path.name.startswith("."))
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be read: {error.strerror}", file=str(folder)) from error
+    if not files:
+        raise ConfigError(
+            f"{folder}: no calibration: it holds no <camera>.yaml, {EXTRINSICS} or {LASER}{_reason(folder)}",
+            file=str(folder),
+        )
+    intrinsics: dict[str, CameraModel] = {}
+    poses: dict[str, CameraPose] = {}
+    laser: LaserEstimate | None = None
+    notes: list[str] = []
+    for path in files:
+        if path.name == EXTRINSICS:
+            poses = _poses(path, cell.cameras)
+        elif path.name == LASER:
+            laser = read_laser(path)
+        else:
+            intrinsics[path.stem] = _intrinsics(path, cell.cameras, notes)
+    return CalibrationFiles(folder, intrinsics, poses, laser, tuple(notes))
+
+
+def _intrinsics(path: Path, cameras: Mapping[str, Camera], notes: list[str]) -> CameraModel:
+    name = path.stem
+    if name not in cameras:
+        raise ConfigError(f"{path}: {NotFoundError(kind='camera', name=name, known=cameras).message}", file=str(path))
+    content, lens = read_intrinsics(path), cameras[name].intrinsics
+    for side, wanted in (("image_width", lens.width), ("image_height", lens.height)):
+        if getattr(content, side) != wanted:
+            raise fault(path, (side,), f"{getattr(content, side)}: {name} takes images of {wanted} px")
+    if content.camera_name not in ("", name):
+        if content.camera_name in cameras:
+            raise fault(path, ("camera_name",), f"'{content.camera_name}': the name of the file says {name}")
+        notes.append(f"{path}: camera_name is '{content.camera_name}', it is taken for {name}")
+    return content.model
+
+
+def _poses(path: Path, cameras: Mapping[str, Camera]) -> dict[str, CameraPose]:
+    poses: dict[str, CameraPose] = {}
+    for number, transform in enumerate(read_extrinsics(path).transforms):
+        frame, place = transform.child_frame_id, ("transforms", number)
+        name = frame.removesuffix(FRAME_END)
+        if frame != frame_of(name) or name not in cameras:
+            unknown = NotFoundError(kind="camera frame", name=frame, known=[frame_of(camera) for camera in cameras])
+            raise fault(path, (*place, "child_frame_id"), unknown.message)
+        if name in poses:
+            raise fault(path, (*place, "child_frame_id"), f"'{frame}': given twice")
+        if transform.header.frame_id != cameras[name].parent:
+            sentence = f"'{transform.header.frame_id}': {name} is fixed to {cameras[name].parent}"
+            raise fault(path, (*place, "header", "frame_id"), sentence)
+        poses[name] = transform.pose
+    return poses
+
+
+def _reason(folder: Path) -> str:
+    """Why a calibration left no files, if its report says so."""
+    try:
+        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        return f"; its report.json says: {report['message']}" if report["success"] is False else ""
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

@@ -1,0 +1,141 @@
+"""Intrinsics of a camera as YAML, in the format of ROS's `camera_info_manager`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+import pydantic
+import yaml
+from numpy.typing import NDArray
+
+from im_core.camera_model import CameraModel
+from im_core.config import load_model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rectified:
+    """What a `CameraInfo` says of rectified images: R, shape (3, 3), and P, shape (3, 4) [px]."""
+
+    R: Array
+    P: Array
+
+
+def monocular(model: CameraModel) -> Rectified:
+    """R and P of a camera that belongs to no stereo pair."""
+    return Rectified(np.eye(3), np.hstack((model.K, np.zeros((3, 1)))))
+
+
+class Matrix(pydantic.BaseModel):
+    """A matrix as `camera_info_manager` writes it, row by row."""
+
+    model_config = pydantic.ConfigDict(frozen=True, allow_inf_nan=False)
+
+    rows: int
+    cols: int
+    data: tuple[float, ...]
+
+    @pydantic.model_validator(mode="after")
+    def _complete(self) -> Self:
+        if len(self.data) != self.rows * self.cols or self.rows < 1:
+            raise ValueError(f"{self.rows} x {self.cols} is {self.rows * self.cols} numbers, data has {len(self.data)}")
+        return self
+
+    @property
+    def array(self) -> Array:
+        """Its values, shape (rows, cols)."""
+        return np.array(self.data).reshape(self.rows, self.cols)
+
+
+def _of_shape(*shapes: tuple[int, int]) -> pydantic.AfterValidator:
+    def check(matrix: Matrix) -> Matrix:
+        if (matrix.rows, matrix.cols) not in shapes:
+            allowed = " or ".join(f"{rows} x {columns}" for rows, columns in shapes)
+            raise ValueError(f"it is {matrix.rows} x {matrix.cols}, it must be {allowed}")
+        return matrix
+
+    return pydantic.AfterValidator(check)
+
+
+def _camera_matrix(matrix: Matrix) -> Matrix:
+    K = matrix.array
+    if np.any(K[[0, 1, 2, 2], [1, 0, 0, 1]] != 0.0) or K[2, 2] != 1.0:
+        raise ValueError(f"{K.ravel().tolist()} is not [fx 0 cx; 0 fy cy; 0 0 1]")
+    if K[0, 0] <= 0.0 or K[1, 1] <= 0.0:
+        raise ValueError(f"the focal lengths are {K[0, 0]:g} and {K[1, 1]:g} px, they must be > 0")
+    return matrix
+
+
+Side = Annotated[int, pydantic.Field(ge=1)]
+
+
+class IntrinsicsFile(pydantic.BaseModel):
+    """Contents of a camera's file; fields of other tools that are not listed here are passed over.
+
+    Attributes:
+        image_width, image_height: Size of the image [px].
+        camera_name: Name of the camera, as whoever wrote the file called it.
+        camera_matrix: K [px].
+        distortion_model: `plumb_bob`.
+        distortion_coefficients: k1, k2, p1, p2, and k3 if there is a fifth.
+        rectification_matrix, projection_matrix: R and P; they follow from the rest, and are not used.
+    """
+
+    model_config = pydantic.ConfigDict(frozen=True, allow_inf_nan=False)
+
+    image_width: Side
+    image_height: Side
+    camera_name: str = ""
+    camera_matrix: Annotated[Matrix, _of_shape((3, 3)), pydantic.AfterValidator(_camera_matrix)]
+    distortion_model: Literal["plumb_bob"] = "plumb_bob"
+    distortion_coefficients: Annotated[Matrix, _of_shape((1, 5), (1, 4), (5, 1), (4, 1))]
+    rectification_matrix: Annotated[Matrix, _of_shape((3, 3))] | None = None
+    projection_matrix: Annotated[Matrix, _of_shape((3, 4))] | None = None
+
+    @property
+    def model(self) -> CameraModel:
+        """Intrinsics and lens; the pose is none."""
+        D = np.zeros(5)
+        D[: len(self.distortion_coefficients.data)] = self.distortion_coefficients.data
+        return CameraModel(self.image_width, self.image_height, self.camera_matrix.array, D)
+
+
+def read_intrinsics(path: Path) -> IntrinsicsFile:
+    """Read a camera's file.
+
+    Raises:
+        ConfigError: It cannot be read, or is none; the message names file, line and field.
+    """
+    return load_model(path, IntrinsicsFile)
+
+
+def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None = None) -> str:
+    """The file of a camera.
+
+    Args:
+        name: Name of the camera.
+        model: Its intrinsics and lens.
+        rectified: Its R and P; None: those of a single camera.
+
+    Returns:
+        Text of the file.
+    """
+    rectified = rectified or monocular(model)
+    content: dict[str, Any] = {
+        "image_width": model.width,
+        "image_height": model.height,
+        "camera_name": name,
+        "camera_matrix": _matrix(model.K),
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": _matrix(model.D[None, :]),
+        "rectification_matrix": _matrix(rectified.R),
+        "projection_matrix": _matrix(rectified.P),
+    }
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+
+
+def _matrix(values: Array) -> dict[str, Any]:
+    rows, columns = values.shape
+    return {"rows": rows, "cols": columns, "data": [float(value) for value in values.ravel()]}

@@ -1,0 +1,104 @@
+"""Calibration of the laser scanner as YAML."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pydantic
+import yaml
+from numpy.typing import NDArray
+
+from im_core.config import Model, load_model
+from im_core.laser_model import LaserModel
+
+Array = NDArray[np.float64]
+LASER = "laser.yaml"
+"""Name of the file."""
+PARAMETERS = 10
+_TOLERANCE = 1e-6
+
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+Row = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class LaserEstimate:
+    """A scanner as it was estimated, and the covariance of its ten parameters, shape (10, 10)."""
+
+    model: LaserModel
+    covariance: Array
+
+
+def _rotation(rows: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
+    R = np.array(rows)
+    with np.errstate(all="ignore"):
+        off = np.abs(R @ R.T - np.eye(3)).max()
+        if not off <= _TOLERANCE or np.linalg.det(R) < 0.0:
+            raise ValueError(f"it is no rotation matrix: R R' is off the identity by {off:.3g}, det R must be 1")
+    return rows
+
+
+def _covariance(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    if len(rows) != PARAMETERS or any(len(row) != PARAMETERS for row in rows):
+        raise ValueError(f"it must have {PARAMETERS} rows of {PARAMETERS} numbers")
+    S = np.array(rows)
+    if np.any(np.diag(S) <= 0.0):
+        raise ValueError("a variance on its diagonal is not > 0")
+    spread = np.sqrt(np.diag(S))
+    with np.errstate(all="ignore"):
+        correlation = S / spread / spread[:, None]
+    bounded = np.abs(correlation).max() <= 1.0 + _TOLERANCE
+    symmetric = bounded and np.allclose(correlation, correlation.T, rtol=0.0, atol=_TOLERANCE)
+    if not symmetric or np.linalg.eigvalsh(correlation).min() < -_TOLERANCE:
+        raise ValueError("it is not symmetric and positive")
+    return rows
+
+
+class LaserFile(Model):
+    """Contents of ``laser.yaml``; see :class:`im_core.laser_model.LaserModel`.
+
+    Attributes:
+        rotation: Rotation scanner -> world.
+        position: Centre of mirror 2 in the world [m].
+        gain: True angle of each mirror by the one it reports.
+        offset: Angle of mirror 1 when it reports zero [rad].
+        gap: Distance of the mirrors [m].
+        covariance: Of turn x, y, z [rad], position x, y, z [m], gains, offset [rad] and gap [m].
+    """
+
+    rotation: Annotated[tuple[Row, Row, Row], pydantic.AfterValidator(_rotation)]
+    position: Row
+    gain: tuple[Positive, Positive]
+    offset: float
+    gap: Positive
+    covariance: Annotated[tuple[tuple[float, ...], ...], pydantic.AfterValidator(_covariance)]
+
+    @property
+    def estimate(self) -> LaserEstimate:
+        """Model and covariance."""
+        model = LaserModel(np.array(self.rotation), np.array(self.position), self.gap, self.gain, self.offset)
+        return LaserEstimate(model, np.array(self.covariance))
+
+
+def read_laser(path: Path) -> LaserEstimate:
+    """Read a scanner's file.
+
+    Raises:
+        ConfigError: It cannot be read, or is none; the message names file, line and field.
+    """
+    return load_model(path, LaserFile).estimate
+
+
+def laser_yaml(estimate: LaserEstimate) -> str:
+    """The file of a scanner."""
+    model = estimate.model
+    content = {
+        "rotation": model.rotation.tolist(),
+        "position": model.position.tolist(),
+        "gain": list(map(float, model.gain)),
+        "offset": float(model.offset),
+        "gap": float(model.gap),
+        "covariance": estimate.covariance.tolist(),
+    }
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)

@@ -1,0 +1,147 @@
+"""What the books of cameras and laser scanner write, the next run starts with."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from im_core.calibration_files import CalibrationFiles, LaserEstimate, read_calibration
+from im_core.errors import DataError, NotFoundError
+from im_core.laser_model import LaserModel
+from im_core.robot import load_cell
+from im_vss.camera_book import CameraBook, nominal
+from im_vss.laser.book import LaserBook
+
+CELL = load_cell()
+PAIR = ("ceiling_left", "ceiling_right")
+CAMERAS = (*PAIR, "wall")
+
+
+def truly(name, seed=1):
+    """A camera as it may truly be."""
+    rng = np.random.default_rng(seed)
+    camera = nominal(CELL.cameras[name])
+    turn = Rotation.from_rotvec(rng.normal(0.0, 0.01, 3)).as_matrix()
+    K = camera.K + np.array([[7.0, 0.0, 2.0], [0.0, 8.0, -3.0], [0.0, 0.0, 0.0]]) * rng.normal()
+    return replace(camera, K=K, D=rng.normal(0.0, 0.01, 5), R_cam_base=turn @ camera.R_cam_base)
+
+
+def book(folder, cameras=CAMERAS):
+    return CameraBook(CELL, cameras, folder, [PAIR])
+
+
+def equal(entry, other):
+    """Whether two entries describe the same camera; a rotation passes through a quaternion."""
+    pairs = [(entry.model.K, other.model.K), (entry.model.D, other.model.D)]
+    close = [
+        (entry.model.R_cam_base, other.model.R_cam_base),
+        (entry.model.t_cam_base, other.model.t_cam_base),
+        (entry.rectified.R, other.rectified.R),
+    ]
+    close.append((entry.rectified.P / 600.0, other.rectified.P / 600.0))
+    return all(np.array_equal(a, b) for a, b in pairs) and all(np.allclose(a, b, atol=1e-11) for a, b in close)
+
+
+def test_the_next_run_has_the_cameras_of_this_one(tmp_path):
+    first = book(tmp_path / "first")
+    assert not first["wall"].calibrated
+    assert first.set_cameras({name: truly(name) for name in PAIR}) == tmp_path / "first"
+    second = book(tmp_path / "second")
+    changes = []
+    second.on_change = lambda: changes.append(second["ceiling_left"].calibrated)
+    assert second.take(read_calibration(tmp_path / "first", CELL)) == ()
+    assert changes == [True]
+    for name in CAMERAS:
+        assert equal(second[name], first[name]), name
+        assert second[name].calibrated == (name in PAIR)
+    assert second["ceiling_right"].rectified.P[0, 3] < -100.0
+    assert second["wall"].told() == "wall: as drawn"
+    assert second["ceiling_left"].told() == (
+        f"ceiling_left: intrinsics {tmp_path}/first/ceiling_left.yaml, pose {tmp_path}/first/extrinsics.yaml"
+    )
+
+
+def test_a_run_leaves_what_it_started_with_and_what_it_found(tmp_path):
+    """So its folder alone is enough for a third run."""
+    book(tmp_path / "first").set_cameras({"ceiling_left": truly("ceiling_left")})
+    second = book(tmp_path / "second")
+    second.take(read_calibration(tmp_path / "first", CELL))
+    second.set_intrinsics("wall", truly("wall"))
+    second.set_pose("ceiling_right", truly("ceiling_right"))
+    found = read_calibration(tmp_path / "second", CELL)
+    assert found.summary() == "ceiling_left (intrinsics and pose), wall (intrinsics), ceiling_right (pose)"
+    third = book(tmp_path / "third")
+    third.take(found)
+    assert all(equal(third[name], second[name]) for name in CAMERAS)
+    assert [third[name].calibrated for name in CAMERAS] == [True, False, False]  # half is not enough
+    assert third["wall"].told() == f"wall: intrinsics {tmp_path}/second/wall.yaml, pose as drawn"
+
+
+def test_without_a_calibration_nothing_is_written_and_nothing_read(tmp_path):
+    book(tmp_path / "kept").set_cameras({"wall": truly("wall")})
+    again = book(tmp_path / "kept")
+    assert not again["wall"].calibrated
+    book(tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_cameras_that_are_not_in_use_are_said(tmp_path):
+    book(tmp_path / "all").set_cameras({name: truly(name) for name in CAMERAS})
+    few = book(tmp_path / "few", PAIR)
+    files = read_calibration(tmp_path / "all", CELL)
+    assert few.take(files) == ("wall is not in use; its calibration is passed over",)
+    assert [entry.name for entry in few.entries() if entry.calibrated] == list(PAIR)
+    assert not (tmp_path / "few" / "wall.yaml").exists()
+
+
+def test_what_cannot_be_written_changes_nothing(tmp_path):
+    (tmp_path / "file").write_text("")
+    cameras, laser = book(tmp_path / "file"), LaserBook(CELL.laser, tmp_path / "file")
+    with pytest.raises(DataError, match="file: cannot be written"):
+        cameras.set_cameras({"wall": truly("wall")})
+    with pytest.raises(DataError, match=r"laser.yaml: cannot be written"):
+        laser.set(laser.entry.model, np.eye(10))
+    assert not cameras["wall"].calibrated
+    assert not laser.entry.calibrated
+    with pytest.raises(NotFoundError, match="did you mean 'wall'"):
+        cameras.set_cameras({"walls": truly("wall")})
+    small = replace(truly("wall"), width=320)
+    with pytest.raises(DataError, match="wall takes images of 640 x 480 px, the calibration is for 320 x 480 px"):
+        cameras.set_cameras({"wall": small})
+
+
+def test_changes_at_the_same_time_are_all_kept(tmp_path):
+    shared = book(tmp_path)
+    models = {name: truly(name) for name in CAMERAS}
+    setters = [lambda n=n: shared.set_intrinsics(n, models[n]) for n in CAMERAS]
+    setters += [lambda n=n: shared.set_pose(n, models[n]) for n in CAMERAS]
+    threads = [threading.Thread(target=setter) for setter in setters]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    again = book(tmp_path / "again")
+    again.take(read_calibration(tmp_path, CELL))
+    for name in CAMERAS:
+        assert np.array_equal(shared[name].model.K, models[name].K)
+        assert np.array_equal(shared[name].model.R_cam_base, models[name].R_cam_base)
+        assert equal(again[name], shared[name])
+
+
+def test_the_next_run_has_the_laser_of_this_one(tmp_path):
+    rotation, position = CELL.laser.pose()
+    estimate = LaserEstimate(LaserModel(rotation, position + 0.01, 0.0121, (1.01, 0.98), 0.002), np.eye(10) * 1e-6)
+    first = LaserBook(CELL.laser, tmp_path / "first")
+    first.take(CalibrationFiles(tmp_path, {}, {}))
+    assert first.entry.told() == "laser scanner: as drawn"
+    assert first.set(estimate.model, estimate.covariance) == tmp_path / "first" / "laser.yaml"
+    second = LaserBook(CELL.laser, tmp_path / "second")
+    second.take(read_calibration(tmp_path / "first", CELL))
+    assert second.entry.calibrated
+    assert second.entry.told() == f"laser scanner: {tmp_path}/first/laser.yaml"
+    angles = np.array([[0.1, -0.05], [0.0, 0.2]])
+    assert np.array_equal(second.entry.model.rays(angles), estimate.model.rays(angles))
+    kept = read_calibration(tmp_path / "second", CELL).laser
+    assert np.array_equal(kept.covariance, estimate.covariance)
