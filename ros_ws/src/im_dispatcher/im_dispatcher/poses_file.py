@@ -38,9 +38,9 @@ class WristPose(Model):
 
 
 class PosesFile(Model):
-    """A list of wrist poses of one group."""
+    """A list of wrist poses of one arm, the one that carries the light."""
 
-    group: Literal["left"]
+    group: Literal["left", "right"]
     frame: Literal["world"]
     poses: Annotated[tuple[WristPose, ...], pydantic.Field(min_length=1, max_length=1000)]
 

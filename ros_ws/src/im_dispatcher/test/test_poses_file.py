@@ -44,7 +44,7 @@ def test_poses_are_read_in_order(tmp_path: Path) -> None:
             "length 2.0000; it must be 1",
         ),
         (HEAD + POSE.format(name="a") * 2, "two poses are named 'a'"),
-        ("group: right\nframe: world\nposes: []\n", r"yaml:1: group"),
+        ("group: middle\nframe: world\nposes: []\n", r"yaml:1: group"),
     ],
 )
 def test_faults_name_the_line(tmp_path: Path, text: str, message: str) -> None:

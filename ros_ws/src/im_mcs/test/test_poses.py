@@ -1,45 +1,78 @@
+"""The command ``poses``: what it writes, for cameras under the ceiling, near the table and on an arm."""
+
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 
-from im_core.robot import load_cell
+from im_core.camera_model import CameraModel
 from im_mcs.client.kinematics import Kinematics
+from im_mcs.collision import CollisionChecker
 from im_mcs.poses.command import main
 
+PAIRS = {"left": ("wall", "table"), "right": ("wrist_left", "ceiling_right")}
+COUNT = 12
 
-@pytest.fixture(scope="module")
-def poses(tmp_path_factory):
+
+@pytest.fixture(scope="module", params=PAIRS)
+def poses(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("poses") / "poses.yaml"
-    assert main(["--count", "6", "--output", str(path)]) == 0
-    return yaml.safe_load(path.read_text())
+    assert main(["--cameras", *PAIRS[request.param], "--count", str(COUNT), "--output", str(path)]) == 0
+    found = yaml.safe_load(path.read_text())
+    assert found["group"] == request.param
+    return found
 
 
-def test_poses_are_reachable_one_after_the_other(poses, config, model):
-    assert poses["group"] == "left"
-    assert [pose["name"] for pose in poses["poses"]] == [f"p{k}" for k in range(1, 7)]
-    kinematics, cell = Kinematics(config, model), load_cell()
-    q = cell.home.copy()
-    for pose in poses["poses"]:
-        found = kinematics.inverse("left", pose["position_m"], pose["orientation_xyzw"], [], q, True)
-        kinematics.check_path("left", [q[:9].tolist(), found.tolist()], q)
-        q[:9] = found
-
-
-def test_the_light_faces_the_cameras_and_is_in_their_images(poses, model):
-    import pinocchio as pin
-
-    cell = load_cell()
-    cameras = [cell.cameras[name] for name in ("ceiling_left", "ceiling_right")]
-    middle = np.mean([camera.position for camera in cameras], axis=0)
+def wrists(poses):
     for pose in poses["poses"]:
         x, y, z, w = pose["orientation_xyzw"]
-        rotation = pin.Quaternion(w, x, y, z).matrix()
-        light = np.array(pose["position_m"]) + rotation @ np.array(cell.led.offset)
-        outward = rotation @ np.array(cell.led.axis)
-        towards = (middle - light) / np.linalg.norm(middle - light)
-        assert outward @ towards >= np.cos(np.radians(40.1))
-        assert (np.array([-1.0, -0.5, 0.6]) - 1e-3 <= light).all()
-        assert (light <= np.array([1.0, 0.5, 1.6]) + 1e-3).all()
+        yield pin.SE3(pin.Quaternion(w, x, y, z).matrix(), np.array(pose["position_m"]))
+
+
+def camera_at_home(model, name):
+    """The nominal camera in the world, all joints at home."""
+    camera = model.cell.cameras[name]
+    rotation, translation = camera.pose()
+    mount = pin.SE3.Identity() if camera.parent == "world" else model.pose(model.cell.home, camera.parent)
+    placed = pin.SE3(rotation, translation) * mount.inverse()
+    lens = camera.intrinsics
+    K = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
+    return CameraModel(lens.width, lens.height, K, np.zeros(5), placed.rotation, placed.translation)
+
+
+def test_poses_are_reachable_one_after_the_other_and_the_light_is_not_hidden(poses, config, model):
+    kinematics, cell, group = Kinematics(config, model), model.cell, poses["group"]
+    index = [model.index(joint) for joint in config.groups[group].joints]
+    cameras = [camera_at_home(model, name) for name in PAIRS[group]]
+    checker, q = CollisionChecker(model, config.collision.clearance_m), cell.home
+    for pose in poses["poses"]:
+        found = kinematics.inverse(group, pose["position_m"], pose["orientation_xyzw"], [], q, True)
+        kinematics.check_path(group, [q[index].tolist(), found.tolist()], q)
+        q[index] = found
+        light = model.pose(q, f"{group}_wrist").act(np.array(cell.led.offset))
+        for camera in cameras:
+            towards = (camera.position - light) / np.linalg.norm(camera.position - light)
+            assert checker.blocking(q, light + 0.03 * towards, camera.position, 0.01) is None
+
+
+def test_the_light_shines_into_the_images_of_all_cameras(poses, model):
+    led = model.cell.led
+    for wrist in wrists(poses):
+        light, outward = wrist.act(np.array(led.offset)), wrist.rotation @ np.array(led.axis)
+        for name in PAIRS[poses["group"]]:
+            camera = camera_at_home(model, name)
+            towards = camera.position - light
+            assert camera.contains(camera.project(light), margin=10.0), name
+            assert np.arccos(outward @ towards / np.linalg.norm(towards)) < led.half_angle
+
+
+def test_lights_are_apart_and_the_wrist_turns(poses, model):
+    lights = np.array([wrist.act(np.array(model.cell.led.offset)) for wrist in wrists(poses)])
+    between = np.linalg.norm(lights[:, None] - lights, axis=2) + 9.0 * np.eye(COUNT)
+    side = np.prod(np.ptp(lights, axis=0)) ** (1 / 3)
+    assert between.min() > 0.35 * side / COUNT ** (1 / 3)
+    mean = np.mean([wrist.rotation for wrist in wrists(poses)], axis=0)
+    assert np.linalg.norm(mean, 2) < 0.9  # no axis of the wrist keeps its direction
 
 
 @pytest.mark.parametrize(
@@ -47,7 +80,8 @@ def test_the_light_faces_the_cameras_and_is_in_their_images(poses, model):
     [
         (["--group", "lefft"], "there is no group 'lefft'; did you mean 'left'"),
         (["--cameras", "ceiling"], "there is no camera 'ceiling'"),
-        (["--cameras", "wrist_left"], "'wrist_left' moves with left_wrist"),
+        (["--group", "left", "--cameras", "wrist_left"], "'wrist_left' rides on left_wrist, which group 'left' moves"),
+        (["--lower", "0", "0", "5", "--upper", "1", "1", "6"], "none is in every view"),
     ],
 )
 def test_mistakes_are_named(capsys, arguments, message):

@@ -84,6 +84,10 @@ def test_a_good_calibration_is_written_whole(solved, tmp_path):
     camera = yaml.safe_load((target / "camera_0.yaml").read_text())
     assert camera["camera_name"] == "camera_0"
     assert camera["distortion_model"] == "plumb_bob"
+    poses = yaml.safe_load((target / "extrinsics.yaml").read_text())["transforms"]
+    for estimate, pose in zip(solved[0].cameras, poses, strict=True):
+        assert (pose["header"]["frame_id"], pose["child_frame_id"]) == ("world", f"{estimate.name}_optical_frame")
+        assert list(pose["transform"]["translation"].values()) == pytest.approx(list(estimate.model.position))
 
 
 def test_a_failed_calibration_leaves_no_camera_files(failed, tmp_path):

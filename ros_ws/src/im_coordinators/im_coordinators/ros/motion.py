@@ -5,6 +5,7 @@ from typing import Any
 
 from trajectory_msgs.msg import JointTrajectory
 
+from im_coordinators.ros.carrier import DEFAULT_GROUP, carrier
 from im_coordinators.strategies import HOLDING_STATES, POWERED_STATES
 from im_core.config import package_file
 from im_core.errors import StateError
@@ -25,6 +26,8 @@ class MotionCoordinator(PntNode):
             "motion_coordinator",
             [package_file("im_coordinators", "nets/motion_coordinator.yaml")],
             functions={
+                "group_to_reserve": self.group_to_reserve,
+                "group_held": self.group_held,
                 "path_to_follow": self.path_to_follow,
                 "store_end": self.store_end,
                 "store_position": self.store_position,
@@ -33,11 +36,20 @@ class MotionCoordinator(PntNode):
                 "mcs_cold": of_mcs(lambda _: self._mcs_state == "cold"),
                 "mcs_powered": of_mcs(lambda _: self._mcs_state in POWERED_STATES),
                 "mcs_in_motion": of_mcs(lambda _: self._mcs_state == "motion"),
+                "right_held": of_mcs(lambda _: self._held == "right"),
                 "mcs_holds_group": of_mcs(lambda _: self._mcs_state in HOLDING_STATES),
                 "path_given": woken_by("data:given_path")(lambda _: self.sources.valid("given_path")),
             },
         )
         self.sources.follow(MCS_STATE, McsState, qos.LATCHED)
+
+    async def group_to_reserve(self, ctx: Any) -> dict[str, object]:
+        """The arm that is to move."""
+        return {"group": await carrier(self.dom)}
+
+    async def group_held(self, ctx: Any) -> dict[str, object]:
+        """The arm that MCS holds."""
+        return {"group": self._held}
 
     async def path_to_follow(self, ctx: Any) -> dict[str, object]:
         """The goal of a move: the path in the DOM."""
@@ -52,6 +64,12 @@ class MotionCoordinator(PntNode):
         if not answer.state.at_rest:
             raise StateError(f"{answer.state.group} is not at rest; a position measured in motion is of no use")
         await self.dom.put("current_position", answer.state, place="motion_coordinator.pos_found")
+
+    @property
+    def _held(self) -> str:
+        message = self.sources.last(MCS_STATE)
+        held = [] if message is None else list(message.reserved_groups)
+        return DEFAULT_GROUP if DEFAULT_GROUP in held or not held else str(held[0])
 
     @property
     def _mcs_state(self) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from im_coordinators.ros.carrier import carrier
 from im_coordinators.strategies import DETOUR_FAILURES, detour
 from im_core.config import package_file
 from im_core.robot import load_cell
@@ -19,7 +20,6 @@ from im_pnt.doubt import Answer, Verdict
 from im_pnt.functions import woken_by
 from im_pnt.ros.node import PntNode
 
-GROUP = "left"
 CART_JOINTS = 3
 ANSWER_S = 10.0
 
@@ -47,7 +47,7 @@ class PathPlanningCoordinator(PntNode):
             },
             asks={**{name: again(function) for name, function in functions.items()}, "check_given": self.given_checked},
         )
-        self._tucked = list(load_cell().sides[GROUP].home)
+        self._tucked = {name: list(side.home) for name, side in load_cell().sides.items()}
         self._state = self.create_client(GetGroupState, "/mcs/get_group_state")
         self._kinematics = self.create_client(InverseKinematics, "/mcs/inverse_kinematics")
         self._check = self.create_client(CheckPath, "/mcs/check_path")
@@ -61,7 +61,7 @@ class PathPlanningCoordinator(PntNode):
         """Finds other joint positions for the destination, near to where the arm is out of the way."""
         here = await self._here()
         ctx.memory["another"] = True
-        await self._find(here, [*_position(here)[:CART_JOINTS], *self._tucked[CART_JOINTS:]])
+        await self._find(here, [*_position(here)[:CART_JOINTS], *self._tucked[here.group][CART_JOINTS:]])
 
     async def plan_direct(self, ctx: Any) -> None:
         """Stores the joint-interpolated path to the goal if it is free."""
@@ -71,7 +71,7 @@ class PathPlanningCoordinator(PntNode):
     async def plan_detour(self, ctx: Any) -> None:
         """Stores the path with the arm tucked on the way if it is free."""
         here, goal = await self._here(), await self._goal()
-        await self._store(here, detour(_position(here), goal, self._tucked, CART_JOINTS))
+        await self._store(here, detour(_position(here), goal, self._tucked[here.group], CART_JOINTS))
 
     async def check_given(self, ctx: Any) -> None:
         """Stores the path that was given if it is free."""
@@ -87,12 +87,12 @@ class PathPlanningCoordinator(PntNode):
         return await again(self.check_given)(ctx)
 
     async def _here(self) -> GroupState:
-        request = GetGroupState.Request(group=GROUP)
-        return (await self._ask(self._state, request, f"the position of {GROUP}")).state
+        group = await carrier(self.dom)
+        return (await self._ask(self._state, GetGroupState.Request(group=group), f"the position of {group}")).state
 
     async def _find(self, here: GroupState, seed: Sequence[float]) -> None:
         destination = await self.dom.get("destination", PoseStamped)
-        request = InverseKinematics.Request(group=GROUP, wrist=destination.pose, seed=seed, avoid_collisions=True)
+        request = InverseKinematics.Request(group=here.group, wrist=destination.pose, seed=seed, avoid_collisions=True)
         answer = await self._ask(self._kinematics, request, "inverse kinematics")
         goal = _trajectory(here.joints, [answer.q])
         await self.dom.put("goal_configuration", goal, place="path_planning_coordinator.goal_valid")
@@ -103,7 +103,7 @@ class PathPlanningCoordinator(PntNode):
 
     async def _store(self, here: GroupState, points: Sequence[Sequence[float]]) -> None:
         whole = _trajectory(here.joints, [_position(here), *points])
-        await self._ask(self._check, CheckPath.Request(group=GROUP, path=whole), "a path to be checked")
+        await self._ask(self._check, CheckPath.Request(group=here.group, path=whole), "a path to be checked")
         await self.dom.put("path", _trajectory(here.joints, points), place="motion_coordinator.path_valid")
 
     async def _ask(self, client: Any, request: Any, what: str) -> Any:

@@ -3,6 +3,7 @@
 import sys
 from typing import Any
 
+from im_coordinators.ros.carrier import CAMERAS
 from im_coordinators.strategies import another_look_may_help
 from im_core.config import package_file
 from im_core.errors import DataError, ImError
@@ -20,6 +21,8 @@ class VisionCoordinator(PntNode):
             "vision_coordinator",
             [package_file("im_coordinators", "nets/vision_coordinator.yaml")],
             functions={
+                "light": self.light,
+                "forget_cameras": self.forget_cameras,
                 "nominal_exposure": self.nominal_exposure,
                 "longer_exposure": self.longer_exposure,
                 "store_spots": self.store_spots,
@@ -29,6 +32,14 @@ class VisionCoordinator(PntNode):
             guards={"another_look_may_help": woken_by()(lambda ctx: _mendable(ctx.failure))},
         )
         self._long_exposure = self.declare_parameter("long_exposure", 0.018).value
+
+    async def light(self, ctx: Any) -> dict[str, object]:
+        """The light that the cameras are to look for."""
+        return {"name": (await self.dom.get(CAMERAS, CameraNames)).light}
+
+    async def forget_cameras(self, ctx: Any, answer: Any) -> None:
+        """Ends the calibration: what moves next is no longer to carry its light."""
+        await self.dom.invalidate(CAMERAS)
 
     async def nominal_exposure(self, ctx: Any) -> dict[str, object]:
         """The request for a spot at the exposure of the cameras' configuration."""
@@ -62,7 +73,7 @@ class VisionCoordinator(PntNode):
         await self.dom.put("calibration", answer.report, place="vision_coordinator.calibration_stored")
 
     async def _spot_request(self, exposure: float) -> dict[str, object]:
-        wanted = await self.dom.get("calibration_cameras", CameraNames)
+        wanted = await self.dom.get(CAMERAS, CameraNames)
         return {"cameras": list(wanted.cameras), "exposure": exposure}
 
 

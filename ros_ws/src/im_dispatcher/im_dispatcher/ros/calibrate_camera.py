@@ -90,12 +90,13 @@ class CalibrateCamera:
         self._times, self._timed = StepTimes(), ctx.command.id
         ctx.memory["begun"] = [clock.monotonic(), self._now_s()]
         arguments = ctx.command.arguments
-        poses = list(load_poses(arguments.get("poses_file", "")).poses)
+        file = load_poses(arguments.get("poses_file", ""))
+        poses = list(file.poses)
         cameras = list(arguments.get("cameras") or CEILING)
         check(cameras, poses, list(self._cell.cameras))
         job = CalibrationJob(cameras, poses, str(make_directory(results_dir(), clock.stamp_name())))
         _remember(ctx, job)
-        await self._node.dom.put("calibration_cameras", CameraNames(cameras=cameras, light=self._cell.light_names[0]))
+        await self._node.dom.put("calibration_cameras", CameraNames(cameras=cameras, light=f"{file.group}_led"))
         await self._node.dom.put("observations", ObservationSet(cameras=cameras, directory=job.directory))
         ctx.progress(f"{len(poses)} poses for {', '.join(cameras)}", 0.0)
 
@@ -196,9 +197,7 @@ class CalibrateCamera:
             self._node.get_logger().warning(f"no duration is expected: {error.message}")
             return None
 
-    def _finish(
-        self, ctx: Any, report: dict[str, Any], expected: CommandDuration | None = None
-    ) -> dict[str, Any]:
+    def _finish(self, ctx: Any, report: dict[str, Any], expected: CommandDuration | None = None) -> dict[str, Any]:
         job, times, (begun_s, begun_simulated_s) = _job(ctx), self._times_of(ctx), ctx.memory["begun"]
         simulated_s = self._now_s() - begun_simulated_s
         report["timing"] = times.summary(clock.monotonic() - begun_s, simulated_s)

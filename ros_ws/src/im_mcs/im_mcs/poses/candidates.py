@@ -1,6 +1,6 @@
-"""Candidate poses: the light anywhere in the workspace, turned towards the cameras."""
+"""Candidate poses: the light anywhere in the common view, turned so that all cameras see it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,9 +8,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from im_core.robot import Camera, Cell
+from im_core.robot import Cell
+from im_mcs.poses.common import CommonView
+from im_mcs.poses.view import View, facing
 
-_MARGIN_PX = 20.0
+_BLOCK = 512
+# Nominal cameras and mounts may be off by this: the light faces them with this margin [rad].
+_FACING_MARGIN = 0.09
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class Volume:
     upper: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """A pose of the wrist and where it brings the light.
 
@@ -40,33 +44,39 @@ class Candidate:
 
 
 def candidates(
-    cell: Cell, volume: Volume, cameras: list[Camera], max_tilt_rad: float, seed: int
+    cell: Cell, volume: Volume, common: CommonView, views: Sequence[View], max_tilt_rad: float, seed: int, draws: int
 ) -> Iterator[Candidate]:
-    """Endless candidates, space-filling in light position and orientation together.
+    """Candidates, space-filling in light position and orientation together.
 
-    The light's outward axis points at the middle of the cameras, tilted by up to ``max_tilt_rad`` to any side, and the
-    wrist is turned about that axis by any angle. Positions that lie outside the image of a camera are left out.
+    The light's outward axis points where the largest angle to a camera is least, tilted by up to ``max_tilt_rad`` to
+    any side as long as it shines at all cameras, and the wrist is turned about that axis by any angle. Positions out
+    of reach or out of an image are left out.
 
     Args:
         cell: Light.
         volume: Where it shall be.
-        cameras: Cameras that shall see it (nominal).
+        common: Where it can be seen.
+        views: Cameras that shall see it.
         max_tilt_rad: Largest tilt [rad].
         seed: Of the scrambled Halton sequence.
+        draws: Length of the sequence.
     """
-    middle = np.mean([camera.position for camera in cameras], axis=0)
     offset, axis = np.array(cell.led.offset), np.array(cell.led.axis)
+    axis /= np.linalg.norm(axis)
+    least_cosine = np.cos(min(cell.led.half_angle - _FACING_MARGIN, np.pi))
     sequence = qmc.Halton(6, seed=seed)
-    while True:
-        s = sequence.random(1)[0]
-        light = volume.lower + s[:3] * (volume.upper - volume.lower)
-        if not all(_in_image(camera, light) for camera in cameras):
-            continue
-        outward = _tilted((middle - light) / np.linalg.norm(middle - light), np.sqrt(s[3]) * max_tilt_rad, s[4])
-        aim = pin.Quaternion.FromTwoVectors(axis, outward).matrix()
-        turn = pin.exp3(axis / np.linalg.norm(axis) * (2.0 * np.pi * s[5]))
-        rotation = aim @ turn
-        yield Candidate(light, pin.SE3(rotation, light - rotation @ offset))
+    for _ in range(0, draws, _BLOCK):
+        drawn = sequence.random(_BLOCK)
+        lights = volume.lower + drawn[:, :3] * (volume.upper - volume.lower)
+        for k in np.flatnonzero(common.holds(lights)):
+            light, s = lights[k], drawn[k]
+            towards, best = facing(light, views)
+            outward = _tilted(best, np.sqrt(s[3]) * max_tilt_rad, s[4])
+            if (towards @ outward).min() < least_cosine:
+                continue
+            aim = pin.Quaternion.FromTwoVectors(axis, outward).matrix()
+            rotation = aim @ pin.exp3(axis * (2.0 * np.pi * s[5]))
+            yield Candidate(light, pin.SE3(rotation, light - rotation @ offset))
 
 
 def _tilted(direction: NDArray[np.float64], angle: float, turn: float) -> NDArray[np.float64]:
@@ -75,14 +85,3 @@ def _tilted(direction: NDArray[np.float64], angle: float, turn: float) -> NDArra
     phi = 2.0 * np.pi * turn
     local = np.array([np.sin(angle) * np.cos(phi), np.sin(angle) * np.sin(phi), np.cos(angle)])
     return np.asarray(basis @ local)
-
-
-def _in_image(camera: Camera, point: NDArray[np.float64]) -> bool:
-    """Whether a point lies inside the image by the nominal pinhole model, with a margin for what is not known."""
-    rotation, translation = camera.pose()
-    x, y, z = rotation @ point + translation
-    if z <= 0.0:
-        return False
-    lens = camera.intrinsics
-    u, v = lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy
-    return bool(_MARGIN_PX <= u <= lens.width - _MARGIN_PX and _MARGIN_PX <= v <= lens.height - _MARGIN_PX)

@@ -11,86 +11,141 @@ import pinocchio as pin
 from im_core.errors import ImError, NotFoundError, StateError
 from im_core.robot import load_cell
 from im_mcs.collision import CollisionChecker
-from im_mcs.config import load_config
+from im_mcs.config import Group, McsConfig, load_config
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
 from im_mcs.poses.candidates import Volume
-from im_mcs.poses.selection import Placed, PoseSelector
+from im_mcs.poses.selection import PoseSelector, Selection
+from im_mcs.poses.view import rides_on, stand
 
 _HEADER = """\
-# Wrist poses for a calibration: the light fills the workspace and faces {cameras}.
+# Wrist poses for a calibration: the light fills what {cameras} see{s} and faces {them}.
 # Reachable and free of collisions one after the other, with the other arm at home.
+# {spread}.
+"""
+
+_EPILOG = """\
+Without --lower and --upper the volume is all that the group's light can reach and all cameras see. A camera on an arm
+is where the arm has it at home, and the other arm carries the light.
+
+exit codes: 0 the poses are written; 1 there are no such poses, and why; 2 wrong arguments
+
+examples:  scripts/run.sh im_mcs poses --cameras wall table --output poses.yaml
+           scripts/run.sh im_mcs poses --cameras wrist_left ceiling_right --count 30
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Generate poses; exit code 1 if it cannot be done, with the reason on standard error."""
-    parser = argparse.ArgumentParser(prog="poses", description=main.__doc__)
-    parser.add_argument("--group", default="left", help="group that carries the light")
-    parser.add_argument("--count", type=int, default=40, help="number of poses")
-    parser.add_argument("--cameras", nargs="+", default=["ceiling_left", "ceiling_right"], help="that see the light")
-    parser.add_argument("--tilt", type=float, default=40.0, help="largest tilt away from the cameras [deg]")
-    parser.add_argument("--lower", nargs=3, type=float, default=[-1.0, -0.5, 0.6], help="corner of the volume [m]")
-    parser.add_argument("--upper", nargs=3, type=float, default=[1.0, 0.5, 1.6], help="opposite corner [m]")
-    parser.add_argument("--seed", type=int, default=1, help="of the candidates")
-    parser.add_argument("--config", type=Path, help="configuration of MCS (default: the shipped one)")
-    parser.add_argument("--output", type=Path, help="file to write (default: standard output)")
-    options = parser.parse_args(arguments)
+    options = _parser().parse_args(arguments)
     try:
-        volume = Volume(np.array(options.lower), np.array(options.upper))
-        selector = make_selector(options.config, options.group, options.cameras)
-        placed = selector.select(options.count, volume, np.radians(options.tilt), options.seed)
-        text = to_yaml(options.group, options.cameras, placed)
+        selector, group = make_selector(options.config, options.group, options.cameras)
+        box = selector.volume
+        volume = Volume(
+            box.lower if options.lower is None else np.array(options.lower),
+            box.upper if options.upper is None else np.array(options.upper),
+        )
+        selection = selector.select(options.count, volume, np.radians(options.tilt), options.seed)
+        text = to_yaml(group, options.cameras, selection)
         if options.output is None:
             print(text, end="")
         else:
             options.output.write_text(text, encoding="utf-8")
-            print(f"{len(placed)} poses written to {options.output}")
+            print(f"{len(selection.poses)} poses of {group} written to {options.output}: {_spread(selection)}")
     except (ImError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
     return 0
 
 
-def make_selector(config_file: Path | None, group: str, cameras: Sequence[str]) -> PoseSelector:
-    """What finds poses of a group for cameras.
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="poses",
+        description="Write a file of wrist poses that fill the common view of cameras with the wrist light.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--group", help="that carries the light (default: the first that carries none of the cameras)")
+    parser.add_argument("--count", type=int, default=40, help="number of poses (%(default)s)")
+    parser.add_argument("--cameras", nargs="+", default=["ceiling_left", "ceiling_right"], help="that see the light")
+    parser.add_argument(
+        "--tilt", type=float, default=50.0, help="largest tilt away from the cameras [deg] (%(default)s)"
+    )
+    parser.add_argument("--lower", nargs=3, type=float, help="corner of the volume [m]")
+    parser.add_argument("--upper", nargs=3, type=float, help="opposite corner [m]")
+    parser.add_argument("--seed", type=int, default=1, help="of the candidates (%(default)s)")
+    parser.add_argument("--config", type=Path, help="configuration of MCS (default: the shipped one)")
+    parser.add_argument("--output", type=Path, help="file to write (default: standard output)")
+    return parser
+
+
+def make_selector(config_file: Path | None, group: str | None, cameras: Sequence[str]) -> tuple[PoseSelector, str]:
+    """What finds poses for cameras, and the name of the group that carries the light.
+
+    Args:
+        config_file: Configuration of MCS; None: the shipped one.
+        group: Name of the group; None: the first that has a wrist and carries none of the cameras.
+        cameras: Names of the cameras.
 
     Raises:
         NotFoundError: No such group or camera.
-        StateError: The group has no wrist.
+        StateError: The group has no wrist, or a camera rides on it.
+        DataError: The cameras see no place in common that the light can reach.
     """
-    config, cell = load_config(config_file), load_cell()
+    config, model = load_config(config_file), Model(load_cell())
+    for camera in cameras:
+        if camera not in model.cell.cameras:
+            raise NotFoundError(kind="camera", name=camera, known=model.cell.cameras)
+    group = group or _group_for(config, model, cameras)
     if group not in config.groups:
         raise NotFoundError(kind="group", name=group, known=config.groups)
     description = config.groups[group]
     if description.wrist is None:
         raise StateError(f"group '{group}' has no wrist", group=group)
-    for camera in cameras:
-        if camera not in cell.cameras:
-            raise NotFoundError(kind="camera", name=camera, known=cell.cameras)
-        if cell.cameras[camera].parent != "world":
-            raise StateError(f"camera '{camera}' moves with {cell.cameras[camera].parent}; it has no place to face")
-    model = Model(cell)
-    return PoseSelector(
+    selector = PoseSelector(
         model=model,
         limits=JointLimits(model, config.limits, config.slots),
         checker=CollisionChecker(model, config.collision.clearance_m),
         index=np.array([model.index(joint) for joint in description.joints], dtype=np.intp),
         frame=description.wrist,
-        cameras=[cell.cameras[camera] for camera in cameras],
+        views=stand(model, cameras, group, description.joints),
     )
+    return selector, group
 
 
-def to_yaml(group: str, cameras: Sequence[str], placed: Sequence[Placed]) -> str:
+def _group_for(config: McsConfig, model: Model, cameras: Sequence[str]) -> str:
+    """The first group that has a wrist and carries none of the cameras."""
+    mounts = {model.cell.cameras[camera].parent for camera in cameras} - {"world"}
+
+    def serves(group: Group) -> bool:
+        return group.wrist is not None and not any(rides_on(model, mount, group.joints) for mount in mounts)
+
+    for name, group in config.groups.items():
+        if serves(group):
+            return name
+    raise StateError(f"every arm carries one of the cameras {', '.join(cameras)}; none is left for the light")
+
+
+def to_yaml(group: str, cameras: Sequence[str], selection: Selection) -> str:
     """The file's text; one pose a line."""
-    lines = [_HEADER.format(cameras=" and ".join(cameras)) + f"group: {group}", "frame: world", "poses:"]
-    width = len(str(len(placed)))
-    for number, one in enumerate(placed, start=1):
+    s, them = ("s", "it") if len(cameras) == 1 else ("", "them")
+    header = _HEADER.format(cameras=" and ".join(cameras), s=s, them=them, spread=_spread(selection).capitalize())
+    lines = [header + f"group: {group}", "frame: world", "poses:"]
+    width = len(str(len(selection.poses)))
+    for number, one in enumerate(selection.poses, start=1):
         wrist = one.candidate.wrist
         position = ", ".join(f"{value:.4f}" for value in wrist.translation)
         quaternion = ", ".join(f"{value:.6f}" for value in pin.Quaternion(wrist.rotation).coeffs())
         lines.append(f"  - {{name: p{number:0{width}d}, position_m: [{position}], orientation_xyzw: [{quaternion}]}}")
     return "\n".join(lines) + "\n"
+
+
+def _spread(selection: Selection) -> str:
+    spread = selection.spread
+    return (
+        f"lights at least {spread.nearest_m:.2f} m apart, no usable place farther than {spread.hole_m:.2f} m from one; "
+        f"turning of the wrist {spread.turning:.2f} of 1"
+    )
 
 
 if __name__ == "__main__":

@@ -1,26 +1,31 @@
 """Selection and order of poses: far apart from each other, short ways between neighbours, free of collisions."""
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import DataError, ImError
-from im_core.robot import Camera
 from im_mcs.collision import CollisionChecker
 from im_mcs.inverse import InverseKinematics
 from im_mcs.limits import JointLimits
 from im_mcs.model import Model
 from im_mcs.planning.joint_path import JointPath
 from im_mcs.poses.candidates import Candidate, Volume, candidates
+from im_mcs.poses.common import CommonView
+from im_mcs.poses.spread import Spread, farthest_first, spread_of
+from im_mcs.poses.view import View
 
 _LIGHT_RADIUS_M = 0.012
 _FIRST_STEP_M = 0.02
-_CANDIDATES_PER_POSE = 25
-_MAX_DRAWS_PER_POSE = 400
+_CANDIDATES_PER_POSE = 12
+_MAX_TRIES_PER_POSE = 150
+_MAX_DRAWS_PER_POSE = 4000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Placed:
     """A candidate with joint positions that reach it.
 
@@ -33,16 +38,27 @@ class Placed:
     q: NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Selection:
+    """Poses in the order in which they are to be visited, and how well they fill what the cameras see."""
+
+    poses: tuple[Placed, ...]
+    spread: Spread
+
+
 class PoseSelector:
     """Finds poses of one group that several cameras can see.
 
     Args:
-        model: Kinematics, shapes and cameras.
+        model: Kinematics, shapes and the light.
         limits: Of the joints.
         checker: Of collisions.
         index: Joints of the group, shape (n,).
         frame: Its wrist.
-        cameras: Cameras that shall see the light (nominal).
+        views: Cameras that shall see the light.
+
+    Raises:
+        DataError: The cameras see no place in common that the light can reach.
     """
 
     def __init__(
@@ -52,84 +68,119 @@ class PoseSelector:
         checker: CollisionChecker,
         index: NDArray[np.intp],
         frame: str,
-        cameras: list[Camera],
+        views: Sequence[View],
     ) -> None:
         self._model = model
         self._limits = limits
         self._checker = checker
         self._index = index
-        self._cameras = cameras
+        self._views = views
         self._solver = InverseKinematics(model, limits, index, frame)
         self._home = model.cell.home
+        self._common = CommonView(model, limits, index, frame, views)
 
-    def select(self, count: int, volume: Volume, max_tilt_rad: float, seed: int) -> list[Placed]:
+    @property
+    def volume(self) -> Volume:
+        """Box around all places that the light can reach and all cameras see."""
+        return Volume(self._common.lower, self._common.upper)
+
+    def select(self, count: int, volume: Volume, max_tilt_rad: float, seed: int) -> Selection:
         """Choose and order poses.
 
         Args:
             count: How many.
             volume: Where the light shall be.
-            max_tilt_rad: How far the light may be turned away from the cameras' middle [rad].
+            max_tilt_rad: How far the light may be turned away from where it faces all cameras best [rad].
             seed: Of the candidates.
 
         Raises:
-            DataError: There are not so many.
+            DataError: There are not so many; the message says what the others lack.
         """
         pool = self._pool(count, volume, max_tilt_rad, seed)
-        chosen = _spread([placed.candidate for placed in pool], count)
-        ordered = self._order(chosen)
-        if len(ordered) < count:  # some had no free way from any neighbour: others take their places
-            spare = [placed.candidate for placed in pool if placed.candidate not in chosen]
-            ordered = self._order([placed.candidate for placed in ordered] + spare[: 2 * (count - len(ordered))])
+        lights = np.array([placed.candidate.light for placed in pool])
+        wanted = [int(k) for k in farthest_first(lights, count)]
+        tried = set(wanted)
+        while True:
+            ordered, stranded = self._order(pool, wanted)
+            others = [_nearest_other(lights, k, tried) for k in stranded]
+            if None in others or not others:
+                break
+            wanted = [k for k in wanted if k not in stranded] + [k for k in others if k is not None]
         if len(ordered) < count:
             raise DataError(f"only {len(ordered)} of {count} poses can be reached one after the other")
-        return ordered[:count]
+        wrists = np.array([placed.candidate.wrist.rotation for placed in ordered])
+        chosen = np.array([placed.candidate.light for placed in ordered])
+        return Selection(tuple(ordered), spread_of(chosen, wrists, lights))
 
     def _pool(self, count: int, volume: Volume, max_tilt_rad: float, seed: int) -> list[Placed]:
         """Reachable, free and visible candidates."""
-        pool: list[Placed] = []
-        stream = candidates(self._model.cell, volume, self._cameras, max_tilt_rad, seed)
-        for _ in range(_MAX_DRAWS_PER_POSE * count):
-            placed = self._place(next(stream), self._home[self._index])
-            if placed is not None:
-                pool.append(placed)
-                if len(pool) == _CANDIDATES_PER_POSE * count:
-                    return pool
+        pool, lacks = list[Placed](), Counter[str]()
+        stream = candidates(
+            self._model.cell, volume, self._common, self._views, max_tilt_rad, seed, _MAX_DRAWS_PER_POSE * count
+        )
+        for tries, candidate in enumerate(stream, start=1):
+            found = self._try(candidate)
+            if isinstance(found, Placed):
+                pool.append(found)
+            else:
+                lacks[found] += 1
+            if len(pool) == _CANDIDATES_PER_POSE * count or tries == _MAX_TRIES_PER_POSE * count:
+                break
         if len(pool) < count:
-            raise DataError(f"only {len(pool)} poses of {count} are reachable, free of collisions and visible")
+            named = ", ".join(f"{number} {lack}" for lack, number in lacks.most_common()) or "none is in every view"
+            raise DataError(f"only {len(pool)} poses of {count} can be used; of the others tried: {named}")
         return pool
 
-    def _place(self, candidate: Candidate, seed: NDArray[np.float64]) -> Placed | None:
-        try:
-            q = self._solver.solve(candidate.wrist, self._home, seed, self._checker)
-        except ImError:
-            return None
-        return Placed(candidate, q) if self._seen(candidate, q) else None
+    def _try(self, candidate: Candidate) -> Placed | str:
+        """A candidate with joint positions, or why it cannot be used."""
+        lack = "are out of reach"
+        for start in (self._common.start(candidate.light), self._home[self._index]):
+            *_, attempt = self._solver.descent(candidate.wrist, self._home, start)
+            if not attempt.reached:
+                continue
+            try:
+                self._checker.require_free(self._whole(attempt.q))
+            except ImError:
+                lack = "are in collision"
+                continue
+            blocked = self._blocked(candidate, attempt.q)
+            if blocked is None:
+                return Placed(candidate, attempt.q)
+            lack = f"are hidden from {blocked}"
+        return lack
 
-    def _seen(self, candidate: Candidate, q: NDArray[np.float64]) -> bool:
-        """Whether nothing stands between the light and any of the cameras."""
+    def _blocked(self, candidate: Candidate, q: NDArray[np.float64]) -> str | None:
+        """A camera from which something hides the light, if there is one."""
         whole = self._whole(q)
-        for camera in self._cameras:
-            towards = np.array(camera.position) - candidate.light
+        for view in self._views:
+            towards = view.position - candidate.light
             start = candidate.light + towards / np.linalg.norm(towards) * _FIRST_STEP_M
-            if self._checker.blocking(whole, start, np.array(camera.position), _LIGHT_RADIUS_M) is not None:
-                return False
-        return True
+            if self._checker.blocking(whole, start, view.position, _LIGHT_RADIUS_M) is not None:
+                return view.name
+        return None
 
-    def _order(self, chosen: list[Candidate]) -> list[Placed]:
-        """From home always to the pose that is reached soonest on a free, direct way."""
-        here, left, ordered = self._home[self._index], list(chosen), list[Placed]()
+    def _order(self, pool: Sequence[Placed], wanted: Sequence[int]) -> tuple[list[Placed], list[int]]:
+        """From home always to the next pose that is reached soon on a free, direct way; and those without any."""
+        here, left, ordered = self._home[self._index], list(wanted), list[Placed]()
         while left:
-            reach = [(c, self._place(c, here)) for c in left]
-            ways = [(self._duration(here, p.q), k, p) for k, (_, p) in enumerate(reach) if p is not None]
-            for _, k, placed in sorted(ways, key=lambda way: way[:2]):
-                if self._free(here, placed.q):
+            for k in sorted(left, key=lambda k: (self._duration(here, pool[k].q), k)):
+                placed = self._place(pool[k].candidate, here)
+                if placed is not None and self._free(here, placed.q):
                     ordered.append(placed)
                     here = placed.q
-                    del left[k]
+                    left.remove(k)
                     break
             else:
-                return ordered
-        return ordered
+                return ordered, left
+        return ordered, []
+
+    def _place(self, candidate: Candidate, here: NDArray[np.float64]) -> Placed | None:
+        """The configuration that path planning will choose from where the group is."""
+        try:
+            q = self._solver.solve(candidate.wrist, self._home, here, self._checker)
+        except ImError:
+            return None
+        return Placed(candidate, q) if self._blocked(candidate, q) is None else None
 
     def _duration(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
         return JointPath(a, b[None, :], self._limits.motion.of(self._index)).duration
@@ -147,13 +198,10 @@ class PoseSelector:
         return whole
 
 
-def _spread(pool: list[Candidate], count: int) -> list[Candidate]:
-    """Candidates whose lights are far apart: each next one is the farthest from those chosen (Gonzalez, 1985)."""
-    lights = np.array([candidate.light for candidate in pool])
-    first = int(np.argmin(np.linalg.norm(lights - lights.mean(axis=0), axis=1)))
-    chosen, distance = [first], np.linalg.norm(lights - lights[first], axis=1)
-    while len(chosen) < min(count, len(pool)):
-        farthest = int(np.argmax(distance))
-        chosen.append(farthest)
-        distance = np.minimum(distance, np.linalg.norm(lights - lights[farthest], axis=1))
-    return [pool[k] for k in chosen]
+def _nearest_other(lights: NDArray[np.float64], k: int, tried: set[int]) -> int | None:
+    """The untried light nearest to light ``k``, None if all have been tried; it counts as tried from now on."""
+    for other in np.argsort(np.linalg.norm(lights - lights[k], axis=1), kind="stable"):
+        if int(other) not in tried:
+            tried.add(int(other))
+            return int(other)
+    return None

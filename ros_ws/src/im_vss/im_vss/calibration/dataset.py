@@ -73,6 +73,8 @@ def problems(content: Any) -> tuple[CalibrationProblem, ...]:
         wrists = array(field(content, "wrist_R_base"), (n, 3, 3), "wrist_R_base")
     else:
         wrists = np.tile(np.eye(3), (n, 1, 1))
+    camera_names = _names(content, "camera_names", tuple(f"camera_{j}" for j in range(c)))
+    pose_names = _names(content, "pose_names", tuple(str(i) for i in range(n)))
     found = []
     for i, trial in enumerate(trials):
         place = f"trials[{i}]"
@@ -80,7 +82,7 @@ def problems(content: Any) -> tuple[CalibrationProblem, ...]:
         spots = array(field(trial, "u_px", place), (c, n, 2), f"{place}.u_px", holes=True)
         try:
             problem = CalibrationProblem(
-                camera_names=tuple(f"camera_{j}" for j in range(c)),
+                camera_names=camera_names,
                 image_sizes=(_image_size(content),) * c,
                 positions=positions,
                 position_covariances=covariances,
@@ -91,6 +93,7 @@ def problems(content: Any) -> tuple[CalibrationProblem, ...]:
                 joint_offset_prior_sd=joint_prior,
                 joint_jacobians=jacobians,
                 workspace=_box_around(positions),
+                pose_names=pose_names,
                 lengths=_lengths(content, trial, c, place),
             )
         except DataError as error:
@@ -104,6 +107,18 @@ def _placed(place: str, error: DataError) -> DataError:
     placed = DataError(f"{place}: {error.message}", code=error.code)
     placed.facts.update({"place": place, **error.facts})
     return placed
+
+
+def _names(content: Any, key: str, default: tuple[str, ...]) -> tuple[str, ...]:
+    """Optional names, as many as there are by default."""
+    names = content.get(key)
+    if names is None:
+        return default
+    if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
+        raise DataError(f"{key} must be a list of names.", field=key)
+    if len(names) != len(default) or len(set(names)) != len(names):
+        raise DataError(f"{key} must be {len(default)} different names, got {', '.join(names)}.", field=key)
+    return tuple(names)
 
 
 def _led_prior(content: Any) -> float:

@@ -2,25 +2,35 @@
 
 import io
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
+from im_core.calibration_files import EXTRINSICS, CameraPose, camera_info_yaml, extrinsics_yaml
 from im_core.errors import DataError
 from im_core.files import write_whole
 from im_vss.calibration.calibration import Calibration
+from im_vss.calibration.dataset_file import dataset_of
 from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.report import report_of, summary
-from im_vss.camera_info import camera_info_yaml
 
 
-def write_results(directory: Path | str, calibration: Calibration, problem: CalibrationProblem) -> tuple[Path, ...]:
-    """Write ``report.json``, ``summary.txt``, three plots and ``<camera>.yaml`` (`camera_info_manager`).
+def write_results(
+    directory: Path | str,
+    calibration: Calibration,
+    problem: CalibrationProblem,
+    poses: Mapping[str, CameraPose] | None = None,
+) -> tuple[Path, ...]:
+    """Write ``report.json``, ``summary.txt``, three plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
 
-    Each file appears whole or not at all. Camera files are written for a successful calibration only.
+    ``observations.json`` is the data set, for ``calibrate_dataset`` and ``next_best_pose``; the format needs images of
+    one size. Each file appears whole or not at all. Camera files and poses, see :mod:`im_core.calibration_files`, are
+    written for a successful calibration only.
 
     Args:
         directory: Where; made if missing.
         calibration: The result.
         problem: What it was made from.
+        poses: Poses of the cameras relative to what they are fixed to; None: all are fixed to the world.
 
     Returns:
         The files.
@@ -33,9 +43,13 @@ def write_results(directory: Path | str, calibration: Calibration, problem: Cali
         "report.json": (json.dumps(report, indent=2, allow_nan=False) + "\n").encode(),
         "summary.txt": summary(report).encode(),
     }
+    if len(set(problem.image_sizes)) == 1:
+        contents["observations.json"] = (json.dumps(dataset_of(problem), allow_nan=False) + "\n").encode()
     if calibration.success:
         for camera in calibration.cameras:
             contents[f"{camera.name}.yaml"] = camera_info_yaml(camera.name, camera.model).encode()
+        in_world = {camera.name: CameraPose.of("world", camera.model) for camera in calibration.cameras}
+        contents[EXTRINSICS] = extrinsics_yaml(poses or in_world).encode()
     contents |= _pictures(calibration, problem)
     target = Path(directory)
     try:

@@ -1,10 +1,13 @@
-"""Where the robot's pose puts the light of calibrations."""
+"""Where the robot's pose puts the wrist light that is on."""
+
+import json
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from scipy.spatial.transform import Rotation
+from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from im_core.robot import Cell
@@ -22,34 +25,55 @@ class LightTracker:
 
         Args:
             node: The node that listens.
-            cell: Nominal geometry: where the light is on the last link.
-            light: Name of the light, ``<side>_led``.
+            cell: Nominal geometry: where the lights are on the last links.
+            light: Name of the light that counts unless another is the only one that is on, ``<side>_led``.
             freshness_s: Largest age of a pose that says where the light is [s] of testbed time.
         """
-        side = light.removesuffix("_led")
-        xyz, rpy = far_end(cell.arm_models[cell.sides[side].arm].links[-1])
-        self._link = f"{side}_link6"
-        self._offset = np.array(xyz) + Rotation.from_euler("xyz", rpy).as_matrix() @ np.array(cell.led.offset)
+        self._cell, self._light, self._usual = cell, light, light
         self._freshness_ns = freshness_s * 1e9
         self._newest: bytes | None = None
         node.create_subscription(TFMessage, "/tf", self._keep, qos.SENSOR, raw=True)
+        node.create_subscription(String, "/testbed/lights", self._choose, qos.LATCHED)
 
     def position(self, stamp_ns: int) -> Array | None:
         """The light in the world at a testbed time [ns], shape (3,) [m]; None if the pose then is not known."""
+        wrist = self.wrist(self._light.removesuffix("_led"), stamp_ns)
+        if wrist is None:
+            return None
+        rotation, origin = wrist
+        return np.asarray(origin + rotation @ np.array(self._cell.led.offset))
+
+    def wrist(self, side: str, stamp_ns: int | None = None) -> tuple[Array, Array] | None:
+        """Rotation wrist -> world, shape (3, 3), and origin of a wrist, shape (3,) [m].
+
+        Args:
+            side: Which arm.
+            stamp_ns: Testbed time [ns]; None: the newest that is known.
+
+        Returns:
+            None if the pose at that time is not known.
+        """
         if self._newest is None:
             return None
         tree = {each.child_frame_id: each for each in deserialize_message(self._newest, TFMessage).transforms}
-        point, frame = self._offset, self._link
+        xyz, rpy = far_end(self._cell.arm_models[self._cell.sides[side].arm].links[-1])
+        rotation, origin, frame = Rotation.from_euler("xyz", rpy), np.array(xyz), f"{side}_link6"
         while frame != "world":
             if frame not in tree:
                 return None
             header, transform = tree[frame].header, tree[frame].transform
-            if abs(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns) > self._freshness_ns:
+            age_ns = 0 if stamp_ns is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns
+            if abs(age_ns) > self._freshness_ns:
                 return None
             q, t = transform.rotation, transform.translation
-            point = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply(point) + np.array([t.x, t.y, t.z])
+            step = Rotation.from_quat([q.x, q.y, q.z, q.w])
+            rotation, origin = step * rotation, step.apply(origin) + np.array([t.x, t.y, t.z])
             frame = header.frame_id
-        return np.asarray(point)
+        return rotation.as_matrix(), origin
 
     def _keep(self, message: bytes) -> None:
         self._newest = message
+
+    def _choose(self, message: String) -> None:
+        on = [name for name, lit in json.loads(message.data).items() if lit]
+        self._light = on[0] if len(on) == 1 else self._usual

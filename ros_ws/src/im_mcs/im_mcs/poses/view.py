@@ -1,0 +1,104 @@
+"""Where cameras stand, what they see, and how a light is to be turned for all of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from im_core.errors import NotFoundError, StateError
+from im_core.robot.parameters import Intrinsics
+from im_mcs.collision.bodies import ancestors
+from im_mcs.model import Model
+
+# What nominal cameras may be off: true ones see a light that nominal ones see with these margins.
+_MARGIN_PX = 20.0
+# A light nearer than this is a disc in the image, not a spot.
+_NEAREST_M = 0.9
+_OPPOSITE = 1e-9
+
+
+@dataclass(frozen=True)
+class View:
+    """A nominal camera at its place in ``world``.
+
+    Attributes:
+        name: Its name.
+        rotation: ``world`` -> optical frame, shape (3, 3).
+        position: Optical centre, shape (3,) [m].
+        lens: Image size and pinhole.
+    """
+
+    name: str
+    rotation: NDArray[np.float64]
+    position: NDArray[np.float64]
+    lens: Intrinsics
+
+    def sees(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which points, shape (n, 3) [m], lie well inside the image and not too near, shape (n,)."""
+        x, y, z = ((points - self.position) @ self.rotation.T).T
+        ahead = z > 1e-6
+        depth = np.where(ahead, z, 1.0)
+        u, v = self.lens.fx * x / depth + self.lens.cx, self.lens.fy * y / depth + self.lens.cy
+        across = (u >= _MARGIN_PX) & (u <= self.lens.width - 1.0 - _MARGIN_PX)
+        down = (v >= _MARGIN_PX) & (v <= self.lens.height - 1.0 - _MARGIN_PX)
+        far: NDArray[np.bool_] = np.linalg.norm(points - self.position, axis=1) >= _NEAREST_M
+        return np.asarray(ahead & across & down & far)
+
+
+def stand(model: Model, names: Sequence[str], group: str, joints: Sequence[str]) -> list[View]:
+    """Cameras where they are while a group moves and all other joints are at home.
+
+    Args:
+        model: Kinematics and nominal cameras.
+        names: Names of the cameras.
+        group: Name of the group, for the errors.
+        joints: Its joints.
+
+    Raises:
+        NotFoundError: There is no such camera.
+        StateError: A camera rides on the group.
+    """
+    views = []
+    for name in names:
+        if name not in model.cell.cameras:
+            raise NotFoundError(kind="camera", name=name, known=model.cell.cameras)
+        camera = model.cell.cameras[name]
+        rotation, translation = camera.pose()
+        parent = pin.SE3.Identity()
+        if camera.parent != "world":
+            if rides_on(model, camera.parent, joints):
+                raise StateError(
+                    f"camera '{name}' rides on {camera.parent}, which group '{group}' moves; another arm has to carry"
+                    " the light"
+                )
+            parent = model.pose(model.cell.home, camera.parent)
+        position = parent.act(-rotation.T @ translation)
+        views.append(View(name, rotation @ parent.rotation.T, np.asarray(position), camera.intrinsics))
+    return views
+
+
+def rides_on(model: Model, frame: str, joints: Sequence[str]) -> bool:
+    """Whether any of the joints moves a frame."""
+    carriers = ancestors(model, int(model.pin.frames[model.frame_id(frame)].parentJoint))
+    return any(model.index(joint) + 1 in carriers for joint in joints)
+
+
+def facing(light: NDArray[np.float64], views: Sequence[View]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Directions from a light to the cameras, shape (c, 3), and the one whose largest angle to them is least, (3,).
+
+    The latter is the middle of two of the directions, or equally far from three of them.
+    """
+    towards = np.array([view.position - light for view in views])
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    tried = [towards[0]]
+    for a, b in combinations(towards, 2):
+        across = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])  # for cameras on opposite sides
+        tried.append(a + b if np.linalg.norm(a + b) > _OPPOSITE else across)
+    for a, b, c in combinations(towards, 3):
+        normal = np.cross(b - a, c - a)
+        tried += [normal, -normal]
+    directions = np.array([each / np.linalg.norm(each) for each in tried if np.linalg.norm(each) > 0.0])
+    return towards, np.asarray(directions[int(np.argmax((directions @ towards.T).min(axis=1)))])
