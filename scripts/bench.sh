@@ -10,12 +10,13 @@
 #   scripts/bench.sh --nets remote      only that; --nets --help tells what there is
 #   scripts/bench.sh --mcs              instead: motion control: tracking, lines, the tick, deadlines, lockstep
 #   scripts/bench.sh --mcs tick line    only those; --mcs --help tells what there is
+#   scripts/bench.sh --vss              instead: vision: frames and answers a second, and where the time goes
+#   scripts/bench.sh --vss frames       only that; --vss --help tells what there is
 #
 # The peers (SNAKES, libpetri, pm4py) are installed once, from scripts/peers.txt into .venv-peers, an environment of
 # their own; without the network their rows say so, and the others are measured.
 #
-# The figures are also in results/bench-<date>-<time>.json, or results/bench-nets-<date>-<time>.json, or
-# results/bench-mcs-<date>-<time>.json.
+# The figures are also in results/bench-<date>-<time>.json; those of a part in results/bench-<part>-<date>-<time>.json.
 # Exit codes: 0 all bars that could be measured are met, 1 a bar is missed or something did not work, 2 bad usage,
 # 130 interrupted.
 set -euo pipefail
@@ -35,21 +36,23 @@ install_peers() {
     printf '%s\n' "$wanted" >"$PEERS/.im-installed"
 }
 
-nets=0 mcs=0
+part=""
 arguments=()
 for argument in "$@"; do
   case "$argument" in
-    --nets) nets=1 ;;
-    --mcs) mcs=1 ;;
+    --nets | --mcs | --vss)
+      [[ -z "$part" || "$part" == "${argument#--}" ]] || die 2 "--$part and $argument are two benchmarks; name one"
+      part="${argument#--}"
+      ;;
     *) arguments+=("$argument") ;;
   esac
 done
-((nets && mcs)) && die 2 "--nets and --mcs are two benchmarks; name one"
-if wants_help "$@" && ((!nets && !mcs)); then help; exit 0; fi
+if wants_help "$@" && [[ -z "$part" ]]; then help; exit 0; fi
 "$IM_ROOT/scripts/setup.sh"
 im_env
-((mcs)) && exec "$IM_VENV/bin/python" -m im_mcs.bench --machine-bench "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
-((nets)) || exec "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
+[[ "$part" == mcs || "$part" == vss ]] &&
+  exec "$IM_VENV/bin/python" -m "im_$part.bench" --machine-bench "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
+[[ "$part" == nets ]] || exec "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
 
 peers=(--peers "$PEERS/bin/python")
 if ! wants_help "$@" && ! install_peers; then

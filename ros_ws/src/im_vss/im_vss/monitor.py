@@ -5,13 +5,37 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from im_vss.frames import Frame, Image
 
-_FOUND_COLOUR = (40, 255, 60)
-_MISSED_COLOUR = (255, 90, 60)
+Array = NDArray[np.float64]
+Colour = tuple[int, int, int]
+
+GREEN: Colour = (40, 255, 60)
+RED: Colour = (255, 70, 60)
+BLUE: Colour = (80, 150, 255)
+_MISSED_COLOUR: Colour = (255, 90, 60)
 _ARM_PX = (6, 18)
+_FARTHEST_PX = 4096.0
 _SUBPIXEL_BITS = 4
+_FONT, _LABEL_SIZE, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 0.42
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line through places of an image, shape (n, 2) [px], and its colour (red, green, blue)."""
+
+    places: Array
+    colour: Colour = GREEN
+
+
+@dataclass(frozen=True)
+class Label:
+    """A word at a place of an image [px]."""
+
+    place: tuple[float, float]
+    text: str
 
 
 @dataclass(frozen=True)
@@ -20,13 +44,17 @@ class Marker:
 
     Attributes:
         camera: Name of the camera.
-        centre: Column and row of the spot [px]; None draws the text alone.
-        text: A line at the lower edge.
+        text: A line at the lower edge; red if nothing else is drawn.
+        crosses: Column and row of points [px].
+        curves: Lines.
+        labels: Words.
     """
 
     camera: str
-    centre: tuple[float, float] | None
     text: str
+    crosses: tuple[tuple[float, float], ...] = ()
+    curves: tuple[Curve, ...] = ()
+    labels: tuple[Label, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,18 +84,28 @@ class Monitors:
         if frame is None:
             return None
         image = np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
-        colour = _MISSED_COLOUR if marker.centre is None else _FOUND_COLOUR
-        if marker.centre is not None:
-            _cross(image, marker.centre)
+        for curve in marker.curves:
+            _curve(image, curve.places, curve.colour)
+        for cross in marker.crosses:
+            _cross(image, cross)
+        for label in marker.labels:
+            place = (round(label.place[0]), round(label.place[1]))
+            cv2.putText(image, label.text, place, _FONT, _LABEL_SIZE, GREEN, 1, cv2.LINE_AA)
+        colour = GREEN if marker.crosses or marker.curves else _MISSED_COLOUR
         place = (8, image.shape[0] - 10)
-        cv2.putText(image, marker.text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, colour, 1, cv2.LINE_AA)
+        cv2.putText(image, marker.text, place, _FONT, _TEXT_SIZE, colour, 1, cv2.LINE_AA)
         return Picture(image, frame.stamp_ns)
 
 
 def _cross(image: Image, centre: tuple[float, float]) -> None:
     """Draw an open cross, exact to a sixteenth of a pixel."""
-    scale = 1 << _SUBPIXEL_BITS
-    u, v = centre
-    for du, dv in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        ends = [(round((u + r * du) * scale), round((v + r * dv) * scale)) for r in _ARM_PX]
-        cv2.line(image, ends[0], ends[1], _FOUND_COLOUR, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
+    middle = np.array(centre)
+    for way in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        _curve(image, middle + np.outer(_ARM_PX, way), GREEN)
+
+
+def _curve(image: Image, places: Array, colour: Colour) -> None:
+    """Draw a line through places, exact to a sixteenth of a pixel; one that leads out of all bounds is not drawn."""
+    if np.all(np.abs(places) < _FARTHEST_PX):  # false for NaN too
+        points = np.rint(places * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+        cv2.polylines(image, [points], False, colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)

@@ -7,31 +7,11 @@ import pytest
 
 from im_core.camera_model import CameraModel
 from im_core.robot import load_cell
-from im_core.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth
 from im_core.testbed_link import Exposure
+from im_vss.bench.cameras import drawn_truth
 from im_vss.camera.bank import CameraBank
 from im_vss.camera.scene import SceneMirror
-from im_vss.camera_book import nominal
 from im_vss.settings import load_settings
-
-DISTORTION = (-0.22, 0.04, 7e-4, -5e-4, 0.0)
-
-
-def true_cell(cell):
-    """The nominal cell with lenses that distort."""
-    cameras = {}
-    for name, camera in cell.cameras.items():
-        model = nominal(camera)
-        cameras[name] = CameraTruth(
-            parent=camera.parent, width=640, height=480, K=model.K.tolist(), D=DISTORTION,
-            R_cam_base=model.R_cam_base.tolist(), t_cam_base_m=model.t_cam_base.tolist(),
-        )  # fmt: skip
-    led = LedTruth(offset_m=cell.led.offset, axis=cell.led.axis, diameter_m=cell.led.diameter)
-    rotation, position = cell.laser.pose()
-    laser = LaserTruth(
-        rotation=rotation.tolist(), position_m=position.tolist(), gain=(1.0, 1.0), offset=0.0, gap_m=cell.laser.gap
-    )
-    return CellTruth(seed=1, cameras=cameras, leds=dict.fromkeys(cell.light_names, led), laser=laser)
 
 
 @dataclass
@@ -54,7 +34,7 @@ class Plates:
 @pytest.fixture(scope="session")
 def plates():
     cell = load_cell()
-    settings, truth = load_settings(cell), true_cell(cell)
+    settings, truth = load_settings(cell), drawn_truth(cell)
     scene = SceneMirror(cell, "tiny")
     bank = CameraBank(cell, truth, settings, scene, seed=1)
     dark = Exposure(start_tick=0, end_tick=4, stamp_ns=0, q_true=cell.home, light_fraction={})
@@ -67,4 +47,4 @@ def plates():
 
 @pytest.fixture(scope="session")
 def make_truth():
-    return true_cell
+    return drawn_truth

@@ -106,7 +106,7 @@ def test_weak_reflection_does_not_hide_the_spot():
     assert len(finding.candidates) == 2
 
 
-def test_few_saturated_pixels_are_left_out():
+def test_few_saturated_pixels_do_no_harm():
     rng = np.random.default_rng(5)
     errors = []
     for _ in range(60):

@@ -20,6 +20,7 @@ from im_bringup.measure import memory_mib
 from im_bringup.ros.calibrate_camera import Client
 from im_bringup.ros.deadlines import deadline_lines
 from im_bringup.ros.truth_error import get_truth
+from im_bringup.ros.vision import vision_lines
 from im_bringup.start import start
 from im_bringup.truth import truth_error
 from im_core import clock
@@ -170,6 +171,10 @@ def main() -> int:
     parser.add_argument("--real-time", action="store_true", help="also one command in real time, for the servo")
     parser.add_argument("--seeds", type=int, default=0, help="instead: the accuracy over this many seeds")
     parser.add_argument("--deadlines", action="store_true", help="instead: missed deadlines of the servo in real time")
+    parser.add_argument("--vision", choices=("frames", "services"), help="instead: speed of the vision services")
+    parser.add_argument(
+        "--renderer", choices=("auto", "egl", "tiny"), default="auto", help="of the cameras, with --vision"
+    )
     parser.add_argument("--lines", type=Path, metavar="FILE", help="write the figures here only, as JSON")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--port", type=int, default=8080)
@@ -180,6 +185,8 @@ def main() -> int:
     try:
         if arguments.deadlines:
             lines = deadline_lines(arguments.seed, arguments.port)
+        elif arguments.vision:
+            lines = vision_lines(arguments.vision, arguments.renderer, arguments.seed, arguments.port)
         elif arguments.seeds:
             lines = accuracy_lines(arguments.seeds, arguments.port)
         else:

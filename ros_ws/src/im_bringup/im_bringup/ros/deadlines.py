@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_bringup import deployment as deployments
 from im_bringup import stop
-from im_bringup.deployment import Deployment
+from im_bringup.deployment import Deployment, ParameterValue
 from im_bringup.start import start
 from im_core import clock
 from im_core.errors import StateError, WaitTimeoutError
@@ -107,6 +107,18 @@ class Operator(Node):
         self.wait(lambda: self.state is not None and self.state.tick > before.tick, "a newer state")
         return before, self.state
 
+    def sway(self) -> None:
+        """Move the arms a little and wait until they are there, each time the other way.
+
+        Raises:
+            StateError: The motion is refused.
+        """
+        self.wait(lambda: self.state is not None and self.state.state == "motion" and self.positions, "motion")
+        way = _STEP if self.moves % 2 == 0 else -_STEP
+        names = sorted(self.positions)
+        self.wait(self._start_move(names, [self.positions[n] + way for n in names]).done, "the end of a motion")
+        self.moves += 1
+
     def _start_move(self, names: list[str], positions: list[float]) -> Any:
         """A future that is done when the motion has ended."""
         goal = Move.Goal()
@@ -143,13 +155,24 @@ def deadline_lines(seed: int, port: int) -> list[Line]:
     return lines
 
 
-def smaller(period: float, seed: int, port: int) -> Deployment:
-    """Testbed, MCS and cameras of the shipped deployment, in real time, all joints in one group."""
-    whole = deployments.load(deployments.default_path()).with_values(1.0, seed, port, period)
+def smaller(
+    period: float, seed: int, port: int, factor: float = 1.0, vss: dict[str, ParameterValue] | None = None
+) -> Deployment:
+    """Testbed, MCS and cameras of the shipped deployment, all joints in one group.
+
+    Args:
+        period: Of the servo [s].
+        seed: Of the testbed.
+        port: Of the display.
+        factor: Of the clock.
+        vss: Parameters of the node of the cameras.
+    """
+    whole = deployments.load(deployments.default_path()).with_values(factor, seed, port, period)
     data = json.loads(whole.model_dump_json())
     for host, processes in data["hosts"].items():
         data["hosts"][host] = {name: tasks for name, tasks in processes.items() if name in TASKS}
         data["hosts"][host]["mcs"]["mcs"]["parameters"]["preset"] = PRESET
+        data["hosts"][host]["vss"]["vss"]["parameters"].update(vss or {})
     return Deployment.model_validate(data)
 
 

@@ -14,11 +14,13 @@ from im_vss.camera.laser import LaserLight
 from im_vss.camera.lens import FloatImage, Lens, vignette
 from im_vss.camera.light import Spot, add_spot, image_of_light
 from im_vss.camera.mirror import reflect
+from im_vss.camera.plates import Plates
 from im_vss.camera.scene import SceneMirror
 from im_vss.camera.sensor import noise_stream, read_out
 from im_vss.camera.targets import TargetPatch, target_patch
 from im_vss.settings import VssSettings
 from im_vss.spot import SensorNoise
+from im_vss.stopwatch import Stopwatch
 
 Array = NDArray[np.float64]
 
@@ -26,6 +28,8 @@ BACKGROUND_DN = 70.0
 """Value of a white surface above the black level, at the nominal exposure."""
 STILL_PX = 0.005
 """A rendered scene is used again as long as nothing in it moved more than this."""
+STEPS = ("render_s", "warp_s", "plates_s", "lights_s", "laser_s", "noise_s")
+"""What :meth:`CameraBank.lap` counts."""
 _LEVER_M = 2.0
 _NEAREST_M = 0.5
 
@@ -61,8 +65,10 @@ class CameraBank:
         self._scene = scene
         self._seed = seed
         self._cameras = {name: self._camera(name) for name in settings.cameras}
+        self._plates = Plates(cell.targets)
         self._laser = LaserLight(cell, truth.laser.model(), scene, seed)
         self._prismatic = np.array([joint.kind == "prismatic" for joint in cell.joints])
+        self._watch = Stopwatch()
 
     def expected(self, camera: str, exposure: Exposure, exposure_s: float, sensor: SensorNoise) -> FloatImage:
         """Expected pixel values of a camera, with black level, shape (h, w) [DN].
@@ -78,12 +84,20 @@ class CameraBank:
         placed = self._placed(unit)
         strength = exposure_s / self._settings.exposure.nominal * self._settings.sensor.gain / sensor.gain
         mean = self._scene_of(unit, placed, exposure.q_true) * np.float32(BACKGROUND_DN)
-        for spot, share in self._spots(camera, placed, exposure):
-            add_spot(mean, spot, share)
-        self._laser.add(mean, camera, placed, exposure)
-        mean *= unit.vignette * np.float32(strength)
-        mean += np.float32(sensor.black_level)
+        with self._watch.step("lights_s"):
+            for spot, share in self._spots(camera, placed, exposure):
+                add_spot(mean, spot, share)
+        with self._watch.step("laser_s"):
+            self._laser.add(mean, camera, placed, exposure)
+        with self._watch.step("lights_s"):
+            mean *= unit.vignette * np.float32(strength)
+            mean += np.float32(sensor.black_level)
         return mean
+
+    def lap(self) -> dict[str, float]:
+        """Where the time went since the last lap, by step [s]."""
+        seconds, self._watch = self._watch.seconds, Stopwatch()
+        return {step: seconds.get(step, 0.0) for step in STEPS}
 
     def warm_up(self) -> None:
         """Render each camera once at the home position: a renderer's first images take long."""
@@ -101,7 +115,8 @@ class CameraBank:
         sensor: SensorNoise,
     ) -> None:
         """Write the noisy 8-bit image of expected values, shape (h, w) [DN], to `out`; see :func:`noise_stream`."""
-        read_out(mean, sensor, noise_stream(self._seed, camera, start_tick, frame), out)
+        with self._watch.step("noise_s"):
+            read_out(mean, sensor, noise_stream(self._seed, camera, start_tick, frame), out)
 
     def spot(self, camera: str, light: str) -> Spot | None:
         """Image of a light at the scene's joint positions; None where the camera cannot see it."""
@@ -121,7 +136,9 @@ class CameraBank:
             spot = self._image(placed, seen.position, seen.axis, diameter) if seen is not None else None
             if seen is None or spot is None:
                 continue
-            if self._clear(position, seen.bounce, diameter) and self._scene.clear(seen.bounce, placed.position):
+            bounce, camera_at = seen.bounce, placed.position
+            free = self._scene.clear(bounce, camera_at) and self._plates.clear(bounce, camera_at)
+            if free and self._clear(position, bounce, diameter):
                 sigma = float(np.hypot(spot.sigma, mirror.roughness))
                 spots.append(Spot(spot.uv, spot.flux * mirror.reflectance, sigma))
         return spots
@@ -154,7 +171,8 @@ class CameraBank:
     def _clear(self, light: Array, end: Array, diameter: float) -> bool:
         """Whether nothing stands between the surface of a light and a point of the world."""
         towards = (end - light) / np.linalg.norm(end - light)
-        return self._scene.clear(light + 0.5 * diameter * towards, end)
+        surface = light + 0.5 * diameter * towards
+        return self._scene.clear(surface, end) and self._plates.clear(surface, end)
 
     def _camera(self, name: str) -> _Camera:
         true = self._truth.cameras[name]
@@ -180,13 +198,16 @@ class CameraBank:
     def _scene_of(self, unit: _Camera, placed: CameraModel, q: Array) -> FloatImage:
         """Brightness of the scene through the lens; rendered anew only when something moved visibly."""
         if unit.scene is None or unit.scene_q is None or self._motion_px(unit, q - unit.scene_q) > STILL_PX:
-            brightness, depth = self._scene.render(unit.lens.pinhole, placed)
-            scene = unit.lens.warp(brightness)
-            patches = self._patches(unit, placed)
-            if patches:
-                depth = unit.lens.warp_depth(depth)
-            for patch in patches:
-                patch.paint(scene, depth, self._cell.optics.blur)
+            with self._watch.step("render_s"):
+                brightness, depth = self._scene.render(unit.lens.pinhole, placed)
+            with self._watch.step("warp_s"):
+                scene = unit.lens.warp(brightness)
+            with self._watch.step("plates_s"):
+                patches = self._patches(unit, placed)
+                if patches:
+                    depth = unit.lens.warp_depth(depth)
+                for patch in patches:
+                    patch.paint(scene, depth, self._cell.optics.blur)
             unit.scene, unit.scene_q = scene, q.copy()
         return unit.scene
 

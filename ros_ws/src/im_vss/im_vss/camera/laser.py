@@ -12,6 +12,7 @@ from im_core.robot import Box, Cell
 from im_core.testbed_link import Exposure, LaserBeam
 from im_vss.camera.lens import FloatImage
 from im_vss.camera.light import REFERENCE_AMPLITUDE_DN, REFERENCE_DISTANCE_M, Spot, add_spot
+from im_vss.camera.plates import Plates
 from im_vss.camera.scene import SceneMirror
 from im_vss.spot.psf import amplitude_to_flux
 
@@ -38,14 +39,14 @@ class _Box:
 class LaserLight:
     """Draws the beam of one testbed's laser scanner.
 
-    Robot and carts are met as they collide, boxes as they are drawn; printed plates are thin enough to be left out.
+    Robot and carts are met as they collide, boxes and printed plates as they are drawn.
     """
 
     def __init__(self, cell: Cell, true: LaserModel, scene: SceneMirror, seed: int) -> None:
         """Set up.
 
         Args:
-            cell: Data sheet of the scanner, boxes and colours.
+            cell: Data sheet of the scanner, boxes, plates and colours.
             true: What the scanner is really like.
             scene: Mirror of the testbed.
             seed: Seed of the speckle.
@@ -56,6 +57,7 @@ class LaserLight:
             box.model_copy(update={"link": f"{side}_{box.link}"}) for side in cell.sides for box in cell.cart.boxes
         ]
         self._boxes = [_box(box) for box in (*cell.boxes, *mobile)]
+        self._plates = Plates(cell.targets)
         self._arm_albedo = float(np.mean([_LUMA @ side.color for side in cell.sides.values()]))
 
     def add(self, image: FloatImage, camera: str, placed: CameraModel, exposure: Exposure) -> None:
@@ -77,18 +79,20 @@ class LaserLight:
         if not keep.any():
             return
         sigma = self._sigma(placed, points[keep])
+        area = _area(pixels[keep], sigma, image.shape)
+        corner = np.array([area[1].start, area[0].start])
         speckle = np.random.Generator(
             np.random.Philox(np.random.SeedSequence([self._seed & 0xFFFFFFFFFFFFFFFF, *camera.encode(), *_key(beam)]))
         )
-        lit = np.zeros_like(image)
+        lit = np.zeros_like(image[area])
         share = beam.power * self._scanner.brightness / len(angles)
         if len(angles) == 1:
-            u, v = pixels[0]
+            u, v = pixels[0] - corner
             add_spot(lit, Spot((float(u), float(v)), share * float(flux[0]), sigma), 1.0)
         else:
-            _splat(lit, pixels[keep], share * flux[keep], sigma)
+            _splat(lit, pixels[keep] - corner, share * flux[keep], sigma)
         lit *= 1.0 + self._scanner.speckle * speckle.standard_normal(lit.shape, dtype=np.float32)
-        image += lit
+        image[area] += lit
 
     def ends(self, angles: Array) -> tuple[Array, Array, Array]:
         """Where beams end.
@@ -115,6 +119,9 @@ class LaserLight:
             nearer = entry < share
             share[nearer], albedo[nearer] = entry[nearer], box.albedo
             normals[nearer] = normal[nearer] @ rotation.T
+        pierced, sides, printed = self._plates.first(starts, ends)
+        nearer = pierced < share
+        share[nearer], normals[nearer], albedo[nearer] = pierced[nearer], sides[nearer], printed[nearer]
         return share, normals, albedo
 
     def _seen(self, placed: CameraModel, points: Array, normals: Array, albedo: Array) -> tuple[Array, Array]:
@@ -173,6 +180,14 @@ def _enter(box: _Box, starts: Array, ends: Array) -> tuple[Array, Array]:
     rows = np.arange(len(way))
     normals[rows, axis] = -np.sign(way[rows, axis])
     return entry, normals
+
+
+def _area(pixels: Array, sigma: float, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """The part of an image of a shape that points, shape (n, 2) [px], of a width [px] reach."""
+    reach = _SPECKLE_REACH_SIGMAS * sigma + 2.0
+    low = np.clip(np.floor(pixels.min(axis=0) - reach), 0, None).astype(int)
+    high = np.ceil(pixels.max(axis=0) + reach).astype(int) + 1
+    return slice(low[1], max(low[1], min(high[1], shape[0]))), slice(low[0], max(low[0], min(high[0], shape[1])))
 
 
 def _splat(image: FloatImage, pixels: Array, flux: Array, sigma: float) -> None:

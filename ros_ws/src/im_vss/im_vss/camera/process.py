@@ -80,21 +80,17 @@ class CameraProcess:
         begin = clock.monotonic()
         exposures = [self._link.expose(ticks, light, request.timeout_s, laser) for light, laser in request.strobes]
         exposed = clock.monotonic()
-        render_s = sensor_s = 0.0
+        self._bank.lap()
         for frame, exposure in enumerate(exposures):
             for camera in request.cameras:
-                start = clock.monotonic()
                 sensor = request.controls[camera].of(self._settings.sensor)
                 mean = self._bank.expected(camera, exposure, ticks * self._link.period_s, sensor)
-                middle = clock.monotonic()
                 out = self._store.image(self._images, camera, frame)
                 self._bank.read_out(camera, mean, exposure.start_tick, frame, out, sensor)
-                render_s += middle - start
-                sensor_s += clock.monotonic() - middle
         return Reply(
             request.number,
             stamps_ns=tuple(exposure.stamp_ns for exposure in exposures),
-            timing={"expose_s": exposed - begin, "render_s": render_s, "sensor_s": sensor_s},
+            timing={"expose_s": exposed - begin, **self._bank.lap()},
         )
 
     def _reattach(self) -> None:

@@ -76,7 +76,7 @@ def target_patch(target: Target, camera: CameraModel, ideal: Array, blur: float)
             x, y = np.moveaxis((rays * distance[..., None] - t) @ R[:, :2], -1, 0)
             inside = (np.abs(x) <= target.plate / 2) & (np.abs(y) <= target.plate / 2) & (distance > 0.0)
             coverage += inside
-            brightness += inside * np.where(_ink(target, x, y), BLACK, WHITE)
+            brightness += inside * np.where(ink(target, x, y), BLACK, WHITE)
             depth += distance
     share = len(steps) ** 2
     return TargetPatch(area, *((image / share).astype(np.float32) for image in (coverage, brightness, depth)))
@@ -107,8 +107,8 @@ def _samples(area: tuple[slice, slice]) -> Array:
     return np.asarray((np.arange(count) + 0.5) / count - 0.5)
 
 
-def _ink(target: Target, x: Array, y: Array) -> NDArray[np.bool_]:
-    """Whether the print is black at places of the plate, shape (h, w) [m]."""
+def ink(target: Target, x: Array, y: Array) -> NDArray[np.bool_]:
+    """Whether the print is black at places of the plate, of any shape [m]."""
     half = target.size / 2.0
     if target.kind == "circle":
         return np.asarray(np.hypot(x, y) <= half)

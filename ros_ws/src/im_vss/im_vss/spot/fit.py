@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from im_vss.spot.noise import SensorNoise
 from im_vss.spot.psf import amplitude_to_flux, flux_to_amplitude, pixel_derivatives, pixel_integrals
@@ -17,6 +18,8 @@ _ITERATIONS = 25
 _TOLERANCE_PX = 1e-5
 _SIGMA_RANGE = (0.3, 8.0)
 _MAXIMUM_STEP_PX = 1.0
+_LEAST_MARGIN = -1e3
+_SQRT2PI = float(np.sqrt(2.0 * np.pi))
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class SpotFit:
         sigma: Standard deviation of the spot [px].
         flux_snr: Flux over its standard deviation [-].
         chi2_per_dof: Mean squared normalised residual of the fit [-].
-        saturated: Number of saturated pixels in the spot; they are left out of the fit.
+        saturated: Number of saturated pixels in the spot.
         converged: Whether the fit came to rest inside its window.
     """
 
@@ -49,9 +52,12 @@ class SpotFit:
 def fit_spot(on: Frame, off: Frame, start: tuple[float, float], sigma: float, noise: SensorNoise) -> SpotFit:
     """Fit a pixel-integrated Gaussian on a constant background to ``on - off`` around a start.
 
-    Gauss-Newton on (u, v, flux, sigma, background); each pixel is weighted by the variance the noise model predicts
-    for the fitted spot on the mean of the off frame, so that the weights do not follow the noise of the data.
-    Source: Kay, "Fundamentals of Statistical Signal Processing: Estimation Theory", 3.9 (variance depends on the mean).
+    Newton's method on (u, v, flux, sigma, background); each pixel is weighted by the variance the noise model predicts
+    for the fitted spot on the mean of the off frame, so that the weights do not follow the noise of the data. A pixel
+    that saturates only with the light says that it is at least that bright: the logarithm of the upper tail of its
+    distribution takes the place of its squared residual.
+    Source: Kay, "Fundamentals of Statistical Signal Processing: Estimation Theory", 3.9 (variance depends on the mean);
+    J. Tobin, "Estimation of relationships for limited dependent variables", Econometrica 26, 1958 (censored data).
 
     Args:
         on: Frame with the light, shape (h, w) [DN].
@@ -64,10 +70,23 @@ def fit_spot(on: Frame, off: Frame, start: tuple[float, float], sigma: float, no
         The fit; `converged` is False where the data support none.
     """
     window = _Window(on, off, start, sigma, noise)
-    theta = window.start(sigma)
-    converged = False
+    first = window.start(sigma)
+    theta, converged = _settle(window, first, whole=False)
+    if window.censored.any():  # the rest of the spot starts them near enough: far away their likelihood misleads
+        theta, converged = _settle(window, theta if converged else first, whole=True)
+    return window.result(theta, converged)
+
+
+def _settle(window: "_Window", theta: Array, whole: bool) -> tuple[Array, bool]:
+    """The likeliest parameters near `theta`, and whether the search came to rest.
+
+    Args:
+        window: The pixels.
+        theta: Where the search begins, shape (5,).
+        whole: Whether to hear the saturated pixels too.
+    """
     for _ in range(_ITERATIONS):
-        step = window.step(theta)
+        step = window.step(theta, whole)
         if step is None:
             break
         shift = float(np.abs(step[:2]).max())
@@ -78,9 +97,8 @@ def fit_spot(on: Frame, off: Frame, start: tuple[float, float], sigma: float, no
         if not window.holds(theta):
             break
         if shift < _TOLERANCE_PX:
-            converged = True
-            break
-    return window.result(theta, converged)
+            return theta, True
+    return theta, False
 
 
 class _Window:
@@ -94,7 +112,9 @@ class _Window:
         area = np.s_[int(self.rows[0]) : int(self.rows[-1]) + 1, int(self.columns[0]) : int(self.columns[-1]) + 1]
         on_area, off_area = on[area].astype(float), off[area].astype(float)
         self.difference = on_area - off_area
-        self.usable = (on_area < noise.saturation) & (off_area < noise.saturation)
+        self.usable = off_area < noise.saturation
+        self.censored = self.usable & (on_area >= noise.saturation)
+        self.least = noise.saturation - 0.5 - off_area  # pixels that round to the largest value have at least this
         self.background = _smooth(off_area)
         self.off_variance = noise.variance(self.background)
         self.noise = noise
@@ -117,16 +137,21 @@ class _Window:
             and _SIGMA_RANGE[0] <= theta[3] <= _SIGMA_RANGE[1]
         )
 
-    def step(self, theta: Array) -> Array | None:
-        """Gauss-Newton step from `theta`, None where the normal equations are singular."""
-        residual, jacobian, weight = self.linearised(theta)
+    def step(self, theta: Array, whole: bool) -> Array | None:
+        """Newton step from `theta`, None where the normal equations are singular."""
+        residual, jacobian, weight, _ = self.linearised(theta, whole)
         try:
             return np.asarray(np.linalg.solve((jacobian.T * weight) @ jacobian, jacobian.T @ (weight * residual)))
         except np.linalg.LinAlgError:
             return None
 
-    def linearised(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Residuals (n,), Jacobian (n, 5) and weights (n,) [1/DN^2] of the usable pixels."""
+    def linearised(self, theta: Array, whole: bool = True) -> tuple[Array, Array, Array, Array]:
+        """Residuals (n,) [DN], Jacobian (n, 5), weights (n,) [1/DN^2] and their shares of a whole pixel's (n,) [-].
+
+        Of the usable pixels, without saturated ones unless `whole`. Residual and weight of a saturated one are those
+        of the parabola that touches its log-likelihood at `theta`: with the margin z and the inverse Mills ratio m,
+        sd / (m + z) and m (m + z) / sd^2.
+        """
         u, v, flux, sigma, offset = theta
         along_u, along_v = pixel_integrals(u, sigma, self.columns), pixel_integrals(v, sigma, self.rows)
         du, du_dsigma = pixel_derivatives(u, sigma, self.columns)
@@ -144,16 +169,21 @@ class _Window:
             ),
             axis=-1,
         )
-        mask = self.usable
-        return (self.difference - signal - offset)[mask], jacobian[mask], 1.0 / variance[mask]
+        deviation = np.sqrt(variance)
+        margin = np.maximum((signal + offset - self.least) / deviation, _LEAST_MARGIN)
+        mills = np.exp(-0.5 * margin**2 - log_ndtr(margin)) / _SQRT2PI
+        share = np.where(self.censored, mills * (mills + margin), 1.0)
+        residual = np.where(self.censored, deviation / (mills + margin), self.difference - signal - offset)
+        mask = self.usable if whole else self.usable & ~self.censored
+        return residual[mask], jacobian[mask], (share / variance)[mask], share[mask]
 
     def result(self, theta: Array, converged: bool) -> SpotFit:
         """The fit at `theta`."""
         u, v, flux, sigma = (float(value) for value in theta[:4])
         covariance, snr, chi2 = np.full((2, 2), np.inf), 0.0, np.inf
-        degrees = int(self.usable.sum()) - len(theta)
-        if converged and degrees > 0:
-            residual, jacobian, weight = self.linearised(theta)
+        residual, jacobian, weight, share = self.linearised(theta)
+        degrees = float(share.sum()) - len(theta)
+        if converged and degrees > 0.0:
             full = np.linalg.inv((jacobian.T * weight) @ jacobian)
             covariance = full[:2, :2]
             snr = flux / float(np.sqrt(full[2, 2]))
@@ -167,8 +197,8 @@ class _Window:
             sigma=sigma,
             flux_snr=snr,
             chi2_per_dof=chi2,
-            saturated=int((~self.usable & near).sum()),
-            converged=converged and degrees > 0,
+            saturated=int(((self.censored | ~self.usable) & near).sum()),
+            converged=converged and degrees > 0.0,
         )
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from im_vss.spot import SensorNoise, SpotGates, find_spot
 
@@ -74,8 +75,9 @@ def room(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
 def bound(lamp: Lamp, background: Array, noise: SensorNoise) -> Array:
     """Cramer-Rao bound of the centre from a pair of frames, shape (2, 2) [px^2].
 
-    Peak, width and level of the spot are unknown too. Fisher information of Gaussian pixels whose variance is known,
-    without that of saturated ones. Source: S.M. Kay, "Fundamentals of Statistical Signal Processing", 3.9.
+    Peak, width and level of the spot are unknown too. Fisher information of Gaussian pixels whose variance is known and
+    that say no more than "at least" from saturation on. Source: S.M. Kay, "Fundamentals of Statistical Signal
+    Processing", 3.9.
     """
     theta = np.array([lamp.u, lamp.v, lamp.amplitude, lamp.sigma, 0.0])
 
@@ -85,10 +87,27 @@ def bound(lamp: Lamp, background: Array, noise: SensorNoise) -> Array:
         return np.asarray(background + level + spot_image(Lamp(u, v, amplitude, sigma), shape))
 
     on = mean(theta)
-    weight = np.where(on < noise.saturation, 1.0 / (noise.variance(on) + noise.variance(background)), 0.0)
+    weight = information(on, background, noise)
     steps = np.array([1e-3, 1e-3, 1e-2, 1e-4, 1e-2])
     slopes = np.stack([(mean(theta + d) - mean(theta - d)).ravel() / (2.0 * d.sum()) for d in np.diag(steps)])
     return np.asarray(np.linalg.inv((slopes * weight.ravel()) @ slopes.T)[:2, :2])
+
+
+def information(on: Array, off: Array, noise: SensorNoise) -> Array:
+    """Fisher information of the differences of pixels about their means, one of which may saturate [1/DN^2].
+
+    Source: T. Amemiya, "Regression analysis when the dependent variable is truncated normal", 1973, (3.2).
+
+    Args:
+        on: Expected values with the light, of any shape [DN].
+        off: Expected values without it [DN].
+        noise: Sensor.
+    """
+    variance = noise.variance(on) + noise.variance(off)
+    room_left = (noise.saturation - 0.5 - on) / np.sqrt(variance)
+    density = norm.pdf(room_left)
+    mills = np.exp(norm.logpdf(room_left) - norm.logsf(room_left))
+    return np.asarray((norm.cdf(room_left) + density * (mills - room_left)) / variance)
 
 
 def score_spots(

@@ -1,0 +1,1 @@
+"""Figures of the Vision Services System: frames, Services, and where their time goes."""
