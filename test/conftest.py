@@ -149,7 +149,7 @@ def python():
 class VisionMachine:
     """Testbed, vision services and a client of theirs, in this process; the camera process beside it."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, *parameters):
         import rclpy
 
         from im_core.ros.run import spin_in_thread
@@ -157,7 +157,8 @@ class VisionMachine:
         from im_vss.ros.node import VssNode
 
         self.folder = folder
-        rclpy.init(args=["--ros-args", "-p", "standalone:=true", "-p", "factor:=0.0", "-p", "seed:=4"])
+        parameters = ("standalone:=true", "factor:=0.0", "seed:=4", "vss:use_sim_time:=true", *parameters)
+        rclpy.init(args=["--ros-args", *(part for parameter in parameters for part in ("-p", parameter))])
         self.testbed, self.client = TestbedNode(), rclpy.create_node("client")
         self.clients = {}
         self.spinners = [spin_in_thread(self.testbed, self.client)]
@@ -241,15 +242,63 @@ class VisionMachine:
         return received
 
 
+@pytest.fixture(scope="session")
+def calibration_request():
+    """``calibration_request(problem)``: fields of a request for the ceiling cameras with a problem of the solver's."""
+    import numpy as np
+
+    from im_core.robot import load_cell
+    from im_msgs.msg import KnownLength, Observation, Spot
+    from im_vss.ros.messages import quaternion
+
+    cameras, offset = ("ceiling_left", "ceiling_right"), np.array(load_cell().led.offset)
+
+    def spots(uv, covariances):
+        return [
+            Spot(camera=name, found=bool(np.isfinite(u)), u=u, v=v, covariance=covariance.ravel())
+            for name, (u, v), covariance in zip(cameras, uv, covariances, strict=True)
+        ]
+
+    def observation(problem, i):
+        covariance = problem.position_covariances[i].ravel()
+        message = Observation(pose=f"p{i}", position_covariance=covariance)
+        place, q = message.wrist.position, message.wrist.orientation
+        place.x, place.y, place.z = problem.positions[i] - problem.wrist_rotations[i] @ offset
+        q.x, q.y, q.z, q.w = quaternion(problem.wrist_rotations[i])
+        message.spots = spots(problem.spots[:, i], problem.spot_covariances[:, i])
+        return message
+
+    def length(known, i):
+        ends = [spots(known.spots[:, i, end], known.spot_covariances[:, i, end]) for end in range(2)]
+        sd = known.standard_deviations[i]
+        return KnownLength(length=known.lengths[i], sd=sd, first=ends[0], second=ends[1])
+
+    def fields(problem):
+        known = problem.lengths
+        return {
+            "cameras": list(cameras),
+            "observations": [observation(problem, i) for i in range(len(problem.positions))],
+            "known_lengths": [length(known, i) for i in range(len(known.lengths))] if known else [],
+        }
+
+    return fields
+
+
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory):
+def vss_parameters():
+    """Further parameters of the :class:`VisionMachine`; for modules to override."""
+    return ()
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory, vss_parameters):
     """The :class:`VisionMachine` of a test module."""
     import rclpy
 
     folder = tmp_path_factory.mktemp("vss")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("IM_RUN_DIR", str(folder))
-        made = VisionMachine(folder)
+        made = VisionMachine(folder, *vss_parameters)
         yield made
         for spinner in reversed(made.spinners):
             spinner.stop()

@@ -12,7 +12,9 @@ import pytest
 import yaml
 
 from im_core import clock
+from im_core.calibration_files import read_calibration
 from im_core.config import package_file
+from im_core.robot import load_cell
 
 pytestmark = pytest.mark.end_to_end
 
@@ -228,9 +230,10 @@ def test_calibration_reaches_the_standard_interfaces(first_run, machine):
     assert info.distortion_model == "plumb_bob"
     frames = machine.message(TFMessage, "/tf_static", profile=qos.LATCHED_MANY)
     assert frames.transforms
-    names = yaml.safe_load((Path(answer.report.directory) / "ceiling_left.yaml").read_text())
-    assert names["camera_name"] == "ceiling_left"
-    assert names["camera_matrix"]["data"][0] == pytest.approx(info.k[0], rel=1e-5)
+    kept = read_calibration(Path(answer.report.directory), load_cell())  # the next run can be started with it
+    assert kept.summary() == "ceiling_left (intrinsics and pose), ceiling_right (intrinsics and pose)"
+    assert kept.intrinsics["ceiling_left"].K.ravel().tolist() == list(info.k)
+    assert kept.poses["ceiling_left"].t_cam_base.tolist() == pytest.approx(list(answer.report.cameras[0].t_cam_base))
 
 
 def test_the_robot_speaks_standard_messages(machine):

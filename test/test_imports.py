@@ -41,7 +41,7 @@ MAY_IMPORT = {
 
 #: Where each heavy library may be imported: package, or package/folder.
 LIBRARIES = {
-    "pybullet": ("im_sim", "im_vss/camera"),
+    "pybullet": ("im_sim", "im_vss/camera", "im_vss/bench"),
     "pybullet_data": ("im_sim", "im_vss/camera"),
     "pinocchio": ("im_mcs", "im_sim"),
     "ruckig": ("im_mcs", "im_coordinators"),

@@ -49,6 +49,8 @@ def test_scripts_are_executable_bash(name):
         ("demo", ["--poses", "none.yaml"], "demo: there is no poses file none.yaml"),
         ("start", ["none.yaml"], "none.yaml: cannot be read"),
         ("start", ["--factor", "-1"], "start: clock_factor: -1: Input should be greater than or equal to 0"),
+        ("start", ["--calibration", "none"], "/none: no calibration: there is no such folder"),
+        ("start", ["--calibration", "docs"], "/docs: no calibration: it holds no <camera>.yaml, extr"),
         ("start", ["--speed"], "unrecognized arguments: --speed"),
         ("stop", ["now"], "unrecognized arguments: now"),
         ("calibrate_camera", ["--camera"], "expected at least one argument"),

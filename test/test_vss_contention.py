@@ -4,22 +4,39 @@ DDS hands the answers of a Service to all its clients, each of which picks its o
 comes in a burst, as that of ``qos.SERVICES`` does.
 """
 
+import json
 import os
 import signal
 import threading
-from collections import Counter
+from collections import Counter, deque
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import RegionOfInterest
 
 from im_core import clock
 from im_core.ros import qos
-from im_msgs.srv import Calibrate, CircleFind, FiducialPose, LineFind, Snap, SpotFind, SpotFindStereo, VisionQuery
+from im_msgs.srv import (
+    Calibrate,
+    CircleFind,
+    FiducialPose,
+    LaserCalibrate,
+    LaserPoint,
+    LaserSpot3d,
+    LineFind,
+    LineScan,
+    Snap,
+    SpotFind,
+    SpotFindStereo,
+    VisionQuery,
+)
+from im_vss.calibration.synthetic import Design, make_scene
+from im_vss.catalogue import load_catalogue
 from im_vss.managers import VisionClient
 
 CEILING = ["ceiling_left", "ceiling_right"]
-REGION = RegionOfInterest(x_offset=200, y_offset=20, width=200, height=120)
+REGION = RegionOfInterest(x_offset=240, y_offset=60, width=80, height=60)
 REQUESTS = {
     "snap": (Snap, {"cameras": ["table"]}),
     "spot_find": (SpotFind, {"cameras": ["ceiling_left"]}),
@@ -27,41 +44,53 @@ REQUESTS = {
     "circle_find": (CircleFind, {"camera": "ceiling_left", "region": REGION}),
     "line_find": (LineFind, {"camera": "ceiling_left", "region": REGION}),
     "fiducial_pose": (FiducialPose, {"cameras": ["ceiling_right"]}),
-    "calibrate": (Calibrate, {"cameras": CEILING}),
+    "laser_point": (LaserPoint, {"angles": [0.01, 0.02], "on": True}),
+    "laser_spot_3d": (LaserSpot3d, {"cameras": CEILING, "angles": [0.1, 0.0]}),
+    "line_scan": (LineScan, {"cameras": CEILING, "span": [0.06, 0.12], "sweep": [0.0, 0.0], "lines": 1}),
+    "laser_calibrate": (LaserCalibrate, {"cameras": CEILING, "mirror1": [0.1], "mirror2": [0.05]}),
+    "calibrate": (Calibrate, {}),  # with a synthetic scene, see `requests`
 }
 CLIENTS, KILLED = 50, 5
+LONGEST_WAIT_S = 150.0
 MORTAL = """
-import sys, time
+import json, sys, time
 import rclpy
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 import im_msgs.srv
 rclpy.init()
-node, count = Node("mortal"), int(sys.argv[1])
-for pair in sys.argv[2:]:
-    name, kind, cameras = pair.split(":")
+node = Node("mortal")
+for name, kind, request in json.load(open(sys.argv[2])):
     kind = getattr(im_msgs.srv, kind)
-    for _ in range(count):
+    for _ in range(int(sys.argv[1])):
         client = node.create_client(kind, f"/vss/{name}")
-        assert client.wait_for_service(20.0)
-        request = kind.Request()
-        if hasattr(request, "cameras"):
-            request.cameras = cameras.split(",")
-        else:
-            request.camera = cameras
-        client.call_async(request)
+        assert client.wait_for_service(30.0)
+        client.call_async(deserialize_message(bytes.fromhex(request), kind.Request))
 print("asked", flush=True)
 time.sleep(60.0)
 """
 
 
-def mortal(process, python, count, names):
-    """A process with clients of some Services, after it has asked."""
-    pairs = []
-    for name in names:
-        kind, fields = REQUESTS[name]
-        cameras = ",".join(fields.get("cameras", [fields.get("camera", "")]))
-        pairs.append(f"{name}:{kind.__name__}:{cameras}")
-    return process(python, "-c", MORTAL, count, *pairs)
+@pytest.fixture(scope="module")
+def requests(calibration_request):
+    """A request for each Service of the catalogue, by name: its type and the message."""
+    small = calibration_request(make_scene(Design(poses=12), 2).problem)
+    given = {**REQUESTS, "calibrate": (Calibrate, small)}
+    for name in load_catalogue().services:
+        assert name in given, f"the Service '{name}' of the catalogue has no request in REQUESTS of this file: add one"
+    return {name: (given[name][0], given[name][0].Request(**given[name][1])) for name in load_catalogue().services}
+
+
+@pytest.fixture
+def mortal(process, python, tmp_path, requests):
+    """``mortal(count, names)``: a process with clients of some Services, which ask and never read their answers."""
+
+    def start(count, names):
+        asked = [(name, requests[name][0].__name__, serialize_message(requests[name][1]).hex()) for name in names]
+        (tmp_path / "requests.json").write_text(json.dumps(asked))
+        return process(python, "-c", MORTAL, count, tmp_path / "requests.json")
+
+    return start
 
 
 class Counted:
@@ -82,11 +111,45 @@ class Counted:
                 self.inside -= 1
 
 
-def test_the_only_client_dies_and_its_place_in_the_queue_is_free(machine, process, python):
+class Witness:
+    """Writes down who came to a Vision Module's queue, and who was in the Module; see :meth:`watch`."""
+
+    def __init__(self):
+        self.came, self.served, self.waits = [], [], []
+
+    @classmethod
+    def watch(cls, patch, vmm, name, module):
+        """Look at a module of a manager, from the inside: its queue, and the work it is given under each lease."""
+        witness, run, last = cls(), module.run, []
+
+        class Queue(deque):
+            def append(self, client):
+                witness.came.append((client.name, len(self) + 1, len(witness.served), clock.monotonic()))
+                super().append(client)
+
+        def served(lease, work):
+            if last[-1:] != [lease]:
+                last.append(lease)
+                witness.waits.append(clock.monotonic() - witness.came[len(witness.served)][3])
+                witness.served.append(lease.client.name)
+            return run(lease, work)
+
+        patch.setitem(vmm._queues, name, Queue())
+        patch.setattr(module, "run", served)
+        return witness
+
+    def check(self):
+        """First come, first served; so nobody waits for more than those who were there before, in and at the Module."""
+        assert self.served == [name for name, *_ in self.came]
+        for place, (name, ahead, served, _) in enumerate(self.came):
+            assert place - served <= ahead, f"{name} waited for {place - served} others, {ahead} were before it"
+
+
+def test_the_only_client_dies_and_its_place_in_the_queue_is_free(machine, mortal):
     """First in this module: nobody else is a client of the Service yet."""
     vmm = machine.vss._vsm.managers["image_processing"]
     with vmm.lend("vm_snap", VisionClient("somebody")):
-        child = mortal(process, python, 3, ["line_find"])
+        child = mortal(3, ["line_find"])
         machine.until(lambda: len(vmm.state("vm_snap").queue) == 3)
         os.kill(child.pid, signal.SIGKILL)
         began = clock.monotonic()
@@ -95,46 +158,67 @@ def test_the_only_client_dies_and_its_place_in_the_queue_is_free(machine, proces
     machine.until(lambda: machine.vss._vsm.state().requests == ())
 
 
-def test_fifty_clients_of_every_service_of_which_a_tenth_is_killed(machine, process, python, monkeypatch):
+def test_fifty_clients_of_every_service_of_which_a_tenth_is_killed(machine, mortal, requests, monkeypatch):
+    machine.calibrate_cameras(*CEILING)
     machine.light(on=True)
     vsm, rig = machine.vss._vsm, machine.vss._rig
-    take, raw = Counted(rig.source.take), Counted(rig.screen.raw)
-    monkeypatch.setattr(rig.source, "take", take)
-    monkeypatch.setattr(rig.screen, "raw", raw)
-    child = mortal(process, python, KILLED, REQUESTS)
-    machine.until(lambda: "asked" in child.out.read_text(), 40.0)
+    hardware = [(rig.source, "take"), (rig.screen, "raw"), (rig.monitors, "draw"), (rig.laser.scanner, "drive")]
+    counted = [Counted(getattr(*place)) for place in hardware]
+    for place, count in zip(hardware, counted, strict=True):
+        monkeypatch.setattr(*place, count)
+    before, witnesses = vsm.state().modules, {}
+    for name, (manager, _) in before.items():
+        vmm = vsm.managers[manager]
+        for wait in ("wait_s", "hold_s"):  # a slow computer may take longer for all of this than is usual for one
+            monkeypatch.setattr(vmm, wait, LONGEST_WAIT_S)
+        witnesses[name] = Witness.watch(monkeypatch, vmm, name, vsm.modules[name])
+    child = mortal(KILLED, requests)
+    machine.until(lambda: "asked" in child.out.read_text(), 60.0)
     clients = [
-        (name, machine.client.create_client(kind, f"/vss/{name}", qos_profile=qos.SERVICES), kind.Request(**fields))
+        (name, machine.client.create_client(kind, f"/vss/{name}", qos_profile=qos.SERVICES), request)
         for _ in range(CLIENTS - KILLED)
-        for name, (kind, fields) in REQUESTS.items()
+        for name, (kind, request) in requests.items()
     ]
-    machine.until(lambda: all(client.service_is_ready() for _, client, _ in clients))
+    machine.until(lambda: all(client.service_is_ready() for _, client, _ in clients), 60.0)
     futures = [(name, client.call_async(request)) for name, client, request in clients]
     os.kill(child.pid, signal.SIGKILL)
-    machine.until(lambda: all(future.done() for _, future in futures), 60.0)
+    machine.until(lambda: all(future.done() for _, future in futures), LONGEST_WAIT_S)
+    machine.until(lambda: vsm.state().requests == ())
     answers = [(name, future.result()) for name, future in futures]
     outcome = Counter((name, answer.success) for name, answer in answers)
-    refused = "there is no observation to calibrate from"
-    assert all(refused in answer.status.message for name, answer in answers if name == "calibrate")
-    assert outcome == {(name, name != "calibrate"): CLIENTS - KILLED for name in REQUESTS}, {
-        answer.status.message for _, answer in answers
-    }
-    assert (take.most, raw.most) == (1, 1)
+    causes = {answer.status.message for _, answer in answers}
+    assert outcome == {(name, True): CLIENTS - KILLED for name in requests}, causes
+    assert [(count.most, count.calls > CLIENTS) for count in counted] == [(1, True)] * len(hardware)
+    for name, witness in witnesses.items():
+        witness.check()
+        assert len(witness.served) >= CLIENTS, name
+        assert max(witness.waits) < LONGEST_WAIT_S
     stamps = [image.header.stamp for name, answer in answers if name == "snap" for image in answer.images]
     assert len({(stamp.sec, stamp.nanosec) for stamp in stamps}) == CLIENTS - KILLED
-    machine.until(lambda: vsm.state().requests == ())
+    points = [answer.point.point for name, answer in answers if name == "laser_spot_3d"]
+    assert np.ptp([(p.x, p.y, p.z) for p in points], axis=0).max() < 0.005  # no mirror moved between two frames
+    assert all(answer.report.success for name, answer in answers if name == "calibrate")
     for module in machine.call(VisionQuery, "/vss/query").state.modules:
         assert (module.owner, module.queue) == ("", [])
-        assert module.leases == module.released + module.lapsed
+        given = module.leases - before[module.name][1].leases
+        assert given == module.released - before[module.name][1].released == len(witnesses[module.name].served)
     for _, client, _ in clients:
         machine.client.destroy_client(client)
 
 
-def test_a_wait_is_bounded_and_says_for_whom(machine):
-    vmm = machine.vss._vsm.managers["image_processing"]
-    with pytest.MonkeyPatch.context() as patch, vmm.lend("vm_snap", VisionClient("somebody")):
+@pytest.mark.parametrize(
+    ("manager", "module", "service"),
+    [("image_processing", "vm_snap", "snap"), ("laser_scanner", "vm_laser", "laser_point")],
+)
+def test_a_wait_is_bounded_and_says_for_whom(machine, requests, manager, module, service):
+    vmm, (kind, request) = machine.vss._vsm.managers[manager], requests[service]
+    fields = {field: getattr(request, field) for field in request.get_fields_and_field_types()}
+    other = "laser_point" if service == "snap" else "snap"
+    with pytest.MonkeyPatch.context() as patch, vmm.lend(module, VisionClient("somebody")):
         patch.setattr(vmm, "wait_s", 0.3)
-        answer = machine.call(Snap, "/vss/snap", cameras=["wall"])
-    assert not answer.success
-    assert "vm_snap, held by somebody, 0 before snap #" in answer.status.message
-    assert np.any(np.frombuffer(machine.call(Snap, "/vss/snap", cameras=["wall"]).images[0].data, np.uint8))
+        answer = machine.call(kind, f"/vss/{service}", **fields)
+        assert not answer.success
+        assert f"{module}, held by somebody, 0 before {service} #" in answer.status.message
+        assert machine.call(REQUESTS[other][0], f"/vss/{other}", **REQUESTS[other][1]).success  # the other's business
+    assert machine.call(kind, f"/vss/{service}", **fields).success
+    assert machine.vss._vsm.managers[manager].state(module).owner == ""

@@ -13,12 +13,13 @@ from im_core import clock
 from im_core.robot import load_cell
 from im_core.ros import qos
 from im_msgs.msg import VisionState
-from im_msgs.srv import CircleFind, FiducialPose, LineFind, Snap, SpotFindStereo, VisionCancel, VisionQuery
+from im_msgs.srv import Advance, CircleFind, FiducialPose, LineFind, Snap, SpotFindStereo, VisionCancel, VisionQuery
 from im_vss.edges.band import undistorted
 from im_vss.managers import VisionClient
 
 CEILING = ["ceiling_left", "ceiling_right"]
 CELL = load_cell()
+TOPICS = [(Image, "image_raw"), (CameraInfo, "camera_info")]
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,12 @@ def test_no_point_from_cameras_as_drawn(machine):
     assert answer.cause == "no point from cameras that are not calibrated: ceiling_left, ceiling_right"
     assert answer.epipolar_distance > 1.0
     assert all(spot.found for spot in answer.spots)
+    poses = machine.call(FiducialPose, "/vss/fiducial_pose", cameras=CEILING[:1])
+    assert (poses.success, poses.fiducials) == (True, [])
+    assert "no pose from ceiling_left: it is not calibrated" in poses.cause
+    lines = machine.call(LineFind, "/vss/line_find", camera="ceiling_left")
+    assert (lines.success, lines.status.code, bool(lines.lines)) == (True, "ok", True)
+    assert "ceiling_left is not calibrated: its lens is taken as drawn" in lines.status.message
 
 
 def test_stereo_point_is_within_its_covariance(calibrated):
@@ -92,13 +99,6 @@ def test_the_robot_says_where_to_look(calibrated):
     assert not elsewhere.found
     assert "searched within 15 px of" in elsewhere.cause
     clock.sleep(0.1)
-
-
-def test_stereo_without_a_light_says_so_for_each_camera(calibrated):
-    calibrated.light(on=False)
-    answer = calibrated.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=CEILING)
-    assert (answer.success, answer.found) == (True, False)
-    assert answer.cause.count("no light seen") == 2
 
 
 def test_fiducial_is_where_it_truly_is(calibrated):
@@ -175,16 +175,49 @@ def test_controls_are_parameters_with_ranges(machine):
     assert set_parameters(machine, exposure=0.018)[0].successful
 
 
-def test_images_flow_at_a_rate(machine):
-    images = machine.listen(Image, "/table/image_raw", qos.SENSOR)
-    infos = machine.listen(CameraInfo, "/table/camera_info", qos.SENSOR)
-    assert set_parameters(machine, table__rate=5.0)[0].successful
-    machine.until(lambda: len(images) >= 3)
-    assert set_parameters(machine, table__rate=0.0)[0].successful
-    machine.until(lambda: len(infos) == len(images))
-    assert [image.header for image in images] == [info.header for info in infos]
-    stamps = [image.header.stamp.sec * 10**9 + image.header.stamp.nanosec for image in images]
-    assert stamps == sorted(set(stamps))
+def watch(machine, camera, kind, topic):
+    """What comes on a topic of a camera, from now on, without loss."""
+    outputs = machine.vss._outputs
+    publisher = (outputs._raw if kind is Image else outputs._info)[camera]
+    matched = publisher.get_subscription_count()
+    received = machine.listen(kind, f"/{camera}/{topic}", qos.IMAGES)
+    machine.until(lambda: publisher.get_subscription_count() > matched)
+    return received
+
+
+def advance(machine, seconds):
+    """Let testbed time pass, as if somebody wanted it."""
+    assert machine.call(Advance, "/testbed/advance", duration=seconds).success
+
+
+def test_images_flow_at_a_rate_of_testbed_time(machine):
+    """At clock factor 0: whenever somebody wants a period of time there is an image, of both cameras at once."""
+    seen = [watch(machine, name, *topic) for name in ("table", "wall") for topic in TOPICS]
+    assert all(result.successful for result in set_parameters(machine, table__rate=5.0, wall__rate=5.0))
+    for number in range(5):
+        machine.until(lambda number=number: all(len(each) == number + 1 for each in seen))
+        if number < 4:
+            advance(machine, 0.2)
+    for each in seen[1:]:
+        assert [message.header.stamp for message in each] == [message.header.stamp for message in seen[0]]
+    stamps = [image.header.stamp.sec + image.header.stamp.nanosec * 1e-9 for image in seen[0]]
+    assert (np.diff(np.floor(np.array(stamps) / 0.2)) >= 1.0).all()
+    assert all(result.successful for result in set_parameters(machine, table__rate=0.0, wall__rate=0.0))
+
+
+def test_images_at_a_rate_do_not_drive_the_clock_on(machine):
+    """Exposures of four periods and more: what they take of testbed time brings no further image."""
+    images, began = watch(machine, "table", *TOPICS[0]), machine.testbed._link.tick
+    assert all(result.successful for result in set_parameters(machine, exposure=0.45, table__rate=10.0, wall__rate=9.0))
+    machine.until(lambda: images)
+    clock.sleep(1.5)
+    exposure = 0.45 / machine.testbed._link.period_s
+    assert machine.testbed._link.tick - began <= 2 * (exposure + 1)
+    assert len(images) == 1
+    advance(machine, 0.2)
+    machine.until(lambda: len(images) == 2)
+    controls = {"exposure": 0.018, "table__rate": 0.0, "wall__rate": 0.0}
+    assert all(result.successful for result in set_parameters(machine, **controls))
 
 
 def test_state_is_answered_and_latched_and_cancels(machine):

@@ -1,44 +1,38 @@
-"""The cameras' controls as ROS parameters, and images at a rate."""
-
-from collections.abc import Callable
-from functools import partial
+"""The cameras' controls as ROS parameters."""
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.parameter import Parameter
-from rclpy.timer import Timer
 
 from im_core.ros.node import ManagedNode
 from im_vss.camera_controls import CameraControls
 from im_vss.frames import SensorControls
+from im_vss.ros.image_stream import ImageStream
 from im_vss.settings import VssSettings
 
 
 class ControlParameters:
     """Declares ``exposure``, and ``<camera>.gain``, ``<camera>.noise`` and ``<camera>.rate``, each with its range."""
 
-    def __init__(
-        self, node: ManagedNode, settings: VssSettings, controls: CameraControls, stream: Callable[[str], None]
-    ) -> None:
+    def __init__(self, node: ManagedNode, settings: VssSettings, controls: CameraControls, stream: ImageStream) -> None:
         """Declare and obey the parameters.
 
         Args:
             node: The node whose parameters they are.
             settings: Cameras and ranges.
             controls: What is set.
-            stream: Takes an image with a camera; called at the camera's rate, wall time.
+            stream: Takes images at the cameras' rates.
         """
         self._node = node
         self._controls = controls
         self._stream = stream
         self._cameras = settings.cameras
-        self._timers: dict[str, Timer] = {}
         exposure, ranges = settings.exposure, settings.controls
         declare = self._declare
         declare("exposure", exposure.nominal, exposure.shortest, exposure.longest, "that a request's 0 stands for [s]")
         for camera in settings.cameras:
             declare(f"{camera}.gain", 1.0, ranges.gain.low, ranges.gain.high, "relative to the data sheet")
             declare(f"{camera}.noise", 1.0, ranges.noise.low, ranges.noise.high, "read noise, by the data sheet's")
-            declare(f"{camera}.rate", 0.0, ranges.rate.low, ranges.rate.high, "images a second of wall time [Hz]")
+            declare(f"{camera}.rate", 0.0, ranges.rate.low, ranges.rate.high, "images a second of testbed time [Hz]")
         node.add_post_set_parameters_callback(self._changed)
 
     def start(self) -> None:
@@ -60,11 +54,7 @@ class ControlParameters:
         for camera in cameras:
             gain, noise, rate = (self._value(f"{camera}.{control}") for control in ("gain", "noise", "rate"))
             self._controls.set_sensor(camera, SensorControls(gain, noise))
-            if (timer := self._timers.pop(camera, None)) is not None:
-                self._node.destroy_timer(timer)
-            if rate > 0.0:
-                flow = partial(self._stream, camera)
-                self._timers[camera] = self._node.create_timer(1.0 / rate, flow, clock=self._node.steady_clock)
+            self._stream.set_rate(camera, rate)
 
     def _value(self, name: str) -> float:
         return float(self._node.get_parameter(name).value)

@@ -1,12 +1,10 @@
 """Between the Vision Services System's types and messages."""
 
-import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose, TransformStamped
+from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
@@ -15,11 +13,8 @@ from std_msgs.msg import Header
 from im_core.camera_model import CameraModel
 from im_core.errors import DataError
 from im_core.laser_model import LaserModel
-from im_msgs.msg import CalibrationReport, CameraCalibration, Rejection, Spot, SpotCandidates
-from im_msgs.msg import Observation as ObservationMessage
-from im_vss.calibration import Calibration
-from im_vss.camera_book import CameraEntry
-from im_vss.services.svc_calibrate import Observation, SeenSpot
+from im_msgs.msg import Spot, SpotCandidates
+from im_vss.camera_entry import CameraEntry
 from im_vss.services.svc_spot_find import CameraSpot
 from im_vss.tools.region import Region
 
@@ -126,84 +121,6 @@ def from_region(region: RegionOfInterest) -> Region:
     return Region(region.x_offset, region.y_offset, region.width, region.height)
 
 
-def from_observation(message: ObservationMessage) -> Observation:
-    """An observation from a message.
-
-    Raises:
-        DataError: It holds numbers that are not finite, or no rotation.
-    """
-    spots: dict[str, SeenSpot] = {}
-    for spot in message.spots:
-        if spot.found:
-            if spot.camera in spots:
-                raise DataError(f"pose '{message.pose}' has two spots of {spot.camera}", pose=message.pose)
-            uv, covariance = np.array([spot.u, spot.v]), np.array(spot.covariance).reshape(2, 2)
-            if not np.all(np.isfinite(uv)):
-                raise DataError(f"the spot of {spot.camera} at pose '{message.pose}' is not finite", pose=message.pose)
-            spots[spot.camera] = SeenSpot(uv, covariance)
-    position = message.wrist.position
-    return Observation(
-        pose=message.pose,
-        position=np.array([position.x, position.y, position.z]),
-        rotation=rotation_matrix(message.wrist, message.pose),
-        position_covariance=np.array(message.position_covariance).reshape(3, 3),
-        spots=spots,
-    )
-
-
-def to_report(
-    calibration: Calibration, offset: tuple[float, float, float], message: str, **fields: Any
-) -> CalibrationReport:
-    """A calibration as a message.
-
-    Args:
-        calibration: The estimate.
-        offset: Nominal offset of the light in the wrist frame [m].
-        message: The outcome in a sentence.
-        **fields: Further fields of the message.
-    """
-    return CalibrationReport(
-        success=calibration.success,
-        message=message,
-        cameras=[
-            CameraCalibration(
-                name=camera.name,
-                width=camera.model.width,
-                height=camera.model.height,
-                k=camera.model.K.ravel(),
-                d=camera.model.D,
-                r_cam_base=camera.model.R_cam_base.ravel(),
-                t_cam_base=camera.model.t_cam_base,
-                rms=camera.rms_px,
-                points=camera.spots_used,
-                covariance=_finite_or_empty(camera.covariance),
-            )
-            for camera in calibration.cameras
-        ],
-        points_used=calibration.points_used,
-        points_rejected=[Rejection(pose=r.pose, camera=r.camera, reason=r.reason) for r in calibration.rejections],
-        led_offset=np.array(offset) + calibration.led_offset_error,
-        chi2_per_dof=calibration.chi2_per_dof,
-        verdicts=[str(verdict) for verdict in calibration.verdicts],
-        expected_triangulation=calibration.expected.triangulation_rms_mm,
-        expected_reprojection=calibration.expected.reprojection_rms_px,
-        **fields,
-    )
-
-
-def rotation_matrix(pose: Pose, name: str) -> Array:
-    """Rotation of a pose, shape (3, 3).
-
-    Raises:
-        DataError: Its quaternion is not of unit length.
-    """
-    q = pose.orientation
-    length = math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
-    if not abs(length - 1.0) < 1e-3:
-        raise DataError(f"the orientation of pose '{name}' has length {length:.4g}, it must be 1", pose=name)
-    return np.asarray(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix())
-
-
 def to_laser_transform(model: LaserModel, stamp_ns: int) -> TransformStamped:
     """Pose of the laser scanner in the world."""
     message = TransformStamped(header=to_header("world", stamp_ns), child_frame_id="laser_scanner")
@@ -218,7 +135,3 @@ def quaternion(rotation: Array) -> tuple[float, float, float, float]:
     """Unit quaternion (x, y, z, w) of a rotation, shape (3, 3)."""
     x, y, z, w = Rotation.from_matrix(rotation).as_quat()
     return float(x), float(y), float(z), float(w)
-
-
-def _finite_or_empty(covariance: Array) -> list[float]:
-    return covariance.ravel().tolist() if np.all(np.isfinite(covariance)) else []

@@ -10,9 +10,10 @@ from typing import Any
 
 from sensor_msgs.srv import SetCameraInfo
 
-from im_core import names
+from im_core import clock, names
+from im_core.calibration_files import read_calibration
 from im_core.errors import ImError
-from im_core.robot import load_cell
+from im_core.robot import Cell, load_cell
 from im_core.robot.truth import FILE_NAME
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
@@ -26,6 +27,7 @@ from im_vss.laser.scanner import LinkedScanner
 from im_vss.rig import LaserRig, Rig
 from im_vss.ros.askers import Askers
 from im_vss.ros.controls import ControlParameters
+from im_vss.ros.image_stream import ImageStream
 from im_vss.ros.light_tracker import LightTracker
 from im_vss.ros.messages import from_camera_info
 from im_vss.ros.outputs import ImageOutputs
@@ -43,11 +45,11 @@ class VssNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("vss")
-        for parameter, default in (("settings", ""), ("cell", ""), ("catalogue", ""), ("process", PROCESS)):
+        files = ("settings", "cell", "catalogue", "calibration")
+        for parameter, default in (*((file, "") for file in files), ("process", PROCESS)):
             self.declare_parameter(parameter, default)
         self._host: CameraHost | None = None
         self._vsm: VisionServicesManager | None = None
-        self._streaming: set[str] = set()
 
     def phase_configure(self) -> None:
         """Load the Services in use and start the camera process."""
@@ -55,8 +57,10 @@ class VssNode(ManagedNode):
         cell = load_cell(cell_file)
         settings = load_settings(cell, settings_file)
         run_dir = names.run_dir()
-        self._book = CameraBook(cell, settings.cameras, run_dir / "camera_info", settings.stereo.pairs)
-        laser_book = LaserBook(cell.laser, run_dir / "laser")
+        kept = names.results_dir() / "vss" / f"{names.instance()}-{clock.stamp_name()}"
+        self._book = CameraBook(cell, settings.cameras, kept, settings.stereo.pairs)
+        laser_book = LaserBook(cell.laser, kept)
+        self._take_calibration(cell, laser_book)
         self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
         self._outputs = ImageOutputs(self, self._book, laser_book)
         self._book.on_change = laser_book.on_change = self._outputs.publish_transforms
@@ -64,9 +68,16 @@ class VssNode(ManagedNode):
         self._host = CameraHost(names.instance(), cell, spawn, settings.renderer, settings.waits.camera_start)
         tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness)
         self._rig = Rig(
-            settings, cell, self._book, self._host, self._outputs, light_position=tracker.position, laser=self._laser
+            settings,
+            cell,
+            self._book,
+            self._host,
+            self._outputs,
+            light_position=tracker.position,
+            mount=lambda frame: tracker.wrist(frame.removesuffix("_wrist")),
+            laser=self._laser,
         )
-        self._controls = ControlParameters(self, settings, self._rig.controls, self._stream)
+        self._controls = ControlParameters(self, settings, self._rig.controls, ImageStream(self, self._take_images))
         catalogue = load_catalogue(self._file("catalogue"))
         self._vsm = VisionServicesManager(self._rig, catalogue, str(self.get_parameter("process").value))
         self._host.start()
@@ -120,34 +131,39 @@ class VssNode(ManagedNode):
             port.succeed(response)
         return response
 
-    def _stream(self, camera: str) -> None:
-        """Take an image with a camera, unless the one before is still being taken."""
-        vsm = self._vsm
-        if vsm is None or camera in self._streaming:
-            return
-        self._streaming.add(camera)
+    def _take_images(self, cameras: tuple[str, ...]) -> int:
+        """Take and show an image with each camera; when the exposure ended, testbed time [ns].
 
-        def take() -> None:
-            try:
-                vsm.request("snap", SnapRequest((camera,)))
-            except ImError as error:
-                self.get_logger().warning(f"no image of {camera}: {error.message}", throttle_duration_sec=5.0)
-            finally:
-                self._streaming.discard(camera)
-
-        threading.Thread(target=take, name=f"stream {camera}", daemon=True).start()
+        Raises:
+            ImError: See :meth:`im_vss.services.svc_snap.SvcSnap.serve`.
+        """
+        assert self._vsm is not None
+        exposure_s = self._rig.controls.exposure(0.0, self._rig.settings.exposure.nominal)
+        taken = self._vsm.request("snap", SnapRequest(cameras, exposure_s))
+        return int(taken.frames[0].stamp_ns + (exposure_s / 2.0 + self._rig.cell.period) * 1e9)
 
     def _set_camera_info(
         self, camera: str, request: SetCameraInfo.Request, response: SetCameraInfo.Response
     ) -> SetCameraInfo.Response:
         try:
-            path = self._book.set_intrinsics(camera, from_camera_info(request.camera_info))
+            folder = self._book.set_intrinsics(camera, from_camera_info(request.camera_info))
         except ImError as error:
             response.status_message = error.message
             return response
         response.success = True
-        response.status_message = f"{camera} is calibrated; written to {path.name}"
+        response.status_message = f"{camera} has new intrinsics; written to {folder}"
         return response
+
+    def _take_calibration(self, cell: Cell, laser_book: LaserBook) -> None:
+        """Use the calibration of an earlier run, if one is given, and say what comes from where."""
+        if (folder := self._file("calibration")) is None:
+            return
+        files = read_calibration(folder, cell)
+        for sentence in (*files.notes, *self._book.take(files)):
+            self.get_logger().warning(sentence)
+        laser_book.take(files)
+        for entry in (*self._book.entries(), laser_book.entry):
+            self.get_logger().info(entry.told())
 
     def _watch(self) -> None:
         """Start the camera process again when it died."""

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ConfigError, DataError, StateError
 from im_core.testbed_link import LaserBeam
+from im_vss.frames import FrameSet
 from im_vss.managers import VisionClient
 from im_vss.rig import Rig
 from im_vss.services.service import Service
@@ -34,7 +35,7 @@ def fixed_cameras(rig: Rig, names: tuple[str, ...], count: int | None) -> tuple[
 
 def look(
     service: Service, client: VisionClient, cameras: tuple[str, ...], beam: LaserBeam | None, exposure_s: float
-) -> tuple[tuple[CameraSpot, ...], StereoFinding, LaserBeam, dict[str, float]]:
+) -> tuple[tuple[CameraSpot, ...], StereoFinding, LaserBeam, FrameSet]:
     """A pair of frames, the spot in each camera, and the point.
 
     Args:
@@ -45,11 +46,12 @@ def look(
         exposure_s: Length of an exposure [s]; 0: the one that is set.
 
     Returns:
-        What each camera saw, what follows from it, what the scanner's sensors said, and where the time went [s].
+        What each camera saw, what follows from it, what the scanner's sensors said, and the frames.
 
     Raises:
         ImError: The hardware does not deliver, or a mirror would turn too far.
     """
+    images: FrameSet
     images, reading = service.tool("tool_laser_snap")(client, cameras, beam, exposure_s)
     findings = [service.tool("tool_laser_spot")(*images.frames[camera]) for camera in cameras]
     stereo: StereoFinding = service.tool("tool_triangulate")((cameras[0], cameras[1]), tuple(findings))
@@ -57,7 +59,7 @@ def look(
         CameraSpot(camera, images.frames[camera][1].stamp_ns, finding)
         for camera, finding in zip(cameras, findings, strict=True)
     )
-    return spots, stereo, reading, images.timing
+    return spots, stereo, reading, images
 
 
 def why_not(rig: Rig, spots: tuple[CameraSpot, ...], stereo: StereoFinding, beam: LaserBeam) -> str:

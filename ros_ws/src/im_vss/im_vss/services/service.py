@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from im_vss.frames import FrameSet
 from im_vss.managers import VisionClient
-from im_vss.services.stopwatch import Stopwatch
+from im_vss.stopwatch import Stopwatch
 from im_vss.tools import Tool
+from im_vss.tools.region import Region, check_region
 
 if TYPE_CHECKING:
     from im_vss.rig import Rig
@@ -38,6 +39,16 @@ class Service(ABC):
         with watch.step("display_s"):
             self.tool("tool_image_disp")(client, images)
         return images
+
+    def region(self, camera: str, region: Region) -> Region:
+        """A part of the images of a camera.
+
+        Raises:
+            ImError: The camera is unknown, or its images have no such part.
+        """
+        self.rig.settings.check_cameras((camera,))
+        model = self.rig.book[camera].model
+        return check_region(region, model.width, model.height)
 
     @abstractmethod
     def serve(self, client: VisionClient, request: Any) -> Any:

@@ -1,14 +1,17 @@
 """Service that calibrates cameras from observations of the wrist light."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import DataError
+from im_core.calibration_files import CameraPose
+from im_core.camera_model import CameraModel
+from im_core.errors import DataError, NotFoundError, StateError
 from im_vss.calibration import Calibration, CalibrationProblem, report_of, write_results
+from im_vss.calibration.lengths import KnownLengths
 from im_vss.managers import VisionClient
 from im_vss.services.service import Service
 
@@ -43,18 +46,35 @@ class Observation:
 
 
 @dataclass(frozen=True)
+class SeenLength:
+    """Two lights at a known distance, and what the cameras saw of them.
+
+    Attributes:
+        length: Distance of the lights [m].
+        standard_deviation: How well it is known [m].
+        ends: Spots of the first and of the second light, by camera; a camera that saw none is left out.
+    """
+
+    length: float
+    standard_deviation: float
+    ends: tuple[dict[str, SeenSpot], dict[str, SeenSpot]]
+
+
+@dataclass(frozen=True)
 class CalibrateRequest:
     """What to calibrate.
 
     Attributes:
         cameras: Names of the cameras; they are estimated together.
         observations: What they saw.
+        lengths: Known lengths that judge the robot's scale.
         directory: Where plots and files go; None: nowhere.
         apply: Whether a good result becomes the cameras' calibration.
     """
 
     cameras: tuple[str, ...]
     observations: tuple[Observation, ...]
+    lengths: tuple[SeenLength, ...] = ()
     directory: Path | None = None
     apply: bool = False
 
@@ -78,42 +98,48 @@ class SvcCalibrate(Service):
         """Calibrate.
 
         Raises:
-            ImError: A camera is unknown or moves with the arm, the observations do not determine the cameras, or the
-                results cannot be written.
+            ImError: A camera is unknown, it is not known where the arm is that carries it, the observations do not
+                determine the cameras, or the results cannot be written.
         """
         problem = self._problem(request)
         calibration: Calibration = self.tool("tool_calibrate")(problem)
+        found = calibration.cameras if calibration.success else ()
+        mounted = {estimate.name: self._on_its_mount(estimate.name, estimate.model) for estimate in found}
         if request.directory is not None:
-            write_results(request.directory, calibration, problem)
+            poses = {name: CameraPose.of(self.rig.book[name].parent, model) for name, model in mounted.items()}
+            write_results(request.directory, calibration, problem, poses)
         applied = request.apply and calibration.success
         if applied:
-            for estimate in calibration.cameras:
-                self.rig.book.set_intrinsics(estimate.name, estimate.model)
-                self.rig.book.set_pose(estimate.name, estimate.model)
+            self.rig.book.set_cameras(mounted)
         return CalibrateResult(calibration, report_of(calibration, problem), applied, request.directory)
+
+    def _on_its_mount(self, camera: str, model: CameraModel) -> CameraModel:
+        """A camera of the world relative to the frame that it is fixed to.
+
+        Raises:
+            StateError: The camera is on an arm, and it is not known where that is.
+        """
+        parent = self.rig.book[camera].parent
+        if parent == "world":
+            return model
+        mount = self.rig.mount(parent)
+        if mount is None:
+            raise StateError(f"{camera} is fixed to {parent}, and it is not known where that is")
+        return fixed_to(model, *mount)
 
     def _problem(self, request: CalibrateRequest) -> CalibrationProblem:
         """The observations in the solver's terms.
 
         Raises:
-            ImError: A camera is unknown or moves with the arm, there is no observation, or one is malformed.
+            ImError: A camera is unknown, there is no observation, or one is malformed.
         """
         cameras = self.rig.settings.check_cameras(request.cameras)
         entries = [self.rig.book[camera] for camera in cameras]
-        for entry in entries:
-            if entry.parent != "world":
-                raise DataError(f"{entry.name} moves with {entry.parent}: only fixed cameras are calibrated")
         observations = request.observations
         if not observations:
             raise DataError("there is no observation to calibrate from")
         offset = np.array(self.rig.cell.led.offset)
-        spots = np.full((len(cameras), len(observations), 2), np.nan)
-        covariances = np.tile(np.eye(2), (len(cameras), len(observations), 1, 1))
-        for c, camera in enumerate(cameras):
-            for i, observation in enumerate(observations):
-                seen = observation.spots.get(camera)
-                if seen is not None:
-                    spots[c, i], covariances[c, i] = seen.uv, seen.covariance
+        spots, covariances = self._spots(cameras, [observation.spots for observation in observations])
         return CalibrationProblem(
             camera_names=cameras,
             image_sizes=tuple((entry.model.width, entry.model.height) for entry in entries),
@@ -125,4 +151,48 @@ class SvcCalibrate(Service):
             led_offset_prior_sd=self.rig.settings.light.offset_prior_sd,
             led_offset_nominal=self.rig.cell.led.offset,
             pose_names=tuple(o.pose for o in observations),
+            lengths=self._lengths(cameras, request.lengths) if request.lengths else None,
         )
+
+    def _lengths(self, cameras: tuple[str, ...], lengths: tuple[SeenLength, ...]) -> KnownLengths:
+        """The known lengths in the solver's terms.
+
+        Raises:
+            ImError: A camera is unknown, or a value is impossible.
+        """
+        spots, covariances = self._spots(cameras, [end for length in lengths for end in length.ends])
+        return KnownLengths(
+            np.array([each.length for each in lengths]),
+            np.array([each.standard_deviation for each in lengths]),
+            spots.reshape(len(cameras), len(lengths), 2, 2),
+            covariances.reshape(len(cameras), len(lengths), 2, 2, 2),
+        )
+
+    def _spots(self, cameras: tuple[str, ...], seen: list[dict[str, SeenSpot]]) -> tuple[Array, Array]:
+        """Spots of some cameras, NaN where not seen, shape (c, n, 2) [px]; covariances, shape (c, n, 2, 2) [px^2].
+
+        Raises:
+            NotFoundError: A spot is of a camera that is not known.
+        """
+        spots = np.full((len(cameras), len(seen), 2), np.nan)
+        covariances = np.tile(np.eye(2), (len(cameras), len(seen), 1, 1))
+        for i, by_camera in enumerate(seen):
+            for camera, spot in by_camera.items():
+                if camera in cameras:
+                    c = cameras.index(camera)
+                    spots[c, i], covariances[c, i] = spot.uv, spot.covariance
+                elif camera not in self.rig.settings.cameras:
+                    raise NotFoundError(kind="camera", name=camera, known=self.rig.settings.cameras)
+        return spots, covariances
+
+
+def fixed_to(camera: CameraModel, rotation: Array, origin: Array) -> CameraModel:
+    """A camera with its pose relative to a frame instead of the world.
+
+    Args:
+        camera: The camera, its pose in the world.
+        rotation: Rotation frame -> world, shape (3, 3).
+        origin: Origin of the frame in the world, shape (3,) [m].
+    """
+    translation = camera.R_cam_base @ origin + camera.t_cam_base
+    return replace(camera, R_cam_base=camera.R_cam_base @ rotation, t_cam_base=translation)

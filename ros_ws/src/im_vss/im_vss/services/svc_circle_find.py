@@ -6,8 +6,9 @@ from typing import ClassVar
 from im_vss.edges import EllipseFit
 from im_vss.managers import VisionClient
 from im_vss.services.service import Service
-from im_vss.services.stopwatch import Stopwatch
+from im_vss.stopwatch import Stopwatch
 from im_vss.tools.region import WHOLE, Region
+from im_vss.tools.tool_spot_disp import Circles
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,13 @@ class SvcCircleFind(Service):
         Raises:
             ImError: The camera is unknown, a value out of range, or the camera does not deliver.
         """
+        tool, region = self.tool("tool_circle_find"), self.region(request.camera, request.region)
+        gates = tool.gates(request.radius_min, request.radius_max)
         watch = Stopwatch()
         images = self.shown(client, (request.camera,), request.exposure_s, watch)
         (frame,) = images.frames[request.camera]
         with watch.step("find_s"):
-            found = self.tool("tool_circle_find")(frame, request.region, request.radius_min, request.radius_max)
+            found = tool(frame, region, gates)
+        with watch.step("display_s"):
+            self.tool("tool_spot_disp")(client, {request.camera: Circles(tuple(found))})
         return CircleFindResult(tuple(found), frame.stamp_ns, {**images.timing, **watch.report()})

@@ -8,7 +8,8 @@ from im_core.robot.scenery import Target
 from im_vss.fiducial import FiducialFit
 from im_vss.managers import VisionClient
 from im_vss.services.service import Service
-from im_vss.services.stopwatch import Stopwatch
+from im_vss.stopwatch import Stopwatch
+from im_vss.tools.tool_spot_disp import Fiducials
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class SeenFiducial:
 
 @dataclass(frozen=True)
 class FiducialPoseResult:
-    """The plates by camera and number, why others were not seen, and where the time went, by step [s]."""
+    """The plates by camera and number, why there are no others, and where the time went, by step [s]."""
 
     found: tuple[SeenFiducial, ...]
     cause: str
@@ -44,7 +45,7 @@ class SvcFiducialPose(Service):
     name: ClassVar[str] = "fiducial_pose"
 
     def serve(self, client: VisionClient, request: FiducialPoseRequest) -> FiducialPoseResult:
-        """Find plates.
+        """Find plates; in images of a camera that is not calibrated they are marked, but have no pose.
 
         Raises:
             ImError: A camera or a plate is unknown, the exposure out of range, or the cameras do not deliver.
@@ -54,12 +55,20 @@ class SvcFiducialPose(Service):
         images = self.shown(client, request.cameras, request.exposure_s, watch)
         found: list[SeenFiducial] = []
         causes: list[str] = []
+        shown: dict[str, Fiducials] = {}
         with watch.step("find_s"):
             for camera in request.cameras:
                 (frame,) = images.frames[camera]
                 fits, missed = self.tool("tool_fiducial_pose")(frame, wanted)
-                found += [SeenFiducial(camera, frame.stamp_ns, fit) for fit in fits]
-                causes += [f"{wanted[number].name} in {camera} {cause}" for number, cause in missed.items()]
+                if self.rig.book[camera].calibrated:
+                    found += [SeenFiducial(camera, frame.stamp_ns, fit) for fit in fits]
+                else:
+                    causes.append(f"no pose from {camera}: it is not calibrated")
+                why = [f"{wanted[number].name} in {camera} {cause}" for number, cause in missed.items()]
+                causes += why
+                shown[camera] = Fiducials(tuple(fits), "; ".join(why))
+        with watch.step("display_s"):
+            self.tool("tool_spot_disp")(client, shown)
         return FiducialPoseResult(tuple(found), "; ".join(causes), {**images.timing, **watch.report()})
 
     def _wanted(self, ids: tuple[int, ...]) -> dict[int, Target]:

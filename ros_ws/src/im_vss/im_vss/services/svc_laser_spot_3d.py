@@ -7,8 +7,8 @@ from im_core.testbed_link import LaserBeam
 from im_vss.managers import VisionClient
 from im_vss.services.laser_spots import fixed_cameras, look, why_not
 from im_vss.services.service import Service
-from im_vss.services.stopwatch import Stopwatch
 from im_vss.services.svc_spot_find import CameraSpot
+from im_vss.stopwatch import Stopwatch
 from im_vss.tools.tool_triangulate import StereoFinding
 
 
@@ -48,8 +48,9 @@ class SvcLaserSpot3d(Service):
         power = self.rig.settings.laser.spot_power
         beam = None if request.angles is None else LaserBeam(*request.angles, power=power)
         with watch.step("look_s"):
-            spots, stereo, reading, timing = look(self, client, cameras, beam, request.exposure_s)
+            spots, stereo, reading, images = look(self, client, cameras, beam, request.exposure_s)
         with watch.step("display_s"):
+            self.tool("tool_image_disp")(client, images)
             self.tool("tool_spot_disp")(client, {spot.camera: spot.finding for spot in spots})
         stereo = replace(stereo, cause=why_not(self.rig, spots, stereo, reading))
-        return LaserSpot3dResult(spots, stereo, reading, {**timing, **watch.report()})
+        return LaserSpot3dResult(spots, stereo, reading, {**images.timing, **watch.report()})

@@ -6,8 +6,11 @@ from typing import ClassVar
 from im_vss.edges import LineFit
 from im_vss.managers import VisionClient
 from im_vss.services.service import Service
-from im_vss.services.stopwatch import Stopwatch
+from im_vss.stopwatch import Stopwatch
 from im_vss.tools.region import WHOLE, Region
+from im_vss.tools.tool_spot_disp import Lines
+
+_AS_DRAWN = "{} is not calibrated: its lens is taken as drawn, without distortion; long edges are bent or in pieces"
 
 
 @dataclass(frozen=True)
@@ -29,10 +32,18 @@ class LineFindRequest:
 
 @dataclass(frozen=True)
 class LineFindResult:
-    """The lines, longest first, testbed time of the exposure [ns], and where the time went, by step [s]."""
+    """What was found.
+
+    Attributes:
+        found: The lines, longest first.
+        stamp_ns: Testbed time of the exposure [ns].
+        remark: What a user must know to trust the lines; empty: nothing.
+        timing: Where the time went, by step [s].
+    """
 
     found: tuple[LineFit, ...]
     stamp_ns: int
+    remark: str
     timing: dict[str, float]
 
 
@@ -47,9 +58,14 @@ class SvcLineFind(Service):
         Raises:
             ImError: The camera is unknown, a value out of range, or the camera does not deliver.
         """
+        tool, region = self.tool("tool_line_find"), self.region(request.camera, request.region)
+        gates = tool.gates(request.length_min)
         watch = Stopwatch()
         images = self.shown(client, (request.camera,), request.exposure_s, watch)
         (frame,) = images.frames[request.camera]
         with watch.step("find_s"):
-            found = self.tool("tool_line_find")(frame, request.region, request.length_min)
-        return LineFindResult(tuple(found), frame.stamp_ns, {**images.timing, **watch.report()})
+            found = tool(frame, region, gates)
+        with watch.step("display_s"):
+            self.tool("tool_spot_disp")(client, {request.camera: Lines(tuple(found))})
+        remark = "" if self.rig.book[request.camera].calibrated else _AS_DRAWN.format(request.camera)
+        return LineFindResult(tuple(found), frame.stamp_ns, remark, {**images.timing, **watch.report()})

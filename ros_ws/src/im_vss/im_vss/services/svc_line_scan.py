@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from im_core.errors import ConfigError, StateError
 from im_core.testbed_link import LaserBeam
 from im_vss.frames import Frame
+from im_vss.laser.scanner import check_beam
 from im_vss.managers import VisionClient
 from im_vss.services.laser_spots import fixed_cameras
 from im_vss.services.service import Service
-from im_vss.services.stopwatch import Stopwatch
+from im_vss.stopwatch import Stopwatch
 from im_vss.tools.tool_laser_line import LinePoints
 
 Array = NDArray[np.float64]
@@ -83,10 +84,11 @@ class SvcLineScan(Service):
         watch = Stopwatch()
         middle, half = 0.5 * (request.span[0] + request.span[1]), 0.5 * (request.span[1] - request.span[0])
         power = self.rig.settings.laser.line_power * half / self.rig.cell.laser.range
+        sweep = np.linspace(*request.sweep, request.lines).tolist()
+        beams = [check_beam(LaserBeam(middle, mirror2, half, power), self.rig.cell.laser) for mirror2 in sweep]
         parts: list[LinePoints] = []
         rejected: Counter[str] = Counter()
-        for mirror2 in np.linspace(*request.sweep, request.lines).tolist():
-            beam = LaserBeam(middle, mirror2, half, power)
+        for beam in beams:
             with watch.step("snap_s"):
                 images, reading = self.tool("tool_laser_snap")(client, cameras, beam, request.exposure_s)
             with watch.step("line_s"):

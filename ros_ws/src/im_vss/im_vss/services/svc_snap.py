@@ -6,7 +6,7 @@ from typing import ClassVar
 from im_vss.frames import Frame
 from im_vss.managers import VisionClient
 from im_vss.services.service import Service
-from im_vss.services.stopwatch import Stopwatch
+from im_vss.stopwatch import Stopwatch
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from typing import ClassVar
 from im_core.errors import ConfigError, DataError
 from im_vss.managers import VisionClient
 from im_vss.services.service import Service
-from im_vss.services.stopwatch import Stopwatch
 from im_vss.services.svc_spot_find import CameraSpot, find_in_pairs
+from im_vss.stopwatch import Stopwatch
 from im_vss.tools.tool_triangulate import StereoFinding
 
 

@@ -22,19 +22,25 @@ WHOLE = Region()
 """The whole image."""
 
 
-def cut(image: Image, region: Region) -> tuple[Image, int, int]:
-    """The pixels of a region, shape (h, w), and its upper left corner [px].
+def check_region(region: Region, width: int, height: int) -> Region:
+    """A region of an image of some size [px].
 
     Raises:
         DataError: It is not in the image, or too small to find anything in.
     """
     if region.width == 0:
-        return image, 0, 0
-    height, width = image.shape
+        return WHOLE
     inside = region.u >= 0 and region.v >= 0 and region.u + region.width <= width
     if not inside or region.v + region.height > height or min(region.width, region.height) < _SMALLEST_PX:
         raise DataError(
             f"a region of {region.width} x {region.height} px at ({region.u}, {region.v}) px is not in the image of "
             f"{width} x {height} px, or smaller than {_SMALLEST_PX} px"
         )
+    return region
+
+
+def cut(image: Image, region: Region) -> tuple[Image, int, int]:
+    """The pixels of a region, shape (h, w), and its upper left corner [px]."""
+    if region.width == 0:
+        return image, 0, 0
     return image[region.v : region.v + region.height, region.u : region.u + region.width], region.u, region.v

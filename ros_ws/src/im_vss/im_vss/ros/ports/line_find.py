@@ -25,6 +25,7 @@ class LineFindPort(Port):
         response.stamp = to_time(result.stamp_ns)
         response.lines = [to_segment(line) for line in result.found]
         response.cause = "" if result.found else "nothing in the image is a straight edge of the given length"
+        response.status.message = result.remark
         response.timing_json = json.dumps(result.timing)
 
 

@@ -32,9 +32,9 @@ class Port(ABC):
         """Fill a response from the Service's result."""
 
     def succeed(self, response: Any) -> None:
-        """Mark a response as the answer of a request that was carried out."""
+        """Mark a response as the answer of a request that was carried out; a remark in its status stays."""
         response.success = True
-        response.status = ok_status()
+        response.status = ok_status(response.status.message)
 
     def refuse(self, error: ImError, response: Any) -> None:
         """Say in a response what went wrong."""

@@ -1,0 +1,146 @@
+"""Between calibrations and messages."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Pose
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from im_core.errors import DataError
+from im_msgs.msg import CalibrationReport, CameraCalibration, KnownLength, Rejection, Spot
+from im_msgs.msg import Observation as ObservationMessage
+from im_vss.calibration import Calibration
+from im_vss.services.svc_calibrate import Observation, SeenLength, SeenSpot
+
+Array = NDArray[np.float64]
+
+
+def from_observation(message: ObservationMessage) -> Observation:
+    """An observation from a message.
+
+    Raises:
+        DataError: It holds numbers that are not finite, or no rotation, or two spots of a camera.
+    """
+    position = message.wrist.position
+    return Observation(
+        pose=message.pose,
+        position=np.array([position.x, position.y, position.z]),
+        rotation=rotation_matrix(message.wrist, message.pose),
+        position_covariance=np.array(message.position_covariance).reshape(3, 3),
+        spots=from_spots(message.spots, f"pose '{message.pose}'"),
+    )
+
+
+def from_known_length(message: KnownLength, number: int) -> SeenLength:
+    """A known length from a message.
+
+    Args:
+        message: The message.
+        number: Which it is of the request, for errors.
+
+    Raises:
+        DataError: A value is impossible, or a light has two spots of a camera.
+    """
+    place = f"known length {number}"
+    if not (math.isfinite(message.length) and message.length > 0.0):
+        raise DataError(f"{place} is {message.length:g} m, it must be finite and > 0", length=message.length)
+    if not (math.isfinite(message.sd) and message.sd >= 0.0):
+        raise DataError(f"the sd of {place} is {message.sd:g} m, it must be finite and >= 0", sd=message.sd)
+    first, second = from_spots(message.first, f"{place}, first"), from_spots(message.second, f"{place}, second")
+    return SeenLength(message.length, message.sd, (first, second))
+
+
+def from_spots(messages: Sequence[Spot], place: str) -> dict[str, SeenSpot]:
+    """Spots of one light by camera, from messages; those that were not found are left out.
+
+    Args:
+        messages: The messages.
+        place: Of what they are, for errors.
+
+    Raises:
+        DataError: Two are of one camera, or a number is not finite, or a covariance is none.
+    """
+    spots: dict[str, SeenSpot] = {}
+    for spot in messages:
+        if not spot.found:
+            continue
+        if spot.camera in spots:
+            raise DataError(f"{place} has two spots of {spot.camera}", camera=spot.camera)
+        uv, covariance = np.array([spot.u, spot.v]), np.array(spot.covariance).reshape(2, 2)
+        if not np.all(np.isfinite(uv)):
+            raise DataError(f"{place}: the spot of {spot.camera} at {uv.tolist()} px is not finite", camera=spot.camera)
+        if not is_covariance(covariance):
+            raise DataError(f"{place}: {covariance.tolist()} is no covariance of a spot of {spot.camera} [px^2]")
+        spots[spot.camera] = SeenSpot(uv, covariance)
+    return spots
+
+
+def is_covariance(matrix: Array) -> bool:
+    """Whether a matrix, shape (n, n), is finite, symmetric and positive definite."""
+    if not np.all(np.isfinite(matrix)) or np.abs(matrix - matrix.T).max() > 1e-6 * np.abs(matrix).max():
+        return False
+    return bool(np.linalg.eigvalsh(matrix)[0] > 0.0)
+
+
+def to_report(
+    calibration: Calibration, offset: tuple[float, float, float], message: str, **fields: Any
+) -> CalibrationReport:
+    """A calibration as a message.
+
+    Args:
+        calibration: The estimate.
+        offset: Nominal offset of the light in the wrist frame [m].
+        message: The outcome in a sentence.
+        **fields: Further fields of the message.
+    """
+    scale = calibration.scale
+    return CalibrationReport(
+        success=calibration.success,
+        message=message,
+        cameras=[
+            CameraCalibration(
+                name=camera.name,
+                width=camera.model.width,
+                height=camera.model.height,
+                k=camera.model.K.ravel(),
+                d=camera.model.D,
+                r_cam_base=camera.model.R_cam_base.ravel(),
+                t_cam_base=camera.model.t_cam_base,
+                rms=camera.rms_px,
+                points=camera.spots_used,
+                covariance=_finite_or_empty(camera.covariance),
+            )
+            for camera in calibration.cameras
+        ],
+        points_used=calibration.points_used,
+        points_rejected=[Rejection(pose=r.pose, camera=r.camera, reason=r.reason) for r in calibration.rejections],
+        led_offset=np.array(offset) + calibration.led_offset_error,
+        chi2_per_dof=calibration.chi2_per_dof,
+        verdicts=[str(verdict) for verdict in calibration.verdicts],
+        expected_triangulation=calibration.expected.triangulation_rms_mm,
+        expected_reprojection=calibration.expected.reprojection_rms_px,
+        lengths_used=scale.lengths_used if scale else 0,
+        scale_error=scale.error if scale else math.nan,
+        scale_sd=scale.standard_deviation if scale else math.nan,
+        **fields,
+    )
+
+
+def rotation_matrix(pose: Pose, name: str) -> Array:
+    """Rotation of a pose, shape (3, 3).
+
+    Raises:
+        DataError: Its quaternion is not of unit length.
+    """
+    q = pose.orientation
+    length = math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
+    if not abs(length - 1.0) < 1e-3:
+        raise DataError(f"the orientation of pose '{name}' has length {length:.4g}, it must be 1", pose=name)
+    return np.asarray(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix())
+
+
+def _finite_or_empty(covariance: Array) -> list[float]:
+    return covariance.ravel().tolist() if np.all(np.isfinite(covariance)) else []
