@@ -107,4 +107,4 @@ class NotFoundError(ImError):
         near = difflib.get_close_matches(name, names, n=1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         listed = f" (known: {', '.join(names)})" if names else ""
-        super().__init__(f"there is no {kind} '{name}'{hint}{listed}", kind=kind, name=name, known=names)
+        super().__init__(f"there is no {kind} {name!r}{hint}{listed}", kind=kind, name=name, known=names)

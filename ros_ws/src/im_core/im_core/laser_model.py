@@ -77,9 +77,10 @@ class LaserModel:
         Raises:
             DataError: A point is not finite, or behind the scanner.
         """
-        point = (np.asarray(target, dtype=float) - self.position) @ self.rotation
-        if not np.all(np.isfinite(point)):
+        places = np.asarray(target, dtype=float)
+        if not np.all(np.isfinite(places)):
             raise DataError("a target of the laser is not finite")
+        point = (places - self.position) @ self.rotation
         if np.any(point[..., 2] <= 0.0):
             raise DataError(f"the target is behind the laser scanner, by {-float(point[..., 2].min()):.3f} m")
         alpha = np.arctan2(point[..., 0], self.gap + np.hypot(point[..., 1], point[..., 2]))

@@ -21,6 +21,7 @@ def test_the_nearest_name_is_offered_only_if_it_is_near() -> None:
     assert "did you mean 'ceiling_left'?" in NotFoundError(kind="camera", name="celing_left", known=known).message
     far = NotFoundError(kind="camera", name="zzz", known=known).message
     assert far == "there is no camera 'zzz' (known: ceiling_left, wall)"
+    assert "camera 'a\\nb'" in NotFoundError(kind="camera", name="a\nb").message
 
 
 def test_a_time_out_says_what_it_waited_for() -> None:
