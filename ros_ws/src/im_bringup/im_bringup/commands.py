@@ -9,7 +9,7 @@ from im_bringup.agent import Command
 from im_bringup.deployment import Deployment, ParameterValue
 from im_bringup.executables import path_of
 from im_bringup.leftovers import MARKER
-from im_core import names
+from im_core import names, scheduling
 
 
 def commands(deployment: Deployment, host: str, run_dir: Path) -> list[Command]:
@@ -41,6 +41,7 @@ def write_parameters(run_dir: Path, task: str, parameters: Mapping[str, Paramete
     return path
 
 
-def environment(base: Mapping[str, str], run_dir: Path) -> dict[str, str]:
-    """Environment of the machine's processes: marked as belonging to it, and with its folder."""
-    return {**base, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir)}
+def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:
+    """Environment of the machine's processes: marked as belonging to it, with its folder, and the core of its servo."""
+    core = scheduling.reserve() if deployment.clock_factor > 0.0 else {}
+    return {**base, **core, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir)}

@@ -175,7 +175,7 @@ def spawn_bootstrap(deployment: Deployment, path: Path) -> "subprocess.Popen[byt
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env=environment(os.environ, run_dir),
+            env=environment(os.environ, run_dir, deployment),
             start_new_session=True,
         )
 

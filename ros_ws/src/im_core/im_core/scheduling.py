@@ -9,7 +9,25 @@ _PR_SET_PDEATHSIG = 1
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
 _FAVOURED_NICENESS = -15
+_CORE = "IM_SERVO_CORE"
 _LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+def reserve() -> dict[str, str]:
+    """What the environment of a paced machine's processes says, so that its servo meets its deadlines.
+
+    Where SCHED_FIFO is not permitted, processes that :func:`prefer` have the highest core to themselves, and those that
+    :func:`keep_off` leave it to them. Nothing where it is permitted, where there is one core only, or where whoever
+    started this process has seen to it.
+    """
+    cores = os.sched_getaffinity(0)
+    return {} if _CORE in os.environ or len(cores) == 1 or _fifo_permitted() else {_CORE: str(max(cores))}
+
+
+def keep_off() -> None:
+    """Leave the core that is reserved, if one is; holds for threads and processes that are started from now on."""
+    if _CORE in os.environ:
+        os.sched_setaffinity(0, os.sched_getaffinity(0) - {int(os.environ[_CORE])})
 
 
 def prefer(priority: int, paced: bool) -> bool:
@@ -18,7 +36,7 @@ def prefer(priority: int, paced: bool) -> bool:
     A paced process sleeps every tick and gets SCHED_FIFO. One that runs as fast as it goes would starve the rest of
     the computer that way, as soon as two machines share it. It gets SCHED_FIFO on one core, the same for all such
     processes (servo and physics take turns in any case), which leaves the others free; a single core is only favoured
-    by niceness.
+    by niceness. Where SCHED_FIFO is not permitted, a paced process goes to the core of :func:`reserve`.
 
     Args:
         priority: SCHED_FIFO priority, 1 to 99.
@@ -40,7 +58,18 @@ def prefer(priority: int, paced: bool) -> bool:
         if not paced:
             os.sched_setaffinity(0, {max(cores)})
     except PermissionError:
+        if paced and _CORE in os.environ:
+            os.sched_setaffinity(0, {int(os.environ[_CORE])})
         return False
+    return True
+
+
+def _fifo_permitted() -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     return True
 
 

@@ -35,7 +35,7 @@ class AgentNode(Node):
         super().__init__("agent_" + re.sub(r"\W", "_", host))
         run_dir = names.run_dir().resolve() / host
         shutil.rmtree(run_dir / "journal", ignore_errors=True)  # a new machine is a new mission
-        self._agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir))
+        self._agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))
         self._started = False
         self.finished = False
         self.create_subscription(UInt8, PHASE_TOPIC, lambda message: self._follow(Phase(message.data)), qos.LATCHED)

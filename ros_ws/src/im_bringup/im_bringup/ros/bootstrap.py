@@ -44,7 +44,7 @@ class BootstrapNode(Node):
         super().__init__("bootstrap")
         self._deployment, self._path = deployment, path
         self._run_dir = names.run_dir().resolve()
-        agent = Agent(commands(deployment, host, self._run_dir), environment(os.environ, self._run_dir))
+        agent = Agent(commands(deployment, host, self._run_dir), environment(os.environ, self._run_dir, deployment))
         self._bootstrap = Bootstrap(list(deployment.tasks()), agent, host)
         self._process = ProcessId.current()
         self._written: MachineRecord | None = None

@@ -15,6 +15,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from im_core import scheduling
 from im_core.errors import ImError
 from im_core.ros.node import ManagedNode
 
@@ -91,6 +92,7 @@ def main(
     Returns:
         Exit code: 0 after an orderly end, 1 if the node could not be made.
     """
+    scheduling.keep_off()
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = make_node()
