@@ -142,7 +142,7 @@ def accuracy_lines(seeds: int, port: int) -> list[Line]:
         for name, values in ratios.items():
             values.append(error[name] / report["expected_error"][name])
     lines = [
-        Line(f"{name}, true/expected, {seeds} seeds", math.sqrt(statistics.fmean(v * v for v in values)), "", bar=1.3)
+        Line(f"{name}, true/expected, {seeds} seeds", math.sqrt(statistics.fmean(v * v for v in values)), "", bar=1.2)
         for name, values in ratios.items()
     ]
     return [*lines, Line(f"chi2/dof, mean of {seeds} seeds", statistics.fmean(chi2), "")]
