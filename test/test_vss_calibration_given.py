@@ -1,7 +1,8 @@
-"""Node ``/vss`` started with the calibrations of an earlier run."""
+"""Node ``/vss`` started with the calibrations of an earlier run, and what it says of itself on ``/diagnostics``."""
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
@@ -9,10 +10,11 @@ from im_core.calibration_files import read_calibration
 from im_core.camera_model import CameraModel
 from im_core.robot import load_cell
 from im_core.ros import qos
-from im_msgs.srv import LaserPoint, SpotFindStereo
+from im_msgs.srv import LaserPoint, Snap, SpotFindStereo
 from im_sim.truth import draw_truth
 from im_vss.camera_book import CameraBook
 from im_vss.laser.book import LaserBook
+from im_vss.managers import VisionClient
 from im_vss.ros.messages import from_camera_info, quaternion
 
 CELL = load_cell()
@@ -90,3 +92,45 @@ def test_this_run_leaves_all_that_it_started_with(machine, earlier):
     found, before = read_calibration(kept, CELL), read_calibration(earlier[0], CELL)
     assert found.summary() == before.summary()
     assert np.array_equal(found.laser.covariance, COVARIANCE)
+
+
+@pytest.fixture
+def told(machine):
+    """``told()``: the last message and values of ``/diagnostics`` by name of the status; empty before the first."""
+    seen = machine.listen(DiagnosticArray, "/diagnostics", qos.STATUS)
+
+    def last():
+        for message in reversed(seen):
+            statuses = {status.name: status for status in message.status}
+            if "vss: modules" in statuses:
+                return statuses, {pair.key: pair.value for status in message.status for pair in status.values}
+        return {}, {}
+
+    machine.until(lambda: last()[0])
+    return last
+
+
+def test_diagnostics_say_where_each_calibration_comes_from(earlier, told):
+    statuses, values = told()
+    status = statuses["vss: calibrations"]
+    assert (status.level, status.hardware_id) == (DiagnosticStatus.OK, "cameras and laser scanner")
+    assert status.message == "2 of 5 cameras are calibrated; the laser scanner is calibrated"
+    assert values["ceiling_left"] == f"intrinsics {earlier[0]}/ceiling_left.yaml, pose {earlier[0]}/extrinsics.yaml"
+    assert (values["wall"], values["laser_scanner"]) == ("as drawn", f"{earlier[0]}/laser.yaml")
+
+
+def test_diagnostics_show_the_modules_and_warn_once_of_a_lease_that_lapsed(machine, told):
+    vmm, somebody = machine.vss._vsm.managers["image_processing"], VisionClient("somebody")
+    client = machine.client.create_client(Snap, "/vss/snap")
+    machine.until(client.service_is_ready)
+    with vmm.lend("vm_snap", somebody):
+        future = client.call_async(Snap.Request(cameras=["wall"]))
+        machine.until(lambda: (told()[1]["vm_snap owner"], told()[1]["vm_snap queue"]) == ("somebody", "1"))
+        status = told()[0]["vss: modules"]
+        assert (status.level, status.message) == (DiagnosticStatus.OK, "requests under way: 1")
+        somebody.cancel()
+    machine.until(future.done)
+    machine.until(lambda: told()[0]["vss: modules"].level == DiagnosticStatus.WARN)
+    assert "a lease lapsed of vm_snap" in told()[0]["vss: modules"].message
+    machine.until(lambda: told()[0]["vss: modules"].level == DiagnosticStatus.OK)
+    assert (told()[1]["vm_snap owner"], told()[1]["vm_snap lapsed"]) == ("free", "1")

@@ -203,6 +203,8 @@ def test_calibrate_applies_and_writes(machine, tmp_path):
     info = machine.call(Snap, "/vss/snap", cameras=["ceiling_left"]).camera_infos[0]
     assert np.array_equal(info.k, report.cameras[0].k)
     assert abs(info.k[0] - truth["cameras"]["ceiling_left"]["K"][0][0]) < 3.0
+    right = yaml.safe_load((tmp_path / "result" / "ceiling_right.yaml").read_text())["projection_matrix"]["data"]
+    assert np.isclose(right[3] / right[0], -1.8, atol=0.05)  # the file is of the stereo pair: minus the baseline
 
     def placed():
         if not transforms:

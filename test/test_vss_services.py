@@ -223,7 +223,9 @@ def test_images_at_a_rate_do_not_drive_the_clock_on(machine):
 def test_state_is_answered_and_latched_and_cancels(machine):
     state = machine.call(VisionQuery, "/vss/query").state
     assert set(state.services) == set(machine.vss._vsm.services)
-    assert [module.name for module in state.modules] == ["vm_snap", "vm_image_disp", "vm_spot_disp", "vm_laser"]
+    assert [module.name for module in state.modules] == [
+        "vm_snap", "vm_image_disp", "vm_spot_disp", "vm_solver", "vm_laser",
+    ]  # fmt: skip
     assert all(module.leases == module.released + module.lapsed for module in state.modules)
     answer = machine.call(VisionCancel, "/vss/cancel", request="snap #0")
     assert "there is no request under way 'snap #0'" in answer.status.message

@@ -24,7 +24,7 @@ class ProgressLines:
     """Turns firings of the net ``calibrate_camera`` into lines; the steps of a pose are told together."""
 
     def __init__(self) -> None:
-        self._pose = 0
+        self._pose = self._total = 0
         self._steps: list[str] | None = None
 
     def line(self, transition: str, phase: FiringPhase, message: str, fraction: float, duration_s: float) -> str | None:
@@ -47,6 +47,8 @@ class ProgressLines:
         if self._steps is None:
             return _told(fraction, step) if phase is FiringPhase.FAILED else None
         if transition in LAST or transition.startswith(ABORTS):
+            if transition in LAST and fraction > 0.0:  # an aborted pose is not part of the fraction
+                self._total = round(self._pose / fraction)
             line = self._pose_line(fraction)
             self._steps = None
             return line
@@ -63,7 +65,7 @@ class ProgressLines:
         return _told(fraction, transition)
 
     def _pose_line(self, fraction: float) -> str:
-        total = f" of {round(self._pose / fraction)}" if fraction > 0 else ""
+        total = f" of {self._total}" if self._total else ""
         return _told(fraction, f"pose {self._pose}{total}: {', '.join(self._steps or [])}")
 
 

@@ -14,7 +14,7 @@ def summary(report: Mapping[str, Any]) -> str:
         f"{'camera':<16}{'fx':>9}{'fy':>9}{'cx':>8}{'cy':>8}{'k1':>9}{'residuals':>12}",
         *(_camera_line(camera) for camera in report["cameras"]),
         "",
-        f"points           {report['points_used']} used, {len(report['points_rejected'])} rejected; "
+        f"points           {report['points_used']} used, {len(report['points_rejected'])} left out; "
         f"chi2/dof {_number(report['chi2_per_dof'], '.3f')}",
         f"light            {_millimetres(report['led_offset_m'])} mm from the wrist",
         error_lines(report),
@@ -44,8 +44,9 @@ def _camera_line(camera: Mapping[str, Any]) -> str:
 
 def _errors(errors: Mapping[str, Any]) -> str:
     reprojection = _number(errors["reprojection_px"], ".3f")
-    triangulation = _number(errors["triangulation_mm"], ".3f")
-    return f"{reprojection} px reprojection, {triangulation} mm triangulation, RMS over the workspace"
+    triangulation = errors["triangulation_mm"]  # one camera has none
+    second = f", {triangulation:.3f} mm triangulation" if triangulation is not None else ""
+    return f"{reprojection} px reprojection{second}, RMS over the workspace"
 
 
 def _millimetres(vector: Sequence[float]) -> str:

@@ -50,6 +50,13 @@ def test_failures_are_told_with_their_reason():
 def test_an_abort_ends_the_pose():
     assert told(
         *both("read_next_pos", 0.0, 0.0),
+        *both("loop_again", 0.025, 0.0),
+        *both("read_next_pos", 0.025, 0.0),
+        ("find_spot", FAILED, "vss is missing", 0.025, 6.0),
+        *both("abort_unseen", 0.025, 0.0),
+    ) == ["[  2 %] pose 1 of 40: ", "[  2 %] pose 2 of 40: find_spot failed: vss is missing"]
+    assert told(
+        *both("read_next_pos", 0.0, 0.0),
         ("move_robot", FAILED, "e-stop", 0.0, 1.0),
         *both("abort_unreached", 0.0, 0.0),
         *both("abort_light_off", 0.0, 0.1),

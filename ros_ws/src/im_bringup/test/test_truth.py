@@ -100,3 +100,6 @@ def test_the_summary_is_short():
     assert "expected error   - px reprojection, 1.000 mm triangulation" in text
     assert "20.0 s for 300.0 s of the cell (15.0 times real time)" in text
     assert len(text.splitlines()) < 12
+    alone = report()
+    alone["expected_error"] = {"reprojection_px": 0.022, "triangulation_mm": None}
+    assert "expected error   0.022 px reprojection, RMS over the workspace" in summary(alone)

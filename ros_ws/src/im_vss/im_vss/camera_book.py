@@ -105,6 +105,16 @@ class CameraBook:
         """
         return self._set(models, intrinsics=True, pose=True)
 
+    def rectified(self, models: Mapping[str, CameraModel]) -> dict[str, Rectified]:
+        """R and P that cameras would have with these models; those of a stereo pair where both are given.
+
+        Raises:
+            NotFoundError: A camera is not known.
+        """
+        entries = {name: replace(self[name], model=model) for name, model in models.items()}
+        pairs = [pair for pair in self._pairs if models.keys() >= set(pair)]
+        return {name: entry.rectified for name, entry in _rectified(entries, pairs).items()}
+
     def take(self, files: CalibrationFiles) -> tuple[str, ...]:
         """Use calibrations of an earlier run, and write what is in use now.
 

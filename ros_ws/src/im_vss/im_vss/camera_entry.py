@@ -44,10 +44,15 @@ class CameraEntry:
 
     def told(self) -> str:
         """Where its calibration comes from, in a sentence."""
+        return f"{self.name}: {self.origin}"
+
+    @property
+    def origin(self) -> str:
+        """Files of its lens and pose, or that they are the drawing's."""
         if self.intrinsics_file is None and self.pose_file is None:
-            return f"{self.name}: as drawn"
+            return "as drawn"
         lens, pose = (str(file) if file is not None else "as drawn" for file in (self.intrinsics_file, self.pose_file))
-        return f"{self.name}: intrinsics {lens}, pose {pose}"
+        return f"intrinsics {lens}, pose {pose}"
 
     def with_intrinsics(self, lens: CameraModel, folder: Path) -> Self:
         """The entry with intrinsics and lens of `lens`, from the camera's file in `folder`.

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import DataError
-from im_vss.calibration import calibrate_dataset, next_best_pose
+from im_vss.calibration import calibrate_dataset, command, next_best_pose
 from im_vss.calibration.answer import answer
 from im_vss.calibration.dataset import problems
 from im_vss.calibration.synthetic import Design, make_scene
@@ -83,11 +83,22 @@ def test_where_there_is_no_estimate_the_flag_says_why():
     assert trial["cameras"] == []
     assert trial["flags"] == ["UNOBSERVABLE"]
     assert "at least 7" in trial["message"]
-    assert trial["verdicts"][0]["parameters"]
+    (verdict,) = trial["verdicts"]
+    assert verdict["parameters"]
+    assert verdict["advice"] == "Add poses in its view, or leave the camera out."
+    assert trial["message"] == f"UNOBSERVABLE: {verdict['reason']} {verdict['advice']}"
 
 
 def without(content, key):
     del content[key]
+
+
+def without_poses(content):
+    for key in ("cov_x_m2", "wrist_R_base", "J_joint"):
+        content[key] = []
+    content["sigma_u_px"] = [[] for _ in content["sigma_u_px"]]
+    for trial in content["trials"]:
+        trial |= {"x_base_m": [], "u_px": [[] for _ in trial["u_px"]]}
 
 
 def put(value, *path):
@@ -107,6 +118,7 @@ def put(value, *path):
         (put([], "trials"), "at least one trial"),
         (put("big", "image_size"), "image_size is a text, a list of 2 is needed"),
         (put([640, -1], "image_size"), "image_size is 640 x -1"),
+        (without_poses, "needs poses, none is given"),
         (put([[0.1]], "sigma_u_px"), r"sigma_u_px\[0\] has 1 elements, 10 are needed"),
         (put(0, "sigma_u_px", 1, 3), r"sigma_u_px\[1\]\[3\] is 0, it must be > 0"),
         (put(None, "wrist_R_base"), "wrist_R_base is null"),
@@ -159,7 +171,7 @@ def test_the_command_writes_the_answers(tmp_path, capsys):
     _, content = dataset(Design(), [5])
     source, target = tmp_path / "in.json", tmp_path / "out.json"
     source.write_text(json.dumps(content))
-    assert calibrate_dataset.main([str(source), str(target)]) == calibrate_dataset.OK
+    assert calibrate_dataset.main([str(source), str(target)]) == command.OK
     assert len(json.loads(target.read_text())["trials"]) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.json", "out.json"]
     assert "trial 0: Calibrated camera_0, camera_1" in capsys.readouterr().out
@@ -179,7 +191,7 @@ def test_the_command_says_what_is_wrong_with_a_file(tmp_path, capsys, text, sent
     source, target = tmp_path / "in.json", tmp_path / "out.json"
     source.write_bytes(text)
     target.write_text("before")
-    assert calibrate_dataset.main([str(source), str(target)]) == calibrate_dataset.BAD_INPUT
+    assert calibrate_dataset.main([str(source), str(target)]) == command.BAD_INPUT
     assert sentence in capsys.readouterr().err
     assert target.read_text() == "before"
 

@@ -1,5 +1,6 @@
 """Further poses: what they will bring is what they bring, and the chosen ones beat those by chance."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -8,7 +9,8 @@ import pytest
 import yaml
 
 from im_core.errors import ConfigError, DataError
-from im_vss.calibration import calibrate
+from im_vss.calibration import calibrate, next_best_pose
+from im_vss.calibration.dataset_file import dataset_of
 from im_vss.calibration.evaluation.further_poses import further_poses
 from im_vss.calibration.expected import expected_error
 from im_vss.calibration.next_pose import Candidates, next_best_poses, unknowns_of
@@ -106,3 +108,15 @@ def test_a_pose_file_is_refused_by_line_and_name(known, tmp_path):
     bent = [{"name": "x", "position_m": [0, 0, 1], "orientation_xyzw": [0, 0, 0, 2]}]
     with pytest.raises(ConfigError, match="unit quaternion"):
         load_candidates(pose_file(tmp_path / "c.yaml", pool, poses=bent), problem)
+
+
+def test_the_command_says_when_what_it_counts_on_is_doubtful(tmp_path, capsys):
+    scene = make_scene(Design(poses=8), 3)
+    data, poses = tmp_path / "data.json", tmp_path / "poses.yaml"
+    data.write_text(json.dumps(dataset_of(scene.problem)))
+    pose = {"name": "a", "position_m": [0.1, 0.0, 1.1], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    poses.write_text(json.dumps({"frame": "world", "poses": [pose]}))
+    assert next_best_pose.main([str(data), str(poses)]) == 0
+    told = capsys.readouterr()
+    assert told.out.splitlines()[1].startswith("a ")
+    assert "doubtful, for the data are: UNOBSERVABLE: camera_0 has" in told.err

@@ -69,7 +69,10 @@ def test_the_summary_is_made_of_the_report(solved, failed):
     text = summary(report_of(*solved))
     for word in ("camera_0", "camera_1", "fx, fy [px]", "±", "LED offset [mm]", "joint offsets", "Rejected"):
         assert word in text
-    assert "UNOBSERVABLE" in summary(report_of(*failed))
+    alone = summary(report_of(*failed))
+    assert "UNOBSERVABLE" in alone
+    assert "mm triangulation" in text
+    assert "triangulation" not in alone  # one camera has none
 
 
 def test_a_good_calibration_is_written_whole(solved, tmp_path):

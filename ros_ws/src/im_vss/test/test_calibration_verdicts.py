@@ -166,3 +166,15 @@ def test_a_camera_that_moved_a_little_is_told_from_outliers():
     calibration = calibrate(BAD["camera moved by 1 px"].make(909))
     assert kinds(calibration) == {"MISFIT"}
     assert "as if it had moved" in calibration.message
+
+
+def test_a_misfit_of_wrong_units_says_so():
+    """Positions in millimetres with covariances in metres; an image size that is not the camera's."""
+    problem = make_scene(Design(led_offset_prior_sd=0.0), 5).problem
+    reason = calibrate(replace(problem, positions=1e3 * problem.positions)).message
+    assert "MISFIT" in reason
+    assert "m and more from their median: are they metres?" in reason
+    reason = calibrate(replace(problem, image_sizes=((64, 48),) * 2)).message
+    assert "MISFIT" in reason
+    assert "spots of camera_1 are not in its image of 64 x 48 px." in reason
+    assert "units and axes of the data [m, px]" in reason

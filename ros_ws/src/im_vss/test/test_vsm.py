@@ -2,17 +2,20 @@
 
 import threading
 
+import numpy as np
 import pytest
 import yaml
 
 from im_core import clock
-from im_core.errors import NotFoundError, StateError
+from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.robot import load_cell
 from im_vss import deployment
+from im_vss.calibration.synthetic import Design, make_scene
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import Catalogue, load_catalogue
 from im_vss.frames import FrameSet
 from im_vss.rig import Rig
+from im_vss.services.svc_calibrate import CalibrateRequest, Observation, SeenSpot
 from im_vss.services.svc_snap import SnapRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import VisionServicesManager
@@ -114,6 +117,39 @@ def test_a_cancelled_request_leaves_the_queue_and_the_module(system):
     assert vsm.state().modules["vm_snap"][1].lapsed == 1
     with pytest.raises(NotFoundError, match="no request under way 'snap #1'"):
         vsm.cancel("snap #1")
+
+
+def test_calibrations_take_turns_and_the_second_does_not_wait_for_ever(system, monkeypatch):
+    """Without turns 50 calibrations at once share the time of one, and everything else waits for all of them."""
+    vsm, _ = system
+    began, go, outcomes = threading.Event(), threading.Event(), []
+
+    def slow(problem):
+        began.set()
+        go.wait(10.0)
+        raise DataError("solved, after a fashion")
+
+    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", slow)
+    monkeypatch.setattr(vsm.managers["image_processing"], "wait_s", 0.2)
+    problem = make_scene(Design(poses=7), 1).problem
+    seen = {"wall": SeenSpot(problem.spots[0, 0], np.eye(2))}
+    one = Observation("p", problem.positions[0], np.eye(3), problem.position_covariances[0], seen)
+
+    def run():
+        try:
+            vsm.request("calibrate", CalibrateRequest(("wall",), (one,)))
+        except ImError as error:
+            outcomes.append(error.message)
+
+    first = threading.Thread(target=run)
+    first.start()
+    assert began.wait(5.0)
+    assert vsm.state().modules["vm_solver"][1].owner == "calibrate #1"
+    run()
+    assert "vm_solver, held by calibrate #1, 0 before calibrate #2" in outcomes[0]
+    go.set()
+    first.join()
+    assert outcomes[1:] == ["solved, after a fashion"]
 
 
 def test_the_deployment_of_the_services_in_use(capsys):

@@ -24,8 +24,8 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         result = calibrate(problem)
     except (DegenerateDataError, InconsistentDataError) as error:
         flag = "UNOBSERVABLE" if isinstance(error, DegenerateDataError) else "MISFIT"
-        parameters = list(error.parameters) if isinstance(error, DegenerateDataError) else []
-        verdict = {"kind": flag, "parameters": parameters, "reason": error.message, "advice": ""}
+        parameters = list(error.parameters)
+        verdict = {"kind": flag, "parameters": parameters, "reason": error.reason, "advice": error.advice}
         message = f"{flag}: {error.message}"
         return {"cameras": [], "chi2_per_dof": None, "flags": [flag], "message": message, "verdicts": [verdict]}
     report = report_of(result, problem)

@@ -1,18 +1,16 @@
 """``calibrate_dataset IN.json OUT.json``: calibrate the cameras of each trial of a data set."""
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from im_core.clock import monotonic
-from im_core.errors import ImError
+from im_core.errors import DataError
 from im_core.files import write_whole
+from im_vss.calibration import command
 from im_vss.calibration.answer import answer
 from im_vss.calibration.dataset import load_problems
-
-OK, BAD_INPUT, INTERRUPTED = 0, 1, 130
 
 _QUIET_S = 2.0
 
@@ -48,39 +46,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    options = _parser().parse_args(arguments)
-    try:
-        _calibrate(options.input, options.output)
-    except ImError as error:
-        print(f"calibrate_dataset: {error.message}", file=sys.stderr)
-        return BAD_INPUT
-    except OSError as error:
-        print(f"calibrate_dataset: {options.output}: {error.strerror}.", file=sys.stderr)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        print("calibrate_dataset: interrupted, nothing is written", file=sys.stderr)
-        return INTERRUPTED
-    return OK
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="calibrate_dataset",
-        description="Calibrate the cameras of each trial of a data set of wrist-LED observations.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = command.parser(
+        "calibrate_dataset", "Calibrate the cameras of each trial of a data set of wrist-LED observations.", _EPILOG
     )
     parser.add_argument("input", type=Path, metavar="IN.json", help="data set")
     parser.add_argument("output", type=Path, metavar="OUT.json", help="where the answers go, whole or not at all")
-    return parser
+    options = parser.parse_args(arguments)
+    return command.run("calibrate_dataset", lambda: _calibrate(options.input, options.output))
 
 
 def _calibrate(source: Path, target: Path) -> None:
     problems = load_problems(source)
     if target.is_dir() or not target.parent.is_dir():
-        raise ImError(f"{target}: a file in an existing directory is needed.", file=str(target))
+        raise DataError(f"{target}: a file in an existing directory is needed.", file=str(target))
     if target.exists() and target.samefile(source):
-        raise ImError(f"{target}: the answers would replace the data set; name another file.", file=str(target))
+        raise DataError(f"{target}: the answers would replace the data set; name another file.", file=str(target))
     begin = told = monotonic()
     trials = []
     for i, problem in enumerate(problems):
@@ -88,7 +68,10 @@ def _calibrate(source: Path, target: Path) -> None:
         if monotonic() - told > _QUIET_S:
             told = monotonic()
             print(f"{i + 1} of {len(problems)} trials, {told - begin:.0f} s", file=sys.stderr, flush=True)
-    write_whole(target, json.dumps({"trials": trials}, indent=1, allow_nan=False) + "\n")
+    try:
+        write_whole(target, json.dumps({"trials": trials}, indent=1, allow_nan=False) + "\n")
+    except OSError as error:
+        raise DataError(f"{target}: {error.strerror}.", file=str(target)) from error
     for i, trial in enumerate(trials):
         print(f"trial {i}: {trial['message']}")
 

@@ -7,19 +7,32 @@ class DegenerateDataError(DataError):
     """The observations cannot determine the cameras at all, so there is no estimate to judge (verdict UNOBSERVABLE).
 
     Args:
-        message: A sentence naming what is missing and what to do.
+        reason: A sentence naming what is missing.
+        advice: A sentence saying what to do about it.
         parameters: Names of the parameters that cannot be known.
         **facts: Further figures, such as ``camera`` and ``spots``.
     """
 
     default_code = "unobservable"
 
-    def __init__(self, message: str, *, parameters: tuple[str, ...] = (), **facts: object) -> None:
-        super().__init__(message, code=self.default_code, **{"parameters": list(parameters), **facts})
+    def __init__(self, reason: str, advice: str, *, parameters: tuple[str, ...] = (), **facts: object) -> None:
+        super().__init__(f"{reason} {advice}", code=self.default_code, **{"parameters": list(parameters), **facts})
+        self.reason = reason
+        self.advice = advice
         self.parameters = parameters
 
 
 class InconsistentDataError(DataError):
-    """No camera at all explains the observations, so there is no estimate to judge (verdict MISFIT)."""
+    """No camera at all explains the observations, so there is no estimate to judge (verdict MISFIT).
+
+    Args:
+        camera: Name of the camera.
+    """
 
     default_code = "misfit"
+
+    def __init__(self, camera: str) -> None:
+        self.reason = f"No camera explains where {camera} saw the LED."
+        self.advice = "Check that the spots belong to these poses, and the units and axes of the data [m, px]."
+        super().__init__(f"{self.reason} {self.advice}", code=self.default_code, camera=camera)
+        self.parameters: tuple[str, ...] = ()

@@ -1,13 +1,13 @@
 """``next_best_pose DATA.json POSES.yaml``: which further poses would improve the calibration of a data set most."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from im_core.errors import DataError, ImError
+from im_core.errors import DataError
 from im_core.robot import load_cell
+from im_vss.calibration import command
 from im_vss.calibration.dataset import load_problems
 from im_vss.calibration.next_pose import NextPose, next_best_poses
 from im_vss.calibration.pipeline import calibrate
@@ -22,7 +22,8 @@ DATA.json has the format vislab-calib-1 (calibrate_dataset --help); POSES.yaml h
 Printed are the poses to measure, best first, each on top of those before it, and the expected errors over the
 workspace (root mean square) before it and with it.
 
-exit codes: 0 the poses are printed; 1 a file cannot be used, or the data give no cameras; 2 wrong arguments
+exit codes: 0 the poses are printed; 1 a file cannot be used, or the data give no cameras; 2 wrong arguments;
+            130 interrupted
 
 example:  scripts/run.sh im_mcs poses --count 200 --seed 7 --output poses.yaml
           scripts/run.sh im_vss next_best_pose data.json poses.yaml --count 5
@@ -38,31 +39,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    options = _parser().parse_args(arguments)
-    try:
-        chosen = _choose(options.data, options.poses, options.trial, options.count)
-    except ImError as error:
-        print(f"next_best_pose: {error.message}", file=sys.stderr)
-        return 1
-    print(f"{'pose':<12} {'reprojection [px]':>22} {'triangulation [mm]':>22}   seen by")
-    for pose in chosen:
-        errors = (f"{before:.4f} -> {after:.4f}" for before, after in (pose.reprojection_px, pose.triangulation_mm))
-        print(f"{pose.name:<12} {' '.join(f'{text:>22}' for text in errors)}   {', '.join(pose.cameras)}")
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="next_best_pose",
-        description="Say which further poses would lower the expected errors of a calibration most, and how far.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = command.parser(
+        "next_best_pose",
+        "Say which further poses would lower the expected errors of a calibration most, and how far.",
+        _EPILOG,
     )
     parser.add_argument("data", type=Path, metavar="DATA.json", help="data set measured so far")
     parser.add_argument("poses", type=Path, metavar="POSES.yaml", help="poses to choose from")
     parser.add_argument("--trial", type=int, default=0, help="trial of the data set (%(default)s)")
     parser.add_argument("--count", type=int, default=1, help="number of poses to choose (%(default)s)")
-    return parser
+    options = parser.parse_args(arguments)
+    return command.run(
+        "next_best_pose", lambda: _print(_choose(options.data, options.poses, options.trial, options.count))
+    )
+
+
+def _print(chosen: tuple[NextPose, ...]) -> None:
+    print(f"{'pose':<12} {'reprojection [px]':>22} {'triangulation [mm]':>22}   seen by")
+    for pose in chosen:
+        errors = (f"{before:.4f} -> {after:.4f}" for before, after in (pose.reprojection_px, pose.triangulation_mm))
+        print(f"{pose.name:<12} {' '.join(f'{text:>22}' for text in errors)}   {', '.join(pose.cameras)}")
 
 
 def _choose(data: Path, poses: Path, trial: int, count: int) -> tuple[NextPose, ...]:
@@ -70,7 +66,10 @@ def _choose(data: Path, poses: Path, trial: int, count: int) -> tuple[NextPose, 
     if not 0 <= trial < len(problems):
         raise DataError(f"{data} has trials 0 to {len(problems) - 1}, there is no trial {trial}.", trial=trial)
     problem = replace(problems[trial], led_offset_nominal=load_cell().led.offset)
-    return next_best_poses(calibrate(problem), problem, load_candidates(poses, problem), count)
+    calibration = calibrate(problem)
+    if not calibration.success:  # the figures stand on the stated noise, and on what the data say now
+        print(f"next_best_pose: doubtful, for the data are: {calibration.message}", file=sys.stderr)
+    return next_best_poses(calibration, problem, load_candidates(poses, problem), count)
 
 
 if __name__ == "__main__":

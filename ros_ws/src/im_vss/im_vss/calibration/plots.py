@@ -87,16 +87,15 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
     for column, (i, j) in enumerate(((0, 1), (0, 2))):
         axes = figure.add_subplot(grid[1, column])
         low, high = np.array(problem.workspace.low)[[i, j]], np.array(problem.workspace.high)[[i, j]]
-        axes.add_patch(Rectangle((low[0], low[1]), *(high - low), fill=False, edgecolor=NOISE, label="workspace"))
+        axes.add_patch(Rectangle((low[0], low[1]), *(high - low), fill=False, edgecolor=NOISE))
         points = calibration.led_positions[:, [i, j]]
         axes.plot(*points[used].T, "o", color=USED, markersize=4)
         axes.plot(*points[~used].T, "x", color=REJECTED, markersize=6)
         axes.set(aspect="equal", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
         axes.margins(0.08)
-        axes.set_title("LED positions " + ("from above" if j == 1 else "from the side"), fontsize=9)
+        seen_from = "from above" if j == 1 else "from the side"
+        axes.set_title(f"LED positions {seen_from}, and the workspace (frame)", fontsize=9)
         _grid(axes)
-        if column == 0:
-            axes.legend(fontsize=8, loc="upper right", framealpha=0.9)
     figure.suptitle("Coverage of the images and of the workspace", fontsize=11)
     _save(figure, target)
 

@@ -65,6 +65,8 @@ class CalibrationProblem:
         c, n = len(self.camera_names), len(self.positions)
         if c == 0:
             raise DataError("A calibration needs at least one camera, none is given.")
+        if n == 0:
+            raise DataError("A calibration needs poses, none is given.")
         if len(set(self.camera_names)) != c:
             raise DataError(f"Each camera may be given once, got {', '.join(self.camera_names)}.")
         if len(self.image_sizes) != c or any(side < 1 for size in self.image_sizes for side in size):

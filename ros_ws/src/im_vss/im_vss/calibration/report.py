@@ -114,8 +114,7 @@ def summary(report: Mapping[str, Any]) -> str:
         f" ({len(report['points_not_seen'])} spots not found, {len(report['points_rejected'])} observations rejected)",
         f"chi2 / dof          {_text(report['chi2_per_dof'], '.3f')}"
         f" (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
-        f"expected error      {_text(report['expected_error']['reprojection_px'], '.3f')} px reprojection,"
-        f" {_text(report['expected_error']['triangulation_mm'], '.2f')} mm triangulation, RMS over the workspace",
+        f"expected error      {_expected(report['expected_error'])}, RMS over the workspace",
         f"held-out poses      {_found(report['checks'], 'held_out')}",
         f"two halves          {_found(report['checks'], 'split_half')}",
         "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
@@ -162,6 +161,13 @@ def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
     lines.append(f"  rotation [mrad]   known to {spread}")
     lines.append(f"  stands at [m]     {', '.join(f'{value:.3f}' for value in centre)}")
     return lines
+
+
+def _expected(errors: dict[str, Any]) -> str:
+    """The errors to expect; one camera has none of triangulation."""
+    reprojection = f"{_text(errors['reprojection_px'], '.3f')} px reprojection"
+    triangulation = errors["triangulation_mm"]
+    return reprojection if triangulation is None else f"{reprojection}, {triangulation:.2f} mm triangulation"
 
 
 def _found(checks: Mapping[str, float | None], name: str) -> str:

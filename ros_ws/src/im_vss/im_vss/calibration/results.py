@@ -5,10 +5,10 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from im_core.calibration_files import EXTRINSICS, CameraPose, camera_info_yaml, extrinsics_yaml
+from im_core.calibration_files import EXTRINSICS, CameraPose, Rectified, camera_info_yaml, extrinsics_yaml
 from im_core.errors import DataError
 from im_core.files import write_whole
-from im_vss.calibration.calibration import Calibration
+from im_vss.calibration.calibration import Calibration, CameraEstimate
 from im_vss.calibration.dataset_file import dataset_of
 from im_vss.calibration.problem import CalibrationProblem
 from im_vss.calibration.report import report_of, summary
@@ -19,6 +19,7 @@ def write_results(
     calibration: Calibration,
     problem: CalibrationProblem,
     poses: Mapping[str, CameraPose] | None = None,
+    rectified: Mapping[str, Rectified] | None = None,
 ) -> tuple[Path, ...]:
     """Write ``report.json``, ``summary.txt``, three plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
 
@@ -31,6 +32,7 @@ def write_results(
         calibration: The result.
         problem: What it was made from.
         poses: Poses of the cameras relative to what they are fixed to; None: all are fixed to the world.
+        rectified: R and P of the cameras; None: all are single cameras.
 
     Returns:
         The files.
@@ -47,7 +49,7 @@ def write_results(
         contents["observations.json"] = (json.dumps(dataset_of(problem), allow_nan=False) + "\n").encode()
     if calibration.success:
         for camera in calibration.cameras:
-            contents[f"{camera.name}.yaml"] = camera_info_yaml(camera.name, camera.model).encode()
+            contents[f"{camera.name}.yaml"] = _camera_file(camera, rectified)
         in_world = {camera.name: CameraPose.of("world", camera.model) for camera in calibration.cameras}
         contents[EXTRINSICS] = extrinsics_yaml(poses or in_world).encode()
     contents |= _pictures(calibration, problem)
@@ -57,6 +59,10 @@ def write_results(
         return tuple(write_whole(target / name, content) for name, content in contents.items())
     except OSError as error:
         raise DataError(f"The results cannot be written to {target}: {error.strerror}.", file=str(target)) from error
+
+
+def _camera_file(camera: CameraEstimate, rectified: Mapping[str, Rectified] | None) -> bytes:
+    return camera_info_yaml(camera.name, camera.model, rectified[camera.name] if rectified else None).encode()
 
 
 def _pictures(calibration: Calibration, problem: CalibrationProblem) -> dict[str, bytes]:

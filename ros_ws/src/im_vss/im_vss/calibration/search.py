@@ -84,14 +84,12 @@ def _robust_start(problem: CalibrationProblem, layout: Layout) -> Unknowns:
             extent = core_extent(problem.positions)
             if extent[2] < FLAT * extent[0]:
                 raise DegenerateDataError(
-                    "Most LED positions lie in a plane, and no camera was found; vary the height of the poses.",
+                    "Most LED positions lie in a plane, and no camera was found.",
+                    "Vary the height of the poses.",
                     parameters=(f"{camera}.intrinsics", f"{camera}.pose"),
                     camera=camera,
                 )
-            raise InconsistentDataError(
-                f"No camera explains where {camera} saw the LED; check that the spots belong to these poses.",
-                camera=camera,
-            )
+            raise InconsistentDataError(camera)
     return best
 
 

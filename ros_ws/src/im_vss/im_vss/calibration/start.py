@@ -72,8 +72,8 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
     everything = tuple(f"{name}.{group}" for group in ("intrinsics", "distortion", "pose"))
     if seen.sum() < MINIMUM_SPOTS:
         raise DegenerateDataError(
-            f"Camera {name} saw the LED in {int(seen.sum())} poses, at least {MINIMUM_SPOTS} are needed; "
-            "add poses in its view.",
+            f"Camera {name} saw the LED in {int(seen.sum())} poses, at least {MINIMUM_SPOTS} are needed.",
+            "Add poses in its view, or leave the camera out.",
             parameters=everything,
             camera=name,
             spots=int(seen.sum()),
@@ -82,7 +82,8 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
     extent = core_extent(points)
     if extent[1] <= max(_THIN * extent[0], 1e-9):
         raise DegenerateDataError(
-            f"The LED positions seen by {name} lie on a line or in a point; spread the poses over a volume.",
+            f"The LED positions seen by {name} lie on a line or in a point.",
+            "Spread the poses over a volume.",
             parameters=everything,
             camera=name,
         )
@@ -93,14 +94,13 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
         found = _ransac(points, pixels, tolerance, width) or affine_start(points, pixels, (width, height), tolerance)
     if found is None and extent[2] < FLAT * extent[0]:
         raise DegenerateDataError(
-            f"The LED positions seen by {name} lie in a plane, and no camera was found; vary the height of the poses.",
+            f"The LED positions seen by {name} lie in a plane, and no camera was found.",
+            "Vary the height of the poses.",
             parameters=everything,
             camera=name,
         )
     if found is None:
-        raise InconsistentDataError(
-            f"No camera explains where {name} saw the LED; check that the spots belong to these poses.", camera=name
-        )
+        raise InconsistentDataError(name)
     return PinholeStart(*found)
 
 

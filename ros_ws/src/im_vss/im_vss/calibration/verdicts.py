@@ -24,6 +24,7 @@ _FEWEST_MOVED = 6
 _DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejections together are a misfit as well
 _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outliers; with some, less bad residuals do
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
+_LARGEST_CELL_M = 50.0
 _FOCAL_LIMIT = 0.07
 _CENTRE_LIMIT = 0.15
 _LIMITS = {"k1": 1.0, "k2": 12.0, "p1": 0.05, "p2": 0.05, "rx": 0.15, "ry": 0.15, "rz": 0.15}
@@ -159,13 +160,30 @@ def _misfit(calibration: Calibration, problem: CalibrationProblem) -> Verdict | 
         for c in contradictory
     ]
     reasons += [_moved_alike(calibration, problem, c) for c in moved]
+    reasons += _strange_units(problem)
     return Verdict(
         MISFIT,
         (),
         " ".join(reasons),
         "Check that cameras and robot base did not move, that joint readings belong to the exposures, the robot's "
-        "kinematic parameters and the stated noise.",
+        "kinematic parameters, the stated noise, and the units and axes of the data [m, px].",
     )
+
+
+def _strange_units(problem: CalibrationProblem) -> list[str]:
+    """What a misfit is likely to come from: positions that are no metres, spots that are not in the image."""
+    strange = []
+    spread = np.median(np.linalg.norm(problem.positions - np.median(problem.positions, axis=0), axis=1))
+    if spread > _LARGEST_CELL_M:
+        strange.append(f"Half of the LED positions are {spread:.0f} m and more from their median: are they metres?")
+    for c, (name, size) in enumerate(zip(problem.camera_names, problem.image_sizes, strict=True)):
+        seen = problem.spots[c][problem.detected[c]]
+        outside = int(np.any((seen < -0.5) | (seen > np.array(size) - 0.5), axis=1).sum())
+        if 2 * outside > len(seen):
+            strange.append(
+                f"{outside} of {len(seen)} spots of {name} are not in its image of {size[0]} x {size[1]} px."
+            )
+    return strange
 
 
 def _moved_alike(calibration: Calibration, problem: CalibrationProblem, c: int) -> str:

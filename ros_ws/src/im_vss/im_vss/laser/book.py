@@ -31,7 +31,12 @@ class LaserEntry:
 
     def told(self) -> str:
         """Where its calibration comes from, in a sentence."""
-        return f"laser scanner: {self.file or 'as drawn'}"
+        return f"laser scanner: {self.origin}"
+
+    @property
+    def origin(self) -> str:
+        """File of its calibration, or that it is the drawing's."""
+        return str(self.file or "as drawn")
 
 
 class LaserBook:

@@ -27,6 +27,7 @@ from im_vss.laser.scanner import LinkedScanner
 from im_vss.rig import LaserRig, Rig
 from im_vss.ros.askers import Askers
 from im_vss.ros.controls import ControlParameters
+from im_vss.ros.diagnostics import DiagnosticsPort
 from im_vss.ros.image_stream import ImageStream
 from im_vss.ros.light_tracker import LightTracker
 from im_vss.ros.messages import from_camera_info
@@ -93,6 +94,7 @@ class VssNode(ManagedNode):
             askers = Askers(self, f"/vss/{name}")
             self.create_service(port.kind, f"/vss/{name}", partial(self._serve, name, port, askers))
         StatePort(self, self._vsm)
+        DiagnosticsPort(self, self._vsm, self._book, self._laser.book)
         for entry in self._book.entries():
             self.create_service(
                 SetCameraInfo, f"/{entry.name}/set_camera_info", partial(self._set_camera_info, entry.name)

@@ -99,15 +99,15 @@ class SvcCalibrate(Service):
 
         Raises:
             ImError: A camera is unknown, it is not known where the arm is that carries it, the observations do not
-                determine the cameras, or the results cannot be written.
+                determine the cameras, the solver did not become free in time, or the results cannot be written.
         """
         problem = self._problem(request)
-        calibration: Calibration = self.tool("tool_calibrate")(problem)
+        calibration: Calibration = self.tool("tool_calibrate")(client, problem)
         found = calibration.cameras if calibration.success else ()
         mounted = {estimate.name: self._on_its_mount(estimate.name, estimate.model) for estimate in found}
         if request.directory is not None:
             poses = {name: CameraPose.of(self.rig.book[name].parent, model) for name, model in mounted.items()}
-            write_results(request.directory, calibration, problem, poses)
+            write_results(request.directory, calibration, problem, poses, self.rig.book.rectified(mounted))
         applied = request.apply and calibration.success
         if applied:
             self.rig.book.set_cameras(mounted)

@@ -2,19 +2,22 @@
 
 from typing import ClassVar
 
-from im_vss.calibration import Calibration, CalibrationProblem, calibrate
+from im_vss.calibration import Calibration, CalibrationProblem
+from im_vss.managers import VisionClient
 from im_vss.tools.tool import Tool
 
 
 class ToolCalibrate(Tool):
-    """Solves for the cameras; a calculation, without a Vision Module."""
+    """Has the solver compute the cameras, when it is its turn."""
 
     name: ClassVar[str] = "tool_calibrate"
 
-    def __call__(self, problem: CalibrationProblem) -> Calibration:
+    def __call__(self, client: VisionClient, problem: CalibrationProblem) -> Calibration:
         """The joint estimate of all cameras.
 
         Raises:
-            ImError: The observations do not determine the cameras.
+            ImError: The observations do not determine the cameras, or the solver did not become free in time.
         """
-        return calibrate(problem)
+        with self.modules.use("vm_solver", client) as (vm_solver, lease):
+            calibration: Calibration = vm_solver.solve(lease, problem)
+        return calibration

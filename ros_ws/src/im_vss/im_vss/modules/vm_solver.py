@@ -1,0 +1,22 @@
+"""Vision Module of the computer's time for calibrations."""
+
+from functools import partial
+from typing import ClassVar
+
+from im_vss.calibration import Calibration, CalibrationProblem, calibrate
+from im_vss.managers.lease import Lease
+from im_vss.modules.module import VisionModule
+
+
+class VmSolver(VisionModule):
+    """Solves for cameras, one calibration at a time: two at once would take as long, and everybody else's time too."""
+
+    name: ClassVar[str] = "vm_solver"
+
+    def solve(self, lease: Lease, problem: CalibrationProblem) -> Calibration:
+        """The joint estimate of all cameras.
+
+        Raises:
+            ImError: See :meth:`VisionModule.run`, or the observations do not determine the cameras.
+        """
+        return self.run(lease, partial(calibrate, problem))
