@@ -102,10 +102,23 @@ def test_a_brake_that_sticks(client, inject):
     inject("brake_stuck", "left_j1")
     answer = client.trigger("enable_motion")
     assert not answer.success
-    assert "the brakes to release" in answer.message
+    assert "the brakes to release, those of left_j1" in answer.message
     client.until(lambda: client.state() == "active" and client.states[-1].brakes)
     inject("brake_stuck", "left_j1", active=False)
     assert client.trigger("enable_motion").success
+    assert client.move(client.home).success
+
+
+def test_a_brake_that_opens_by_itself(client, inject):
+    assert client.call(ReserveGroup, "reserve", group="left").success
+    assert client.trigger("power_on").success
+    inject("brake_open", "right_j2")
+    client.until(lambda: client.trigger("enable_motion") and client.state() == "estopped")
+    assert "the brake of right_j2 is open at tick" in client.states[-1].reason
+    assert "the brake open of right_j2" in client.trigger("reset").message
+    inject("brake_open", "right_j2", active=False)
+    client.until(lambda: client.trigger("reset").success, 5.0)
+    client.to_motion()
     assert client.move(client.home).success
 
 

@@ -181,10 +181,11 @@ def test_tolerances_of_velocity_and_acceleration(ready):
     assert ready.move(ready.home).success
 
 
-def test_goal_tolerance(ready):
+@pytest.mark.parametrize("seconds", [0.1, 1.0, 0.0])  # before and after it has settled, and as long as that takes
+def test_goal_tolerance(ready, seconds):
     request = goal(ready, (1.0, ready.home + STEP))
     request.goal_tolerance = [JointTolerance(name="left_j1", position=1e-9)]
-    request.goal_time_tolerance = duration(0.1)
+    request.goal_time_tolerance = duration(seconds)
     answer = ready.follow(request)[1]()
     assert answer.status == ABORTED
     assert answer.result.error_code == Result.GOAL_TOLERANCE_VIOLATED

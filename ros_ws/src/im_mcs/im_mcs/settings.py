@@ -57,6 +57,9 @@ class Safety(Model):
 
     driver_age_s: float = Field(gt=0, description="age of a reading that is a protective stop, testbed time [s]")
     driver_age_estop_s: float = Field(gt=0, description="age that is an e-stop [s]")
+    brake_s: float = Field(
+        gt=0, description="a brake that was obeying contradicts its command this long: an e-stop [s]"
+    )
     owner_silence_s: float = Field(gt=0, description="wall time without a sign of life of the mcs node [s]")
     servo_silence_s: float = Field(gt=0, description="wall time without a sign of life of the servo process [s]")
     testbed_silence_s: float = Field(gt=0, description="wall time to wait for a tick that must come [s]")

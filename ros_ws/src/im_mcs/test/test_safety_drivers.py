@@ -1,4 +1,4 @@
-"""Drivers that fail, power and brakes that do not obey, torques that a client drives itself."""
+"""Drivers that fail, and torques that a client drives itself."""
 
 import math
 
@@ -53,101 +53,6 @@ def test_a_driver_that_raises_is_a_link_error_and_an_estop_where_power_may_be(be
         bench.to_motion("left")
 
 
-class Deaf:
-    """Power and brakes that do what they want."""
-
-    def __init__(self, driver, **overrides):
-        self.driver, self.overrides = driver, overrides
-
-    def __call__(self):
-        return type(self.driver).read(self.driver)._replace(**self.overrides)
-
-
-def test_power_that_does_not_come_is_given_up(bench):
-    bring_to(bench, State.RESERVED)
-    bench.driver.read = Deaf(bench.driver, power=False)
-    reply = bench.ask("power_on")
-    assert reply["error"]["code"] == "timeout"
-    assert bench.mcs.manager.state is State.RESERVED
-    assert not bench.driver.drive.power
-
-
-def test_power_that_does_not_go_is_an_estop_that_cannot_be_reset(bench):
-    bring_to(bench, State.ACTIVE)
-    bench.driver.read = Deaf(bench.driver, power=True, brakes=np.ones(18, dtype=bool))
-    reply = bench.ask("power_off")
-    assert reply["error"]["code"] == "timeout"
-    assert bench.mcs.manager.state is State.ESTOPPED
-    assert "power is not obeyed" in bench.mcs.manager.cause
-    assert "still reports power on" in bench.ask("reset")["error"]["message"]
-    del bench.driver.read
-    assert bench.ask("reset")["success"]
-
-
-@pytest.mark.parametrize("obeys", [True, False])
-def test_after_an_estop_time_goes_on_until_the_testbed_has_obeyed(bench, obeys):
-    """Else what is shown would stay what it was; but not for ever."""
-    bring_to(bench, State.MOTION)
-    if not obeys:
-        bench.driver.read = Deaf(bench.driver, power=True)
-    bench.send("estop", reason="test")
-    assert bench.mcs.wants_time
-    ticks = 0
-    while bench.mcs.wants_time:
-        bench.mcs.tick([])
-        ticks += 1
-    servo = bench.mcs.config.servo
-    assert ticks <= (2 if obeys else round(servo.answer_timeout_s / servo.period_s))
-    assert bench.mcs.measured.power != obeys
-    assert not bench.driver.drive.power
-
-
-def test_brakes_that_do_not_release_hold_before_the_torque_leaves(bench):
-    bring_to(bench, State.ACTIVE)
-    stuck = np.zeros(18, dtype=bool)
-    stuck[9:] = True
-    stuck[3] = True
-    bench.driver.read = Deaf(bench.driver, brakes=stuck)
-    number = bench.send("enable_motion")
-    while not bench.driver.drive.brakes[LEFT].all() or bench.mcs.measured.tick < 20:
-        bench.mcs.tick([])
-    bench.driver.read = Deaf(bench.driver, brakes=np.ones(18, dtype=bool))
-    with_torque = 0
-    while bench.mcs.wants_time:
-        with_torque += bool(bench.mcs.tau.any())
-        bench.mcs.tick([])
-    assert bench.reply(number)["error"]["code"] == "timeout"
-    assert with_torque >= bench.mcs.config.servo.brake_lead_ticks
-    assert bench.mcs.manager.state is State.ACTIVE
-    assert not bench.mcs.tau.any()
-    assert bench.driver.drive.brakes.all()
-
-
-def test_brakes_that_neither_release_nor_engage_are_an_estop(bench):
-    bring_to(bench, State.ACTIVE)
-    half = np.ones(18, dtype=bool)
-    half[:3] = False
-    bench.driver.read = Deaf(bench.driver, brakes=half)
-    reply = bench.ask("enable_motion")
-    assert reply["error"]["code"] == "timeout"
-    assert bench.mcs.manager.state is State.ESTOPPED
-    assert "brakes are not obeyed" in bench.mcs.manager.cause
-
-
-def test_brakes_that_do_not_engage_leave_the_torque_on(bench, model, cell):
-    bring_to(bench, State.MOTION)
-    loose = np.ones(18, dtype=bool)
-    loose[2] = False
-    bench.driver.read = Deaf(bench.driver, brakes=loose)
-    reply = bench.ask("disable_motion")
-    assert reply["error"]["code"] == "timeout"
-    assert bench.mcs.manager.state is State.MOTION
-    bench.mcs.tick([])
-    np.testing.assert_allclose(bench.mcs.tau[LEFT], model.gravity(cell.home)[LEFT], atol=2.0)
-    del bench.driver.read
-    assert bench.ask("disable_motion")["success"]
-
-
 def drive(bench, torques, /, **more):
     given = {"group": "left", "kind": "torque", "torques": np.asarray(torques).tolist(), "owner": "ann"}
     return bench.send("stream", **{**given, "lease_s": 0.05, **more})
@@ -190,7 +95,9 @@ def path(cell):
     ("change", "words"),
     [
         ({"owner": "bob"}, "driven by its owner 'ann' only, not by 'bob'"),
-        ({"lease_s": 0.0}, "need a lease"),
+        ({"lease_s": 0.0}, "lease_s is a number above 0 and up to 10 [s]"),
+        ({"lease_s": 11.0}, "not 11.0"),
+        ({"kind": "setpoint", "positions": [0.0] * 9, "lease_s": 0.0}, "lease_s is a number above 0"),
         ({"torques": [0.0] * 8}, "8 torques for 9 joints"),
         ({"torques": [0.0] * 8 + [math.nan]}, "left_j6"),
         ({"torques": [0.0] * 8 + ["1"]}, "torques is a list of numbers"),

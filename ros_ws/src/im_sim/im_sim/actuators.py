@@ -51,14 +51,13 @@ class Actuators:
         self._least_torques = -self._torque_limits
         self._brake_torques = BRAKE_FACTOR * self._torque_limits
         n = len(self._viscous)
-        self._all_held = np.ones(n, dtype=np.bool_)
         self._friction = DryFriction(n)
-        self.command(np.zeros(n), False, self._all_held)
+        self.command(np.zeros(n), False, np.ones(n, dtype=np.bool_))
 
     def command(self, tau: NDArray[np.float64], power: bool, brakes: NDArray[np.bool_]) -> None:
         """Set the torques [Nm or N], shape (n,); beyond the motors' limits they are cut, NaN gives none.
 
-        Without power there is no torque and every brake is engaged.
+        Without power there is no torque.
         """
         if power:
             if not math.isfinite(tau.dot(tau)):
@@ -67,7 +66,7 @@ class Actuators:
         else:
             self._tau = np.zeros(len(tau))
         self._sliding: NDArray[np.float64] | None = None  # the impulses that the torques of sliding joints contain
-        self._brakes = brakes if power else self._all_held
+        self._brakes = brakes
         held_now = self._brakes.tobytes()
         if held_now != self._held:
             self._held = held_now

@@ -11,7 +11,7 @@ from im_core.robot import Cell
 from im_core.testbed_link import Faults, JawObject, TestbedLink
 
 LONGEST_STALL_S = 60.0
-_OF_JOINTS = ("encoder_nan", "encoder_frozen", "brake_stuck")
+_OF_JOINTS = ("encoder_nan", "encoder_frozen", "brake_stuck", "brake_open")
 FAULTS = (*_OF_JOINTS, "power_loss", "stall")
 
 

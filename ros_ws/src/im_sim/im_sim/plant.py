@@ -45,7 +45,7 @@ class Plant:
         self._n = len(cell.joints)
         self._dt_each = np.full(self._n, self._dt)
         self._held_brakes = np.ones(self._n, dtype=np.bool_)
-        self._faults = Faults.none(self._n)
+        self._faults, self._may_hold = Faults.none(self._n), self._held_brakes
         self._tick = 0
         self.power = False
         self.q, self.v = self._world.state()
@@ -82,7 +82,7 @@ class Plant:
 
     def break_(self, faults: Faults) -> None:
         """Put faults in force, instead of those before."""
-        self._faults = faults
+        self._faults, self._may_hold = faults, ~faults.brake_open
         self._encoders.break_(faults, self._tick, self.q)
 
     def put(self, objects: tuple[JawObject | None, ...]) -> None:
@@ -91,16 +91,17 @@ class Plant:
         self._dynamics.carry(self._grippers.held())
 
     def run_tick(self, command: Command | None) -> None:
-        """One tick under a command; without one, power is off and every brake engaged.
+        """One tick under a command; without one, power is off. Without power every brake is engaged.
 
         What stands still after a step, with every joint stuck, is not stepped again before the next tick.
         """
         if command is None:
-            self._actuators.command(np.zeros(self._n), False, self._held_brakes)
+            self._actuators.command(np.zeros(self._n), False, self._may_hold)
             self.power = False
         else:
             self.power = command.power and not self._faults.power_loss
-            self._actuators.command(command.tau, self.power, command.brakes | self._faults.brake_stuck)
+            held = command.brakes | self._faults.brake_stuck if self.power else self._held_brakes
+            self._actuators.command(command.tau, self.power, held & self._may_hold)
             self._grippers.command(command.gripper, command.gripper_force)
         self._tick += 1
         for _ in range(self._substeps):

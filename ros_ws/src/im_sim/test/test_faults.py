@@ -84,20 +84,42 @@ def test_a_stuck_brake_holds_its_joint_and_says_so(plant):
     assert np.abs(plant.q - before)[5] > 1e-3
 
 
+@pytest.mark.parametrize("power", [True, False])
+def test_an_open_brake_lets_its_joint_fall_and_says_so(plant, power):
+    plant.break_(replace(SOUND, brake_open=only(5)))
+    before = plant.q
+    for tick in range(30):
+        seen = plant.sensors(tick)
+        plant.run_tick(Command(np.zeros(N), power, ~FREE, np.zeros(2), True, np.full(2, np.inf)))
+    assert np.flatnonzero(~seen.brakes).tolist() == [5]
+    assert abs(plant.q - before)[5] > 1e-3
+    assert np.delete(np.abs(plant.q - before), 5).max() < 1e-6
+    plant.run_tick(None)
+    assert np.flatnonzero(~plant.brakes).tolist() == [5], "nor does it hold when nobody commands"
+    plant.break_(SOUND)
+    plant.run_tick(None)
+    assert plant.brakes.all()
+
+
 def test_faults_and_objects_travel_over_the_link(plant):
     with TestbedLink.create(INSTANCE, factor=0.0) as host:
         loop = TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
         client = TestbedLink.attach(INSTANCE, 1.0)
         panel = FaultPanel(CELL, client)
         assert panel.inject("encoder_nan", "left_j3", True, 0.0) == "broken: encoder_nan of left_j3"
-        said = panel.inject("brake_stuck", "right_j1", True, 0.0)
-        assert said == "broken: encoder_nan of left_j3, brake_stuck of right_j1"
+        panel.inject("brake_stuck", "right_j1", True, 0.0)
+        said = panel.inject("brake_open", "right_j2", True, 0.0)
+        assert said == "broken: encoder_nan of left_j3, brake_stuck of right_j1, brake_open of right_j2"
         assert panel.put_in_jaws("right_gripper", 0.09, 1e4, 0.5) == "90 mm wide, 0.5 kg, in right_gripper"
         loop.run_tick()
         state = client.read_state()
         assert np.isnan(state.q[CELL.joint_names.index("left_j3")])
         assert np.isnan(state.q).sum() == 1
-        assert panel.inject("encoder_nan", "left_j3", False, 0.0) == "broken: brake_stuck of right_j1"
+        assert np.flatnonzero(~state.brakes).tolist() == [CELL.joint_names.index("right_j2")]
+        assert (
+            panel.inject("encoder_nan", "left_j3", False, 0.0)
+            == "broken: brake_stuck of right_j1, brake_open of right_j2"
+        )
         assert panel.put_in_jaws("right_gripper", 0.0, 0.0, 0.0) == "nothing is in right_gripper"
         loop.run_tick()
         assert np.isfinite(client.read_state().q).all()

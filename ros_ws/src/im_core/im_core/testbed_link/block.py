@@ -56,7 +56,7 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             # testbed node
             ("lights", "?", (MAX_LIGHTS,)),
             ("disturbances", "<i8"),
-            ("fault_joints", "?", (3, n_joints)),
+            ("fault_joints", "?", (4, n_joints)),
             ("fault_power", "<i8"),
             ("stall_s", "<f8"),
             ("objects", "<f8", (N_GRIPPERS, 3)),

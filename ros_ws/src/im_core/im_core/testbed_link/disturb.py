@@ -15,15 +15,16 @@ class DisturbSide:
     def set_faults(self, faults: Faults) -> None:
         """Replace the faults in force."""
         view = self._shared.view
-        view["fault_joints"][:] = (faults.encoder_nan, faults.encoder_frozen, faults.brake_stuck)
+        of_joints = (faults.encoder_nan, faults.encoder_frozen, faults.brake_stuck, faults.brake_open)
+        view["fault_joints"][:] = of_joints
         view["fault_power"][()] = faults.power_loss
         self._changed()
 
     def faults(self) -> Faults:
         """The faults in force."""
         view = self._shared.view
-        nan, frozen, stuck = view["fault_joints"].copy()
-        return Faults(nan, frozen, stuck, bool(view["fault_power"]))
+        nan, frozen, stuck, open_ = view["fault_joints"].copy()
+        return Faults(nan, frozen, stuck, open_, bool(view["fault_power"]))
 
     def stall(self, seconds: float) -> None:
         """Let physics pause before its next tick, wall time [s].

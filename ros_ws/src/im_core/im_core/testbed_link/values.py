@@ -88,19 +88,21 @@ class Faults:
         encoder_nan: Encoders that give no number, shape (n,).
         encoder_frozen: Encoders whose reading stays what it was, while its age grows, shape (n,).
         brake_stuck: Brakes that stay engaged, shape (n,).
+        brake_open: Brakes that stay open, also without power, shape (n,).
         power_loss: Whether the motors have no power, whatever is commanded.
     """
 
     encoder_nan: NDArray[np.bool_]
     encoder_frozen: NDArray[np.bool_]
     brake_stuck: NDArray[np.bool_]
+    brake_open: NDArray[np.bool_]
     power_loss: bool
 
     @classmethod
     def none(cls, n_joints: int) -> "Faults":
         """Nothing is broken."""
         sound = np.zeros(n_joints, dtype=np.bool_)
-        return cls(sound, sound, sound, False)
+        return cls(sound, sound, sound, sound, False)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,11 @@ def _are_numbers(value: object) -> bool:
 _TEXT = _Field("a text", lambda value: isinstance(value, str))
 _COUNT = _Field("a whole number", lambda value: isinstance(value, int) and not isinstance(value, bool))
 _SECONDS = _Field("a finite number >= 0 [s]", lambda value: is_number(value) and value >= 0.0)
+_LONGEST_LEASE_S = 10.0
+_LEASE = _Field(
+    f"a number above 0 and up to {_LONGEST_LEASE_S:g} [s], the time after which a silent sender is given up on",
+    lambda value: is_number(value) and 0.0 < value <= _LONGEST_LEASE_S,
+)
 _AMOUNT = _Field("a finite number >= 0", lambda value: is_number(value) and value >= 0.0)
 _LENGTH = _Field("a number [m]", is_real)
 _SPEED = _Field(f"a number from {SLOWEST:g} to 1", lambda value: is_number(value) and SLOWEST <= value <= 1.0)
@@ -78,7 +83,7 @@ _FIELDS: Mapping[Event, Mapping[str, _Field]] = {
         "positions": _NUMBERS.otherwise([]),
         "velocities": _NUMBERS.otherwise([]),
         "torques": _NUMBERS.otherwise([]),
-        "lease_s": _SECONDS.otherwise(0.0),
+        "lease_s": _LEASE,
         "owner": _TEXT.otherwise(""),
     },
     Event.CANCEL: {"goal": _COUNT},

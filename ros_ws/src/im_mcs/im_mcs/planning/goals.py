@@ -74,6 +74,11 @@ class Current:
     late_ticks: int = 0
     at_once: bool = False
 
+    @property
+    def judges_goal(self) -> bool:
+        """Whether tolerances decide over its end, and not rest alone."""
+        return self.tolerances is not None and self.tolerances.judges_goal
+
 
 @dataclass
 class Rates:

@@ -49,7 +49,7 @@ class GroupMotions(MotionQueue):
         if not opened:
             self._require_free(Policy.REFUSE)
         q, v = check_stream(self.context, arguments)
-        lease = Lease(str(arguments.get("owner", "")), float(arguments.get("lease_s", 0.0)), self.planner.period_s)
+        lease = Lease(str(arguments.get("owner", "")), float(arguments["lease_s"]), self.planner.period_s)
         if not opened:
             limits, index, planner = self.context.limits, self.context.index, self.planner
             follower = StreamFollower(

@@ -93,13 +93,13 @@ class MotionQueue:
 
     @property
     def moving(self) -> bool:
-        """Whether the setpoint moves, a motion is being prepared, or the patience of a protective stop runs."""
+        """Whether the setpoint moves, a motion is being prepared, or a lease, a patience or a goal tolerance runs."""
         current = self._current
         if self._rates.protective is not None:
             return True
         if any(queued.trajectory is None for queued in self._queue) and self._end_known():
             return True
-        if current is not None and current.lease is not None and current.lease.runs:
+        if current is not None and (current.lease is not None or (self.planner.finished and current.judges_goal)):
             return True
         if self._queue and not self._rates.paused and self._end_known():
             return True
@@ -163,8 +163,7 @@ class MotionQueue:
             if current is not None:
                 self._end_current(current.goal.fault or fault)
         elif current is not None:
-            judged = current.tolerances is not None and current.tolerances.judges_goal
-            if current.goal.fault is not None or not self.planner.finished or judged:
+            if current.goal.fault is not None or not self.planner.finished or current.judges_goal:
                 return
             self._end_current(None)
         self._queue.popleft()

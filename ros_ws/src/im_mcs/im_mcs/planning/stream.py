@@ -17,7 +17,7 @@ class Lease:
 
     Args:
         owner: Who sends.
-        seconds: How long silence may last [s]; 0: for ever.
+        seconds: How long silence may last [s].
         tick_s: Servo period [s].
     """
 
@@ -29,14 +29,9 @@ class Lease:
         """One more tick of silence."""
         self._silent += 1
 
-    @property
-    def runs(self) -> bool:
-        """Whether it can lapse at all."""
-        return self._seconds > 0.0
-
     def lapsed(self) -> ImError | None:
         """The fault if it has been silent for too long."""
-        if self._seconds == 0.0 or self._silent * self._tick_s <= self._seconds:
+        if self._silent * self._tick_s <= self._seconds:
             return None
         who = f"'{self._owner}'" if self._owner else "the sender"
         return ImError(

@@ -42,9 +42,17 @@ class Tolerances:
         """Whether errors, shape (2, n), are within their bounds at the end."""
         return bool((np.abs(error) <= self._goal).all())
 
-    def at_goal(self, error: NDArray[np.float64], late_s: float, tick: int) -> ImError | None:
-        """The fault if an error is beyond its bound later than allowed, ``late_s`` after the end."""
-        if self._goal_s == 0.0 or late_s <= self._goal_s:
+    def at_goal(self, error: NDArray[np.float64], late_s: float, settled: bool, tick: int) -> ImError | None:
+        """The fault if an error is beyond its bound and the time allowed for that is over.
+
+        Args:
+            error: Shape (2, n).
+            late_s: Time since the end [s].
+            settled: Whether the joints have settled, or have been given up on.
+            tick: Of the error.
+        """
+        over = late_s > self._goal_s if self._goal_s > 0.0 else settled
+        if not over:
             return None
         when = f"{late_s:.3f} s after the end, at tick {tick}"
         return self._fault(error, self._goal, "goal_tolerance", when, tick)

@@ -1,8 +1,9 @@
 """Goals of actions and the motions in the servo that they stand for."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Awaitable, Callable
+from typing import TYPE_CHECKING, Any
 
-from rclpy.action import CancelResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Goals:
-    """Numbers of requests by goal, so that a cancelled goal decelerates.
+    """Actions, and the numbers of requests by goal, so that a cancelled goal decelerates.
 
     Args:
         node: The node that offers the actions.
@@ -22,6 +23,19 @@ class Goals:
     def __init__(self, node: "McsNode") -> None:
         self._node = node
         self._numbers: dict[bytes, int] = {}
+        self._servers: list[ActionServer] = []
+
+    def serve(self, action: type, name: str, execute: Callable[[ServerGoalHandle], Awaitable[Any]]) -> None:
+        """Offer an action whose goals are all accepted: what cannot be done ends at once, and its result says why."""
+        server = ActionServer(
+            self._node,
+            action,
+            name,
+            execute_callback=execute,
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=self._cancel,
+        )
+        self._servers.append(server)
 
     def begin(self, handle: ServerGoalHandle, number: int) -> None:
         """The servo knows the goal by ``number``."""
@@ -31,7 +45,7 @@ class Goals:
         """The goal has ended."""
         self._numbers.pop(bytes(handle.goal_id.uuid), None)
 
-    def cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+    def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         """Callback of an action server: the motion decelerates on its path and ends as cancelled."""
         number = self._numbers.get(bytes(handle.goal_id.uuid))
         if number is None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from control_msgs.action import GripperCommand
 from numpy.typing import NDArray
-from rclpy.action import ActionServer, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
@@ -35,17 +34,8 @@ class GripperServer:
         self._names = [slot.name for slot in node.config.gripper_slots]
         self._moving: dict[str, ServerGoalHandle] = {}
         self._goals = Goals(node)
-        self._servers = [
-            ActionServer(
-                node,
-                GripperCommand,
-                f"/{gripper}/gripper_cmd",
-                execute_callback=partial(self._execute, gripper),
-                goal_callback=lambda _: GoalResponse.ACCEPT,
-                cancel_callback=self._goals.cancel,
-            )
-            for gripper in self._names
-        ]
+        for gripper in self._names:
+            self._goals.serve(GripperCommand, f"/{gripper}/gripper_cmd", partial(self._execute, gripper))
 
     def publish_feedback(self, snapshot: NDArray[np.void]) -> None:
         """Tell where the jaws are that are on their way."""

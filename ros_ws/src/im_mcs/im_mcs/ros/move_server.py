@@ -4,7 +4,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import Pose
-from rclpy.action import ActionServer, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import DataError, ImError
@@ -25,8 +24,6 @@ _POLICIES = {Move.Goal.REFUSE: "refuse", Move.Goal.APPEND: "append", Move.Goal.R
 class MoveServer:
     """``/<group>/move`` of every group of every preset.
 
-    Every goal is accepted; what cannot be done ends at once with a status that says why.
-
     Args:
         node: The node that offers them.
     """
@@ -34,17 +31,8 @@ class MoveServer:
     def __init__(self, node: "McsNode") -> None:
         self._node = node
         self._goals = Goals(node)
-        self._servers = [
-            ActionServer(
-                node,
-                Move,
-                f"/{group}/move",
-                execute_callback=partial(self._execute, group),
-                goal_callback=lambda _: GoalResponse.ACCEPT,
-                cancel_callback=self._goals.cancel,
-            )
-            for group in node.group_names
-        ]
+        for group in node.group_names:
+            self._goals.serve(Move, f"/{group}/move", partial(self._execute, group))
 
     async def _execute(self, group: str, handle: ServerGoalHandle) -> Move.Result:
         result = Move.Result()

@@ -9,7 +9,6 @@ from builtin_interfaces.msg import Duration
 from builtin_interfaces.msg import Time as TimeMessage
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointTolerance
-from rclpy.action import ActionServer, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -34,8 +33,6 @@ _ERROR_CODES = {
 class TrajectoryServer:
     """The action and the topic of every group of every preset; what is new replaces what is under way.
 
-    Every goal is accepted; what cannot be done ends at once with an error code and a sentence.
-
     Args:
         node: The node that offers them.
     """
@@ -43,17 +40,8 @@ class TrajectoryServer:
     def __init__(self, node: "McsNode") -> None:
         self._node = node
         self._goals = Goals(node)
-        self._servers = []
         for group in node.group_names:
-            server = ActionServer(
-                node,
-                FollowJointTrajectory,
-                f"/{group}/follow_joint_trajectory",
-                execute_callback=partial(self._execute, group),
-                goal_callback=lambda _: GoalResponse.ACCEPT,
-                cancel_callback=self._goals.cancel,
-            )
-            self._servers.append(server)
+            self._goals.serve(FollowJointTrajectory, f"/{group}/follow_joint_trajectory", partial(self._execute, group))
             topic = f"/{group}/joint_trajectory"
             node.create_subscription(JointTrajectory, topic, partial(self._take, group, topic), qos.EVENTS)
 

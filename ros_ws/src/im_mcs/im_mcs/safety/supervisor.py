@@ -6,7 +6,7 @@ from im_mcs.config import McsConfig
 from im_mcs.limits import JointLimits
 from im_mcs.safety.motion import FollowingWatch, SpeedWatch
 from im_mcs.safety.processes import LeaseWatch, OverrunWatch, OwnerWatch
-from im_mcs.safety.slots import AgeWatch, PowerWatch, ReadingWatch
+from im_mcs.safety.slots import AgeWatch, BrakeWatch, PowerWatch, ReadingWatch
 from im_mcs.safety.watch import Finding, Reaction, Situation, Watch
 from im_mcs.state.reservation import Reservations
 
@@ -24,17 +24,18 @@ class Supervisor:
     @classmethod
     def make(cls, config: McsConfig, limits: JointLimits, reservations: Reservations) -> "Supervisor":
         """The watches of a configuration."""
-        safety = config.safety
+        safety, servo = config.safety, config.servo
         return cls(
             (
                 PowerWatch(),
+                BrakeWatch(limits, servo.period_s, servo.answer_timeout_s, safety.brake_s),
                 ReadingWatch(limits),
                 SpeedWatch(limits),
                 AgeWatch(limits, safety.driver_age_s, safety.driver_age_estop_s),
                 FollowingWatch(limits),
                 LeaseWatch(reservations),
                 OwnerWatch(safety.owner_silence_s),
-                OverrunWatch(config.servo.max_overruns),
+                OverrunWatch(servo.max_overruns),
             )
         )
 

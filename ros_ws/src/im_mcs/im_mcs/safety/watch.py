@@ -47,6 +47,7 @@ class Situation:
         measured: What the slots say.
         v: Estimated velocities, shape (n,) [rad/s or m/s].
         power: Whether power is commanded.
+        brakes: Which brakes are commanded to hold, shape (n,).
         groups: Groups of the preset in force.
         owner_silence_s: For how long the owner process has given no sign of life, wall time [s].
         overruns: Servo deadlines missed in a row.
@@ -55,6 +56,7 @@ class Situation:
     measured: Measured
     v: NDArray[np.float64]
     groups: Mapping[str, ControlledGroup]
+    brakes: NDArray[np.bool_]
     power: bool = False
     owner_silence_s: float = 0.0
     overruns: int = 0

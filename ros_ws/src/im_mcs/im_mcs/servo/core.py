@@ -76,13 +76,14 @@ class Mcs:
         self._partitions = Partitions(self, self._laws)
         self.groups, self._collision = self._partitions.enter(config.preset)
         self.manager = StateManager(
+            joints=model.names,
             groups={name: group.joints for name, group in config.groups.items()},
             index={name: group.index for name, group in self.groups.items()},
             settings=config.servo,
             measured=self.measured,
             arms=self,
         )
-        self.situation = Situation(self.measured, self.v, self.groups)
+        self.situation = Situation(self.measured, self.v, self.groups, self.manager.brakes)
         self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations)
         gripper = model.cell.gripper
         names = tuple(slot.name for slot in config.gripper_slots)
@@ -212,7 +213,8 @@ class Mcs:
     def _watch(self) -> bool:
         """Let the watches look; whether the owner gives no sign of life, so that power must go."""
         now = self.situation
-        now.measured, now.v, now.power = self.measured, self.v, self.manager.power
+        now.measured, now.v = self.measured, self.v
+        now.power, now.brakes = self.manager.power, self.manager.brakes
         for finding in self._supervisor.check(now):
             self._react(finding)
         bound_s = self.config.safety.owner_silence_s

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import DataError, ImError, LimitError, StateError
+from im_core.errors import ImError, LimitError, StateError
 from im_mcs.limits import JointLimits
 from im_mcs.safety.braking import stopping_position
 from im_mcs.servo.group import ControlledGroup, Goal
@@ -70,12 +70,10 @@ class TorqueDriving:
 
         Raises:
             StateError: The group follows a motion.
-            DataError: A wrong size, a value that is not finite, or no lease.
+            DataError: A wrong size, or a value that is not finite.
         """
         torques, lease_s = arguments["torques"], float(arguments["lease_s"])
         self._limits.check_finite(group.index, torques, "stream", "torque")
-        if not lease_s > 0.0:
-            raise DataError("torques need a lease: lease_s > 0, after which the group holds by itself", value=lease_s)
         drive = self._drives.get(group.name)
         if drive is None:
             if group.goals:

@@ -167,11 +167,10 @@ class ControlledGroup(GroupMotions):
             error = self._error()
             late_s = current.late_ticks * planner.period_s
             current.late_ticks += 1
-            missed = current.tolerances.at_goal(error, late_s, current.goal.since_tick + current.ticks)
+            missed = current.tolerances.at_goal(error, late_s, self.settled, current.goal.since_tick + current.ticks)
             if current.tolerances.reached(error) or missed is not None:
                 self._end_current(missed)
-                return
-        if self.settled:
+        elif self.settled:
             self._end_current(None if self.monitor.at_rest else self._not_settled())
 
     def _error(self) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError, StateError
 from im_mcs.config import Servo
+from im_mcs.state.brakes import require_secured
 from im_mcs.state.reservation import Reservations
 from im_mcs.state.sequence import Arms, Sequences
 from im_mcs.state.table import ANYTIME, Event, State, next_state
@@ -27,12 +28,14 @@ class StateManager:
     """Present state, owners of the slots, and what power and brakes are told.
 
     Attributes:
+        joints: Names of all joints.
         state: Present state.
         cause: Why MCS is in its state, though nobody asked for it; or empty.
         power: Power commanded.
         brakes: Brakes commanded, shape (n,).
 
     Args:
+        joints: Names of all joints.
         groups: Slots of each group.
         index: Joints of each group, as ranks.
         settings: Times of the sequences.
@@ -42,12 +45,14 @@ class StateManager:
 
     def __init__(
         self,
+        joints: Sequence[str],
         groups: Mapping[str, Sequence[str]],
         index: Mapping[str, NDArray[np.intp]],
         settings: Servo,
         measured: Measured,
         arms: Arms,
     ) -> None:
+        self.joints = joints
         self.state = State.COLD
         self.cause = ""
         self.power = False
@@ -170,8 +175,8 @@ class StateManager:
                 f"disable_motion is refused while group '{group}' moves; cancel the motion or wait for its end",
                 group=group,
             )
-        if event is Event.RESET and (self.measured.power or not self.measured.brakes.all()):
-            raise StateError("reset is refused: the testbed still reports power on or a brake off")
+        if event in (Event.RESET, Event.POWER_ON):
+            require_secured(event, self.measured, self.joints)
         steps = {
             Event.POWER_ON: self._sequences.power_on,
             Event.POWER_OFF: self._sequences.power_off,

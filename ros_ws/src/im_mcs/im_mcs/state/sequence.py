@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError, WaitTimeoutError
 from im_mcs.config import Servo
+from im_mcs.state.brakes import named
 from im_mcs.state.table import State
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class Sequences:
         """Power on, brakes on."""
         self._manager.power = True
         try:
-            yield from self._until(lambda: self._manager.measured.power, "the testbed to switch power on")
+            yield from self._until(lambda: self._manager.measured.power, lambda: "the testbed to switch power on")
         except WaitTimeoutError:
             self._manager.power = False
             raise
@@ -66,7 +67,7 @@ class Sequences:
         """Power off; if it stays on, an e-stop."""
         self._manager.power = False
         try:
-            yield from self._until(lambda: not self._manager.measured.power, "the testbed to switch power off")
+            yield from self._until(lambda: not self._manager.measured.power, lambda: "the testbed to switch power off")
         except WaitTimeoutError as error:
             self._manager.fail(f"power is not obeyed: {error.message}")
             raise
@@ -79,7 +80,7 @@ class Sequences:
         yield from self._ticks(self._settings.brake_lead_ticks)
         self._manager.brakes[joints] = False
         try:
-            yield from self._until(lambda: not self._manager.measured.brakes[joints].any(), "the brakes to release")
+            yield from self._until_moved(joints, engaged=False)
         except WaitTimeoutError as error:
             self._manager.brakes[joints] = True
             yield from self._until_braked(joints, error)
@@ -111,7 +112,7 @@ class Sequences:
             cause: What failed before; if the brakes fail too, power must go.
         """
         try:
-            yield from self._until(lambda: bool(self._manager.measured.brakes[joints].all()), "the brakes to engage")
+            yield from self._until_moved(joints, engaged=True)
         except WaitTimeoutError as error:
             if cause is not None:
                 self._manager.fail(f"brakes are not obeyed: {cause.message}; {error.message}")
@@ -129,10 +130,23 @@ class Sequences:
         for _ in range(count):
             yield
 
-    def _until(self, holds: Callable[[], bool], what: str) -> Generator[None, None, None]:
+    def _until_moved(self, joints: NDArray[np.intp], engaged: bool) -> Generator[None, None, None]:
+        """Until the brakes of ``joints`` report to be as they are told; else the error names those that do not."""
+
+        def not_yet() -> NDArray[np.intp]:
+            moved: NDArray[np.bool_] = self._manager.measured.brakes[joints] == engaged
+            return joints[~moved]
+
+        verb = "engage" if engaged else "release"
+        yield from self._until(
+            lambda: not not_yet().size,
+            lambda: f"the brakes to {verb}, those of {named(self._manager.joints, not_yet())}",
+        )
+
+    def _until(self, holds: Callable[[], bool], what: Callable[[], str]) -> Generator[None, None, None]:
         timeout_s = self._settings.answer_timeout_s
         for _ in range(round(timeout_s / self._settings.period_s)):
             if holds():
                 return
             yield
-        raise WaitTimeoutError(what=what, seconds=timeout_s)
+        raise WaitTimeoutError(what=what(), seconds=timeout_s)

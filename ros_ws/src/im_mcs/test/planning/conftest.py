@@ -83,7 +83,7 @@ class Rig:
     def move(self, *points: NDArray[np.float64], blend: float = 0.0, **arguments: Any) -> int:
         return self.request({"kind": "joint", "points": [p.tolist() for p in points], "blend": blend}, **arguments)
 
-    def stream(self, q: NDArray[np.float64], lease_s: float = 0.0, **arguments: Any) -> int:
+    def stream(self, q: NDArray[np.float64], lease_s: float = 10.0, **arguments: Any) -> int:
         goal = self.goal()
         self.group.stream(goal, {"positions": q.tolist(), "lease_s": lease_s, "owner": "teleop", **arguments})
         return goal.id

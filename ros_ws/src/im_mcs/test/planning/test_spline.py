@@ -138,6 +138,19 @@ def test_the_default_path_tolerance_is_the_bound_of_the_following_error(rig, cou
     assert rig.code(goal) == "path_tolerance"
 
 
+def test_a_goal_tolerance_holds_also_once_the_arm_has_settled(rig, course, config):
+    q, _, _ = course
+    settle = config.servo.settle
+    for seconds, least, most in ((1.0, 1.0, 1.02), (0.0, settle.window_ticks * rig.period, settle.timeout_s / 2)):
+        more = {"goal_tolerance": [0.0] * 4 + [1e-5] * 5, "goal_time_tolerance": seconds}
+        goal = rig.request({"kind": "trajectory", "points": points(TIMES, q), **more})
+        rig.error[7] = 2e-5
+        assert rig.error[7] < settle.tolerance
+        rig.run()
+        assert rig.code(goal) == "goal_tolerance"
+        assert least <= rig.results[goal][1]["duration"] - TIMES[-1] <= most
+
+
 @pytest.mark.parametrize(("error", "code"), [(0.004, None), (0.006, "goal_tolerance")])
 def test_the_goal_tolerance_decides_at_the_end(rig, course, error, code):
     q, _, _ = course
