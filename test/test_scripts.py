@@ -32,6 +32,15 @@ def test_help_teaches(script, name):
     assert max(map(len, done.stdout.splitlines())) <= 120
 
 
+def test_a_node_helps_and_starts_with_nothing_it_does_not_know(script):
+    done = script("run", "im_mcs", "mcs", "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Node ``/mcs``" in done.stdout
+    done = script("run", "im_mcs", "mcs", "--hepl")
+    assert (done.returncode, "unrecognized arguments: --hepl" in done.stderr) == (2, True)
+    assert "model" in script("run", "im_mcs", "--help").stdout.split()
+
+
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_scripts_are_executable_bash(name):
     path = ROOT / "scripts" / f"{name}.sh"

@@ -18,7 +18,7 @@ def main() -> int:
         if not arguments:
             for package in packages():
                 print(f"{package}: {' '.join(executables(package))}")
-        elif len(arguments) == 1:
+        elif len(arguments) == 1 or arguments[1] in ("-h", "--help"):
             print("\n".join(executables(arguments[0])))
         else:
             path = path_of(arguments[0], arguments[1])

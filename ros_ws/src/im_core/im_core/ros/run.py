@@ -1,5 +1,6 @@
 """Running nodes with the events executor: the one place that spins."""
 
+import argparse
 import contextlib
 import signal
 import sys
@@ -14,6 +15,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
 
 from im_core import scheduling
 from im_core.errors import ImError
@@ -86,12 +88,14 @@ def main(
 
     Args:
         make_node: Makes the node, after ROS is initialised.
-        args: Arguments for ROS; None: those of the process.
+        args: Arguments for ROS; None: those of the process, which may ask for help.
         at_end: Called with the node when the spinning has ended, before the node is destroyed.
 
     Returns:
         Exit code: 0 after an orderly end, 1 if the node could not be made.
     """
+    if args is None:
+        _parser(make_node).parse_args(remove_ros_args(sys.argv)[1:])
     scheduling.keep_off()
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -111,3 +115,12 @@ def main(
         spinner.stop()
         rclpy.try_shutdown()
     return 0
+
+
+def _parser(make_node: Callable[[], NodeT]) -> argparse.ArgumentParser:
+    """The arguments of a node: none of its own, those of ROS, and help."""
+    return argparse.ArgumentParser(
+        usage="%(prog)s [-h] [--ros-args -p NAME:=VALUE ... --params-file FILE --log-level LEVEL]",
+        description=sys.modules[make_node.__module__].__doc__,
+        epilog="A running node tells its parameters: /NODE/list_parameters and /NODE/describe_parameters.",
+    )
