@@ -220,4 +220,4 @@ def test_a_damaged_journal_is_named_and_nothing_starts(machine):
 
 if __name__ == "__main__":
     name, folder = sys.argv[1:]
-    sys.exit(main(lambda: Server(name, Path(folder))))
+    sys.exit(main(lambda: Server(name, Path(folder)), args=[]))

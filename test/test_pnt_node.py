@@ -146,4 +146,4 @@ def test_a_command_ends_with_who_is_missing_when_a_coordinator_is_killed(machine
 
 if __name__ == "__main__":
     name, folder = sys.argv[1:]
-    sys.exit(main(lambda: make_node(name, Path(folder))))
+    sys.exit(main(lambda: make_node(name, Path(folder)), args=[]))

@@ -1,4 +1,4 @@
-"""Node ``/mcs``."""
+"""Node ``/mcs``: motion control of all joints; its servo runs in a process of its own."""
 
 import sys
 from collections.abc import Callable
