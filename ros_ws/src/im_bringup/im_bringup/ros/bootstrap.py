@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import UInt8
 
@@ -29,6 +30,7 @@ from im_msgs.msg import TaskRegistry, TaskStatus
 from im_msgs.srv import QueryTask
 
 POLL_PERIOD_S = 0.05
+ACKNOWLEDGED_S = 2.0
 
 
 class BootstrapNode(Node):
@@ -63,6 +65,8 @@ class BootstrapNode(Node):
         for name in self._bootstrap.shut_down():
             self.get_logger().warning(f"task {name} did not end and was killed")
         self._announce(Phase.SHUTDOWN)
+        if not self._phase_publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S)):
+            self.get_logger().warning(f"not everybody has heard within {ACKNOWLEDGED_S:g} s that the machine ends")
         machine.remove()
 
     def _poll(self) -> None:
