@@ -100,6 +100,11 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
             if path.exists():
                 path.unlink(missing_ok=True)
                 removed.append(path.name)
+    for path in sorted(_SHM.glob("sem.fastrtps_*_mutex")):  # of segments that a peer has removed meanwhile
+        name = path.name.removeprefix("sem.").removesuffix("_mutex")
+        if _DDS_FILE.match(name) and name not in files and path.name not in mapped:
+            path.unlink(missing_ok=True)
+            removed.append(path.name)
     return removed, dying
 
 

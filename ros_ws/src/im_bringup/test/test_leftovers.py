@@ -51,3 +51,10 @@ def test_shared_memory_of_the_dead_is_removed_and_that_of_the_living_stays(insta
     finally:
         for name in gone + kept:
             (SHM / name).unlink(missing_ok=True)
+
+
+def test_a_mutex_whose_segment_is_gone_is_removed():
+    alone = SHM / "sem.fastrtps_port59999_mutex"
+    alone.touch()
+    assert alone.name in leftovers.remove_shared_memory()
+    assert not alone.exists()
