@@ -13,7 +13,7 @@ from im_core.shm import ProcessId
 MARKER = "IM_MACHINE"
 
 _SHM = Path("/dev/shm")
-_DDS_FILE = re.compile(r"^(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))(?:_[es]l)?$")
+_DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))(?:_[es]l|_mutex)?$")
 _DYING_S = 1.0
 _LOCK = re.compile(r"_[es]l$")
 
@@ -77,32 +77,28 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
     """Remove segments whose owner is dead.
 
     Fast DDS holds a lock on the lock file of every segment in use; the kernel gives it back when the owner dies.
-    A segment without a lock file is in use only if a process has it in its memory. One that is locked but in nobody's
-    memory belongs to a process that is just dying: the kernel takes the memory first, then the locks.
+    A segment without a lock file, or a mutex whose segment is gone, is in use only if a process has it in its memory.
+    One that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the memory
+    first, then the locks.
 
     Returns:
         Names of the files removed, and whether the owner of another one is dying.
     """
     files: dict[str, list[Path]] = {}
-    for path in sorted(_SHM.glob("fastrtps_*")):
+    for path in sorted(_SHM.glob("*fastrtps_*")):
         match = _DDS_FILE.match(path.name)
         if match is not None:
             files.setdefault(match.group(1), []).append(path)
     removed, dying = [], False
     mapped = _mapped_names()
-    for name, paths in files.items():
+    for paths in files.values():
         locks = [path for path in paths if _LOCK.search(path.name)]
-        in_use = any(not _unlocked(path) for path in locks) if locks else name in mapped
+        in_memory = any(path.name in mapped for path in paths)
+        in_use = any(not _unlocked(path) for path in locks) if locks else in_memory
         if in_use:
-            dying = dying or name not in mapped
+            dying = dying or not in_memory
             continue
-        for path in (*paths, _SHM / f"sem.{name}_mutex"):
-            if path.exists():
-                path.unlink(missing_ok=True)
-                removed.append(path.name)
-    for path in sorted(_SHM.glob("sem.fastrtps_*_mutex")):  # of segments that a peer has removed meanwhile
-        name = path.name.removeprefix("sem.").removesuffix("_mutex")
-        if _DDS_FILE.match(name) and name not in files and path.name not in mapped:
+        for path in paths:
             path.unlink(missing_ok=True)
             removed.append(path.name)
     return removed, dying

@@ -10,7 +10,7 @@ import pytest
 from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
 from im_core.shm import remove_all
-from im_core.testbed_link import Command, Sensors, Slot, TestbedLink
+from im_core.testbed_link import Command, LaserBeam, Sensors, Slot, TestbedLink
 
 INSTANCE = f"imtest{os.getpid()}"
 N = 3
@@ -157,7 +157,7 @@ def test_exposure_is_demand_and_is_answered(host, client):
             clock.sleep(0.001)
         assert host.demand()
         assert (request.ticks, request.blank_light) == (2, True)
-        host.finish_exposure(request, 3, 5, np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.5]))
+        host.finish_exposure(request, 3, 5, np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.5]), LaserBeam())
 
     thread = threading.Thread(target=serve)
     thread.start()

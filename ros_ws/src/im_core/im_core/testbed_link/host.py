@@ -129,7 +129,7 @@ class HostSide:
         end_tick: int,
         q_true: NDArray[np.float64],
         light_fraction: NDArray[np.float64],
-        laser: LaserBeam = LaserBeam(),  # noqa: B008  (frozen)
+        laser: LaserBeam,
     ) -> None:
         """Answer an exposure request."""
         view = self._shared.view
