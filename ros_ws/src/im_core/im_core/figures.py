@@ -2,12 +2,17 @@
 
 import json
 import os
+import subprocess
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from im_core.clock import stamp_name
 from im_core.errors import ImError
+from im_core.files import write_whole
+from im_core.names import results_dir
 
 
 @dataclass(frozen=True)
@@ -105,6 +110,37 @@ def table(lines: Sequence[Line]) -> str:
     return "\n".join([*(line.text(width) for line in lines), closing])
 
 
+def measured_by(program: Path, *arguments: str) -> list[Line]:
+    """What a benchmark in another process says.
+
+    Args:
+        program: The benchmark; it takes ``--lines FILE``.
+        arguments: Its other arguments.
+
+    Raises:
+        ImError: It failed.
+    """
+    with tempfile.TemporaryDirectory(prefix="im_bench_") as folder:
+        file = Path(folder) / "lines.json"
+        ended = subprocess.run([program, *arguments, "--lines", str(file)], check=False)
+        if not file.is_file():
+            raise ImError(f"the bench of the machine ended with code {ended.returncode}, without figures")
+        return [Line.read(entry) for entry in json.loads(file.read_text(encoding="utf-8"))]
+
+
+def report(name: str, lines: Sequence[Line]) -> bool:
+    """Print the lines, and keep them in ``results/<name>-<date>-<time>.json``.
+
+    Returns:
+        Whether no bar was missed.
+    """
+    print(table(lines))
+    path = results_dir() / f"{name}-{stamp_name()}.json"
+    write(path, lines)
+    print(f"bench: {path}")
+    return all(line.met is not False for line in lines)
+
+
 def write(path: Path, lines: Sequence[Line]) -> None:
     """Writes the lines as a JSON list.
 
@@ -113,4 +149,4 @@ def write(path: Path, lines: Sequence[Line]) -> None:
         lines: The lines.
     """
     content = [{**asdict(line), "measure": line.measure, "met": line.met} for line in lines]
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(content, indent=2) + "\n")

@@ -25,8 +25,7 @@ from im_bringup.start import start
 from im_bringup.truth import truth_error
 from im_core import clock
 from im_core.errors import ImError, StateError
-from im_core.figures import Line, table, write
-from im_core.names import results_dir
+from im_core.figures import Line, report, write
 from im_core.ros import qos
 from im_core.ros.run import Spinner
 from im_msgs.msg import McsState
@@ -202,11 +201,7 @@ def main() -> int:
     if arguments.lines is not None:
         write(arguments.lines, lines)
         return 0
-    print(table(lines))
-    path = results_dir() / f"bench-{clock.stamp_name()}.json"
-    write(path, lines)
-    print(f"bench: {path}")
-    return 1 if any(line.met is False for line in lines) else 0
+    return 0 if report("bench", lines) else 1
 
 
 if __name__ == "__main__":

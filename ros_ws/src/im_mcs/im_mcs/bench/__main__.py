@@ -1,17 +1,12 @@
 """``python -m im_mcs.bench``: the figures of MCS; for ``scripts/bench.sh --mcs``."""
 
 import argparse
-import json
-import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from im_core.clock import stamp_name
 from im_core.errors import ImError
-from im_core.figures import Line, measure, table, write
-from im_core.names import results_dir
+from im_core.figures import Line, measure, measured_by, report
 from im_mcs.bench import durations, line, lockstep, process, tick, tracking
 from im_mcs.config import McsConfig, load_config
 
@@ -58,11 +53,7 @@ def main() -> int:
     except KeyboardInterrupt:
         print("bench: interrupted", file=sys.stderr)
         return 130
-    print(table(lines))
-    path = results_dir() / f"bench-mcs-{stamp_name()}.json"
-    write(path, lines)
-    print(f"bench: {path}")
-    return 1 if failed or any(line.met is False for line in lines) else 0
+    return 0 if report("bench-mcs", lines) and not failed else 1
 
 
 def _work(config: McsConfig, options: argparse.Namespace) -> dict[str, Callable[[], list[Line]]]:
@@ -74,22 +65,8 @@ def _work(config: McsConfig, options: argparse.Namespace) -> dict[str, Callable[
         "process": lambda: process.lines(config, options.seed),
         "durations": lambda: durations.lines(config, options.seed),
         "lockstep": lambda: lockstep.lines(config, options.seed),
-        "deadlines": lambda: _machine_lines(options.machine_bench),
+        "deadlines": lambda: measured_by(options.machine_bench, "--deadlines"),
     }
-
-
-def _machine_lines(program: Path) -> list[Line]:
-    """What the bench of the whole machine says about deadlines.
-
-    Raises:
-        ImError: It failed.
-    """
-    with tempfile.TemporaryDirectory(prefix="im_bench_") as folder:
-        file = Path(folder) / "lines.json"
-        ended = subprocess.run([program, "--deadlines", "--lines", str(file)], check=False)
-        if not file.is_file():
-            raise ImError(f"the bench of the machine ended with code {ended.returncode}, without figures")
-        return [Line.read(entry) for entry in json.loads(file.read_text(encoding="utf-8"))]
 
 
 if __name__ == "__main__":

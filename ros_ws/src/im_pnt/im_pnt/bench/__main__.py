@@ -6,9 +6,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from im_core.clock import stamp_name
-from im_core.figures import Line, measure, table, write
-from im_core.names import results_dir
+from im_core.figures import Line, measure, report
 from im_pnt.bench import firings, idle, journals, links, searches
 from im_pnt.bench.peers import Peers
 
@@ -60,11 +58,7 @@ def main() -> int:
     except KeyboardInterrupt:
         print("bench: interrupted", file=sys.stderr)
         return 130
-    print(table(lines))
-    path = results_dir() / f"bench-nets-{stamp_name()}.json"
-    write(path, lines)
-    print(f"bench: {path}")
-    return 1 if failed or any(line.met is False for line in lines) else 0
+    return 0 if report("bench-nets", lines) and not failed else 1
 
 
 def measure_groups(groups: Sequence[str], options: argparse.Namespace) -> tuple[list[Line], bool]:

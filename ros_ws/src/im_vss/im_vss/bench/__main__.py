@@ -1,19 +1,14 @@
 """``python -m im_vss.bench``: the figures of VSS; for ``scripts/bench.sh --vss``."""
 
 import argparse
-import json
-import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from im_core.clock import stamp_name
 from im_core.errors import ImError
-from im_core.figures import Line, measure, table, write
-from im_core.names import results_dir
+from im_core.figures import Line, measure, measured_by, report
 from im_vss.bench import cameras
 
 PARTS = {
@@ -35,7 +30,7 @@ def main() -> int:
     """Run the command.
 
     Returns:
-        Exit code: 0 all was measured, 1 something failed, 2 bad usage, 130 interrupted.
+        Exit code: 0 all bars are met, 1 a bar is missed or a measurement failed, 2 bad usage, 130 interrupted.
     """
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog="bench --vss", description=_DESCRIPTION, formatter_class=raw)
@@ -52,11 +47,7 @@ def main() -> int:
     except KeyboardInterrupt:
         print("bench: interrupted", file=sys.stderr)
         return 130
-    print(table(lines))
-    path = results_dir() / f"bench-vss-{stamp_name()}.json"
-    write(path, lines)
-    print(f"bench: {path}")
-    return 1 if failed else 0
+    return 0 if report("bench-vss", lines) and not failed else 1
 
 
 def _work(options: argparse.Namespace) -> dict[str, Callable[[], list[Line]]]:
@@ -93,13 +84,7 @@ def _machine_lines(program: Path, part: str, renderer: str) -> list[Line]:
     Raises:
         ImError: It failed.
     """
-    with tempfile.TemporaryDirectory(prefix="im_bench_") as folder:
-        file = Path(folder) / "lines.json"
-        arguments = ["--vision", part, "--renderer", renderer, "--lines", str(file)]
-        ended = subprocess.run([program, *arguments], check=False)
-        if not file.is_file():
-            raise ImError(f"the bench of the machine ended with code {ended.returncode}, without figures")
-        return [Line.read(entry) for entry in json.loads(file.read_text(encoding="utf-8"))]
+    return measured_by(program, "--vision", part, "--renderer", renderer)
 
 
 if __name__ == "__main__":
