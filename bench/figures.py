@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -110,19 +111,18 @@ def table(lines: Sequence[Line]) -> str:
     return "\n".join([*(line.text(width) for line in lines), closing])
 
 
-def measured_by(program: Path, *arguments: str) -> list[Line]:
-    """What a benchmark in another process says.
+def measured_by_machine(*arguments: str) -> list[Line]:
+    """What the bench of the whole machine says, ``python -m bench.machine``.
 
     Args:
-        program: The benchmark; it takes ``--lines FILE``.
-        arguments: Its other arguments.
+        arguments: Its arguments, besides ``--lines FILE``.
 
     Raises:
         ImError: It failed.
     """
     with tempfile.TemporaryDirectory(prefix="im_bench_") as folder:
         file = Path(folder) / "lines.json"
-        ended = subprocess.run([program, *arguments, "--lines", str(file)], check=False)
+        ended = subprocess.run([sys.executable, "-m", "bench.machine", *arguments, "--lines", str(file)], check=False)
         if not file.is_file():
             raise ImError(f"the bench of the machine ended with code {ended.returncode}, without figures")
         return [Line.read(entry) for entry in json.loads(file.read_text(encoding="utf-8"))]

@@ -1,7 +1,12 @@
-"""Figures of a running machine: its memory."""
+"""What running processes use: CPU time and memory."""
 
 from collections.abc import Iterable
 from pathlib import Path
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time that a process has used so far [s]."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[0]) * 1e-9
 
 
 def memory_mib(pids: Iterable[int]) -> float:

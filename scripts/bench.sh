@@ -13,8 +13,8 @@
 #   scripts/bench.sh --vss              instead: vision: frames and answers a second, and where the time goes
 #   scripts/bench.sh --vss frames       only that; --vss --help tells what there is
 #
-# The peers (SNAKES, libpetri, pm4py) are installed once, from scripts/peers.txt into .venv-peers, an environment of
-# their own; without the network their rows say so, and the others are measured.
+# The peers (SNAKES, libpetri, pm4py) are installed once, from bench/peers/requirements.txt into .venv-peers, an
+# environment of their own; without the network their rows say so, and the others are measured.
 #
 # The figures are also in results/bench-<date>-<time>.json; those of a part in results/bench-<part>-<date>-<time>.json.
 # Exit codes: 0 all bars that could be measured are met, 1 a bar is missed or something did not work, 2 bad usage,
@@ -27,12 +27,12 @@ readonly PEERS="$IM_ROOT/.venv-peers"
 # install_peers: makes the environment of the peers, unless it is there; complete only when its stamp is written.
 install_peers() {
   local wanted
-  wanted="$(sha256sum <"$IM_ROOT/scripts/peers.txt") $PEERS"
+  wanted="$(sha256sum <"$IM_ROOT/bench/peers/requirements.txt") $PEERS"
   [[ -x "$PEERS/bin/python" && "$(cat "$PEERS/.im-installed" 2>/dev/null)" == "$wanted" ]] && return
   say "bench: installing the peers into $PEERS (once)"
   rm -rf "$PEERS"
   "$IM_VENV/bin/python" -m venv "$PEERS" &&
-    "$PEERS/bin/python" -m pip install --disable-pip-version-check --quiet --requirement "$IM_ROOT/scripts/peers.txt" &&
+    "$PEERS/bin/python" -m pip install --disable-pip-version-check --quiet --requirement "$IM_ROOT/bench/peers/requirements.txt" &&
     printf '%s\n' "$wanted" >"$PEERS/.im-installed"
 }
 
@@ -50,13 +50,12 @@ done
 if wants_help "$@" && [[ -z "$part" ]]; then help; exit 0; fi
 "$IM_ROOT/scripts/setup.sh"
 im_env
-[[ "$part" == mcs || "$part" == vss ]] &&
-  exec "$IM_VENV/bin/python" -m "im_$part.bench" --machine-bench "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
-[[ "$part" == nets ]] || exec "$IM_BRINGUP/bench" ${arguments[@]+"${arguments[@]}"}
+export PYTHONPATH="$IM_ROOT:$PYTHONPATH"
+[[ "$part" == nets ]] || exec "$IM_VENV/bin/python" -m "bench.${part:-machine}" ${arguments[@]+"${arguments[@]}"}
 
 peers=(--peers "$PEERS/bin/python")
 if ! wants_help "$@" && ! install_peers; then
   peers=(--peers-missing "the peers could not be installed")
 fi
-exec "$IM_VENV/bin/python" -m im_pnt.bench "${peers[@]}" --shipped "$IM_WS"/src/*/*/nets/*.yaml \
-  --peer-programs "$IM_ROOT/scripts/peers" ${arguments[@]+"${arguments[@]}"}
+exec "$IM_VENV/bin/python" -m bench.nets "${peers[@]}" --shipped "$IM_WS"/src/*/*/nets/*.yaml \
+  --peer-programs "$IM_ROOT/bench/peers" ${arguments[@]+"${arguments[@]}"}

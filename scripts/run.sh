@@ -5,7 +5,7 @@
 #   scripts/run.sh PACKAGE                                lists the executables of one package
 #   scripts/run.sh PACKAGE EXECUTABLE ARGS...             runs it
 #   scripts/run.sh im_dom dom --ros-args -p standalone:=true
-#   scripts/run.sh im_pnt pnt verify ros_ws/src/im_dispatcher/im_dispatcher/nets/*.yaml
+#   scripts/run.sh im_pnt_analysis pnt verify ros_ws/src/im_dispatcher/im_dispatcher/nets/*.yaml
 #
 # Exit codes: that of the executable; 2 if there is no such package or executable (said which there are).
 set -euo pipefail

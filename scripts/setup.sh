@@ -152,6 +152,8 @@ build_workspace() {
     in_underlay "$package" || paths+=("$IM_WS/standard_msgs/$package")
   done
   export PATH="$IM_VENV/bin:$PATH" AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH
+  # Executables that a package does not have any more would stay, and fail when called.
+  rm -rf "$IM_WS"/install/*/lib/im_*/
   # colcon passes a load limit of its own unless told otherwise; on a busy machine that takes minutes.
   export MAKEFLAGS="-j$(nproc)" COLCON_LOG_PATH="$IM_WS/log" HOME="${HOME:-$IM_ROOT/.run}"
   cd "$IM_WS"

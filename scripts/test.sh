@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Everything that is checked, from a clean clone: ruff, mypy --strict on the cores, the tests of the packages (no ROS),
+# Everything that is checked, from a clean clone: ruff, mypy --strict, the tests of the packages (no ROS),
 # the tests with nodes and processes, and the case study from end to end.
 #
 #   scripts/test.sh                     all of it
 #   scripts/test.sh --quick             without nodes and without the case study
 #   scripts/test.sh -k spot             what pytest selects; arguments that are not ours go to pytest
 #
-# The last line is "N passed, N failed"; ruff and mypy count as one each. Exit codes: 0 all passed, 1 not.
+# The last line is "N passed, N failed"; ruff, the stubs and mypy count as one each. Exit codes: 0 all passed, 1 not.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi
@@ -19,6 +19,7 @@ done
 
 "$IM_ROOT/scripts/setup.sh"
 im_env
+export PYTHONPATH="$IM_ROOT:$IM_ROOT/test:$PYTHONPATH"  # bench, and test/support, also for the children of tests
 cd "$IM_ROOT"
 results="$(mktemp -d)"
 trap 'rm -rf "$results"' EXIT
@@ -57,14 +58,17 @@ tests() {
   say "== $name tests: ${counts[0]} passed, ${counts[1]} failed ($((SECONDS - began)) s)"
 }
 
-check ruff "$IM_VENV/bin/ruff" check --no-cache ros_ws/src test scripts
-cores=()
-for core in ros_ws/src/*/; do
-  name="$(basename "$core")"
-  [[ -f "$core$name/__init__.py" ]] && cores+=("$core$name")
+check ruff "$IM_VENV/bin/ruff" check --no-cache ros_ws/src bench test scripts
+packages=(bench)
+for folder in ros_ws/src/*/; do
+  name="$(basename "$folder")"
+  [[ -f "$folder$name/__init__.py" ]] && packages+=("$folder$name")
 done
-check mypy "$IM_VENV/bin/python" -m mypy "${cores[@]}"
-tests unit ros_ws/src --numprocesses auto --dist loadgroup
+# What mypy knows of the messages is written from the messages that were built.
+rm -rf "$IM_WS/build/stubs"
+check "stubs of the messages" "$IM_VENV/bin/python" scripts/message_stubs.py "$IM_WS/build/stubs"
+check mypy "$IM_VENV/bin/python" -m mypy "${packages[@]}"
+tests unit ros_ws/src bench --numprocesses auto --dist loadgroup
 if ((!quick)); then
   tests node test -m "not end_to_end"
   tests end-to-end test -m end_to_end

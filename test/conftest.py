@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from im_bringup import leftovers
+from im_bringup.machine import leftovers
 from im_core import clock, names
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -191,7 +191,7 @@ class VisionMachine:
         import numpy as np
         from scipy.spatial.transform import Rotation
 
-        from im_core.robot import load_cell
+        from im_cell.robot import load_cell
 
         cell = load_cell()
         side, arm, cart = cell.sides["left"], cell.arm_models["puma_560"], cell.cart
@@ -217,7 +217,7 @@ class VisionMachine:
 
     def true_camera(self, name):
         """A camera as the testbed has it."""
-        from im_core.camera_model import CameraModel
+        from im_cell.camera_model import CameraModel
 
         true = json.loads((self.folder / "truth.json").read_text())["cameras"][name]
         return CameraModel(640, 480, true["K"], true["D"], true["R_cam_base"], true["t_cam_base_m"])
@@ -233,7 +233,7 @@ class VisionMachine:
             message = to_camera_info(self.vss._book[name], 0)
             message.k, message.d = model.K.ravel(), model.D
             assert self.call(SetCameraInfo, f"/{name}/set_camera_info", camera_info=message).success
-            self.vss._book.set_pose(name, model)
+            self.vss._book.set_cameras({name: model}, intrinsics=False)
 
     def listen(self, kind, topic, profile):
         received = []
@@ -247,7 +247,7 @@ def calibration_request():
     """``calibration_request(problem)``: fields of a request for the ceiling cameras with a problem of the solver's."""
     import numpy as np
 
-    from im_core.robot import load_cell
+    from im_cell.robot import load_cell
     from im_msgs.msg import KnownLength, Observation, Spot
     from im_vss.ros.messages import quaternion
 

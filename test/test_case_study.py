@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from im_cell.calibration_files import read_calibration
+from im_cell.robot import load_cell
 from im_core import clock
-from im_core.calibration_files import read_calibration
 from im_core.config import package_file
-from im_core.robot import load_cell
 
 pytestmark = pytest.mark.end_to_end
 

@@ -29,25 +29,32 @@ MESSAGES = {
 #: Packages of ours that each package may import, besides itself.
 MAY_IMPORT = {
     "im_core": set(),
+    "im_cell": {"im_core"},
     "im_pnt": {"im_core"},
-    "im_mcs": {"im_core"},
-    "im_vss": {"im_core"},
-    "im_sim": {"im_core"},
+    "im_pnt_analysis": {"im_core", "im_pnt"},
+    "im_pnt_display": {"im_core", "im_pnt", "im_pnt_analysis"},
     "im_dom": {"im_core"},
-    "im_bringup": {"im_core"},
-    "im_dispatcher": {"im_core", "im_pnt"},
-    "im_coordinators": {"im_core", "im_pnt"},
+    "im_dispatcher": {"im_core", "im_cell", "im_pnt", "im_pnt_analysis"},
+    "im_coordinators": {"im_core", "im_cell", "im_calibration", "im_pnt", "im_pnt_analysis"},
+    "im_mcs": {"im_core", "im_cell"},
+    "im_calibration": {"im_core", "im_cell"},
+    "im_vss": {"im_core", "im_cell", "im_calibration"},
+    "im_sim": {"im_core", "im_cell"},
+    "im_bringup": {"im_core", "im_cell"},
 }
 
 #: Where each heavy library may be imported: package, or package/folder.
 LIBRARIES = {
-    "pybullet": ("im_sim", "im_vss/camera", "im_vss/bench"),
-    "pybullet_data": ("im_sim", "im_vss/camera"),
-    "pinocchio": ("im_mcs", "im_sim"),
-    "ruckig": ("im_mcs", "im_coordinators"),
+    "pybullet": ("im_sim",),
+    "pybullet_data": ("im_sim",),
+    "pinocchio": ("im_cell", "im_mcs", "im_sim"),
+    "ruckig": ("im_mcs",),
     "coal": ("im_mcs", "im_coordinators"),
-    "cv2": ("im_vss",),
+    # im_sim/cameras: the lens warps and blurs every frame; nothing else is as fast, or gives the same pixels
+    "cv2": ("im_calibration", "im_vss", "im_sim/cameras"),
 }
+
+HOST_END = "im_cell.link.HostEnd"
 
 
 def imports(path):
@@ -66,7 +73,7 @@ def files(package):
 
 
 def relative(path):
-    """``im_vss/camera/render.py`` for the file of that name in the package im_vss."""
+    """``im_sim/cameras/render.py`` for the file of that name in the package im_vss."""
     return path.relative_to(SOURCES).as_posix().partition("/")[2]
 
 
@@ -125,3 +132,96 @@ def test_shells_of_other_packages_are_not_imported(package):
         return foreign and rest.partition(".")[0] == "ros" and not (top == "im_pnt" and rest.startswith("ros.node"))
 
     assert not offences(package, forbidden)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_truth_is_for_who_simulates_and_who_judges(package):
+    """What estimates and moves must not know what the simulated cell is really like."""
+    may = ("im_cell/", "im_sim/", "im_bringup/calibration/truth.py", "im_bringup/ros/truth_error.py")
+
+    def forbidden(path, module):
+        return not path.startswith(may) and module.startswith(("im_cell.robot.truth", "im_cell.link.host", HOST_END))
+
+    assert not offences(package, forbidden)
+
+
+def modules():
+    """The modules of all packages by dotted name."""
+    found = {}
+    for package in PACKAGES:
+        for path in files(package):
+            parts = path.relative_to(SOURCES / package).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def knows():
+    """Whom each module imports, among our modules; what stands under ``TYPE_CHECKING`` counts, too."""
+    known = modules()
+
+    def module_of(name):
+        while name and name not in known:
+            name = name.rpartition(".")[0]
+        return name
+
+    return {
+        name: {found for _, imported in imports(path) if (found := module_of(imported)) and found != name}
+        for name, path in known.items()
+    }
+
+
+def circles(graph):
+    """Sets of nodes of a graph that reach each other (Tarjan)."""
+    index, low, stack, found = {}, {}, [], []
+
+    def visit(node):
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in graph[node]:
+            if other not in index:
+                visit(other)
+                low[node] = min(low[node], low[other])
+            elif other in stack:
+                low[node] = min(low[node], index[other])
+        if low[node] == index[node]:
+            component = [stack.pop()]
+            while component[-1] != node:
+                component.append(stack.pop())
+            if len(component) > 1:
+                found.append(sorted(component))
+
+    for node in graph:
+        if node not in index:
+            visit(node)
+    return found
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    assert not circles(knows())
+
+
+def test_no_folders_import_each_other_in_a_circle():
+    """A folder is a layer: what its modules import, its neighbours' modules do not import back."""
+
+    def folder(module):
+        parts = module.split(".")
+        return ".".join(parts[: 2 if len(parts) > 2 else 1])
+
+    graph = {}
+    for module, others in knows().items():
+        if folder(module).count("."):
+            graph.setdefault(folder(module), set()).update(
+                folder(other) for other in others if folder(other).count(".") and folder(other) != folder(module)
+            )
+    graph = {node: {other for other in others if other in graph} for node, others in graph.items()}
+    assert not circles(graph)
+
+
+def test_one_class_name_means_one_thing():
+    """A search for a name finds one thing; names that begin with an underscore are a module's own affair."""
+    found = {}
+    for module, path in modules().items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found.setdefault(node.name, []).append(module)
+    assert not {name: places for name, places in found.items() if len(places) > 1}

@@ -13,13 +13,16 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from im_core import clock
-from im_core.errors import WaitTimeoutError
+from im_core.errors import NotFoundError, WaitTimeoutError
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
 from im_msgs.action import Move
-from im_pnt.again import again
+from im_pnt.execution.events import ModeSet
+from im_pnt.execution.functions import idempotent
+from im_pnt.execution.operator import Mode
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
 
 NETS = {
     **{name: (Path(__file__).parent / "nets" / f"{name}.yaml").read_text() for name in ("front", "middle")},
@@ -39,12 +42,20 @@ transitions:
 class Server(PntNode):
     """A node with nets, whose actions wait for files of the test."""
 
-    def __init__(self, name: str, folder: Path) -> None:
+    def __init__(self, name: str, folder: Path, **settings: object) -> None:
         self.folder = folder
-        parameters = [Parameter("standalone", value=True), Parameter("journal_dir", value=str(folder / "journal"))]
+        settings = {"standalone": True, "journal_dir": str(folder / "journal"), **settings}
+        parameters = [Parameter(parameter, value=value) for parameter, value in settings.items()]
         functions = {"think": self.think}
-        asks = {"think": again(self.think)}
-        super().__init__(name, [folder / f"{name}.yaml"], functions, asks=asks, parameter_overrides=parameters)
+        asks = {"think": idempotent(self.think)}
+        super().__init__(
+            name,
+            [folder / f"{name}.yaml"],
+            functions,
+            asks=asks,
+            verifier=verify_to_load,
+            parameter_overrides=parameters,
+        )
 
     async def think(self, ctx):
         """Waits for the file ``thought``; notes that it was begun, and what it remembers."""
@@ -216,6 +227,26 @@ def test_a_damaged_journal_is_named_and_nothing_starts(machine):
         machine.until(lambda: node.failed, "the node to refuse", 5.0)
         assert str(journal) in node.failed
         assert "record" in node.failed
+
+
+@pytest.mark.parametrize(("sync", "waits"), [("os", False), ("disk", True)])
+def test_a_journal_waits_for_the_disk_where_it_is_told_to(tmp_path, ros, monkeypatch, sync, waits):
+    (tmp_path / "front.yaml").write_text(NETS["front"])
+    synced = []
+    monkeypatch.setattr("os.fdatasync", synced.append)
+    node = Server("front", tmp_path, journal_sync=sync)
+    node.phase_configure()
+    synced.clear()
+    journal = node._journal
+    journal.recorder("front")(ModeSet(Mode.SUPERVISED))
+    journal.write()
+    assert bool(synced) is waits
+    node.destroy_node()
+
+
+def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros):
+    with pytest.raises(NotFoundError, match=r"value of the parameter journal_sync.*tape.*disk, os"):
+        Server("front", tmp_path, journal_sync="tape")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from im_core.ros import qos
 from im_core.ros.run import main, spin_in_thread
 from im_msgs.msg import Firing
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
 
 NETS = {
     **{name: (Path(__file__).parent / "nets" / f"{name}.yaml").read_text() for name in ("front", "middle")},
@@ -52,6 +53,7 @@ def make_node(name: str, folder: Path) -> PntNode:
         name,
         [folder / f"{name}.yaml"],
         {"think": think},
+        verifier=verify_to_load,
         parameter_overrides=[rclpy.parameter.Parameter("standalone", value=True)],
     )
     NODES[name] = node

@@ -18,6 +18,7 @@ from im_msgs.action import Move
 from im_msgs.msg import Firing, ObjectChange, Status
 from im_msgs.srv import GetObject
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
 
 NET = """
 net: worker
@@ -115,7 +116,8 @@ def machine(tmp_path_factory):
         "pace": lambda ctx: {"data": ctx.command.arguments["very"]},
         "nothing": lambda ctx: None,
     }
-    node = PntNode("worker", [file], functions, {"keep": lambda ctx: keep[0]}, parameter_overrides=alone)
+    guards = {"keep": lambda ctx: keep[0]}
+    node = PntNode("worker", [file], functions, guards, verifier=verify_to_load, parameter_overrides=alone)
     with spin_in_thread(hardware, node):
         deadline = clock.monotonic() + 10.0
         while not node.ready and clock.monotonic() < deadline:
@@ -268,7 +270,8 @@ def test_an_unknown_command_is_refused_by_name(machine):
 def test_a_node_refuses_a_net_at_load_and_says_why(machine, tmp_path, text, reason):
     file = tmp_path / "n.yaml"
     file.write_text(text)
-    node = PntNode("refusing", [file], parameter_overrides=[Parameter("standalone", value=True)])
+    alone = [Parameter("standalone", value=True)]
+    node = PntNode("refusing", [file], verifier=verify_to_load, parameter_overrides=alone)
     with spin_in_thread(node):
         deadline = clock.monotonic() + 5.0
         while not node.failed and clock.monotonic() < deadline:

@@ -1,6 +1,7 @@
 """The display server shows what nets do, to any number of viewers."""
 
 import asyncio
+import json
 import threading
 
 import aiohttp
@@ -9,10 +10,13 @@ import rclpy
 from rclpy.parameter import Parameter
 
 from im_core import clock
+from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
-from im_pnt.display.server import DisplayServer
-from im_pnt.ros.display_node import DisplayNode
+from im_msgs.msg import Firing, Marking, NetDescription, NetRefusal
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
+from im_pnt_display import DisplayServer
+from im_pnt_display.ros.node import DisplayNode
 
 NET = """
 net: shown
@@ -32,7 +36,10 @@ def machine(tmp_path, monkeypatch):
     rclpy.init()
     alone = [Parameter("standalone", value=True)]
     display = DisplayNode(parameter_overrides=[*alone, Parameter("port", value=0)])
-    walker = PntNode("walker", [tmp_path / "shown.yaml"], {"walk": lambda ctx: None}, parameter_overrides=alone)
+    walk = {"walk": lambda ctx: None}
+    walker = PntNode(
+        "walker", [tmp_path / "shown.yaml"], walk, verifier=verify_to_load, parameter_overrides=alone
+    )
     with spin_in_thread(display, walker):
         deadline = clock.monotonic() + 10.0
         while not display.server.state.snapshot()["markings"] and clock.monotonic() < deadline:
@@ -107,3 +114,27 @@ def test_a_second_display_takes_the_next_port(machine):
         assert other.url != display.server.url
     finally:
         other.stop()
+
+
+def test_messages_that_make_no_sense_are_passed_over(machine):
+    display, walker = machine
+    nets = walker.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED_MANY)
+    refusals = walker.create_publisher(NetRefusal, "/pnt/refusals", qos.LATCHED_MANY)
+    firings = walker.create_publisher(Firing, "/pnt/firings", qos.EVENTS)
+    markings = walker.create_publisher(Marking, "/pnt/markings", qos.LATCHED_MANY)
+    for text in ("[]", "{}", "5", "{", "[" * 100_000, json.dumps({"yaml": "# x\n" * 2_500_000})):
+        nets.publish(NetDescription(net="bad", node="/nobody", json=text))
+        refusals.publish(NetRefusal(net="bad", node="/nobody", json=text))
+    firings.publish(Firing(net="bad", transition="t", duration=float("nan")))
+    firings.publish(Firing(net="odd", transition="t", phase=77))
+    markings.publish(Marking(net="bad", places=["a", "b"], tokens=[1]))
+    good = json.dumps({"yaml": NET.replace("net: shown", "net: good")})
+    nets.publish(NetDescription(net="good", node="/nobody", json=good))
+    state = display.server.state.snapshot
+    deadline = clock.monotonic() + 20.0
+    while len(state()["nets"]) < 2 and clock.monotonic() < deadline:
+        clock.sleep(0.05)
+    shown = state()
+    assert [net["net"] for net in shown["nets"]] == ["good", "shown"]
+    assert [firing["phase"] for firing in shown["firings"]] == ["77"]
+    assert [marking["net"] for marking in shown["markings"]] == ["shown"]

@@ -1,6 +1,5 @@
 """Nets under the hands of an operator: paused, stepped, confirmed; actions in doubt resolved; nets replaced."""
 
-import json
 import math
 import threading
 
@@ -16,9 +15,11 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Marking, NetRefusal, StrategyChoice
 from im_msgs.srv import ControlNet
-from im_pnt.doubt import Answer, Verdict
+from im_pnt.execution.events import Answer, Outcome
 from im_pnt.netfile import parse_net
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
+from im_pnt_display.page.messages import counterexample
 
 WALKER = """
 net: walker
@@ -91,7 +92,8 @@ class Walker(PntNode):
             "walker",
             [folder / f"{name}.yaml" for name in ("walker", "lamp", "bin")],
             {"walk": self.walk, "press": lambda ctx: None},
-            asks={"walk": lambda ctx: Answer(Verdict.RUNNING, asked="its legs")},
+            asks={"walk": lambda ctx: Answer(Outcome.RUNNING, asked="its legs")},
+            verifier=verify_to_load,
             **kwargs,
         )
 
@@ -239,10 +241,10 @@ def test_a_net_that_does_harm_only_together_with_another_is_refused_with_the_way
     assert "place bin.thrown.underway can grow without end" in refusal
     operator.until(lambda: operator.refusals, "the refusal")
     message = operator.refusals[0]
-    story = json.loads(message.json)
     assert (message.net, message.node) == ("thrower", "/walker")
-    assert {net["net"] for net in story["drawings"]} == {"thrower", "bin"}
-    assert [step["fired"] for step in story["steps"]][:2] == ["", "thrower.throw"]
+    played = counterexample(message.json)
+    assert {net["net"] for net in played["drawings"]} == {"thrower", "bin"}
+    assert [step["fired"] for step in played["steps"]][:2] == ["", "thrower.throw"]
 
 
 def test_a_net_takes_over_the_tokens_of_one_at_rest(machine):

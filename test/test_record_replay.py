@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from im_bringup.bag import BagReader
-from im_bringup.ros.record import message_class_of
 from im_core.ros import qos
+from im_core.ros.interfaces import interface_class
 from im_msgs.msg import Firing
 
 RUN = Path(__file__).resolve().parent.parent / "scripts" / "run.sh"
@@ -134,4 +134,4 @@ def test_replay_refuses_what_it_cannot_play(script, arguments):
 
 
 def test_message_classes_are_found_by_name():
-    assert message_class_of("std_msgs/msg/String") is String
+    assert interface_class("std_msgs/msg/String") is String

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from im_bringup import leftovers, machine
+from im_bringup.machine import leftovers
+from im_bringup.machine import record as machine
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.sh") if path.stem != "lib")
@@ -82,7 +83,7 @@ def test_without_a_machine_calibrate_camera_says_so(script):
 def test_run_lists_what_there_is(script):
     done = script("run")
     assert done.returncode == 0
-    assert "im_bringup: agent bench bootstrap calibrate_camera " in done.stdout
+    assert "im_bringup: agent bootstrap calibrate_camera " in done.stdout
     assert "im_dom: dom\n" in done.stdout
     assert script("run", "im_dom").stdout == "dom\n"
 

@@ -12,11 +12,11 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
+from im_cell.link import CameraEnd, HostEnd, PanelEnd, ServoEnd
 from im_core import clock, names
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import spin_in_thread
-from im_core.testbed_link import Slot, TestbedLink
 from im_msgs.msg import TaskStatus
 from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
 from im_sim.ros.node import TestbedNode
@@ -66,10 +66,9 @@ def test_a_session(run_folder):
         assert not answer.success
         assert "there is no light 'left_lamp'; did you mean 'left_led'?" in answer.message
 
-        link = TestbedLink.attach(names.instance(), timeout_s=1.0)
-        exposure = link.expose(2, blank_light=False, timeout_s=2.0)
+        with CameraEnd.attach(names.instance(), timeout_s=1.0) as camera:
+            exposure = camera.expose(2, blank_light=False, timeout_s=2.0)
         assert exposure.light_fraction == {"left_led": 1.0, "right_led": 0.0}
-        link.close()
 
         answer = call_blocking(advance, Advance.Request(duration=0.45), 5.0, "time")
         assert answer.success, answer.message
@@ -95,30 +94,32 @@ def test_faults_and_objects_by_service(run_folder):
     with spin_in_thread(node, listener):
         until(lambda: node.ready or node.failed)
         assert node.ready, node.failed
-        link = TestbedLink.attach(names.instance(), timeout_s=1.0)
+        ends = [kind.attach(names.instance(), timeout_s=1.0) for kind in (PanelEnd, ServoEnd, HostEnd)]
+        panel, servo, host = ends
 
         def broken(fault, joint, active):
             request = InjectFault.Request(fault=fault, joint=joint, active=active)
             answer = call_blocking(inject, request, 5.0, "fault")
-            link.wait_tick(link.request_time(Slot.TESTBED, 1), timeout_s=2.0)
+            panel.wait_tick(panel.request_time(1), timeout_s=2.0)
             return answer.success, answer.message
 
         assert broken("encoder_nan", "left_j2", True) == (True, "broken: encoder_nan of left_j2")
-        assert np.flatnonzero(np.isnan(link.read_state().q)).tolist() == [4]
+        assert np.flatnonzero(np.isnan(servo.read_state().q)).tolist() == [4]
         assert broken("encoder_nan", "left_j2", False) == (True, "nothing is broken")
-        assert np.isfinite(link.read_state().q).all()
+        assert np.isfinite(servo.read_state().q).all()
         success, message = broken("brake_stuck", "left_j9", True)
         assert not success
         assert "there is no joint 'left_j9'; did you mean" in message
 
         request = PutInJaws.Request(gripper="left_gripper", width=0.05, stiffness=1e4, mass=0.2)
         assert call_blocking(put, request, 5.0, "object").success
-        link.wait_tick(link.request_time(Slot.TESTBED, 1), timeout_s=2.0)
-        assert link.objects()[0].mass == 0.2
+        panel.wait_tick(panel.request_time(1), timeout_s=2.0)
+        assert host.objects()[0].mass == 0.2
         answer = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=-1.0), 5.0, "object")
         assert not answer.success
         assert "width and stiffness are > 0" in answer.message
-        link.close()
+        for end in ends:
+            end.close()
 
 
 def test_a_dead_physics_process_is_a_failed_task(run_folder):

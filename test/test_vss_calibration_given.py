@@ -6,9 +6,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
-from im_core.calibration_files import read_calibration
-from im_core.camera_model import CameraModel
-from im_core.robot import load_cell
+from im_cell.calibration_files import read_calibration
+from im_cell.camera_model import CameraModel
+from im_cell.robot import load_cell
 from im_core.ros import qos
 from im_msgs.srv import LaserPoint, Snap, SpotFindStereo
 from im_sim.truth import draw_truth

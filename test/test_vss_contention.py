@@ -15,6 +15,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import RegionOfInterest
 
+from bench.calibration.synthetic import Design, make_scene
 from im_core import clock
 from im_core.ros import qos
 from im_msgs.srv import (
@@ -31,7 +32,6 @@ from im_msgs.srv import (
     SpotFindStereo,
     VisionQuery,
 )
-from im_vss.calibration.synthetic import Design, make_scene
 from im_vss.catalogue import load_catalogue
 from im_vss.managers import VisionClient
 
@@ -162,7 +162,7 @@ def test_fifty_clients_of_every_service_of_which_a_tenth_is_killed(machine, mort
     machine.calibrate_cameras(*CEILING)
     machine.light(on=True)
     vsm, rig = machine.vss._vsm, machine.vss._rig
-    hardware = [(rig.source, "take"), (rig.screen, "raw"), (rig.monitors, "draw"), (rig.laser.scanner, "drive")]
+    hardware = [(rig.source, "take_frames"), (rig.screen, "raw"), (rig.monitors, "draw"), (rig.laser.scanner, "drive")]
     counted = [Counted(getattr(*place)) for place in hardware]
     for place, count in zip(hardware, counted, strict=True):
         monkeypatch.setattr(*place, count)

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from bench.calibration.synthetic import Design, make_scene
 from im_msgs.srv import Calibrate
-from im_vss.calibration.synthetic import Design, make_scene
 
 
 @pytest.fixture(scope="module")

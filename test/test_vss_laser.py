@@ -9,9 +9,9 @@ from geometry_msgs.msg import Point
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Image
 
-from im_core.calibration_files import read_calibration
-from im_core.laser_model import LaserModel
-from im_core.robot import load_cell
+from im_cell.calibration_files import read_calibration
+from im_cell.laser_model import LaserModel
+from im_cell.robot import load_cell
 from im_core.ros import qos
 from im_msgs.srv import LaserCalibrate, LaserPoint, LaserSpot3d, LineScan, Snap, SpotFind
 

@@ -14,13 +14,13 @@ from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 from tf2_msgs.msg import TFMessage
 
+from im_cell.camera_model import CameraModel
 from im_core import clock
-from im_core.camera_model import CameraModel
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_msgs.msg import Observation, Spot
 from im_msgs.srv import Calibrate, Snap, SpotFind, SpotFindStereo
-from im_vss.camera.bank import STEPS
+from im_sim.cameras.bank import STEPS
 from im_vss.ros.messages import quaternion
 
 CEILING = ["ceiling_left", "ceiling_right"]
@@ -68,10 +68,10 @@ class Reflecting:
     """Wraps the cameras: beside the light at a place [px] there is its reflection, by a share as bright, 40 px away."""
 
     def __init__(self, take, place, share):
-        self.take, self.share, (self.u, self.v) = take, share, np.round(place).astype(int)
+        self.take_frames, self.share, (self.u, self.v) = take, share, np.round(place).astype(int)
 
     def __call__(self, order):
-        taken = self.take(order)
+        taken = self.take_frames(order)
         return replace(taken, frames={name: self._with(*pair) for name, pair in taken.frames.items()})
 
     def _with(self, off, on):
@@ -94,9 +94,9 @@ def test_reflections_are_handed_on_as_candidates(machine, monkeypatch):
 
     light, (only,) = find()
     assert (only.u, only.v, only.found) == (light.u, light.v, True)
-    take = machine.vss._rig.source.take
+    take = machine.vss._rig.source.take_frames
     for share, found in ((0.9, False), (0.25, True)):
-        monkeypatch.setattr(machine.vss._rig.source, "take", Reflecting(take, (light.u, light.v), share))
+        monkeypatch.setattr(machine.vss._rig.source, "take_frames", Reflecting(take, (light.u, light.v), share))
         spot, candidates = find()
         assert (spot.found, "several candidates: (" in spot.cause) == (found, not found)
         assert np.allclose(
@@ -237,7 +237,7 @@ def test_many_clients_at_once_are_all_answered(machine):
 
 
 def test_a_dead_camera_process_is_named_and_replaced(machine):
-    os.kill(machine.vss._host._child.pid, signal.SIGKILL)
+    os.kill(machine.vss._source._child.pid, signal.SIGKILL)
     first = machine.call(Snap, "/vss/snap", cameras=["wall"])
     assert first.success or "the camera process is missing" in first.status.message
     second = machine.call(Snap, "/vss/snap", cameras=["wall"])

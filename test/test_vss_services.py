@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from tf2_msgs.msg import TFMessage
 
+from im_cell.robot import load_cell
 from im_core import clock
-from im_core.robot import load_cell
 from im_core.ros import qos
 from im_msgs.msg import VisionState
 from im_msgs.srv import Advance, CircleFind, FiducialPose, LineFind, Snap, SpotFindStereo, VisionCancel, VisionQuery
-from im_vss.edges.band import undistorted
+from im_vss.edges.step import undistorted
 from im_vss.managers import VisionClient
 
 CEILING = ["ceiling_left", "ceiling_right"]

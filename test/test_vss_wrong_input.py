@@ -8,6 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bench.calibration.synthetic import Design, make_scene
+from im_core import plugins
 from im_core.errors import ImError
 from im_msgs.srv import (
     CircleFind,
@@ -21,8 +23,7 @@ from im_msgs.srv import (
     SpotFind,
     SpotFindStereo,
 )
-from im_vss.calibration.synthetic import Design, make_scene
-from im_vss.catalogue import load_class
+from im_vss.ros.ports import Port
 
 CEILING = ["ceiling_left", "ceiling_right"]
 KNOWN = [*CEILING, "wall", "table", "wrist_left"]
@@ -164,7 +165,7 @@ def refused(machine):
     def check(service, message):
         before = state()
         assert set(before[0].values()) == {("", ())}
-        port = load_class(catalogue[service].port, object)(rig)
+        port = plugins.load(catalogue[service].port, Port, "port")(rig)
         with pytest.raises(ImError) as caught:
             vsm.request(service, port.request(message))
         assert len(caught.value.message) > 15

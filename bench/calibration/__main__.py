@@ -1,13 +1,13 @@
-"""``python -m im_vss.calibration.evaluation``: how good the calibration is, on synthetic data with known truth."""
+"""``python -m bench.calibration``: how good the calibration is, on synthetic data with known truth."""
 
 import argparse
 import sys
 from collections.abc import Sequence
 
-from im_vss.calibration.evaluation.further_poses import further_poses
-from im_vss.calibration.evaluation.kinds import CLEAN, HARD
-from im_vss.calibration.evaluation.score import score
-from im_vss.calibration.evaluation.verdicts import false_verdicts, wrong_verdicts
+from bench.calibration.further_poses import further_poses
+from bench.calibration.kinds import CLEAN, HARD
+from bench.calibration.score import score
+from bench.calibration.verdicts import false_verdicts, wrong_verdicts
 
 _BAD, _GOOD = 60, 500
 
@@ -23,7 +23,7 @@ poses     errors achieved with further poses by expected error, and by chance
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a table."""
     parser = argparse.ArgumentParser(
-        prog="python -m im_vss.calibration.evaluation",
+        prog="python -m bench.calibration",
         description="How good the calibration is, on synthetic data with known truth.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from im_vss.calibration.evaluation.score import errors
-from im_vss.calibration.expected import rms
-from im_vss.calibration.next_pose import Candidates, next_best_poses
-from im_vss.calibration.pipeline import calibrate
-from im_vss.calibration.synthetic import Design, make_scene
+from bench.calibration.score import errors
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration.design import Candidates, next_best_poses
+from im_calibration.judgement.expected import rms
+from im_calibration.pipeline import calibrate
 
 _FIRST, _POOL = 12, 150
 

@@ -1,6 +1,6 @@
 """Kinds of good data sets; each name says what is not ideal about it."""
 
-from im_vss.calibration.synthetic import Design
+from bench.calibration.synthetic import Design
 
 CLEAN = {
     "clean": Design(led_offset_prior_sd=0.0),

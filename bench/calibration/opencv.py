@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
+from im_calibration.problem.problem import CalibrationProblem
+from im_cell.camera_model import CameraModel
 from im_core.errors import DataError
-from im_vss.calibration.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 

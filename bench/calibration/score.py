@@ -7,19 +7,48 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from im_core.calibration_error import evaluate
-from im_core.camera_model import CameraModel
-from im_vss.calibration.calibration import Calibration
-from im_vss.calibration.evaluation.bound import cramer_rao
-from im_vss.calibration.evaluation.opencv import opencv_cameras
-from im_vss.calibration.expected import rms
-from im_vss.calibration.pipeline import calibrate
-from im_vss.calibration.synthetic import Design, SyntheticScene, make_scene
+from bench.calibration.opencv import opencv_cameras
+from bench.calibration.synthetic import Design, SyntheticScene, make_scene
+from im_calibration.estimation.covariance import covariance_of
+from im_calibration.estimation.residuals import linearise
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.judgement.calibration import Calibration
+from im_calibration.judgement.expected import ExpectedError, expected_error, rms
+from im_calibration.pipeline import calibrate
+from im_cell.calibration_error import evaluate
+from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 
 _LOST = 1e3
 """Error [px, mm] that counts for a trial without an answer."""
+
+
+def true_unknowns(scene: SyntheticScene) -> Unknowns:
+    """The unknowns as they are, LED positions at those measured."""
+    cameras, layout = scene.cameras, ParameterLayout.of(scene.problem)
+    return Unknowns(
+        np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2], *c.D[:4]] for c in cameras]),
+        np.array([c.R_cam_base for c in cameras]),
+        np.array([c.t_cam_base for c in cameras]),
+        scene.led_offset_error if layout.led else np.zeros(3),
+        scene.joint_offsets[: layout.joints],
+        np.zeros_like(scene.problem.positions),
+    )
+
+
+def cramer_rao(scene: SyntheticScene) -> ExpectedError:
+    """Bound of both errors over the workspace, from the inliers at the truth, with the priors the data set states.
+
+    Args:
+        scene: A problem with its truth.
+    """
+    problem, layout, truth = scene.problem, ParameterLayout.of(scene.problem), true_unknowns(scene)
+    line = linearise(truth, problem, layout, problem.detected & ~scene.outliers)
+    information = np.einsum("nia,nij,njb->ab", line.jacobians, np.linalg.inv(line.covariances), line.jacobians)
+    stated = np.diag(layout.prior_precision - layout.lens_precision)
+    covariance = covariance_of(information + stated).matrix
+    return expected_error(truth, covariance, problem.image_sizes, problem.workspace)
 
 
 @dataclass(frozen=True)

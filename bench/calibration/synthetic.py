@@ -5,11 +5,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
-from im_core.workspace import Workspace
-from im_vss.calibration.lengths import KnownLengths
-from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.unknowns import rotation_exp
+from im_calibration.estimation.unknowns import rotation_exp
+from im_calibration.problem.problem import CalibrationProblem, KnownLengths
+from im_cell.camera_model import CameraModel
+from im_cell.workspace import Workspace
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -1,15 +1,18 @@
-"""Kinds of data sets that must not pass: degenerate, or in contradiction to themselves; each with its verdict."""
+"""Bad data sets, which must get the right verdict, and good ones, which must get none."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import cycle, islice
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.synthetic import Design, make_scene, random_rotations, with_stated_noise
-from im_vss.calibration.unknowns import rotation_exp
-from im_vss.calibration.verdicts import MISFIT, UNOBSERVABLE
+from bench.calibration.kinds import CLEAN, HARD
+from bench.calibration.synthetic import Design, make_scene, random_rotations, with_stated_noise
+from im_calibration.estimation.unknowns import rotation_exp
+from im_calibration.judgement.verdicts import MISFIT, UNOBSERVABLE
+from im_calibration.problem.problem import CalibrationProblem
+from im_calibration.reporting.report import answer
 
 Array = NDArray[np.float64]
 
@@ -123,3 +126,27 @@ BAD = {
     "joint offsets not declared": Bad(MISFIT, _undeclared_joint_offsets),
     "robot 1 % too small, known lengths": Bad(MISFIT, lambda seed: _of(Design(scale_error=0.01, lengths=10), seed)),
 }
+
+
+def wrong_verdicts(seed: int, count: int = 60) -> Iterator[tuple[str, int, list[str]]]:
+    """Bad sets, kind by kind in turn, that do not get exactly the verdict they should.
+
+    Args:
+        seed: Of the first set.
+        count: Number of sets.
+
+    Yields:
+        Kind, seed, and the verdicts given.
+    """
+    for i, (name, bad) in enumerate(islice(cycle(BAD.items()), count)):
+        flags = answer(bad.make(seed + i))["flags"]
+        if flags != [bad.verdict]:
+            yield name, seed + i, flags
+
+
+def false_verdicts(seed: int, count: int = 500) -> Iterator[tuple[str, int, list[str]]]:
+    """Good sets, kind by kind in turn, that get a verdict; as :func:`wrong_verdicts`."""
+    for i, (name, design) in enumerate(islice(cycle((CLEAN | HARD).items()), count)):
+        flags = answer(make_scene(design, seed + i).problem)["flags"]
+        if flags:
+            yield name, seed + i, flags

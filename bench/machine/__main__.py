@@ -13,19 +13,19 @@ from typing import Any
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from im_bringup import deployment as deployments
-from im_bringup import leftovers, stop
-from im_bringup.interrupts import interrupt_once
-from im_bringup.measure import memory_mib
-from im_bringup.ros.calibrate_camera import Client
-from im_bringup.ros.deadlines import deadline_lines
+from bench.figures import Line, report, write
+from bench.machine.deadlines import deadline_lines
+from bench.machine.vision import vision_lines
+from bench.usage import memory_mib
+from im_bringup.calibration.truth import truth_error
+from im_bringup.machine import leftovers, stop
+from im_bringup.machine.interrupts import interrupt_once
+from im_bringup.machine.start import start
+from im_bringup.ros.calibrate_camera import CalibrateCameraClient
 from im_bringup.ros.truth_error import get_truth
-from im_bringup.ros.vision import vision_lines
-from im_bringup.start import start
-from im_bringup.truth import truth_error
+from im_bringup.tasks import deployment as deployments
 from im_core import clock
 from im_core.errors import ImError, StateError
-from im_core.figures import Line, report, write
 from im_core.ros import qos
 from im_core.ros.run import Spinner
 from im_msgs.msg import McsState
@@ -34,7 +34,7 @@ START_S = 120.0
 NODE = "import rclpy; from rclpy.node import Node; rclpy.init(); Node('bare')"
 
 
-class Bench(Client):
+class Bench(CalibrateCameraClient):
     """Commands the machine and listens to the servo."""
 
     def __init__(self) -> None:

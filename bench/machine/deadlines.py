@@ -13,13 +13,13 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from im_bringup import deployment as deployments
-from im_bringup import stop
-from im_bringup.deployment import Deployment, ParameterValue
-from im_bringup.start import start
+from bench.figures import Line
+from im_bringup.machine import stop
+from im_bringup.machine.start import start
+from im_bringup.tasks import deployment as deployments
+from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_core import clock
 from im_core.errors import StateError, WaitTimeoutError
-from im_core.figures import Line
 from im_core.ros import qos
 from im_core.ros.run import Spinner
 from im_msgs.action import Move

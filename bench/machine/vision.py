@@ -3,40 +3,69 @@
 import json
 import tempfile
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rclpy
 import yaml
+from geometry_msgs.msg import Point, Pose, Quaternion
+from numpy.typing import NDArray
 from rclpy.signals import SignalHandlerOptions
+from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger
 
-from im_bringup import stop
-from im_bringup.ros.deadlines import GROUP, Operator, smaller
+from bench.figures import Line
+from bench.machine.deadlines import GROUP, Operator, smaller
+from im_bringup.machine import stop
+from im_bringup.machine.start import start
 from im_bringup.ros.truth_error import get_truth
-from im_bringup.ros.vision_requests import CEILING, LIGHT, observations, requests
-from im_bringup.start import start
+from im_cell.camera_model import CameraModel
+from im_cell.robot.truth import CellTruth
 from im_core import clock
 from im_core.config import package_file
 from im_core.errors import ImError, StateError
-from im_core.figures import Line
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import Spinner
-from im_msgs.srv import Calibrate, ReserveGroup, SetLight, Snap
+from im_msgs.msg import Observation, Spot
+from im_msgs.srv import (
+    Calibrate,
+    CircleFind,
+    FiducialPose,
+    LaserCalibrate,
+    LaserPoint,
+    LaserSpot3d,
+    LineFind,
+    LineScan,
+    ReserveGroup,
+    SetLight,
+    Snap,
+    SpotFind,
+    SpotFindStereo,
+)
+
+Requests = dict[str, tuple[type, Callable[[int], Any]]]
 
 CLIENTS = 8
 PERIOD_S = 0.0045
+CEILING = ["ceiling_left", "ceiling_right"]
+LIGHT = "left_led"
+ON_TABLE = (0.1, 1.1, 0.75)
+LINES = 5
+
 _START_S, _ANSWER_S = 90.0, 120.0
 _FRAMES_S, _SERVICE_S = 4.0, 3.0
 _LEAST_SHARE = 0.02
 _REST = {"snap_s": "wait for the cameras", "look_s": "mirrors, spots and waits"}
 """Steps that hold those of the cameras, and what else is in them."""
 _CAMERA = ("expose_s", "render_s", "warp_s", "plates_s", "lights_s", "laser_s", "noise_s", "handover_s")
+_POSES = 40
+_LOW, _HIGH = np.array([-0.7, -0.5, 0.6]), np.array([0.7, 0.7, 1.7])
+_SPOT_SD_PX, _ARM_SD_M = 0.04, 2e-4
 
 
 @dataclass
@@ -45,7 +74,7 @@ class Tally:
 
     answers: int = 0
     waited_s: float = 0.0
-    steps: Counter[str] = field(default_factory=Counter)
+    steps: dict[str, float] = field(default_factory=dict)
 
     def add(self, seconds: float, answer: Any) -> None:
         """Count an answer.
@@ -57,7 +86,8 @@ class Tally:
             raise StateError(f"a request of the benchmark was refused: {answer.status.message}")
         self.answers += 1
         self.waited_s += seconds
-        self.steps.update(json.loads(getattr(answer, "timing_json", "") or "{}"))
+        for step, seconds in json.loads(getattr(answer, "timing_json", "") or "{}").items():
+            self.steps[step] = self.steps.get(step, 0.0) + seconds
 
 
 def vision_lines(part: str, renderer: str, seed: int, port: int) -> list[Line]:
@@ -86,13 +116,16 @@ def frame_lines(operator: Operator, renderer: str) -> list[Line]:
     for cameras, who in ((CEILING[:1], "one camera"), (everyone, f"{len(everyone)} cameras")):
         for moving in (True, False):
             with _swaying(operator) if moving else _at_rest():
-                asked = Snap.Request(cameras=cameras)
-                tally, wall_s = _ask(operator, Snap, "snap", lambda _, asked=asked: asked, 1, _FRAMES_S)
+                tally, wall_s = _ask(operator, Snap, "snap", _snap_of(cameras), 1, _FRAMES_S)
             state = "arms move" if moving else "nothing moves"
             name = f"{renderer}: /vss/snap, frames of {who}, {state}"
             found.append(Line(name, tally.answers * len(cameras) / wall_s, "1/s"))
             found += _where(tally)
     return found
+
+
+def _snap_of(cameras: list[str]) -> Callable[[int], Snap.Request]:
+    return lambda _: Snap.Request(cameras=cameras)
 
 
 def service_lines(operator: Operator) -> list[Line]:
@@ -121,16 +154,16 @@ def _where(tally: Tally) -> list[Line]:
     whole_s, answers = tally.waited_s, tally.answers
     if not tally.steps:
         return []
-    steps = Counter({step: seconds for step, seconds in tally.steps.items() if step != "total_s"})
-    inner = sum(steps[step] for step in _CAMERA)
+    steps = {step: seconds for step, seconds in tally.steps.items() if step != "total_s"}
+    inner = sum(steps.get(step, 0.0) for step in _CAMERA)
     for step, rest in _REST.items():
         if inner > 0.0 and step in steps:
             steps[rest] = max(0.0, steps.pop(step) - inner)
-    steps["DDS and client"] = max(0.0, whole_s - tally.steps["total_s"])
+    steps["DDS and client"] = max(0.0, whole_s - tally.steps.get("total_s", 0.0))
     whole_ms = 1e3 * whole_s / answers
     return [
         Line(f"    {step.removesuffix('_s')}", 1e3 * seconds / answers, "ms", whole_ms, "answer")
-        for step, seconds in steps.most_common()
+        for step, seconds in sorted(steps.items(), key=lambda item: -item[1])
         if seconds > _LEAST_SHARE * whole_s
     ]
 
@@ -206,7 +239,9 @@ def _machine(renderer: str, seed: int, port: int) -> Iterator[Operator]:
 def _settings(renderer: str) -> dict[str, Any]:
     """The shipped settings with another renderer."""
     text = package_file("im_vss", "config/vss.yaml").read_text(encoding="utf-8")
-    return {**yaml.safe_load(text), "renderer": renderer}
+    settings: dict[str, Any] = yaml.safe_load(text)
+    settings["frame_source"]["settings"]["renderer"] = renderer
+    return settings
 
 
 @contextmanager
@@ -236,3 +271,69 @@ def _swaying(operator: Operator) -> Iterator[None]:
 @contextmanager
 def _at_rest() -> Iterator[None]:
     yield
+
+
+def requests(truth: CellTruth) -> Requests:
+    """By name of each Service its type and what makes its n-th request.
+
+    Args:
+        truth: Of the testbed, which observations for `calibrate` are drawn from.
+    """
+    seen = observations(truth)
+    angles = truth.laser.model().angles_to(np.array(ON_TABLE))
+
+    def at(number: int) -> list[float]:
+        """Mirror angles, other than those before."""
+        return [float(angle) + 0.002 * (number % 9) for angle in angles]
+
+    span = [float(angles[0]) - 0.03, float(angles[0]) + 0.03]
+    sweep = [float(angles[1]) - 0.03, float(angles[1]) + 0.03]
+    return {
+        "snap": (Snap, lambda _: Snap.Request(cameras=CEILING)),
+        "spot_find": (SpotFind, lambda _: SpotFind.Request(cameras=CEILING)),
+        "spot_find_stereo": (SpotFindStereo, lambda _: SpotFindStereo.Request(cameras=CEILING)),
+        "circle_find": (CircleFind, lambda _: CircleFind.Request(camera=CEILING[0])),
+        "line_find": (LineFind, lambda _: LineFind.Request(camera=CEILING[0])),
+        "fiducial_pose": (FiducialPose, lambda _: FiducialPose.Request(cameras=CEILING)),
+        "calibrate": (Calibrate, lambda _: Calibrate.Request(cameras=CEILING, observations=seen)),
+        "laser_point": (LaserPoint, lambda n: LaserPoint.Request(angles=at(n), on=False)),
+        "laser_spot_3d": (LaserSpot3d, lambda n: LaserSpot3d.Request(cameras=CEILING, angles=at(n))),
+        "line_scan": (LineScan, lambda _: LineScan.Request(cameras=CEILING, span=span, sweep=sweep, lines=LINES)),
+        "laser_calibrate": (LaserCalibrate, lambda _: LaserCalibrate.Request(cameras=CEILING)),
+    }
+
+
+def observations(truth: CellTruth) -> list[Observation]:
+    """What the ceiling cameras see of the wrist light at random poses, with the noise of a good measurement."""
+    rng = np.random.default_rng(truth.seed)
+    cameras = {name: _model(truth, name) for name in CEILING}
+    found = []
+    for number in range(_POSES):
+        light = rng.uniform(_LOW, _HIGH)
+        rotation = Rotation.random(random_state=rng)
+        wrist = light - rotation.apply(truth.leds[LIGHT].offset_m) + rng.normal(0.0, _ARM_SD_M, 3)
+        seen = {name: camera.project(light) + rng.normal(0.0, _SPOT_SD_PX, 2) for name, camera in cameras.items()}
+        x, y, z, w = (float(value) for value in rotation.as_quat())
+        found.append(
+            Observation(
+                pose=f"pose_{number}",
+                wrist=Pose(position=Point(**dict(zip("xyz", map(float, wrist), strict=True))),
+                           orientation=Quaternion(x=x, y=y, z=z, w=w)),
+                position_covariance=(_ARM_SD_M**2 * np.eye(3)).ravel(),
+                spots=[_spot(name, uv) for name, uv in seen.items()],
+            )
+        )  # fmt: skip
+    return found
+
+
+def _model(truth: CellTruth, name: str) -> CameraModel:
+    true = truth.cameras[name]
+    return CameraModel(
+        true.width, true.height, np.array(true.K), np.array(true.D), np.array(true.R_cam_base),
+        np.array(true.t_cam_base_m),
+    )  # fmt: skip
+
+
+def _spot(camera: str, uv: NDArray[np.float64]) -> Spot:
+    covariance = (_SPOT_SD_PX**2 * np.eye(2)).ravel()
+    return Spot(camera=camera, found=True, u=float(uv[0]), v=float(uv[1]), covariance=covariance)

@@ -1,14 +1,14 @@
-"""``python -m im_mcs.bench``: the figures of MCS; for ``scripts/bench.sh --mcs``."""
+"""``python -m bench.mcs``: the figures of MCS; for ``scripts/bench.sh --mcs``."""
 
 import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from bench.figures import Line, measure, measured_by_machine, report
+from bench.mcs import durations, line, lockstep, process, tick, tracking
 from im_core.errors import ImError
-from im_core.figures import Line, measure, measured_by, report
-from im_mcs.bench import durations, line, lockstep, process, tick, tracking
-from im_mcs.config import McsConfig, load_config
+from im_mcs.limits.configuration import McsConfig, load_config
 
 PARTS = {
     "tracking": "errors of 18 joints on moves of over 1 rad and at rest, each control law; friction and noise on",
@@ -39,8 +39,6 @@ def main() -> int:
     parser.add_argument("parts", nargs="*", metavar="PART", help="only these (all)")
     parser.add_argument("--seed", type=int, default=1, help="of the encoder noise and the random moves (1)")
     parser.add_argument("--config", type=Path, help="an mcs.yaml (the shipped one)")
-    given = parser.add_argument_group("given by scripts/bench.sh")
-    given.add_argument("--machine-bench", type=Path, required=True, metavar="FILE", help="measures the whole machine")
     options = parser.parse_args()
     unknown = [part for part in options.parts if part not in PARTS]
     if unknown:
@@ -65,7 +63,7 @@ def _work(config: McsConfig, options: argparse.Namespace) -> dict[str, Callable[
         "process": lambda: process.lines(config, options.seed),
         "durations": lambda: durations.lines(config, options.seed),
         "lockstep": lambda: lockstep.lines(config, options.seed),
-        "deadlines": lambda: measured_by(options.machine_bench, "--deadlines"),
+        "deadlines": lambda: measured_by_machine("--deadlines"),
     }
 
 

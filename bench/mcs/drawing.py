@@ -1,4 +1,4 @@
-"""``python -m im_mcs.drawing FOLDER``: the paper's Figures 6 and 7, redrawn from what the code says."""
+"""``python -m bench.mcs.drawing FOLDER``: the paper's Figures 6 and 7, redrawn from what the code says."""
 
 import sys
 from html import escape

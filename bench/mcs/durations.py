@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.figures import Line
-from im_mcs.bench.rig import Rig, rig
-from im_mcs.config import McsConfig
+from bench.figures import Line
+from bench.mcs.rig import Rig, rig
+from im_mcs.limits.configuration import McsConfig
 
 _MOVES = 100
 _REACH = 0.35

@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_core.figures import Line
-from im_mcs.bench.rig import Rig, rig
-from im_mcs.config import McsConfig
+from bench.figures import Line
+from bench.mcs.rig import Rig, rig
+from im_mcs.limits.configuration import McsConfig
 
 _LENGTH_M, _SPEED = 0.4, 0.25
 _STARTS = ((0.0, 0.0, 0.0, 0.0, 0.9, 0.0), (0.0, 0.3, -0.4, 0.0, 0.9, 0.0))

@@ -1,11 +1,11 @@
 """How many times faster than real time servo and physics go together, two processes in lockstep."""
 
+from bench.figures import Line
+from bench.mcs.machine import machine
+from bench.mcs.rig import START, WAY
+from bench.usage import cpu_s
 from im_core import clock
-from im_core.figures import Line
-from im_mcs.bench.machine import machine
-from im_mcs.bench.physics import cpu_s
-from im_mcs.bench.rig import START, WAY
-from im_mcs.config import McsConfig
+from im_mcs.limits.configuration import McsConfig
 
 _MOVES = 6
 _BAR = 12.0

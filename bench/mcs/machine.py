@@ -1,7 +1,5 @@
 """Servo and physics as they are in the machine: two processes, joined by semaphores; and a client of the servo."""
 
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,15 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.mcs.physics import new_instance, physics
+from im_cell.link import ClockEnd, HostEnd
+from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.robot import load_cell
-from im_core.testbed_link import TestbedLink
-from im_mcs.bench.physics import new_instance, physics
+from im_core.process import ChildProcess
 from im_mcs.client.servo_client import ServoClient, ask
 from im_mcs.client.time_source import TestbedTime
-from im_mcs.config import McsConfig
-from im_mcs.servo.channel import ServoChannel
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.protocol.channel import ServoChannel
 from im_mcs.state import Event
 
 _READY_S = 20.0
@@ -36,7 +35,7 @@ class Machine:
         pids: Process ids of servo and physics.
     """
 
-    def __init__(self, client: ServoClient, link: TestbedLink, pids: dict[str, int]) -> None:
+    def __init__(self, client: ServoClient, link: HostEnd, pids: dict[str, int]) -> None:
         self.client = client
         self.link = link
         self.pids = pids
@@ -79,31 +78,27 @@ def machine(config: McsConfig, factor: float, seed: int) -> Iterator[Machine]:
             channel = ServoChannel.create(instance, config)
             process = _servo(instance, config, folder)
             try:
-                _await_snapshot(channel, process, folder)
-                client = ServoClient(channel, TestbedTime(TestbedLink.attach(instance, 1.0)))
+                _await_snapshot(channel, process)
+                client = ServoClient(channel, TestbedTime(ClockEnd.attach(instance, 1.0)))
                 try:
                     yield Machine(client, link, {"servo": process.pid, "physics": pid})
                 finally:
                     client.close()
             finally:
-                process.terminate()
-                process.wait()
+                process.stop()
                 channel.close()
 
 
-def _servo(instance: str, config: McsConfig, folder: Path) -> subprocess.Popen[bytes]:
+def _servo(instance: str, config: McsConfig, folder: Path) -> ChildProcess:
     file = folder / "mcs.yaml"
     file.write_text(config.model_dump_json(), encoding="utf-8")  # JSON is YAML
-    with (folder / "servo.log").open("wb") as output:
-        return subprocess.Popen(
-            [sys.executable, "-m", "im_mcs.servo", instance, str(file)], stdout=output, stderr=subprocess.STDOUT
-        )
+    return ChildProcess.of_module("im_mcs.servo", [instance, str(file)], log=folder / "servo.log")
 
 
-def _await_snapshot(channel: ServoChannel, process: subprocess.Popen[bytes], folder: Path) -> None:
+def _await_snapshot(channel: ServoChannel, process: ChildProcess) -> None:
     deadline = clock.monotonic() + _READY_S
     while channel.snapshot.sequence == 0:
-        if process.poll() is not None or clock.monotonic() > deadline:
-            said = (folder / "servo.log").read_text(encoding="utf-8")[-400:]
-            raise LinkError(f"the servo process is not ready: {said or 'it says nothing'}")
+        process.check()
+        if clock.monotonic() > deadline:
+            raise LinkError(f"the servo process is not ready: {process.last_words() or 'it says nothing'}")
         clock.sleep(_POLL_S)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from bench.figures import Line
+from im_cell.robot import load_cell
 from im_core import clock
-from im_core.figures import Line
-from im_core.robot import load_cell
-from im_mcs.config import McsConfig
 from im_mcs.control import ControlInput, LawSource
+from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import ControlledModel
 from im_mcs.planning import Setpoint
 

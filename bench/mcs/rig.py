@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.mcs.physics import new_instance, physics
+from im_cell.link import ClockEnd, HostEnd
+from im_cell.robot import load_cell
 from im_core.errors import ImError, StateError
-from im_core.robot import load_cell
-from im_core.testbed_link import Slot, TestbedLink
-from im_mcs.bench.physics import new_instance, physics
-from im_mcs.config import McsConfig
-from im_mcs.model import Model
-from im_mcs.servo.channel import record_layout
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.model import CellModel
+from im_mcs.protocol.channel import record_layout
+from im_mcs.protocol.evidence import Recorder
 from im_mcs.servo.core import Mcs
-from im_mcs.servo.recorder import Recorder
 from im_mcs.testbed import TestbedInterface
 
 _WAIT_S = 0.05
@@ -37,20 +37,23 @@ class Rig:
         config: Configuration.
         model: Kinematics and dynamics.
         testbed: The slots, connected.
-        link: The testbed.
+        host: The testbed's own end of the link, which knows the truth.
+        time: Asks for time.
 
     Attributes:
         true_q: Where the joints really were at the begin of the last tick, shape (18,) [rad or m].
     """
 
-    def __init__(self, config: McsConfig, model: Model, testbed: TestbedInterface, link: TestbedLink) -> None:
+    def __init__(
+        self, config: McsConfig, model: CellModel, testbed: TestbedInterface, host: HostEnd, time: ClockEnd
+    ) -> None:
         self.model = model
         self.events: list[dict[str, Any]] = []
         layout = record_layout(config)
         self.mcs = Mcs(config, model, testbed, self.events.append, Recorder(layout, np.zeros(layout.doubles)))
-        self._testbed, self._link = testbed, link
+        self._testbed, self._host, self._time = testbed, host, time
         self._number = 0
-        self.true_q: NDArray[np.float64] = link.read_truth().q
+        self.true_q: NDArray[np.float64] = host.read_truth().q
 
     @property
     def setpoint(self) -> NDArray[np.float64]:
@@ -60,10 +63,10 @@ class Rig:
     def tick(self, messages: Sequence[dict[str, Any]] = ()) -> None:
         """One servo tick."""
         if not self.mcs.wants_time:
-            self._link.request_time(Slot.MCS, 1)
+            self._time.request_time(1)
         while not self._testbed.wait(_WAIT_S):
-            self._link.request_time(Slot.MCS, 1)
-        self.true_q = self._link.read_truth().q
+            self._time.request_time(1)
+        self.true_q = self._host.read_truth().q
         self.mcs.tick(messages)
 
     def ask(self, request: str, on_tick: OnTick = lambda: None, **arguments: Any) -> dict[str, Any]:
@@ -109,11 +112,12 @@ def rig(config: McsConfig, seed: int = 1) -> Iterator[Rig]:
     cell, instance = load_cell(), new_instance()
     with (
         tempfile.TemporaryDirectory(prefix="im_bench_") as folder,
-        physics(instance, cell, 0.0, seed, Path(folder)) as (link, _),
+        physics(instance, cell, 0.0, seed, Path(folder)) as (host, _),
+        ClockEnd.attach(instance, _WAIT_S) as time,
     ):
         testbed = TestbedInterface.load(config.testbed, config.slots, instance)
         testbed.connect()
-        made = Rig(config, Model(cell), testbed, link)
+        made = Rig(config, CellModel(cell), testbed, host, time)
         try:
             yield made
         finally:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from bench.figures import Line
+from bench.mcs.rig import START, WAY, Rig, rig
 from im_core import clock, scheduling
-from im_core.figures import Line
-from im_mcs.bench.rig import START, WAY, Rig, rig
-from im_mcs.config import McsConfig
+from im_mcs.limits.configuration import McsConfig
 
 _BAR_MS = 1.0
 _WARM_TICKS = 50
@@ -69,7 +69,7 @@ def _watch_parts(machine: Rig, present: dict[str, float]) -> None:
         ("collision", mcs._collision, "update"),
         ("gravity", mcs.control_model, "gravity"),
         ("control law", group, "torque"),
-        ("record", mcs.recorder, "put"),
+        ("record", mcs.recorder, "put_row"),
         ("slots written", mcs._testbed, "write"),
     ):
         _watch(owner, method, part, present)

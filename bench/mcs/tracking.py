@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.figures import Line
-from im_mcs.bench.rig import START, WAY, rig
-from im_mcs.config import McsConfig
+from bench.figures import Line
+from bench.mcs.rig import START, WAY, rig
+from im_mcs.limits.configuration import McsConfig
 
 _BARS_MRAD = {
     "im_mcs.control.pid_gravity:PidGravity": 1.0,

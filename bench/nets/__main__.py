@@ -1,4 +1,4 @@
-"""``python -m im_pnt.bench``: the figures of nets, next to peers of the same run; for ``scripts/bench.sh --nets``."""
+"""``python -m bench.nets``: the figures of nets, next to peers of the same run; for ``scripts/bench.sh --nets``."""
 
 import argparse
 import sys
@@ -6,9 +6,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from im_core.figures import Line, measure, report
-from im_pnt.bench import firings, idle, journals, links, searches
-from im_pnt.bench.peers import Peers
+from bench.figures import Line, measure, report
+from bench.nets import firings, idle, journals, links, searches
+from bench.nets.peers import Peers
 
 ROUNDS = 5
 FIRINGS = 100_000
@@ -17,12 +17,13 @@ IDLE_S = 5.0
 ENTRIES = 100_000
 
 GROUPS = {
-    "firings": "firings a second of rings and dining philosophers, next to SNAKES and pm4py",
-    "actions": "the same with a Python action each, in turns with libpetri",
+    "firings": "observed firings a second of rings and dining philosophers, next to SNAKES and pm4py",
+    "actions": "the same with a Python action, a guard, a journal, in turns with libpetri and its event store",
+    "node": "firings a second of a node with guard, action and journal, told to a display",
     "idle": "CPU time while a thousand actions run and nothing happens, in the core and in a node",
     "search": "markings a second of explicit search; time and memory of large spaces",
     "verify": "pnt verify of all shipped nets, composed",
-    "journal": "entries a second, and coming back from them",
+    "journal": "firings with an action, an observer and a journal; entries a second, and coming back from them",
     "remote": "round trip of a token between two processes, in turns with a bare topic",
 }
 
@@ -62,7 +63,7 @@ def main() -> int:
 
 
 def measure_groups(groups: Sequence[str], options: argparse.Namespace) -> tuple[list[Line], bool]:
-    """Measures groups of figures, as :func:`im_core.figures.measure` does.
+    """Measures groups of figures, as :func:`bench.figures.measure` does.
 
     Args:
         groups: Their names.
@@ -78,7 +79,8 @@ def measure_groups(groups: Sequence[str], options: argparse.Namespace) -> tuple[
         folder = Path(name)
         work: dict[str, Callable[[], list[Line]]] = {
             "firings": lambda: firings.plain_lines(peers, FIRINGS // share, rounds),
-            "actions": lambda: firings.action_lines(peers, FIRINGS // share, rounds),
+            "actions": lambda: firings.action_lines(peers, FIRINGS // share, rounds, folder),
+            "node": lambda: firings.node_lines(FIRINGS // share // 5, rounds, folder),
             "idle": lambda: idle.lines(IDLE_S / share, rounds, folder),
             "search": lambda: searches.lines(rounds),
             "verify": lambda: searches.shipped_lines(options.shipped),

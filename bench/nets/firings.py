@@ -2,17 +2,20 @@
 
 from collections.abc import Mapping
 from contextlib import ExitStack
+from pathlib import Path
 from statistics import median
 
+from bench.figures import Line
+from bench.nets.peers import Peers, plain
+from bench.nets.player import Work
+from bench.nets.workers import Worker, number, own
 from im_core.errors import ImError
-from im_core.figures import Line
-from im_pnt.bench.nets import philosophers, ring
-from im_pnt.bench.peers import Peers, plain
-from im_pnt.bench.workers import Worker, number, own
+from im_pnt_analysis.simulation.families import philosophers, ring
 
 SIZES = (10, 100, 1000)
 NETS = {"ring": ring, "philosophers": philosophers}
-LEAST_A_SECOND = 500_000.0
+LEAST_A_SECOND = {"ring": 482_000.0, "philosophers": 138_000.0}
+"""Twice what an observed net of 100 fired a second when each firing was told by itself."""
 MOST_SPREAD = 1.5
 TIMES_SNAKES = 50.0
 _WARM_UP = 1000
@@ -35,14 +38,14 @@ class Rates:
         self._rates: dict[str, list[float]] = {}
         self.missing: dict[str, str] = {}
 
-    def add_own(self, name: str, family: str, places: int, *, action: bool = False, observed: bool = False) -> None:
-        """Adds a net of ours.
+    def add_own(self, name: str, family: str, places: int, work: Work = Work.NONE, folder: Path | None = None) -> None:
+        """Adds a net of ours, observed; with a journal where it is given a folder.
 
         Raises:
             LinkError: The process does not start.
         """
-        worker = self._stack.enter_context(own("im_pnt.bench.player"))
-        worker.ask("load", family=family, places=places, action=action, observed=observed)
+        worker = self._stack.enter_context(own("bench.nets.player"))
+        worker.ask("load", family=family, places=places, work=work, folder=str(folder or ""))
         self._enter(name, worker, self._firings)
 
     def add_peer(self, name: str, peers: Peers, peer: str, net: Mapping[str, object], *options: str) -> None:
@@ -79,7 +82,7 @@ class Rates:
 
 
 def plain_lines(peers: Peers, firings: int, rounds: int) -> list[Line]:
-    """Firings without actions: our rate, that it does not depend on the size, and its ratio to SNAKES.
+    """Observed firings without actions: our rate, that it does not depend on the size, and its ratio to SNAKES.
 
     Args:
         peers: The peers.
@@ -95,7 +98,6 @@ def plain_lines(peers: Peers, firings: int, rounds: int) -> list[Line]:
             rates = Rates(stack, firings)
             for places in SIZES:
                 rates.add_own(f"im {places}", family, places)
-            rates.add_own("observed", family, 100, observed=True)
             net = plain(make(100))
             rates.add_peer("SNAKES", peers, "snakes", net)
             rates.add_peer("SNAKES in turn", peers, "snakes", net, "--in-turn")
@@ -103,14 +105,12 @@ def plain_lines(peers: Peers, firings: int, rounds: int) -> list[Line]:
             rates.run(rounds)
             own = {places: rates.rate(f"im {places}") for places in SIZES}
             for places, rate in own.items():
-                lines.append(
-                    Line(f"firings, {family} of {places} places", rate, "1/s", bar=LEAST_A_SECOND, at_least=True)
-                )
+                name = f"firings, {family} of {places} places, observed"
+                lines.append(Line(name, rate, "1/s", bar=LEAST_A_SECOND[family], at_least=True))
             measured = [rate for rate in own.values() if rate]
             fastest, slowest = max(measured), min(measured)
             lines.append(Line("  fastest size over slowest", fastest, "1/s", slowest, "slowest", bar=MOST_SPREAD))
             lines += [
-                Line("  100 places, each told to an observer", rates.rate("observed"), "1/s"),
                 _against(rates, own[100], "SNAKES", TIMES_SNAKES),
                 _against(rates, own[100], "SNAKES in turn", None),
                 _against(rates, own[100], "pm4py", None),
@@ -118,13 +118,16 @@ def plain_lines(peers: Peers, firings: int, rounds: int) -> list[Line]:
     return lines
 
 
-def action_lines(peers: Peers, firings: int, rounds: int) -> list[Line]:
-    """Firings with a Python action each, ours and libpetri's.
+def action_lines(peers: Peers, firings: int, rounds: int, folder: Path) -> list[Line]:
+    """Observed firings with a Python action each, then with a guard too, then with a journal, next to libpetri.
+
+    The peer has its in-memory event store on, and no guards; it keeps no journal.
 
     Args:
         peers: The peers.
         firings: Firings of a turn.
         rounds: Turns.
+        folder: Where the journals go.
 
     Raises:
         ImError: Our own processes fail.
@@ -134,12 +137,43 @@ def action_lines(peers: Peers, firings: int, rounds: int) -> list[Line]:
         for places in SIZES:
             with ExitStack() as stack:
                 rates = Rates(stack, firings)
-                rates.add_own("im", family, places, action=True)
+                for work in (Work.ACTION, Work.GUARDED):
+                    rates.add_own(work, family, places, work)
+                journalled = {work: f"{work}, journal" for work in Work}
+                for work, name in journalled.items():
+                    rates.add_own(name, family, places, work, folder / f"{family}_{places}_{work.name}")
                 rates.add_peer("libpetri", peers, "libpetri", plain(make(places)))
                 rates.run(rounds)
-                name = f"firings with actions, {family} of {places}"
-                lines.append(_against(rates, rates.rate("im"), "libpetri", 1.0, name))
+                for work in (Work.ACTION, Work.GUARDED):
+                    name = f"firings with {work}, {family} of {places}"
+                    lines.append(_against(rates, rates.rate(work), "libpetri", 1.0, name))
+                for work, name in journalled.items():
+                    lines.append(Line(f"  with {work}, and a journal", rates.rate(name), "1/s"))
     return lines
+
+
+def node_lines(firings: int, rounds: int, folder: Path) -> list[Line]:
+    """Firings of a node with guard, action and journal, while another process has subscribed to them.
+
+    Args:
+        firings: Firings of a turn.
+        rounds: Turns.
+        folder: Where net and journal go.
+
+    Raises:
+        ImError: The processes fail.
+    """
+    node = own("bench.nets.nodes.firing", "fire", str(folder))
+    shown = own("bench.nets.nodes.firing", "show", str(folder))
+    with node, shown:
+        node.ask("ready")
+        found = []
+        for _ in range(rounds):
+            answer = node.ask("fire", firings=firings)
+            found.append(number(answer, "firings") / number(answer, "cpu_s"))
+        told = number(shown.ask("heard"), "heard")
+    lines = [Line("firings of a node, guard, action, journal, display", median(found), "1/s")]
+    return [*lines, Line("  share of them that the display heard", told / number(answer, "sequence"), "")]
 
 
 def _against(rates: Rates, own: float | None, peer: str, bar: float | None, name: str = "") -> Line:

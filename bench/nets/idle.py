@@ -7,16 +7,16 @@ from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 
+from bench.figures import Line
+from bench.nets.serving import serve
+from bench.nets.workers import number, own
 from im_core.clock import cpu, monotonic, sleep
-from im_core.figures import Line
-from im_pnt.action import FunctionAction
-from im_pnt.bench.serving import serve
-from im_pnt.bench.workers import number, own
-from im_pnt.exchange import Exchange
-from im_pnt.executive import Executive
-from im_pnt.functions import ActionContext, Functions
-from im_pnt.net import Net, Place, Transition
-from im_pnt.runner import FunctionRunner
+from im_pnt.distributed.exchange import Exchange
+from im_pnt.execution.actions import FunctionRunner
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.model.action import FunctionAction
+from im_pnt.model.net import Net, Place, Transition
 
 ACTIONS = 1000
 MOST_MS = 1.0
@@ -45,7 +45,7 @@ def waiting_net(orders: int) -> Net:
 
 
 class Loop:
-    """An executive in an event loop of its own, in a thread, without ROS.
+    """An executor in an event loop of its own, in a thread, without ROS.
 
     Args:
         net: The net; its actions are called ``wait``.
@@ -58,8 +58,8 @@ class Loop:
         functions = Functions({"wait": self._wait})
         exchange = Exchange("bench", 1)
         runner = FunctionRunner(functions, exchange, self._spawn)
-        self.executive = Executive(net, functions, runner, exchange, wake=self._wake)
-        exchange.add(self.executive)
+        self.executor = Executor(net, functions, runner, exchange, wake=self._wake)
+        exchange.add(self.executor)
         threading.Thread(target=self._loop.run_forever, daemon=True).start()
         self._wake()
 
@@ -67,9 +67,9 @@ class Loop:
         self._loop.call_soon_threadsafe(self._pump)
 
     def _pump(self) -> None:
-        if self.executive.pump():
+        if self.executor.pump():
             self._wake()
-        at = self.executive.next_wakeup()
+        at = self.executor.next_wakeup()
         if at is not None and at != self._alarm_at:
             self._alarm_at = at
             self._loop.call_later(max(0.0, at - monotonic()), self._pump)
@@ -93,7 +93,7 @@ def lines(seconds: float, rounds: int, folder: Path) -> list[Line]:
         ImError: A process fails.
     """
     with ExitStack() as stack:
-        core = stack.enter_context(own("im_pnt.bench.idle"))
+        core = stack.enter_context(own("bench.nets.idle"))
         core.ask("load", actions=ACTIONS)
         sleep(_SETTLE_S)
         used = [number(core.ask("rest", seconds=seconds), "cpu_s") for _ in range(rounds)]
@@ -102,7 +102,7 @@ def lines(seconds: float, rounds: int, folder: Path) -> list[Line]:
 
 
 def _of_nodes(name: str, seconds: float, rounds: int, folder: Path) -> Line:
-    module = "im_pnt.ros.bench.idle"
+    module = "bench.nets.nodes.idle"
     used: dict[int, list[float]] = {ACTIONS: [], 0: []}
     with ExitStack() as stack:
         nodes = {
@@ -130,7 +130,7 @@ def main() -> None:
     def load(request: dict[str, object]) -> dict[str, object]:
         actions = int(str(request["actions"]))
         loops.append(Loop(waiting_net(actions)))
-        while len(loops[0].executive.activities) < actions:
+        while len(loops[0].executor.activities) < actions:
             sleep(0.01)
         return {}
 

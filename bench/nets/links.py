@@ -4,9 +4,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from bench.figures import Line
+from bench.nets.workers import Worker, number, own
 from im_core.errors import LinkError
-from im_core.figures import Line
-from im_pnt.bench.workers import Worker, number, own
 
 MOST_TIMES_BARE = 1.5
 IDLE_SUBSCRIPTIONS = (0, 100)
@@ -76,7 +76,7 @@ def _measure(trips: int, rounds: int, idle: int, folder: Path) -> tuple[Trips, T
     with ExitStack() as stack:
 
         def start(module: str, side: str, *options: str) -> Worker:
-            return stack.enter_context(own(f"im_pnt.ros.bench.{module}", side, str(idle), *options))
+            return stack.enter_context(own(f"bench.nets.nodes.{module}", side, str(idle), *options))
 
         start("bare", "pong")
         bare = start("bare", "ping")

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.nets.workers import Worker
 from im_core.errors import LinkError
-from im_pnt.bench.workers import Worker
-from im_pnt.net import Net
+from im_pnt.model.net import Net
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,17 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
+from bench.figures import Line
+from bench.nets.serving import serve
+from bench.nets.workers import number, own, own_path
 from im_core.clock import cpu, monotonic
 from im_core.errors import ImError, StateError
-from im_core.figures import Line
-from im_pnt.analysis.problem import problem_of
-from im_pnt.analysis.reachability import Limits, Search
-from im_pnt.analysis.semiflows import p_semiflows
-from im_pnt.analysis.structure import invariant_bounds
-from im_pnt.analysis.verify import verify
-from im_pnt.bench.nets import by_name
-from im_pnt.bench.serving import serve
-from im_pnt.bench.workers import number, own, own_path
-from im_pnt.net import Net
+from im_pnt.model.net import Net
+from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.simulation.families import by_name
+from im_pnt_analysis.structure.semiflows import p_semiflows
+from im_pnt_analysis.verify.problem import problem_of
+from im_pnt_analysis.verify.verdict import verify
 
 LEAST_A_SECOND = 250_000.0
 KNOWN = {
@@ -40,7 +39,7 @@ _LARGE: tuple[tuple[str, float | None], ...] = (
 """Nets with the time that their verification may take [s]."""
 _MOST_GIB = 3.0
 _PATIENCE_S = 300.0
-_MODULE = "im_pnt.bench.searches"
+_MODULE = "bench.nets.searches"
 
 
 def search(net: Net) -> tuple[int, float]:
@@ -53,10 +52,10 @@ def search(net: Net) -> tuple[int, float]:
         StateError: The search did not come to an end.
     """
     problem = problem_of([net])
-    bounds = invariant_bounds(problem, p_semiflows(problem.compiled))
+    bounds = p_semiflows(problem.compiled).place_bounds(problem.compiled.places, problem.initial)
     began = cpu()
     searching = Search(problem.compiled, problem.initial, bounds, kinds=problem.kinds)
-    stopped = searching.run(Limits(states=10_000_000, seconds=_PATIENCE_S), monotonic() + _PATIENCE_S)
+    stopped = searching.run(SearchLimits(states=10_000_000, seconds=_PATIENCE_S), monotonic() + _PATIENCE_S)
     used = cpu() - began
     if stopped:
         raise StateError(f"net {net.name} was not searched to its end: {stopped}")
@@ -114,7 +113,7 @@ def shipped_lines(files: list[Path]) -> list[Line]:
         ImError: They are refused.
     """
     began, used = monotonic(), _of_children()
-    command = [sys.executable, "-m", "im_pnt", "verify", *map(str, files)]
+    command = [sys.executable, "-m", "im_pnt_analysis", "verify", *map(str, files)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **own_path()})
     took, used = monotonic() - began, _of_children() - used
     if ended.returncode:
@@ -132,7 +131,7 @@ def _of_children() -> float:
 
 def _verify(name: str) -> dict[str, object]:
     began = cpu()
-    report = verify([by_name(name)], Limits(states=10_000_000, seconds=_PATIENCE_S))
+    report = verify([by_name(name)], SearchLimits(states=10_000_000, seconds=_PATIENCE_S))
     return {
         "states": report.states,
         "cpu_s": cpu() - began,

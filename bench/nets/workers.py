@@ -19,7 +19,7 @@ _END_S = 10.0
 
 
 class Worker:
-    """A process that answers requests; see :func:`im_pnt.bench.serving.serve`.
+    """A process that answers requests; see :func:`bench.nets.serving.serve`.
 
     Args:
         name: What it is called in messages.

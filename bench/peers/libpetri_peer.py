@@ -1,4 +1,4 @@
-"""libpetri: each transition calls a Python function that counts and passes the token on; compiled beforehand."""
+"""libpetri: each transition calls a Python function that counts and passes the token on; compiled, events stored."""
 
 import libpetri
 from serve import serve
@@ -23,7 +23,7 @@ def load(net):
 
     def fire(firings):
         calls[0], limit[0] = 0, firings
-        compiled.run_sync(initial=initial, options=options)
+        compiled.run_sync(initial=initial, options=options, event_store=libpetri.InMemoryEventStore())
         return calls[0]
 
     return fire

@@ -1,11 +1,11 @@
-"""``python -m im_vss.spot.evaluation``: prints how well the light is found, with the shipped data sheet and gates."""
+"""``python -m bench.spot``: prints how well the light is found, with the shipped data sheet and gates."""
 
 import argparse
 import sys
 
-from im_core.robot import load_cell
+from bench.spot.trials import count_false, score_spots
+from im_cell.robot import load_cell
 from im_vss.settings import load_settings
-from im_vss.spot.evaluation.trials import count_false, score_spots
 
 KINDS = {
     "faint": ((40.0, 90.0), (1.0, 1.4)),
@@ -19,7 +19,7 @@ KINDS = {
 
 def main() -> int:
     """Entry point."""
-    parser = argparse.ArgumentParser(prog="im_vss.spot.evaluation", description=__doc__)
+    parser = argparse.ArgumentParser(prog="bench.spot", description=__doc__)
     parser.add_argument("--trials", type=int, default=2000, help="spots of each kind")
     parser.add_argument("--frames", type=int, default=1000, help="pairs of frames without a light")
     parser.add_argument("--seed", type=int, default=1)

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from im_vss.spot import SensorNoise, SpotGates, find_spot
+from im_cell.sensor import SensorNoise
+from im_vss.spot import SpotGates, find_spot
 
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]

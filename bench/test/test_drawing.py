@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from im_mcs.drawing import FIGURES, figure_7
+from bench.mcs.drawing import FIGURES, figure_7
 from im_mcs.state.table import TABLE
 
-ROOT = Path(__file__).resolve().parents[4]
+ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "mcs.md"
 
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_the_figures_are_those_of_the_code(name):
     drawn = (ROOT / "docs" / "images" / name).read_text(encoding="utf-8")
-    assert drawn == FIGURES[name](), "run: PYTHONPATH=... python -m im_mcs.drawing docs/images"
+    assert drawn == FIGURES[name](), "run: python -m bench.mcs.drawing docs/images"
     assert f"images/{name}" in PAGE.read_text(encoding="utf-8")
 
 

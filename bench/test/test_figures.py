@@ -1,6 +1,6 @@
 import json
 
-from im_core.figures import Line, table, write
+from bench.figures import Line, table, write
 
 
 def test_bars_are_for_ratios_where_there_is_a_baseline():

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import pytest
 
+from bench.nets import firings, searches
+from bench.nets.__main__ import measure_groups
+from bench.nets.peers import Peers, plain
+from bench.nets.player import Player, Work, working
+from bench.nets.workers import Worker, number, own
 from im_core.errors import LinkError
-from im_pnt.bench import firings, searches
-from im_pnt.bench.__main__ import measure_groups
-from im_pnt.bench.nets import by_name, catching_philosophers, kanban, philosophers, ring
-from im_pnt.bench.peers import Peers, plain
-from im_pnt.bench.player import Player
-from im_pnt.bench.workers import Worker, number, own
-from im_pnt.cli import main
-from im_pnt.compiled import compile_net
 from im_pnt.errors import NetError
+from im_pnt.model.compiled import compile_net
+from im_pnt_analysis.cli import main
+from im_pnt_analysis.simulation.families import by_name, catching_philosophers, kanban, philosophers, ring
+from support.fixtures import NETS
 
 NO_PEERS = Peers(None, Path(), "the peers could not be installed")
-NETS = Path(__file__).parent / "data"
 
 
 def brute_force(net):
@@ -88,24 +88,25 @@ def test_a_wrong_family_is_named(name, message):
 
 
 @pytest.mark.parametrize("make", [ring, philosophers])
-@pytest.mark.parametrize("action", [False, True])
-def test_a_player_fires_as_often_as_it_says_and_keeps_its_tokens(make, action):
-    net = make(12, action)
-    player = Player(net)
+@pytest.mark.parametrize("work", list(Work))
+@pytest.mark.parametrize("journal", [False, True])
+def test_a_player_fires_as_often_as_it_says_and_keeps_its_tokens(make, work, journal, tmp_path):
+    player = Player(working(make.__name__, 12, work), tmp_path if journal else None)
     assert player.fire(100) >= 100
-    tokens = sum(player.executive.marking().values())
+    tokens = sum(player.executor.marking().values())
     assert tokens == 1 if make is ring else 4 <= tokens <= 8
 
 
 def test_an_observed_player_tells_of_every_firing():
-    player = Player(philosophers(12), observed=True)
-    assert player.fire(50) == player.observer.count == player.executive.sequence
+    player = Player(philosophers(12))
+    assert player.fire(50) == player.observer.count == player.executor.sequence
 
 
-def test_our_own_process_fires_and_an_absent_peer_is_said_to_be_absent():
-    lines = firings.action_lines(NO_PEERS, 50, 1)
-    assert len(lines) == 6
-    assert {line.against for line in lines} == {"the peers could not be installed"}
+def test_our_own_process_fires_and_an_absent_peer_is_said_to_be_absent(tmp_path):
+    lines = firings.action_lines(NO_PEERS, 50, 1, tmp_path)
+    compared = [line for line in lines if line.name.startswith("firings")]
+    assert (len(compared), len(lines)) == (12, 30)
+    assert {line.against for line in compared} == {"the peers could not be installed"}
     assert {line.met for line in lines} == {None}
 
 
@@ -124,7 +125,7 @@ def test_peers_get_the_same_net():
 
 
 def test_a_peer_program_speaks_the_protocol(tmp_path):
-    serve = Path(__file__).parents[4] / "scripts" / "peers" / "serve.py"
+    serve = Path(__file__).parents[1] / "peers" / "serve.py"
     (tmp_path / "serve.py").write_text(serve.read_text())
     program = "from serve import serve\nprint('noise')\nserve(lambda net: lambda n: n + 1)\n"
     (tmp_path / "idle_peer.py").write_text(program)
@@ -151,8 +152,8 @@ def test_a_program_that_is_not_there_is_named():
 
 
 def test_an_answer_that_is_no_number_is_refused():
-    with own("im_pnt.bench.player") as worker:
-        assert worker.ask("load", family="ring", places=3, action=False, observed=False) == {}
+    with own("bench.nets.player") as worker:
+        assert worker.ask("load", family="ring", places=3, work="no action", folder="") == {}
         assert number(worker.ask("fire", firings=10), "firings") == 10.0
     with pytest.raises(LinkError, match="cpu_s='soon'"):
         number({"cpu_s": "soon"}, "cpu_s")
@@ -186,7 +187,7 @@ def test_pnt_bench_refuses_what_it_cannot_measure(arguments, capsys):
 
 
 def test_the_command_of_the_table_knows_its_groups():
-    command = [sys.executable, "-m", "im_pnt.bench", "--shipped", "x.yaml", "--peer-programs", ".", "firing"]
+    command = [sys.executable, "-m", "bench.nets", "--shipped", "x.yaml", "--peer-programs", ".", "firing"]
     path = ":".join(folder for folder in sys.path if folder)
     ended = subprocess.run(command, capture_output=True, text=True, check=False, env={"PYTHONPATH": path})
     assert ended.returncode == 2

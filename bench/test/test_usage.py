@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from im_bringup.measure import memory_mib
+from bench.usage import memory_mib
 
 
 def test_memory_of_this_process_is_between_one_and_a_thousand_mib():

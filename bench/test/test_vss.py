@@ -4,11 +4,11 @@ import sys
 
 import pytest
 
+from bench.vss import __main__ as bench
+from bench.vss import cameras
+from bench.vss.cameras import Turns, step_lines, take_turns
 from im_core import clock
 from im_core.errors import ImError
-from im_vss.bench import __main__ as bench
-from im_vss.bench import cameras
-from im_vss.bench.cameras import Turns, step_lines, take_turns
 
 
 def test_work_in_turns_is_counted_without_its_first_run(monkeypatch):
@@ -42,7 +42,7 @@ def test_a_renderer_that_fails_is_a_line_that_says_why(monkeypatch, capsys):
     monkeypatch.setattr(cameras, "lines", missing)
     (line,) = bench._or_why("egl", cameras.lines)
     assert (line.name, line.value, line.against) == ("egl", None, "renderer 'egl' does not load on this host")
-    monkeypatch.setattr(sys, "argv", ["bench", "--machine-bench", "none", "framse"])
+    monkeypatch.setattr(sys, "argv", ["bench", "framse"])
     with pytest.raises(SystemExit, match="2"):
         bench.main()
     assert "there is no part 'framse'; there are cameras, frames, services" in capsys.readouterr().err

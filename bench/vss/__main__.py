@@ -1,15 +1,14 @@
-"""``python -m im_vss.bench``: the figures of VSS; for ``scripts/bench.sh --vss``."""
+"""``python -m bench.vss``: the figures of VSS; for ``scripts/bench.sh --vss``."""
 
 import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
+from bench.figures import Line, measure, measured_by_machine, report
+from bench.vss import cameras
 from im_core.errors import ImError
-from im_core.figures import Line, measure, measured_by, report
-from im_vss.bench import cameras
 
 PARTS = {
     "cameras": "frames a second of the simulated cameras alone, through each renderer, and the steps of a frame",
@@ -36,8 +35,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="bench --vss", description=_DESCRIPTION, formatter_class=raw)
     parser.add_argument("parts", nargs="*", metavar="PART", help="only these (all)")
     parser.add_argument("--renderer", choices=cameras.RENDERERS, help="only this one (both)")
-    given = parser.add_argument_group("given by scripts/bench.sh")
-    given.add_argument("--machine-bench", type=Path, required=True, metavar="FILE", help="measures the whole machine")
     options = parser.parse_args()
     unknown = [part for part in options.parts if part not in PARTS]
     if unknown:
@@ -53,20 +50,19 @@ def main() -> int:
 def _work(options: argparse.Namespace) -> dict[str, Callable[[], list[Line]]]:
     """What measures each part."""
     renderers = (options.renderer,) if options.renderer else cameras.RENDERERS
-    program = options.machine_bench
     return {
         "cameras": lambda: [line for name in renderers for line in _or_why(name, partial(cameras.lines, name))],
-        "frames": lambda: [line for name in renderers for line in _or_why(name, partial(_frames, program, name))],
-        "services": lambda: _machine_lines(program, "services", options.renderer or "auto"),
+        "frames": lambda: [line for name in renderers for line in _or_why(name, partial(_frames, name))],
+        "services": lambda: _machine_lines("services", options.renderer or "auto"),
     }
 
 
-def _frames(program: Path, renderer: str) -> list[Line]:
+def _frames(renderer: str) -> list[Line]:
     """Frames a second of the machine over those of the bare renderer."""
     (bare,) = cameras.lines(renderer, only_bare=True)
     return [
         replace(line, baseline=bare.value, against="bare") if line.unit == "1/s" else line
-        for line in (bare, *_machine_lines(program, "frames", renderer))
+        for line in (bare, *_machine_lines("frames", renderer))
     ]
 
 
@@ -78,13 +74,13 @@ def _or_why(renderer: str, work: Callable[[], list[Line]]) -> list[Line]:
         return [Line(renderer, None, "", None, error.message)]
 
 
-def _machine_lines(program: Path, part: str, renderer: str) -> list[Line]:
+def _machine_lines(part: str, renderer: str) -> list[Line]:
     """What the bench of the whole machine says.
 
     Raises:
         ImError: It failed.
     """
-    return measured_by(program, "--vision", part, "--renderer", renderer)
+    return measured_by_machine("--vision", part, "--renderer", renderer)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ import tempfile
 
 import pybullet
 
+from im_cell.robot import Cell, urdf
 from im_core.errors import ConfigError
-from im_core.robot import Cell, urdf
 
 _NEAR_M, _FAR_M = 0.03, 9.0
 
@@ -39,7 +39,7 @@ class Bare:
         angle = math.degrees(2.0 * math.atan(0.5 * lens.height / lens.fy))
         self._projection = pybullet.computeProjectionMatrixFOV(angle, lens.width / lens.height, _NEAR_M, _FAR_M)
 
-    def take(self) -> None:
+    def take_frame(self) -> None:
         """Render an image."""
         pybullet.getCameraImage(
             *self._size, self._view, self._projection, shadow=0, renderer=self._flag,

@@ -1,4 +1,4 @@
-"""``python -m im_vss.bench.cameras``: frames a second of the simulated cameras through one renderer, without a machine.
+"""``python -m bench.vss.cameras``: frames a second of the simulated cameras through one renderer, without a machine.
 
 A process of its own: what graphics drivers print does not mix with figures, and one that crashes takes nothing along.
 """
@@ -15,15 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.figures import Line, write
+from bench.vss.bare import Bare
+from im_cell.link import Exposure, LaserBeam
+from im_cell.robot import Cell, load_cell
+from im_cell.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth
 from im_core import clock
 from im_core.errors import ImError
-from im_core.figures import Line, write
-from im_core.robot import Cell, load_cell
-from im_core.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth
-from im_core.testbed_link import Exposure, LaserBeam
-from im_vss.bench.bare import Bare
-from im_vss.camera.bank import CameraBank
-from im_vss.camera.scene import SceneMirror
+from im_sim.cameras.bank import CameraBank
+from im_sim.cameras.protocol import CameraSettings
+from im_sim.cameras.scene import SceneMirror
 from im_vss.camera_book import nominal
 from im_vss.settings import VssSettings, load_settings
 
@@ -53,7 +54,7 @@ def lines(renderer: str, only_bare: bool = False) -> list[Line]:
         file = Path(folder) / "lines.json"
         try:
             ended = subprocess.run(
-                [sys.executable, "-m", "im_vss.bench.cameras", renderer, str(file), *["--bare"] * only_bare],
+                [sys.executable, "-m", "bench.vss.cameras", renderer, str(file), *["--bare"] * only_bare],
                 check=False, capture_output=True, text=True, timeout=_LIMIT_S,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
@@ -81,17 +82,22 @@ def drawn_truth(cell: Cell) -> CellTruth:
     return CellTruth(seed=1, cameras=cameras, leds=dict.fromkeys(cell.light_names, led), laser=laser)
 
 
+def simulated(settings: VssSettings) -> CameraSettings:
+    """The simulated cameras of a configuration."""
+    return CameraSettings(cameras=settings.cameras, sensor=settings.sensor, nominal_exposure=settings.exposure.nominal)
+
+
 class Studio:
     """The cameras of a cell, which is moved or stands still between images."""
 
     def __init__(self, cell: Cell, settings: VssSettings, scene: SceneMirror) -> None:
         """Render each camera once."""
         self._cell, self._settings = cell, settings
-        self.bank = CameraBank(cell, drawn_truth(cell), settings, scene, seed=1)
+        self.bank = CameraBank(cell, drawn_truth(cell), simulated(settings), scene, seed=1)
         self.bank.warm_up()
         self._frame = 0
 
-    def take(self, cameras: tuple[str, ...], moving: bool) -> None:
+    def take_frames(self, cameras: tuple[str, ...], moving: bool) -> None:
         """An image of each camera, after an arm has moved or not."""
         self._frame += 1
         q = self._cell.home.copy()
@@ -115,7 +121,7 @@ def measure(renderer: str, only_bare: bool) -> list[Line]:
     cell = load_cell()
     settings = load_settings(cell)
     size = cell.cameras[ONE].intrinsics
-    bare = Turns(Bare(cell, ONE, renderer).take, 1)
+    bare = Turns(Bare(cell, ONE, renderer).take_frame, 1)
     name = f"{renderer}: {BARE}, {size.width}x{size.height}"
     if only_bare:
         take_turns([bare])
@@ -125,8 +131,8 @@ def measure(renderer: str, only_bare: bool) -> list[Line]:
     bank = studio.bank
     found = []
     for cameras, who in (((ONE,), "one camera"), (settings.cameras, f"{len(settings.cameras)} cameras")):
-        moving = Turns(partial(studio.take, cameras, True), len(cameras), bank.lap)
-        still = Turns(partial(studio.take, cameras, False), len(cameras), bank.lap)
+        moving = Turns(partial(studio.take_frames, cameras, True), len(cameras), bank.lap)
+        still = Turns(partial(studio.take_frames, cameras, False), len(cameras), bank.lap)
         take_turns([bare, moving, still])
         for turns, state, bar in ((moving, "an arm moves", LEAST_OF_BARE), (still, "nothing moves", None)):
             title = f"{renderer}: frames of {who}, {state}"
@@ -189,7 +195,7 @@ def step_lines(steps: Mapping[str, float], whole_s: float, what: str) -> list[Li
 
 def main() -> int:
     """Entry point; exit code 1 with one sentence if the renderer does not work."""
-    parser = argparse.ArgumentParser(prog="im_vss.bench.cameras", description=__doc__)
+    parser = argparse.ArgumentParser(prog="bench.vss.cameras", description=__doc__)
     parser.add_argument("renderer", choices=RENDERERS)
     parser.add_argument("file", type=Path, help="where the figures go, as JSON")
     parser.add_argument("--bare", action="store_true", help="only the bare renderer")

@@ -15,8 +15,8 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from im_cell.robot import load_cell
 from im_core import clock
-from im_core.robot import load_cell
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import spin_in_thread

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from im_cell.link import PanelEnd, ServoEnd
 from im_core import names
-from im_core.testbed_link import TestbedLink
 from im_msgs.srv import GetGroupState, ReserveGroup
 
 UNCONFIGURED = "MCS is unconfigured; configure it first (ros2 lifecycle set /mcs configure)"
@@ -63,14 +63,15 @@ def test_unconfigured(client):
 def test_a_killed_servo_ends_the_goal_and_the_testbed_brakes(client):
     client.to_motion()
     _, result = client.start_far_move()
-    link = TestbedLink.attach(names.instance(), 1.0)
-    os.kill(link.read_truth().servo_pid, signal.SIGKILL)
+    panel, end = PanelEnd.attach(names.instance(), 1.0), ServoEnd.attach(names.instance(), 1.0)
+    os.kill(panel.servo_pid, signal.SIGKILL)
     assert "the process im_mcs.servo ended with code -9" in result().status.message
     client.until(lambda: client.state() == "unconfigured")
-    link.request_time(1, 2)
-    client.until(lambda: link.read_state().brakes.all() and not link.read_state().power)
+    panel.request_time(2)
+    client.until(lambda: end.read_state().brakes.all() and not end.read_state().power)
     assert client.lifecycle() == "unconfigured"
-    link.close()
+    panel.close()
+    end.close()
     assert client.change("configure")
     client.until(lambda: client.state() == "cold")
 
@@ -78,15 +79,16 @@ def test_a_killed_servo_ends_the_goal_and_the_testbed_brakes(client):
 def test_a_killed_node_takes_its_servo_along(client, process):
     assert client.change("cleanup")
     other = process(sys.executable, "-m", "im_mcs.ros.node", "--ros-args", "-p", "standalone:=true", "-r", "__ns:=/x")
-    link = TestbedLink.attach(names.instance(), 1.0)
-    client.until(lambda: link.read_truth().servo_pid != 0, 15.0)
-    servo = link.read_truth().servo_pid
+    panel, end = PanelEnd.attach(names.instance(), 1.0), ServoEnd.attach(names.instance(), 1.0)
+    client.until(lambda: panel.servo_pid != 0, 15.0)
+    servo = panel.servo_pid
     other.kill()
     client.until(lambda: not os.path.exists(f"/proc/{servo}"))
-    link.request_time(1, 2)
-    client.until(lambda: link.read_truth().servo_pid == 0)
-    assert link.read_state().brakes.all()
-    link.close()
+    panel.request_time(2)
+    client.until(lambda: panel.servo_pid == 0)
+    assert end.read_state().brakes.all()
+    panel.close()
+    end.close()
     assert client.change("configure")
 
 

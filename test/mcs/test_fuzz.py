@@ -1,6 +1,5 @@
 """Random messages on every service, action and topic of ``/mcs``: all answered, nothing moves, the node lives on."""
 
-import importlib
 import math
 import random
 import re
@@ -10,6 +9,7 @@ import pytest
 from control_msgs.action import FollowJointTrajectory, GripperCommand
 from trajectory_msgs.msg import JointTrajectory
 
+from im_core.ros.interfaces import interface_class
 from im_msgs.action import Move
 from im_msgs.msg import SetpointCommand, TorqueCommand
 from im_msgs.srv import (
@@ -69,8 +69,7 @@ def value_of(kind, rng):
         return rng.random() < 0.5
     if re.fullmatch(r"u?int\d+", kind):
         return rng.choice((0, 1, 2, 3, 100))
-    package, _, name = kind.partition("/")
-    return scrambled(getattr(importlib.import_module(f"{package}.msg"), name)(), rng)
+    return scrambled(interface_class(kind.replace("/", "/msg/"))(), rng)
 
 
 @pytest.fixture

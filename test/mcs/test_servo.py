@@ -8,13 +8,13 @@ import sys
 import numpy as np
 import pytest
 
+from im_cell.link import ClockEnd
+from im_cell.robot import load_cell
 from im_core import clock
-from im_core.robot import load_cell
-from im_core.testbed_link import TestbedLink
 from im_mcs.client.servo_client import ServoClient, ask
 from im_mcs.client.time_source import TestbedTime
-from im_mcs.config import load_config
-from im_mcs.servo.channel import ServoChannel
+from im_mcs.limits.configuration import load_config
+from im_mcs.protocol.channel import ServoChannel
 from im_mcs.state import Event
 
 HOME = load_cell().home[:9]
@@ -32,7 +32,7 @@ def run(
     arguments = ["im_sim.physics", "--instance", instance, "--factor", str(factor), "--seed", "7"]
     with contextlib.ExitStack() as stack:
         stack.enter_context(_process(*arguments))
-        link = TestbedLink.attach(instance, 15.0)
+        link = ClockEnd.attach(instance, 15.0)
         channel = stack.enter_context(contextlib.closing(ServoChannel.create(instance, config)))
         servo = stack.enter_context(_process("im_mcs.servo", instance))
         client = stack.enter_context(contextlib.closing(ServoClient(channel, TestbedTime(link))))

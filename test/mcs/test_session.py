@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from im_core.robot import load_cell
+from im_cell.robot import load_cell
 from im_msgs.srv import ReserveGroup
 
 STEP = np.array([0.05, 0.2, 0.1, 0.2, -0.2, 0.2, 0.3, 0.3, 0.3])

@@ -6,8 +6,9 @@ import signal
 import numpy as np
 import pytest
 
+from im_cell.link import PanelEnd, ServoEnd
 from im_core import clock, names
-from im_core.testbed_link import TestbedLink
+from im_mcs.limits.configuration import load_config
 from im_msgs.srv import ReserveGroup
 
 SLOW = {"speed_scale": 0.02}
@@ -16,9 +17,8 @@ SLOW = {"speed_scale": 0.02}
 @pytest.fixture
 def servo():
     """Process id of the servo."""
-    link = TestbedLink.attach(names.instance(), 1.0)
-    yield lambda: link.read_truth().servo_pid
-    link.close()
+    with PanelEnd.attach(names.instance(), 1.0) as panel:
+        yield lambda: panel.servo_pid
 
 
 def test_a_node_whose_loop_stands_still_is_stopped_for_and_goes_on_afterwards(client):
@@ -27,7 +27,7 @@ def test_a_node_whose_loop_stands_still_is_stopped_for_and_goes_on_afterwards(cl
     _, result = client.start_far_move(**SLOW)
 
     async def hang():
-        clock.sleep(client.mcs.config.safety.owner_silence_s + 2.0)
+        clock.sleep(load_config().safety.owner_silence_s + 2.0)
 
     client.mcs.spawn(hang())
     answer = result()
@@ -55,10 +55,9 @@ def test_a_servo_that_hangs_is_named_and_waited_for_by_nobody(client, servo):
         answer = client.call(ReserveGroup, "reserve", group="right")
         assert (answer.success, answer.message) == (False, sentence)
         assert sentence in client.trigger("estop").message  # passed on nevertheless
-        link = TestbedLink.attach(names.instance(), 1.0)
-        link.request_time(1, 2)
-        client.until(lambda: link.read_state().brakes.all() and not link.read_state().power)
-        link.close()
+        with PanelEnd.attach(names.instance(), 1.0) as panel, ServoEnd.attach(names.instance(), 1.0) as end:
+            panel.request_time(2)
+            client.until(lambda: end.read_state().brakes.all() and not end.read_state().power)
     finally:
         os.kill(pid, signal.SIGCONT)
     client.until(lambda: client.state() == "estopped" and client.states[-1].reason not in ("", sentence))

@@ -22,15 +22,15 @@ ROBOT = """
     import numpy as np
     from rclpy.node import Node
     from sensor_msgs.msg import JointState
-    from im_core.robot import load_cell
+    from im_cell.robot import load_cell
     from im_core.ros import qos, run
-    from im_mcs.model import Model
+    from im_mcs.model import CellModel
 
     class Robot(Node):
         def __init__(self):
             super().__init__("robot")
             cell = load_cell()
-            self.model, self.names = Model(cell), list(cell.joint_names)
+            self.model, self.names = CellModel(cell), list(cell.joint_names)
             self.q, self.v = cell.home.copy(), np.zeros(18)
             self.inertia = self.model.inertia_diagonal(cell.home)
             self.publisher = self.create_publisher(JointState, "/robot/state", qos.SENSOR)

@@ -4,16 +4,16 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from im_core.errors import StateError
-from im_pnt.events import Observer
-from im_pnt.exchange import Exchange
-from im_pnt.executive import Executive
-from im_pnt.functions import Functions, GuardFunction
+from im_pnt.distributed.exchange import Exchange
+from im_pnt.distributed.link import Link
+from im_pnt.distributed.packets import Message
+from im_pnt.execution.actions import FunctionRunner
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import Functions, GuardFunction
+from im_pnt.execution.notification import Observer
 from im_pnt.journal.folder import Files
-from im_pnt.journal.process_journal import COMPACT_BYTES, Journal
-from im_pnt.link import Link
-from im_pnt.net import Net
-from im_pnt.remote import Message
-from im_pnt.runner import FunctionRunner
+from im_pnt.journal.journal import COMPACT_BYTES, Journal
+from im_pnt.model.net import Net
 
 
 class JournalledProcess:
@@ -65,7 +65,7 @@ class JournalledProcess:
         runner = self.journal.guard(FunctionRunner(functions, self.exchange, _drive))
         for net in nets:
             record = self.journal.recorder(net.name)
-            self.exchange.add(Executive(net, functions, runner, self.exchange, observer, record=record))
+            self.exchange.add(Executor(net, functions, runner, self.exchange, observer, clock=clock, record=record))
         self.recovered = self.journal.start(self.exchange, self.link)
 
     def node_of(self, net: str) -> str:
@@ -90,11 +90,11 @@ class JournalledProcess:
         Raises:
             StateError: The nets do not come to rest.
         """
-        executives = list(self.exchange.nets.values())
+        executors = list(self.exchange.nets.values())
         for _ in range(rounds):
-            for executive in executives:
-                executive.pump()
-            if not any(executive.due for executive in executives):
+            for executor in executors:
+                executor.pump()
+            if not any(executor.due for executor in executors):
                 self.journal.commit()
                 return
         raise StateError(f"the nets do not come to rest in {rounds} rounds")

@@ -2,7 +2,7 @@
 
 import errno
 
-from im_pnt.journal.errors import JournalError
+from im_pnt.errors import JournalError
 from im_pnt.journal.folder import Growing
 
 

@@ -4,18 +4,18 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
-from im_pnt.action import Action, FunctionAction
-from im_pnt.doubt import Answer, Verdict
-from im_pnt.events import Firing, Observer, Phase
-from im_pnt.exchange import Exchange, Transport
-from im_pnt.executive import Executive
-from im_pnt.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
-from im_pnt.jobs import Activity, Command, CommandResult, Job
-from im_pnt.modes import Mode
-from im_pnt.net import Net
-from im_pnt.record import Record
-from im_pnt.runner import FunctionRunner, Spawn
-from im_pnt.strategies import StrategyBook
+from im_pnt.distributed.exchange import Exchange, Transport
+from im_pnt.execution.actions import ActionOwner, FunctionRunner, Spawn
+from im_pnt.execution.conflicts import StrategyBook
+from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
+from im_pnt.execution.jobs import Activity, Command, CommandResult, Job
+from im_pnt.execution.notification import Firing, Observer, Phase
+from im_pnt.execution.operator import Mode
+from im_pnt.execution.record import Record
+from im_pnt.model.action import Action, FunctionAction
+from im_pnt.model.net import Net
 
 _MARKS = {Phase.START: "+", Phase.END: "", Phase.FAILED: "!", Phase.CANCEL: "~", Phase.DOUBT: "?"}
 
@@ -50,9 +50,9 @@ class Recorder(Observer):
         self.choices: list[tuple[tuple[str, ...], dict[str, float], float, str]] = []
         self.operation: list[tuple[Mode, bool, tuple[str, ...]]] = []
 
-    def fired(self, firing: Firing) -> None:
-        """Keeps a firing."""
-        self.firings.append(firing)
+    def fired(self, firings: Sequence[Firing]) -> None:
+        """Keeps firings."""
+        self.firings.extend(firings)
 
     def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
         """Keeps a report of progress."""
@@ -122,14 +122,14 @@ class Process:
         self.clock = clock
         self.functions = Functions(actions, guards, asks)
         self.exchange = Exchange(name, 1, transport, self.recorder)
-        self.held: list[tuple[Executive, Activity, ActionContext]] = []
+        self.held: list[tuple[ActionOwner, Activity, ActionContext]] = []
         self.results: list[CommandResult] = []
         self.answers: dict[str, Answer] = {}
         self._runner = FunctionRunner(self.functions, self.exchange, spawn or _drive, clock=clock)
         self._commands = 0
         for net in nets:
             self.exchange.add(
-                Executive(
+                Executor(
                     net,
                     self.functions,
                     self,
@@ -142,37 +142,37 @@ class Process:
                 )
             )
 
-    def start(self, executive: Executive, activity: Activity, context: ActionContext) -> None:
+    def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
         """Starts an action, or holds it."""
         action = activity.action
         if isinstance(action, FunctionAction) and self.functions.actions[action.function] is hold:
-            self.held.append((executive, activity, context))
+            self.held.append((owner, activity, context))
         else:
-            self._runner.start(executive, activity, context)
+            self._runner.start(owner, activity, context)
 
     def direct(self, action: Action) -> ActionFunction | None:
         """Returns the function that does an action when it is called, None for those that are held."""
         function = self._runner.direct(action)
         return None if function is hold else function
 
-    def watch(self, executive: Executive, activity: Activity, work: Awaitable[object]) -> None:
+    def watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
         """Waits for what an action has left to do."""
-        self._runner.watch(executive, activity, work)
+        self._runner.watch(owner, activity, work)
 
     def waits(self, activity: Activity) -> bool:
         """Whether a request has been sent, and its reply is still to come."""
         return self._runner.waits(activity)
 
     def ask(
-        self, executive: Executive, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
+        self, owner: ActionOwner, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
     ) -> None:
         """Asks what became of an action."""
         action = activity.action
         asked = isinstance(action, FunctionAction) and action.function in self.functions.asks
         if any(held[1] is activity for held in self.held) and not asked:
-            answered(self.answers.get(activity.transition, Answer(Verdict.RUNNING, asked="the test")))
+            answered(self.answers.get(activity.transition, Answer(Outcome.RUNNING, asked="the test")))
         else:
-            self._runner.ask(executive, activity, context, answered)
+            self._runner.ask(owner, activity, context, answered)
 
     def end(self, transition: str, error: ImError | None = None) -> None:
         """Ends the action that has been held longest for a transition.
@@ -214,10 +214,10 @@ class Process:
             StateError: The nets do not come to rest.
         """
         for _ in range(rounds):
-            executives = list(self.exchange.nets.values())
-            for executive in executives:
-                executive.pump()
-            if not any(executive.due for executive in executives):
+            executors = list(self.exchange.nets.values())
+            for executor in executors:
+                executor.pump()
+            if not any(executor.due for executor in executors):
                 return
         raise StateError(f"the nets do not come to rest in {rounds} rounds")
 

@@ -1,6 +1,6 @@
 """Remote tokens: two nets in two processes send one token back and forth, each with its journal.
 
-``python -m im_pnt.ros.bench.ball ping|pong IDLE_SUBSCRIPTIONS FOLDER``
+``python -m bench.nets.nodes.ball ping|pong IDLE_SUBSCRIPTIONS FOLDER``
 """
 
 import sys
@@ -10,12 +10,13 @@ from pathlib import Path
 
 from rclpy.node import Node
 
+from bench.nets.nodes.loop import PATIENCE_S, alone, run, wait_until
+from bench.nets.serving import Handler
 from im_core.clock import cpu, monotonic
-from im_pnt.bench.serving import Handler
-from im_pnt.events import GuardsChanged
-from im_pnt.functions import ActionContext
-from im_pnt.ros.bench.loop import PATIENCE_S, alone, run, wait_until
+from im_pnt.execution.events import GuardsChanged
+from im_pnt.execution.functions import ActionContext
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
 
 NETS = {
     "ping": """
@@ -52,6 +53,7 @@ class Side(PntNode):
             f"bench_{side}",
             [file],
             guards={"playing": self._playing},
+            verifier=verify_to_load,
             parameter_overrides=alone(journal_dir=str(folder / "journal")),
         )
         self._trips = 0

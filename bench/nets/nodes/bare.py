@@ -1,6 +1,6 @@
 """The baseline of remote tokens: a small message that two bare nodes send back and forth.
 
-``python -m im_pnt.ros.bench.bare ping|pong IDLE_SUBSCRIPTIONS``
+``python -m bench.nets.nodes.bare ping|pong IDLE_SUBSCRIPTIONS``
 """
 
 import sys
@@ -10,9 +10,9 @@ from itertools import pairwise
 from rclpy.node import Node
 from std_msgs.msg import UInt64
 
+from bench.nets.nodes.loop import PATIENCE_S, run, wait_until
+from bench.nets.serving import Handler
 from im_core.clock import cpu, monotonic
-from im_pnt.bench.serving import Handler
-from im_pnt.ros.bench.loop import PATIENCE_S, run, wait_until
 
 DEPTH = 10
 
@@ -46,8 +46,11 @@ class Ping(Node):
 
     def ready(self, _: dict[str, object]) -> dict[str, object]:
         """Waits for the other side."""
-        matched = lambda: self._publisher.get_subscription_count() and self.count_publishers("/bench/pong")  # noqa: E731
-        wait_until(lambda: bool(matched()), "the other node")
+
+        def matched() -> bool:
+            return self._publisher.get_subscription_count() > 0 and self.count_publishers("/bench/pong") > 0
+
+        wait_until(matched, "the other node")
         return {}
 
     def play(self, request: dict[str, object]) -> dict[str, object]:

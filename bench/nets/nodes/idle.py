@@ -1,6 +1,6 @@
 """A node whose actions all wait for something that does not come.
 
-``python -m im_pnt.ros.bench.idle NAME FOLDER``
+``python -m bench.nets.nodes.idle NAME FOLDER``
 """
 
 import sys
@@ -8,13 +8,14 @@ from pathlib import Path
 
 from rclpy.node import Node
 
+from bench.nets.idle import TIMEOUT_S
+from bench.nets.nodes.loop import alone, run, wait_until
+from bench.nets.serving import Handler
 from im_core.clock import cpu, sleep
-from im_pnt.bench.idle import TIMEOUT_S
-from im_pnt.bench.serving import Handler
-from im_pnt.events import TokenArrived
-from im_pnt.functions import ActionContext
-from im_pnt.ros.bench.loop import alone, run, wait_until
+from im_pnt.execution.events import TokenArrived
+from im_pnt.execution.functions import ActionContext
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
 
 NET = """
 net: {name}
@@ -37,7 +38,7 @@ class Waiting(PntNode):
     def __init__(self, name: str, folder: Path) -> None:
         file = folder / f"{name}.yaml"
         file.write_text(NET.format(name=name, timeout=TIMEOUT_S), encoding="utf-8")
-        super().__init__(name, [file], {"wait": self._wait}, parameter_overrides=alone())
+        super().__init__(name, [file], {"wait": self._wait}, verifier=verify_to_load, parameter_overrides=alone())
 
     async def _wait(self, ctx: ActionContext) -> None:
         promise = self.promise()
@@ -48,10 +49,10 @@ class Waiting(PntNode):
         """Has so many actions begin."""
         wait_until(lambda: self.ready or bool(self.failed), f"{self.task_name} to be ready")
         actions = int(str(request["actions"]))
-        executive = self.exchange.nets[self.task_name]
+        executor = self.exchange.nets[self.task_name]
         for _ in range(actions):
-            executive.post(TokenArrived("order", 1))
-        wait_until(lambda: len(executive.activities) == actions, f"{actions} actions to run")
+            executor.post(TokenArrived("order", 1))
+        wait_until(lambda: len(executor.activities) == actions, f"{actions} actions to run")
         return {"failed": self.failed}
 
     @staticmethod

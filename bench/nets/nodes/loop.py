@@ -9,10 +9,10 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import UInt64
 
+from bench.nets.serving import Handler, serve
 from im_core.clock import monotonic, sleep
 from im_core.errors import WaitTimeoutError
 from im_core.ros.run import Spinner
-from im_pnt.bench.serving import Handler, serve
 
 PATIENCE_S = 30.0
 POLL_S = 0.01

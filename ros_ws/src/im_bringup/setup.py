@@ -21,15 +21,14 @@ setup(
     entry_points={
         "console_scripts": [
             "agent=im_bringup.ros.agent:main",
-            "bench=im_bringup.ros.bench:main",
             "bootstrap=im_bringup.ros.bootstrap:main",
             "calibrate_camera=im_bringup.ros.calibrate_camera:main",
             "interfaces=im_bringup.ros.interfaces:main",
             "record=im_bringup.ros.record:main",
             "replay=im_bringup.ros.replay:main",
-            "run=im_bringup.run_command:main",
-            "start=im_bringup.start:main",
-            "stop=im_bringup.stop:main",
+            "run=im_bringup.tasks.executables:main",
+            "start=im_bringup.machine.start:main",
+            "stop=im_bringup.machine.stop:main",
             "truth_error=im_bringup.ros.truth_error:main",
         ],
     },

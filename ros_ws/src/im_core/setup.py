@@ -6,7 +6,6 @@ setup(
     name="im_core",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"im_core": ["robot/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_core"]),
         ("share/im_core", ["package.xml"]),

@@ -6,7 +6,7 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={package_name: ["display/static/*", "schema/*.json"]},
+    package_data={package_name: ["schema/*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
@@ -16,12 +16,6 @@ setup(
     zip_safe=True,
     maintainer="im maintainers",
     maintainer_email="maintainers@example.org",
-    description="Petri net transducers: nets from YAML, verified, executed, distributed, and drawn live",
+    description="Petri net transducers in execution: nets from YAML and PNML, executed, distributed, journalled",
     license="MIT",
-    entry_points={
-        "console_scripts": [
-            "pnt = im_pnt.cli:main",
-            "pnt_display = im_pnt.ros.display_node:main",
-        ],
-    },
 )

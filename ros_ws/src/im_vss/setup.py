@@ -21,8 +21,6 @@ setup(
     entry_points={
         "console_scripts": [
             "vss = im_vss.ros.node:main",
-            "calibrate_dataset = im_vss.calibration.calibrate_dataset:main",
-            "next_best_pose = im_vss.calibration.next_best_pose:main",
         ]
     },
 )

@@ -1,1 +1,8 @@
-"""Brings the Intelligent Machine up and down: deployment, start-up phases, task registry, recording and replay."""
+"""Brings the Intelligent Machine up and down, records and replays it; knows ``im_core`` and ``im_cell`` only.
+
+- :mod:`im_bringup.tasks`: the deployment file, executables, the agent of a host, the registry of all tasks;
+- :mod:`im_bringup.machine`: bootstrap, ``start`` and ``stop``, the record of a machine, leftovers of a killed one;
+- :mod:`im_bringup.calibration`: what the commands ``calibrate_camera`` and ``truth_error`` print;
+- :mod:`im_bringup.bag`: bags of messages;
+- :mod:`im_bringup.ros`: nodes and commands that speak ROS.
+"""

@@ -20,7 +20,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from im_bringup.executables import prefixes
+from im_bringup.tasks.executables import prefixes
 from im_core.errors import DataError
 
 _FOREVER = QosTime(9223372036, 854775807)

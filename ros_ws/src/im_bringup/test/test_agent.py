@@ -3,10 +3,9 @@ import signal
 import subprocess
 import sys
 
-import pytest
-
-from im_bringup.agent import RESPAWN_LIMIT, Agent, Command, Died, Started, last_words
+from im_bringup.tasks.agent import RESPAWN_LIMIT, Agent, Died, Started, TaskCommand
 from im_core import clock
+from im_core.process import last_words
 
 OBEDIENT = "import signal; print('up', flush=True); signal.sigwait({signal.SIGINT}); print('{name} ends', flush=True)"
 STUBBORN = """\
@@ -23,7 +22,7 @@ def python(tmp_path, name, code):
     code = code.replace("{name}", name)
     if "sigwait" in code:
         code = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})\n" + code
-    return Command(name, [sys.executable, "-S", "-E", "-c", code], tmp_path / f"{name}.log")
+    return TaskCommand(name, [sys.executable, "-S", "-E", "-c", code], tmp_path / f"{name}.log")
 
 
 def environment():
@@ -80,7 +79,7 @@ class Crasher:
 
 
 def test_a_task_that_keeps_dying_is_given_up(tmp_path):
-    agent = Agent([Command("x", ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
+    agent = Agent([TaskCommand("x", ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
     agent.respawn = True
     agent.start()
     events = [event for now in range(60) for event in agent.poll(now * 0.5)]
@@ -92,7 +91,7 @@ def test_a_task_that_keeps_dying_is_given_up(tmp_path):
 
 
 def test_without_respawn_the_dead_stay_dead(tmp_path):
-    agent = Agent([Command("x", ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
+    agent = Agent([TaskCommand("x", ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
     agent.start()
     assert [event for now in range(10) for event in agent.poll(now)] == [
         Died("x", f"it ended with exit code 3 (log: {tmp_path / 'x.log'})")
@@ -101,9 +100,9 @@ def test_without_respawn_the_dead_stay_dead(tmp_path):
 
 def test_children_end_when_the_agent_is_killed(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from im_bringup.agent import Agent, Command\n"
+        "import sys; from pathlib import Path; from im_bringup.tasks.agent import Agent, TaskCommand\n"
         f"argv, log = [sys.executable, '-S', '-E', '-c', {OBEDIENT!r}], Path({str(tmp_path / 'x.log')!r})\n"
-        "agent = Agent([Command('x', argv, log)], {})\n"
+        "agent = Agent([TaskCommand('x', argv, log)], {})\n"
         "print(agent.start()[0].pid, flush=True); sys.stdin.read()"
     )
     parent = subprocess.Popen(
@@ -126,10 +125,3 @@ def test_children_end_when_the_agent_is_killed(tmp_path):
             return True
 
     wait_for(gone)
-
-
-@pytest.mark.parametrize(("text", "words"), [("a\nb\n\n", "b"), ("", ""), ("only", "only")])
-def test_last_words(tmp_path, text, words):
-    (tmp_path / "log").write_text(text)
-    assert last_words(tmp_path / "log") == words
-    assert last_words(tmp_path / "none") == ""

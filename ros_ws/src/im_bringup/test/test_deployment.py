@@ -2,7 +2,7 @@ import re
 
 import pytest
 
-from im_bringup import deployment
+from im_bringup.tasks import deployment
 from im_core.config import parse_model
 from im_core.errors import ConfigError, NotFoundError
 

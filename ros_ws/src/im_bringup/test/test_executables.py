@@ -1,6 +1,9 @@
+import os
+import sys
+
 import pytest
 
-from im_bringup.executables import executables, packages, path_of
+from im_bringup.tasks.executables import executables, main, packages, packages_with, path_of
 from im_core.errors import NotFoundError
 
 
@@ -33,3 +36,32 @@ def test_unknown_names_are_answered_with_the_known_ones(workspaces):
         executables("nears")
     with pytest.raises(NotFoundError, match=r"no executable of near 'og' \(known: go\)|did you mean 'go'"):
         path_of("near", "og")
+
+
+def add(workspaces, monkeypatch, package, name):
+    """A package of the workspace with that program."""
+    program = workspaces / "ws" / package / "lib" / package / name
+    program.parent.mkdir(parents=True, exist_ok=True)
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{workspaces}/ws/{package}:{os.environ['AMENT_PREFIX_PATH']}")
+    return program
+
+
+def test_an_executable_that_moved_to_one_other_package_is_run_from_there(workspaces, monkeypatch, capsys):
+    moved = add(workspaces, monkeypatch, "other", "tool")
+    assert packages_with("tool") == ["other"]
+    ran = []
+    monkeypatch.setattr(os, "execv", lambda path, arguments: ran.append((path, arguments)))
+    monkeypatch.setattr(sys, "argv", ["run", "near", "tool", "--option"])
+    main()
+    assert ran == [(moved, [str(moved), "--option"])]
+    assert capsys.readouterr().err == "run: tool is in other\n"
+
+
+def test_an_executable_of_several_other_packages_is_not_guessed(workspaces, monkeypatch, capsys):
+    for package in ("one", "two"):
+        add(workspaces, monkeypatch, package, "tool")
+    monkeypatch.setattr(sys, "argv", ["run", "near", "tool"])
+    assert main() == 2
+    assert "no executable of near 'tool'" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from im_bringup import leftovers
+from im_bringup.machine import leftovers
 from im_core import clock
 
 SHM = Path("/dev/shm")

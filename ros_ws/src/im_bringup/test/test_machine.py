@@ -3,8 +3,8 @@ import os
 
 import pytest
 
-from im_bringup import machine
-from im_bringup.machine import MachineRecord
+from im_bringup.machine import record as machine
+from im_bringup.machine.record import MachineRecord
 from im_core.errors import DataError, StateError
 from im_core.shm import ProcessId
 

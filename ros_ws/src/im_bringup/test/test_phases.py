@@ -1,12 +1,13 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from im_bringup import machine, phases
-from im_bringup.agent import Agent, Command
-from im_bringup.bootstrap import Bootstrap
-from im_bringup.deployment import Placed, Task
-from im_bringup.phases import Phase
-from im_bringup.registry import Progress, Registry
+from im_bringup.machine import bootstrap as phases
+from im_bringup.machine import record as machine
+from im_bringup.machine.bootstrap import Bootstrap
+from im_bringup.tasks.agent import Agent, TaskCommand
+from im_bringup.tasks.deployment import PlacedTask, Task
+from im_bringup.tasks.registry import Progress, Registry
+from im_core.startup import StartupPhase
 
 NAMES = ("one", "two", "three")
 ORDER = [Progress.LOADED, Progress.CONFIGURED, Progress.READY]
@@ -14,7 +15,7 @@ ORDER = [Progress.LOADED, Progress.CONFIGURED, Progress.READY]
 
 def placed(names=NAMES, host="localhost"):
     return [
-        Placed(number, name, host, name, Task(package="p", executable="e", node=f"/{name}"))
+        PlacedTask(number, name, host, name, Task(package="p", executable="e", node=f"/{name}"))
         for number, name in enumerate(names, start=1)
     ]
 
@@ -41,7 +42,7 @@ def bootstrap(tmp_path, children=None):
         children[command.name] = Process()
         return children[command.name]
 
-    agent = Agent([Command(name, ["x"], tmp_path / name) for name in NAMES], {}, spawn)
+    agent = Agent([TaskCommand(name, ["x"], tmp_path / name) for name in NAMES], {}, spawn)
     value = Bootstrap(placed(), agent, "localhost")
     value.start()
     return value
@@ -60,7 +61,7 @@ def test_no_task_is_told_to_go_on_before_all_have_arrived(tmp_path_factory, repo
             assert value.phase == before + 1
             assert all(progress >= ORDER[before] for progress in reached.values())
         if value.state == machine.READY:
-            assert value.phase is Phase.START
+            assert value.phase is StartupPhase.START
 
 
 def test_all_ready_is_ready(tmp_path):
@@ -121,7 +122,7 @@ def test_a_task_that_dies_later_is_started_again_and_catches_up(tmp_path):
     assert (record.progress, record.restarts) == (Progress.STARTING, 1)
     value.heard("two", 7, 2, Progress.READY, "", now=11.5)
     assert value.registry.find("two").progress is Progress.READY
-    assert (value.phase, value.state) == (Phase.START, machine.READY)
+    assert (value.phase, value.state) == (StartupPhase.START, machine.READY)
 
 
 def test_tasks_of_other_hosts_are_known_by_their_heartbeats():
@@ -141,7 +142,7 @@ def test_phases_pass_one_by_one():
     for name in NAMES:
         registry.started(name, 7, 0)
         registry.heard(name, 7, 1, Progress.READY, "", now=0.0)
-    phase = Phase.LOAD
-    for expected in (Phase.CONFIGURE, Phase.START, Phase.START):
+    phase = StartupPhase.LOAD
+    for expected in (StartupPhase.CONFIGURE, StartupPhase.START, StartupPhase.START):
         phase = phases.next_phase(phase, registry.records())
         assert phase is expected

@@ -1,4 +1,4 @@
-from im_bringup.progress import FiringPhase, ProgressLines
+from im_bringup.calibration.progress import FiringPhase, ProgressLines
 
 START, END, FAILED, CANCEL, DOUBT = FiringPhase
 
@@ -45,6 +45,15 @@ def test_failures_are_told_with_their_reason():
         "[100 %] compute_calibration",
         "[100 %] compute_calibration failed: too few poses",
     ]
+
+
+def test_an_observation_that_cannot_be_used_is_told_with_its_pose():
+    assert told(
+        *both("read_next_pos", 0.0, 0.0),
+        ("loop_again", START, "", 0.5, 0.0),
+        ("loop_again", FAILED, "the image is older than the rest", 0.5, 0.1),
+        *both("skip_unusable", 0.5, 0.0),
+    ) == ["[ 50 %] pose 1 of 2: loop_again failed: the image is older than the rest"]
 
 
 def test_an_abort_ends_the_pose():

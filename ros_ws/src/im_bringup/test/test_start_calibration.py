@@ -2,11 +2,11 @@
 
 import pytest
 
-from im_bringup import deployment as deployments
-from im_bringup import start
-from im_core.calibration_files import EXTRINSICS, CameraPose, extrinsics_yaml
+from im_bringup.machine import start
+from im_bringup.tasks import deployment as deployments
+from im_cell.calibration_files import EXTRINSICS, CameraPose, extrinsics_yaml
+from im_cell.robot import load_cell
 from im_core.errors import ConfigError
-from im_core.robot import load_cell
 
 MACHINE = """\
 calibration: "%s"

@@ -4,10 +4,10 @@ import json
 import numpy as np
 import pytest
 
-from im_bringup.summary import summary
-from im_bringup.truth import add_to_report, truth_error
+from im_bringup.calibration.summary import summary
+from im_bringup.calibration.truth import add_to_report, truth_error
+from im_cell.robot.truth import CellTruth
 from im_core.errors import DataError, NotFoundError
-from im_core.robot.truth import CellTruth
 
 FACING_DOWN = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
 

@@ -26,13 +26,14 @@ class InconsistentDataError(DataError):
     """No camera at all explains the observations, so there is no estimate to judge (verdict MISFIT).
 
     Args:
-        camera: Name of the camera.
+        reason: A sentence naming what cannot be explained.
+        camera: Name of the camera; empty: it is not one alone.
     """
 
     default_code = "misfit"
 
-    def __init__(self, camera: str) -> None:
-        self.reason = f"No camera explains where {camera} saw the LED."
+    def __init__(self, reason: str, *, camera: str = "") -> None:
+        self.reason = reason
         self.advice = "Check that the spots belong to these poses, and the units and axes of the data [m, px]."
         super().__init__(f"{self.reason} {self.advice}", code=self.default_code, camera=camera)
         self.parameters: tuple[str, ...] = ()

@@ -6,19 +6,19 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
-from im_vss.calibration.calibration import Calibration, CameraEstimate, Rejection
-from im_vss.calibration.checks import Checks, check
-from im_vss.calibration.covariance import covariance_of
-from im_vss.calibration.errors import InconsistentDataError
-from im_vss.calibration.expected import expected_error, rms
-from im_vss.calibration.gates import Gated
-from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.projection import project
-from im_vss.calibration.scale import Scale, measure_scale
-from im_vss.calibration.search import best_explanation
-from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
-from im_vss.calibration.verdicts import judge
+from im_calibration.errors import InconsistentDataError
+from im_calibration.estimation.covariance import covariance_of
+from im_calibration.estimation.gates import Gated
+from im_calibration.estimation.projection import project
+from im_calibration.estimation.search import best_explanation
+from im_calibration.estimation.unknowns import PER_CAMERA, ParameterLayout, Unknowns
+from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection
+from im_calibration.judgement.checks import Checks, check
+from im_calibration.judgement.expected import expected_error, rms
+from im_calibration.judgement.scale import Scale, measure_scale
+from im_calibration.judgement.verdicts import judge
+from im_calibration.problem.problem import CalibrationProblem
+from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -45,24 +45,24 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
         return _calibrate(problem)
     except np.linalg.LinAlgError as error:
         raise InconsistentDataError(
-            "The stated noise is too small beside the other numbers to compute with; check its units."
+            "The stated noise is too small beside the other numbers to compute with."
         ) from error
 
 
 def _calibrate(problem: CalibrationProblem) -> Calibration:
     order = _canonical_order(problem)
     sorted_problem = problem.taking(order)
-    layout = Layout.of(problem)
+    layout = ParameterLayout.of(problem)
     gated = best_explanation(sorted_problem, layout)
     if not np.isfinite(gated.fit.chi2):
-        raise InconsistentDataError("No set of cameras explains the spots; check that they belong to these poses.")
+        raise InconsistentDataError("No set of cameras explains the spots.")
     checks = check(gated, sorted_problem, layout)
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
     return _describe(problem, layout, gated, checks)
 
 
-def _describe(problem: CalibrationProblem, layout: Layout, gated: Gated, checks: Checks) -> Calibration:
+def _describe(problem: CalibrationProblem, layout: ParameterLayout, gated: Gated, checks: Checks) -> Calibration:
     fit, used, unknowns = gated.fit, gated.used, gated.fit.unknowns
     covariance = covariance_of(fit.information)
     robot_positions = unknowns.robot_positions(problem)

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration.commands import calibrate_dataset, command, next_best_pose
+from im_calibration.problem.dataset import problems
+from im_calibration.reporting.report import answer
 from im_core.errors import DataError
-from im_vss.calibration import calibrate_dataset, command, next_best_pose
-from im_vss.calibration.answer import answer
-from im_vss.calibration.dataset import problems
-from im_vss.calibration.synthetic import Design, make_scene
 
 
 def dataset(design, seeds, **changes):

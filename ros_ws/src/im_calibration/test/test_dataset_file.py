@@ -5,10 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration.problem.dataset import dataset_of, problems
 from im_core.errors import DataError
-from im_vss.calibration.dataset import problems
-from im_vss.calibration.dataset_file import dataset_of
-from im_vss.calibration.synthetic import Design, make_scene
 
 DESIGN = Design(
     poses=14, missing_share=0.2, heteroscedasticity=3.0, led_offset_prior_sd=0.01, joint_offset_prior_sd=2e-3, lengths=3

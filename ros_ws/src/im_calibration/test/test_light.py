@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
+from im_calibration.light import Array, MeasuredRest, rotation_of
 from im_core.errors import DataError
-from im_dispatcher.observation import check_same_rest, light_covariance, rotation_of
+
+
+def rest(jacobian: Array, q_covariance: Array, rotation: Array | None = None, since_ns: int = 0) -> MeasuredRest:
+    return MeasuredRest(jacobian, q_covariance, np.eye(3) if rotation is None else rotation, since_ns)
 
 
 def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:
@@ -20,7 +24,7 @@ def test_covariance_agrees_with_sampling_of_a_turning_wrist() -> None:
     jacobian[0, 0] = 1.0
     jacobian[5, 1] = 1.0
     deviations = np.array([1e-3, 2e-3])
-    covariance = light_covariance(jacobian, np.diag(deviations**2), rotation, offset)
+    covariance = rest(jacobian, np.diag(deviations**2), rotation).light_covariance(offset)
     samples = np.random.default_rng(1).normal(size=(40_000, 2)) * deviations
     points = np.array(
         [np.array([s, 0, 0]) + rotation_about(np.array([0.0, 0.0, 1.0]), 0.7 + turn) @ offset for s, turn in samples]
@@ -38,12 +42,14 @@ def test_rotation_is_right_handed(axis: str, start: str, end: str) -> None:
 
 def test_wrong_sizes_and_infinities_are_refused() -> None:
     with pytest.raises(DataError, match=r"\(6, 3\) does not fit"):
-        light_covariance(np.zeros((6, 3)), np.eye(2), np.eye(3), np.zeros(3))
+        rest(np.zeros((6, 3)), np.eye(2)).light_covariance(np.zeros(3))
     with pytest.raises(DataError, match="not finite"):
-        light_covariance(np.full((6, 2), np.nan), np.eye(2), np.eye(3), np.zeros(3))
+        rest(np.full((6, 2), np.nan), np.eye(2)).light_covariance(np.zeros(3))
 
 
 def test_an_exposure_before_the_rest_is_refused() -> None:
-    check_same_rest(10, 10, "p1")
-    with pytest.raises(DataError, match=r"pose p1: the image was exposed 0\.0005 s before"):
-        check_same_rest(1_000_000, 1_500_000, "p1")
+    at = rest(np.zeros((6, 2)), np.eye(2), since_ns=1_500_000)
+    at.require_shown(1_500_000, "p1")
+    with pytest.raises(DataError, match=r"pose p1: the image was exposed 0\.0005 s before") as caught:
+        at.require_shown(1_000_000, "p1")
+    assert caught.value.code == "unusable"

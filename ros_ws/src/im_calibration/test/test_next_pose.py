@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import yaml
 
+from bench.calibration.further_poses import further_poses
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration import calibrate
+from im_calibration.commands import next_best_pose
+from im_calibration.design import Candidates, load_candidates, next_best_poses, unknowns_of
+from im_calibration.estimation.residuals import linearise
+from im_calibration.estimation.unknowns import ParameterLayout
+from im_calibration.judgement.expected import expected_error
+from im_calibration.problem.dataset import dataset_of
 from im_core.errors import ConfigError, DataError
-from im_vss.calibration import calibrate, next_best_pose
-from im_vss.calibration.dataset_file import dataset_of
-from im_vss.calibration.evaluation.further_poses import further_poses
-from im_vss.calibration.expected import expected_error
-from im_vss.calibration.next_pose import Candidates, next_best_poses, unknowns_of
-from im_vss.calibration.pose_file import load_candidates
-from im_vss.calibration.residuals import linearise
-from im_vss.calibration.synthetic import Design, make_scene
-from im_vss.calibration.unknowns import Layout
 
 FIRST, POOL = np.arange(14), np.arange(14, 34)
 
@@ -39,7 +39,7 @@ def known():
 def test_the_gain_is_that_of_the_whole_information_matrix(known):
     calibration, problem, pool = known
     best = next_best_poses(calibration, problem, candidates_of(pool))[0]
-    layout, unknowns = Layout.of(problem), unknowns_of(calibration, len(POOL))
+    layout, unknowns = ParameterLayout.of(problem), unknowns_of(calibration, len(POOL))
     line = linearise(unknowns, pool, layout, pool.detected)
     errors = []
     for pose in range(len(POOL)):

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from im_core.calibration_error import evaluate
-from im_vss.calibration import calibrate
-from im_vss.calibration.evaluation.bound import cramer_rao
-from im_vss.calibration.synthetic import Design, make_scene
+from bench.calibration.score import cramer_rao
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration import calibrate
+from im_cell.calibration_error import evaluate
 
 SEEDS = range(100, 108)
 HARD = Design(outlier_share=0.15, missing_share=0.05, led_offset_prior_sd=0.05)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.calibration.synthetic import Design, make_scene
 from im_core.errors import DataError
-from im_vss.calibration.synthetic import Design, make_scene
 
 GOOD = make_scene(Design(poses=10), 0).problem
 

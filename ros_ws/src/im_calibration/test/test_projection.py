@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from im_core.camera_model import CameraModel
-from im_vss.calibration.projection import image, project
-from im_vss.calibration.synthetic import random_rotations
-from im_vss.calibration.unknowns import rotation_exp, skew
+from bench.calibration.synthetic import random_rotations
+from im_calibration.estimation.projection import image, project
+from im_calibration.estimation.unknowns import rotation_exp, skew
+from im_cell.camera_model import CameraModel
 
 STEP = 1e-6
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration import calibrate, report_of, summary, write_results
 from im_core.errors import DataError
-from im_vss.calibration import calibrate, report_of, summary, write_results
-from im_vss.calibration.synthetic import Design, make_scene
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from im_vss.calibration import calibrate, report_of, summary
-from im_vss.calibration.synthetic import Design, make_scene
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration import calibrate, report_of, summary
 
 SEEDS = range(40, 52)
 

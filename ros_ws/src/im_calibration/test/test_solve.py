@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from im_vss.calibration.residuals import image_residuals, linearise
-from im_vss.calibration.solve import maximise_likelihood, robust_fit
-from im_vss.calibration.start import start
-from im_vss.calibration.synthetic import Design, make_scene
-from im_vss.calibration.unknowns import Layout, Unknowns
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration.estimation.residuals import image_residuals, linearise
+from im_calibration.estimation.solve import maximise_likelihood, robust_fit
+from im_calibration.estimation.start import start
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
 
 EVERYTHING = Design(poses=14, anisotropy=3.0, joint_offset_prior_sd=0.003, missing_share=0.1)
 
@@ -30,7 +30,7 @@ def true_unknowns(scene):
 
 def test_jacobian_by_finite_differences():
     scene = make_scene(EVERYTHING, 1)
-    problem, layout, unknowns = scene.problem, Layout.of(scene.problem), true_unknowns(scene)
+    problem, layout, unknowns = scene.problem, ParameterLayout.of(scene.problem), true_unknowns(scene)
     used = problem.detected
     line = linearise(unknowns, problem, layout, used)
     assert layout.size == 14 * 2 + 3 + 6
@@ -44,7 +44,7 @@ def test_jacobian_by_finite_differences():
 
 def test_elimination_equals_the_full_normal_equations():
     scene = make_scene(EVERYTHING, 2)
-    problem, layout = scene.problem, Layout.of(scene.problem)
+    problem, layout = scene.problem, ParameterLayout.of(scene.problem)
     line = linearise(true_unknowns(scene), problem, layout, problem.detected)
     noise = np.zeros_like(line.covariances)
     for c in range(2):
@@ -71,7 +71,7 @@ def test_noise_free_data_give_the_truth_back():
         spot_covariances=np.tile(1e-4 * np.eye(2), (2, 25, 1, 1)),
         position_covariances=np.tile(1e-8 * np.eye(3), (25, 1, 1)),
     )
-    layout = Layout.of(honest)
+    layout = ParameterLayout.of(honest)
     first = robust_fit(start(honest, layout), honest, layout, honest.detected)
     fit = maximise_likelihood(first.unknowns, honest, layout, honest.detected)
     truth = true_unknowns(scene)
@@ -84,7 +84,7 @@ def test_noise_free_data_give_the_truth_back():
 
 def test_it_finds_the_maximum_that_scipy_finds_on_the_full_problem():
     scene = make_scene(Design(poses=14, anisotropy=3.0), 5)
-    problem, layout = scene.problem, Layout.of(scene.problem)
+    problem, layout = scene.problem, ParameterLayout.of(scene.problem)
     first = robust_fit(start(problem, layout), problem, layout, problem.detected)
     fit = maximise_likelihood(first.unknowns, problem, layout, problem.detected)
     n = len(problem.positions)
@@ -114,7 +114,7 @@ def test_it_finds_the_maximum_that_scipy_finds_on_the_full_problem():
 
 def test_one_gross_outlier_hardly_moves_the_robust_fit():
     scene = make_scene(Design(poses=30), 6)
-    problem, layout = scene.problem, Layout.of(scene.problem)
+    problem, layout = scene.problem, ParameterLayout.of(scene.problem)
     spots = problem.spots.copy()
     spots[0, 4] += [60.0, -30.0]
     spoiled = replace(problem, spots=spots)

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from im_core.camera_model import CameraModel
-from im_vss.calibration import DegenerateDataError
-from im_vss.calibration.planar_start import planar_start
-from im_vss.calibration.start import robust_extent, start
-from im_vss.calibration.synthetic import Design, make_scene
-from im_vss.calibration.unknowns import Layout
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration import DegenerateDataError
+from im_calibration.estimation.start import planar_start, robust_extent, start
+from im_calibration.estimation.unknowns import ParameterLayout
+from im_cell.camera_model import CameraModel
 
 
 def pinhole_problem(seed, poses=30):
@@ -22,7 +21,7 @@ def pinhole_problem(seed, poses=30):
 
 def test_a_pinhole_camera_is_recovered_exactly():
     problem, cameras = pinhole_problem(1)
-    found = start(problem, Layout.of(problem))
+    found = start(problem, ParameterLayout.of(problem))
     for c, camera in enumerate(cameras):
         expected = [camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]]
         np.testing.assert_allclose(found.intrinsics[c, :4], expected, atol=0.05)
@@ -34,7 +33,7 @@ def test_a_fifth_of_wrong_spots_does_no_harm():
     problem, cameras = pinhole_problem(2)
     spots = problem.spots.copy()
     spots[:, ::5] = np.random.default_rng(0).uniform((0, 0), (640, 480), spots[:, ::5].shape)
-    found = start(replace(problem, spots=spots), Layout.of(problem))
+    found = start(replace(problem, spots=spots), ParameterLayout.of(problem))
     for c, camera in enumerate(cameras):
         assert found.intrinsics[c, 0] == pytest.approx(camera.K[0, 0], rel=0.03)
 
@@ -56,7 +55,7 @@ def test_the_plane_gives_pose_and_focal_length():
 def test_too_few_spots_are_refused_with_their_number():
     scene = make_scene(Design(poses=6), 4)
     with pytest.raises(DegenerateDataError, match="saw the LED in 6 poses, at least 7") as caught:
-        start(scene.problem, Layout.of(scene.problem))
+        start(scene.problem, ParameterLayout.of(scene.problem))
     assert caught.value.code == "unobservable"
     assert caught.value.facts["camera"] == "camera_0"
     assert "camera_0.intrinsics" in caught.value.parameters
@@ -66,7 +65,7 @@ def test_positions_on_a_line_are_refused():
     line = np.linspace((-0.9, -0.4, 0.7), (0.9, 0.4, 1.5), 20)
     scene = make_scene(Design(poses=20, led_offset_prior_sd=0.0), 5, positions=line)
     with pytest.raises(DegenerateDataError, match="on a line"):
-        start(scene.problem, Layout.of(scene.problem))
+        start(scene.problem, ParameterLayout.of(scene.problem))
 
 
 def test_extent_ignores_the_farthest_points():

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from im_vss.calibration import DegenerateDataError, InconsistentDataError, calibrate
-from im_vss.calibration.answer import answer
-from im_vss.calibration.evaluation.bad import BAD
-from im_vss.calibration.synthetic import Design, make_scene, random_rotations, with_stated_noise
-from im_vss.calibration.unknowns import rotation_exp
+from bench.calibration.synthetic import Design, make_scene, random_rotations, with_stated_noise
+from bench.calibration.verdicts import BAD
+from im_calibration import DegenerateDataError, InconsistentDataError, calibrate
+from im_calibration.estimation.unknowns import rotation_exp
+from im_calibration.reporting.report import answer
 
 
 def kinds(calibration):

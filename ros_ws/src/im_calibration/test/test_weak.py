@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from im_vss.calibration import calibrate
-from im_vss.calibration.affine_start import affine_start
-from im_vss.calibration.evaluation.bound import cramer_rao
-from im_vss.calibration.evaluation.score import deviations, score
-from im_vss.calibration.gates import fit_with_gates
-from im_vss.calibration.search import best_explanation, unexplained
-from im_vss.calibration.synthetic import Design, make_scene
-from im_vss.calibration.unknowns import Layout
+from bench.calibration.score import cramer_rao, deviations, score
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration import calibrate
+from im_calibration.estimation.gates import fit_with_gates
+from im_calibration.estimation.search import best_explanation, unexplained
+from im_calibration.estimation.start import affine_start
+from im_calibration.estimation.unknowns import ParameterLayout
 
 CROWDED = Design(poses=15, outlier_share=0.2, led_offset_prior_sd=0.05)
 
@@ -36,7 +35,7 @@ def test_few_and_noisy_poses_do_not_lose_against_the_bound(design):
 
 def test_lens_priors_hardly_matter_where_data_are_good():
     problem = make_scene(Design(), 1).problem
-    layout, calibration = Layout.of(problem), calibrate(problem)
+    layout, calibration = ParameterLayout.of(problem), calibrate(problem)
     by_data = np.linalg.inv(np.linalg.inv(calibration.covariance) - np.diag(layout.lens_precision))
     assert np.all(calibration.standard_deviations > 0.95 * np.sqrt(np.diag(by_data)))
 
@@ -65,7 +64,7 @@ def test_a_set_that_the_first_start_misses_is_found(seed):
 
 def test_no_start_explains_more_than_the_one_that_wins():
     problem = make_scene(CROWDED, 1043).problem
-    layout = Layout.of(problem)
+    layout = ParameterLayout.of(problem)
     best = best_explanation(problem, layout)
     again = fit_with_gates(best.fit.unknowns, problem, layout)
     assert unexplained(best, problem) <= unexplained(again, problem) + 1e-6

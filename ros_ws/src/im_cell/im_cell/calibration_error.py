@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]

@@ -1,26 +1,17 @@
-"""Images on their way from the cameras to the Tools."""
+"""Images, and what takes them: orders for exposures, the frames they bring, and the contract of a frame source."""
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.spot.noise import SensorNoise
+from im_cell.robot import Cell
+from im_cell.sensor import SensorControls, SensorNoise
 
 Image = NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class SensorControls:
-    """What can be set at a camera, relative to its data sheet: amplification and read noise [-]."""
-
-    gain: float = 1.0
-    noise: float = 1.0
-
-    def of(self, sheet: SensorNoise) -> SensorNoise:
-        """The sensor of a data sheet with these controls."""
-        return sheet.model_copy(update={"gain": sheet.gain / self.gain, "read_noise": sheet.read_noise * self.noise})
 
 
 @dataclass(frozen=True)
@@ -65,7 +56,7 @@ class Frame:
     image: Image
     stamp_ns: int
     blank_light: bool
-    controls: SensorControls = SensorControls()
+    controls: SensorControls = field(default_factory=SensorControls)
 
 
 @dataclass(frozen=True)
@@ -81,22 +72,67 @@ class FrameSet:
     timing: dict[str, float]
 
 
-class FrameSource(Protocol):
-    """The cameras, as far as a Vision Module sees them."""
+@dataclass(frozen=True)
+class FrameSourceSetup:
+    """What a frame source is told when it is made.
 
-    def take(self, order: SnapOrder) -> FrameSet:
+    Attributes:
+        cell: Where the cameras are and what sizes their images have.
+        cell_file: File that `cell` was read from; None: the shipped one.
+        cameras: Names of the cameras in use.
+        sensor: Their data sheet.
+        nominal_exposure_s: Usual length of an exposure [s].
+        start_timeout_s: How long it may take until the cameras are ready [s].
+        settings: Settings of the source's own, as written in ``vss.yaml``.
+    """
+
+    cell: Cell
+    cell_file: Path | None
+    cameras: tuple[str, ...]
+    sensor: SensorNoise
+    nominal_exposure_s: float
+    start_timeout_s: float
+    settings: Mapping[str, object]
+
+
+class FrameSource(ABC):
+    """What takes the images of all cameras; ``vss.yaml`` names the class. One order at a time.
+
+    Args:
+        setup: Cameras and settings.
+    """
+
+    @abstractmethod
+    def __init__(self, setup: FrameSourceSetup) -> None: ...
+
+    @abstractmethod
+    def start(self) -> None:
+        """Begin to get ready; :meth:`wait_ready` waits for it.
+
+        Raises:
+            ImError: The cameras cannot be had.
+        """
+
+    @abstractmethod
+    def wait_ready(self) -> None:
+        """Wait until images can be taken.
+
+        Raises:
+            ImError: The cameras do not become ready, or not in time.
+        """
+
+    @abstractmethod
+    def revive(self) -> str:
+        """Start again what died; what it died of, empty if nothing did."""
+
+    @abstractmethod
+    def take_frames(self, order: SnapOrder) -> FrameSet:
         """Expose and read out.
 
         Raises:
             ImError: The cameras cannot deliver; the message says who is missing.
         """
 
-
-class Screen(Protocol):
-    """The monitors and image outputs."""
-
-    def raw(self, frame: Frame) -> None:
-        """Put out an image as it was taken."""
-
-    def display(self, camera: str, image: Image, stamp_ns: int) -> None:
-        """Show an image, shape (h, w, 3), red-green-blue [DN]."""
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the cameras."""

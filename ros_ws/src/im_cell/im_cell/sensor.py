@@ -1,5 +1,6 @@
-"""Noise of a camera's pixels, from its data sheet."""
+"""The sensor of a camera: noise of its pixels, from the data sheet, and what can be set at it."""
 
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -39,3 +40,15 @@ class SensorNoise(Model):
     def variance(self, mean: NDArray[Float]) -> NDArray[Float]:
         """Variance of pixels after quantisation [DN^2], for expected values `mean` [DN] of any shape."""
         return self.analog_variance(mean) + QUANTISATION_VARIANCE
+
+
+@dataclass(frozen=True)
+class SensorControls:
+    """What can be set at a camera, relative to its data sheet: amplification and read noise [-]."""
+
+    gain: float = 1.0
+    noise: float = 1.0
+
+    def of(self, sheet: SensorNoise) -> SensorNoise:
+        """The sensor of a data sheet with these controls."""
+        return sheet.model_copy(update={"gain": sheet.gain / self.gain, "read_noise": sheet.read_noise * self.noise})

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from im_core.calibration_error import evaluate, triangulate
-from im_core.camera_model import CameraModel
+from im_cell.calibration_error import evaluate, triangulate
+from im_cell.camera_model import CameraModel
+from im_cell.workspace import Workspace
 from im_core.errors import DataError
-from im_core.workspace import Workspace
 
 
 def camera(x, focal=600.0):

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from im_core.calibration_files import (
+from im_cell.calibration_files import (
     CameraPose,
     LaserEstimate,
     camera_info_yaml,
@@ -19,10 +19,10 @@ from im_core.calibration_files import (
     laser_yaml,
     read_calibration,
 )
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
+from im_cell.laser_model import LaserModel
+from im_cell.robot import load_cell
 from im_core.errors import ConfigError
-from im_core.laser_model import LaserModel
-from im_core.robot import load_cell
 
 CELL = load_cell()
 D = np.array([-0.2, 0.03, 1e-5, -2e-4, 1e-3])

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_core.errors import DataError
 
 K = np.array([[605.0, 0.0, 324.0], [0.0, 598.0, 236.5], [0.0, 0.0, 1.0]])

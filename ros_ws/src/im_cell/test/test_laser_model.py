@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from im_cell.laser_model import LaserModel
 from im_core.errors import DataError
-from im_core.laser_model import LaserModel
 
 ANGLE = st.floats(-0.3, 0.3)
 TURN = Rotation.from_rotvec([0.4, -2.1, 0.3]).as_matrix()

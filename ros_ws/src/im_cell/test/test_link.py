@@ -7,10 +7,10 @@ import threading
 import numpy as np
 import pytest
 
+from im_cell.link import CameraEnd, ClockEnd, HostEnd, LaserBeam, LaserEnd, PanelEnd, Sensors, ServoEnd, TickCommand
 from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
 from im_core.shm import remove_all
-from im_core.testbed_link import Command, LaserBeam, Sensors, Slot, TestbedLink
 
 INSTANCE = f"imtest{os.getpid()}"
 N = 3
@@ -26,18 +26,25 @@ def publish(link, tick):
 
 @pytest.fixture
 def host():
-    link = TestbedLink.create(INSTANCE, n_joints=N, period_s=0.01, factor=0.0, seed=7)
+    link = HostEnd.create(INSTANCE, n_joints=N, period_s=0.01, factor=0.0, seed=7)
     publish(link, 0)
     yield link
     link.close()
     assert remove_all(INSTANCE) == []
 
 
-@pytest.fixture
-def client(host):
-    link = TestbedLink.attach(INSTANCE, timeout_s=1.0)
-    yield link
-    link.close()
+def end_of(kind):
+    """A fixture that attaches an end."""
+
+    @pytest.fixture
+    def end(host):
+        with kind.attach(INSTANCE, timeout_s=1.0) as attached:
+            yield attached
+
+    return end
+
+
+servo, time, camera, panel = end_of(ServoEnd), end_of(ClockEnd), end_of(CameraEnd), end_of(PanelEnd)
 
 
 @contextlib.contextmanager
@@ -60,17 +67,17 @@ def running(host, commands, timeout_s=0.5):
         thread.join()
 
 
-def test_attaching_tells_what_was_created(client):
-    assert (client.n_joints, client.period_s, client.factor, client.seed) == (N, 0.01, 0.0, 7)
-    assert client.light_names == ("left_led", "right_led")
-    assert client.tick == 0
-    assert client.physics_alive()
+def test_attaching_tells_what_was_created(time):
+    assert (time.n_joints, time.period_s, time.factor, time.seed) == (N, 0.01, 0.0, 7)
+    assert time.light_names == ("left_led", "right_led")
+    assert time.tick == 0
+    assert time.physics_alive()
 
 
 def test_link_cannot_be_attached_before_the_first_state():
-    link = TestbedLink.create(INSTANCE, n_joints=N)
+    link = HostEnd.create(INSTANCE, n_joints=N)
     with pytest.raises(LinkError, match="is not initialised"):
-        TestbedLink.attach(INSTANCE, timeout_s=0.0)
+        ServoEnd.attach(INSTANCE, timeout_s=0.0)
     link.close()
 
 
@@ -81,77 +88,77 @@ def test_link_cannot_be_attached_before_the_first_state():
 ])  # fmt: skip
 def test_nonsense_is_refused(arguments, message):
     with pytest.raises(DataError, match=message):
-        TestbedLink.create(INSTANCE, **arguments)
+        HostEnd.create(INSTANCE, **arguments)
 
 
-def test_each_tick_gets_its_own_command(host, client):
+def test_each_tick_gets_its_own_command(host, servo, time):
     commands = []
-    client.attach_servo(os.getpid())
+    servo.attach_servo(os.getpid())
     with running(host, commands):
-        client.request_time(Slot.MCS, 1)
+        time.request_time(1)
         for tick in range(5):
-            assert client.wait_state(1.0)
-            state = client.read_state()
+            assert servo.wait_state(1.0)
+            state = servo.read_state()
             assert state.tick == tick
             assert state.stamp_ns == tick * 10_000_000
             assert (state.q == tick).all()
-            client.write_command(Command(np.full(N, 10.0 * tick), True, NO_BRAKES, OPEN, tick < 4, OPEN))
-        client.wait_tick(5, timeout_s=1.0)
-        assert not client.wait_state(0.05), "nobody wants time"
+            servo.write_command(TickCommand(np.full(N, 10.0 * tick), True, NO_BRAKES, OPEN, tick < 4, OPEN))
+        time.wait_tick(5, timeout_s=1.0)
+        assert not servo.wait_state(0.05), "nobody wants time"
     assert [command.tau[0] for command in commands] == [0.0, 10.0, 20.0, 30.0, 40.0]
     assert all(command.power and not command.brakes.any() for command in commands)
 
 
-def test_time_passes_only_as_far_as_it_is_asked_for(host, client):
+def test_time_passes_only_as_far_as_it_is_asked_for(host, time):
     with running(host, []):
-        until = client.request_time(Slot.TESTBED, 20)
-        assert client.wait_tick(until, timeout_s=1.0) == 20
+        until = time.request_time(20)
+        assert time.wait_tick(until, timeout_s=1.0) == 20
         clock.sleep(0.05)
-        assert client.tick == 20
+        assert time.tick == 20
         with pytest.raises(WaitTimeoutError, match="tick 21 of the testbed"):
-            client.wait_tick(21, timeout_s=0.05)
+            time.wait_tick(21, timeout_s=0.05)
 
 
-def test_silent_servo_is_declared_gone_told_so_and_may_come_back(host, client):
+def test_silent_servo_is_declared_gone_told_so_and_may_come_back(host, servo, panel):
     commands = []
-    client.attach_servo(os.getpid())
+    servo.attach_servo(os.getpid())
     with running(host, commands, timeout_s=0.1):
-        until = client.request_time(Slot.TESTBED, 2)
-        client.wait_tick(until, timeout_s=2.0)
+        until = panel.request_time(2)
+        panel.wait_tick(until, timeout_s=2.0)
         assert commands == [None, None]
-        assert client.read_truth().servo_losses == 1
+        assert panel.servo_losses == 1
         with pytest.raises(LinkError, match="declared the servo gone"):
-            client.write_command(Command(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
-        client.attach_servo(os.getpid())
-        client.request_time(Slot.TESTBED, 1)
-        assert client.wait_state(1.0)
-        client.write_command(Command(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
-        client.wait_tick(3, timeout_s=1.0)
+            servo.write_command(TickCommand(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
+        servo.attach_servo(os.getpid())
+        panel.request_time(1)
+        assert servo.wait_state(1.0)
+        servo.write_command(TickCommand(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
+        panel.wait_tick(3, timeout_s=1.0)
     assert commands[2].tau.tolist() == [1.0, 1.0, 1.0]
 
 
-def test_detaching_ends_the_demand(host, client):
+def test_detaching_ends_the_demand(host, servo, time):
     with running(host, []):
-        client.attach_servo(os.getpid())
-        client.request_time(Slot.MCS, 1)
-        assert client.wait_state(1.0)
-        client.write_command(Command(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
-        assert client.wait_state(1.0)
-        client.detach_servo()
-        client.wait_tick(2, timeout_s=1.0)
+        servo.attach_servo(os.getpid())
+        time.request_time(1)
+        assert servo.wait_state(1.0)
+        servo.write_command(TickCommand(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
+        assert servo.wait_state(1.0)
+        servo.detach_servo()
+        time.wait_tick(2, timeout_s=1.0)
         clock.sleep(0.03)
-        assert client.tick == 2
+        assert time.tick == 2
 
 
-def test_only_one_servo(client):
-    client.attach_servo(os.getppid())
+def test_only_one_servo(servo):
+    servo.attach_servo(os.getppid())
     with pytest.raises(LinkError, match=f"already has a servo, process {os.getppid()}"):
-        client.attach_servo(os.getpid())
+        servo.attach_servo(os.getpid())
     with pytest.raises(LinkError, match="does not run"):
-        client.attach_servo(2**22 + 1)
+        servo.attach_servo(2**22 + 1)
 
 
-def test_exposure_is_demand_and_is_answered(host, client):
+def test_exposure_is_demand_and_is_answered(host, camera):
     def serve():
         while (request := host.pending_exposure()) is None:
             clock.sleep(0.001)
@@ -161,7 +168,7 @@ def test_exposure_is_demand_and_is_answered(host, client):
 
     thread = threading.Thread(target=serve)
     thread.start()
-    exposure = client.expose(2, blank_light=True, timeout_s=2.0)
+    exposure = camera.expose(2, blank_light=True, timeout_s=2.0)
     thread.join()
     assert (exposure.start_tick, exposure.end_tick, exposure.stamp_ns) == (3, 5, 40_000_000)
     assert exposure.q_true.tolist() == [1.0, 2.0, 3.0]
@@ -169,18 +176,31 @@ def test_exposure_is_demand_and_is_answered(host, client):
     assert not host.demand()
 
 
-def test_exposure_that_nobody_serves_times_out_and_is_replaced(host, client):
+def test_exposure_that_nobody_serves_times_out_and_is_replaced(host, camera):
     with pytest.raises(WaitTimeoutError, match="an exposure of 2 ticks"):
-        client.expose(2, blank_light=False, timeout_s=0.02)
+        camera.expose(2, blank_light=False, timeout_s=0.02)
     with pytest.raises(WaitTimeoutError, match="an exposure of 3 ticks"):
-        client.expose(3, blank_light=False, timeout_s=0.02)
+        camera.expose(3, blank_light=False, timeout_s=0.02)
     assert host.pending_exposure().ticks == 3
     with pytest.raises(DataError, match="exposure of 0 ticks is not between 1 and 10000"):
-        client.expose(0, blank_light=False, timeout_s=0.02)
+        camera.expose(0, blank_light=False, timeout_s=0.02)
 
 
-def test_lights(host, client):
-    client.set_light(1, True)
+def test_lights(host, panel):
+    panel.set_light(1, True)
     assert host.lights() == (False, True)
     with pytest.raises(DataError, match="light 2 is not one of 0 to 1"):
-        client.set_light(2, True)
+        panel.set_light(2, True)
+
+
+def test_an_end_can_do_what_its_user_may_do_and_no_more():
+    def able(kind):
+        return {name for name in dir(kind) if not name.startswith("_")}
+
+    host = {"publish_state", "publish_laser", "read_truth", "await_command", "await_demand", "finish_exposure"}
+    assert able(HostEnd) >= host
+    for kind in (ServoEnd, CameraEnd, LaserEnd, PanelEnd, ClockEnd):
+        assert not able(kind) & host
+    assert able(CameraEnd) - able(LaserEnd) == {"expose"}
+    assert able(LaserEnd) - able(ClockEnd) == {"set_laser", "laser"}
+    assert not able(ServoEnd) & {"expose", "set_laser", "set_faults", "set_light", "request_time"}

@@ -6,10 +6,10 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from im_cell.robot import load_cell, urdf
+from im_cell.robot.truth import load_truth
 from im_core.config import package_file
 from im_core.errors import ConfigError, DataError
-from im_core.robot import load_cell, urdf
-from im_core.robot.truth import load_truth
 
 CELL = load_cell()
 TREE = ET.fromstring(urdf(CELL))
@@ -151,7 +151,7 @@ def test_cameras_look_at_their_target_with_the_right_side_up(name):
     (lambda data: data["sides"].pop("right"), r"sides are \['left'\]"),
 ])  # fmt: skip
 def test_a_wrong_cell_is_refused_by_name(tmp_path, change, message):
-    data = yaml.safe_load(package_file("im_core", "robot/cell.yaml").read_text())
+    data = yaml.safe_load(package_file("im_cell", "robot/cell.yaml").read_text())
     change(data)
     path = tmp_path / "cell.yaml"
     path.write_text(yaml.safe_dump(data))

@@ -1,10 +1,9 @@
-"""Strategies of the coordinators without ROS."""
-
-import itertools
+"""What the Vision Coordinator decides."""
 
 import pytest
 
-from im_coordinators.strategies import another_look_may_help, detour
+from im_coordinators.vision import another_look_may_help, require_spot
+from im_core.errors import DataError, ImError
 
 
 @pytest.mark.parametrize(
@@ -15,16 +14,20 @@ from im_coordinators.strategies import another_look_may_help, detour
         (["blocked: nothing brighter than the noise"], False),
         (["too faint: snr 3.1 < 6", "light is off"], False),
         ([], False),
+        ("too faint", False),
     ],
 )
-def test_only_what_exposure_can_mend_is_looked_at_again(causes: list[str], expected: bool) -> None:
-    assert another_look_may_help(causes) is expected
+def test_only_what_exposure_can_mend_is_looked_at_again(causes: object, expected: bool) -> None:
+    assert another_look_may_help(ImError("", code="spot_not_found", causes=causes)) is expected
 
 
-def test_a_detour_moves_the_cart_only_while_the_arm_is_tucked() -> None:
-    start, goal, tucked = [0.0, 1.0, 2.0, 3.0], [4.0, 5.0, 6.0, 7.0], [9.0, 9.0, 8.0, 8.5]
-    points = [start, *detour(start, goal, tucked, arm=2)]
-    assert points[-1] == goal
-    for before, after in itertools.pairwise(points):
-        if before[:2] != after[:2]:
-            assert before[2:] == after[2:] == tucked[2:]
+def test_without_causes_nothing_is_looked_at_again() -> None:
+    assert not another_look_may_help(None)
+    assert not another_look_may_help(ImError("the camera is gone"))
+
+
+def test_one_camera_that_sees_the_light_is_enough() -> None:
+    require_spot({"wall": "too faint"}, 2)
+    with pytest.raises(DataError, match="no camera sees the light: wall: too faint; floor: blocked") as caught:
+        require_spot({"wall": "too faint", "floor": "blocked"}, 2)
+    assert (caught.value.code, caught.value.facts["causes"]) == ("spot_not_found", ["too faint", "blocked"])

@@ -1,1 +1,12 @@
-"""What all packages of the Intelligent Machine share."""
+"""What all packages share; it knows none of them.
+
+- :mod:`im_core.errors`: the tree of errors, each with its facts;
+- :mod:`im_core.config`, :mod:`im_core.yamltext`: YAML files into frozen, typed models, with file, line and column;
+- :mod:`im_core.clock`, :mod:`im_core.stopwatch`: the only place that reads the wall clock; where time goes;
+- :mod:`im_core.names`, :mod:`im_core.files`: names and folders of a machine, files written whole;
+- :mod:`im_core.plugins`: the loader of ``module:Class``;
+- :mod:`im_core.process`, :mod:`im_core.scheduling`: child processes, and what those of the real-time chain ask for;
+- :mod:`im_core.startup`: phases of the start-up;
+- :mod:`im_core.shm`: shared memory and semaphores;
+- :mod:`im_core.ros`: base class of all nodes, and what they wait with.
+"""

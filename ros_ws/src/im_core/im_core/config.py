@@ -1,17 +1,24 @@
-"""YAML files into frozen, typed models; errors name file, line and field."""
+"""The one checker of data: YAML files into frozen, typed models; complaints name file, line and field.
+
+:func:`load_model` and :func:`parse_model` are for files. Whoever validates data of another origin with a model (a
+request, a net file put together) tells what is wrong with :func:`faults`.
+"""
 
 import importlib.resources
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, TypeVar, Union, get_args, get_origin
 
 import pydantic
-import yaml
 
-from im_core.errors import ConfigError
+from im_core.errors import ConfigError, nearest
+from im_core.yamltext import Location, RepeatedKeyError, Value, YamlError, as_data, find, read_yaml
 
 
 class Model(pydantic.BaseModel):
-    """Base of all configuration models: frozen, and no unknown fields."""
+    """Base of all models of data: frozen, and no unknown fields."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -24,12 +31,48 @@ class FieldError(ValueError):
         sentence: What is wrong.
     """
 
-    def __init__(self, location: tuple[int | str, ...], sentence: str) -> None:
+    def __init__(self, location: Location, sentence: str) -> None:
         super().__init__(sentence)
         self.location = location
 
 
 ModelT = TypeVar("ModelT", bound=pydantic.BaseModel)
+_MOST_FAULTS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One complaint of a model.
+
+    Attributes:
+        kind: Kind of error, as pydantic names it.
+        location: Where in the data.
+        value: What was given there.
+        words: What is wrong, in pydantic's or the validator's words.
+        limits: What the words speak of, e.g. ``{"ge": 1}``.
+        known: Keys that are allowed where one is not.
+    """
+
+    kind: str
+    location: Location
+    value: object
+    words: str
+    limits: Mapping[str, object]
+    known: tuple[str, ...]
+
+    @property
+    def field(self) -> str:
+        """The location as text."""
+        return field_name(self.location)
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong, with the value and the nearest right name."""
+        hint = nearest(str(self.location[-1]), self.known) if self.known else ""
+        value = self.value
+        if isinstance(value, (int, float, str, bool)) and repr(value) not in self.words:
+            return f"{value!r}: {self.words}{hint}"
+        return f"{self.words}{hint}"
 
 
 def package_file(package: str, relative: str) -> Path:
@@ -56,57 +99,48 @@ def load_model(path: str | Path, model: type[ModelT]) -> ModelT:
             each ``file:line: field: what is wrong``.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}", file=str(path)) from error
-    return parse_model(text, model, name=str(path))
+    return parse_model(_text(path), model, name=str(path))
 
 
 def parse_model(text: str, model: type[ModelT], name: str) -> ModelT:
     """As :func:`load_model`, from text; ``name`` stands for the file in errors."""
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = mark.line + 1 if mark is not None else 1
-        problem = getattr(error, "problem", None) or str(error)
-        raise ConfigError(f"{name}:{line}: not YAML: {problem}", file=name, line=line) from error
-    except ValueError as error:
-        raise ConfigError(f"{name}:1: not YAML: {error}", file=name, line=1) from error
-    if node is None:
-        raise ConfigError(f"{name}:1: the file is empty", file=name, line=1)
-    _refuse_duplicates(node, name)
+        root = read_yaml(text, name)
+        data = as_data(root)
+    except RepeatedKeyError as error:
+        raise _config_error((error.place, (*error.location, error.place.text), "given twice")) from error
+    except YamlError as error:
+        raise _config_error((error.place, error.location, error.sentence)) from error
     try:
         return model.model_validate(data)
     except pydantic.ValidationError as error:
-        places = [(_location(fault), fault) for fault in error.errors()]
-        faults = [(line_of(node, place), field_name(place), fault) for place, fault in places]
-        lines = [
-            f"{name}:{line}: {field + ': ' if field else ''}{_sentence(fault['msg'], fault['input'])}"
-            for line, field, fault in faults
-        ]
-        raise ConfigError("\n".join(lines), file=name, line=faults[0][0], field=faults[0][1]) from error
+        told = ((find(root, fault.location).value, fault.location, fault.sentence) for fault in faults(error, model))
+        raise _config_error(*told) from error
 
 
-def line_of(node: yaml.Node, location: tuple[int | str, ...]) -> int:
-    """Line of a field, or of the nearest thing around it that exists; counts from 1."""
-    for key in location:
-        child: yaml.Node | None = None
-        if isinstance(node, yaml.MappingNode):
-            child = next((value for name, value in node.value if name.value == str(key)), None)
-            if child is not None and isinstance(child, yaml.ScalarNode):
-                return int(child.start_mark.line) + 1
-        elif isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
-            child = node.value[key]
-        if child is None:
-            break
-        node = child
-    return int(node.start_mark.line) + 1
+def fault_in(path: Path, location: Location, sentence: str) -> ConfigError:
+    """The error for a field of a YAML file that could be read, about what its model alone cannot judge."""
+    return _config_error((find(read_yaml(_text(path), str(path)), location).value, location, sentence))
 
 
-def field_name(location: tuple[int | str, ...]) -> str:
+def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> list[Fault]:
+    """What a model complains of; of very many faults the first, for nobody reads more, and each takes time to place.
+
+    Args:
+        error: The complaint.
+        model: The model that complains.
+    """
+    told: list[Fault] = []
+    for each in error.errors(include_url=False)[:_MOST_FAULTS]:
+        context = each.get("ctx", {})
+        below: Location = getattr(context.get("error"), "location", ())
+        known = _keys(model, each["loc"][:-1]) if each["type"] == "extra_forbidden" else ()
+        words = each["msg"].removeprefix("Value error, ")
+        told.append(Fault(each["type"], (*each["loc"], *below), each["input"], words, context, known))
+    return told
+
+
+def field_name(location: Location) -> str:
     """``("slots", 3, "limits")`` as ``slots[3].limits``."""
     text = ""
     for key in location:
@@ -114,34 +148,53 @@ def field_name(location: tuple[int | str, ...]) -> str:
     return text
 
 
-def _location(fault: Any) -> tuple[int | str, ...]:
-    below: tuple[int | str, ...] = getattr(fault.get("ctx", {}).get("error"), "location", ())
-    return (*fault["loc"], *below)
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}", file=str(path)) from error
 
 
-def _refuse_duplicates(root: yaml.Node, name: str) -> None:
-    """YAML's reader would take the last of several values of one key, in silence."""
-    waiting: list[tuple[yaml.Node, tuple[int | str, ...]]] = [(root, ())]
-    seen: set[int] = set()
-    while waiting:
-        node, place = waiting.pop()
-        if id(node) in seen:
-            continue
-        seen.add(id(node))
-        items: list[tuple[int | str, yaml.Node]] = []
-        if isinstance(node, yaml.MappingNode):
-            for key, value in node.value:
-                if any(key.value == known for known, _ in items):
-                    field, line = field_name((*place, key.value)), key.start_mark.line + 1
-                    raise ConfigError(f"{name}:{line}: {field}: given twice", file=name, line=line, field=field)
-                items.append((key.value, value))
-        elif isinstance(node, yaml.SequenceNode):
-            items = list(enumerate(node.value))
-        waiting += [(value, (*place, key)) for key, value in items]
+def _config_error(*told: tuple[Value, Location, str]) -> ConfigError:
+    """Makes the error that says what is wrong at some places, a line each; its facts are those of the first."""
+    lines = []
+    for place, location, sentence in told:
+        field = f"{field_name(location)}: " if location else ""
+        lines.append(f"{place.file}:{place.line}: {field}{sentence}")
+    first, location, _ = told[0]
+    field = field_name(location)
+    return ConfigError("\n".join(lines), file=first.file, line=first.line, column=first.column, field=field)
 
 
-def _sentence(message: str, value: object) -> str:
-    message = message.removeprefix("Value error, ")
-    if isinstance(value, (int, float, str, bool)) and repr(value) not in message:
-        return f"{value!r}: {message}"
-    return message
+def _keys(model: type[pydantic.BaseModel], location: Location) -> tuple[str, ...]:
+    """Keys of the models that stand at a location; none where no model does."""
+    annotations: list[object] = [model]
+    for part in location:
+        annotations = [below for annotation in annotations for below in _below(annotation, part)]
+    return tuple(
+        field.alias or name
+        for annotation in annotations
+        for each in _choices(annotation)
+        if isinstance(each, type) and issubclass(each, pydantic.BaseModel)
+        for name, field in each.model_fields.items()
+    )
+
+
+def _choices(annotation: object) -> list[object]:
+    """What an annotation allows: the members of a union."""
+    if get_origin(annotation) is Annotated:
+        return _choices(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [each for member in get_args(annotation) for each in _choices(member)]
+    return [annotation]
+
+
+def _below(annotation: object, part: int | str) -> list[object]:
+    """Annotations of what stands under a key or index."""
+    found: list[object] = []
+    for each in _choices(annotation):
+        if isinstance(each, type) and issubclass(each, pydantic.BaseModel):
+            found += [f.annotation for name, f in each.model_fields.items() if part in (name, f.alias)]
+        elif arguments := [argument for argument in get_args(each) if argument is not Ellipsis]:
+            found += arguments[-1:]
+    return found

@@ -1,7 +1,9 @@
 """One tree of errors; each carries its facts and reads as a sentence."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+
+_LONGEST_NAME, _MOST_NAMES = 100, 30
 
 
 class ImError(Exception):
@@ -104,7 +106,31 @@ class NotFoundError(ImError):
 
     def __init__(self, *, kind: str, name: str, known: Iterable[str] = ()) -> None:
         names = sorted(known)
-        near = difflib.get_close_matches(name, names, n=1)
-        hint = f"; did you mean '{near[0]}'?" if near else ""
+        near = _closest(name, names)
+        hint = f"; did you mean '{near}'?" if near else ""
         listed = f" (known: {', '.join(names)})" if names else ""
         super().__init__(f"there is no {kind} {name!r}{hint}{listed}", kind=kind, name=name, known=names)
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Says what may have been meant: `` (did you mean 'x'?)``, or the known names where none is near.
+
+    Args:
+        name: The name that was not found.
+        known: The names that exist.
+
+    Returns:
+        Text to append to a message, empty where nothing is known.
+    """
+    names = sorted(set(known))
+    near = _closest(name, names)
+    if near:
+        return f" (did you mean '{near}'?)"
+    listed = names if len(names) <= _MOST_NAMES else [*names[:_MOST_NAMES], "..."]
+    return f" (known: {', '.join(listed)})" if names else ""
+
+
+def _closest(name: str, names: Sequence[str]) -> str | None:
+    """The name that was meant; long ones are not compared, which takes time by their product."""
+    short = [each for each in names if len(each) <= _LONGEST_NAME] if len(name) <= _LONGEST_NAME else []
+    return next(iter(difflib.get_close_matches(name, short, n=1)), None)

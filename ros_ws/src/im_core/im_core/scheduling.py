@@ -3,9 +3,7 @@
 import ctypes
 import gc
 import os
-import signal
 
-_PR_SET_PDEATHSIG = 1
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
 _FAVOURED_NICENESS = -15
@@ -76,14 +74,3 @@ def _fifo_permitted() -> bool:
 def release() -> None:
     """Let the garbage collector take everything again, so that libraries are torn down in order."""
     gc.unfreeze()
-
-
-def end_with(parent: int) -> None:
-    """Let the kernel kill this process when its parent ends; at once if it has ended already.
-
-    Args:
-        parent: Process id of the parent.
-    """
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os.kill(os.getpid(), signal.SIGKILL)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_core import clock
-from im_core.ros.alarms import Alarm, Alarms
+from im_core.ros.coroutines import Alarm, Alarms
 
 
 class FakeTimer:

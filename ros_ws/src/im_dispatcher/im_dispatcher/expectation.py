@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from im_dispatcher.report import StepTime
-from im_pnt.net import Net
-from im_pnt.timed.comparison import compare
-from im_pnt.timed.durations import CommandDuration, expected_command
+from im_pnt.model.net import Net
+from im_pnt_analysis import CommandDuration, compare, expected_command
 
 #: Ways back into the loop, and runs of the simulation where the expectation is not exact.
 LOOPS = ("loop_again", "skip_again")

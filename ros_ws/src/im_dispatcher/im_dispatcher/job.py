@@ -1,110 +1,106 @@
-"""The data of one calibrate_camera command: the loop variable, and what became of each pose.
+"""One calibrate_camera command: what it asks for, and its loop over the poses.
 
-It is plain data and lives in the memory of the command, so that a dispatcher that died goes on where it was. The
-observations themselves are data objects; here are the names of their poses.
+What is asked for is read once, and is a data object from then on. The loop is three numbers, which the command keeps in
+its memory, so that a dispatcher that died goes on where it was and a pose costs the journal the same whether it is the
+first or the thousandth.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
-from im_core.errors import DataError, NotFoundError
-from im_dispatcher.poses_file import WristPose
+from im_core.errors import DataError, NotFoundError, StateError
+from im_dispatcher.poses_file import PosesFile, load_poses
+
+#: Cameras that are calibrated where none is named.
+CEILING = ("ceiling_left", "ceiling_right")
 
 #: Fewer poses cannot determine two cameras with eight intrinsics each and say how well.
 FEWEST_POSES = 12
 
 #: Failures that concern one pose only; everything else concerns the machine.
-POSE_FAILURES = frozenset({"unreachable", "collision", "limit", "not_settled", "spot_not_found"})
+POSE_FAILURES = frozenset({"unreachable", "collision", "limit", "not_settled", "spot_not_found", "unusable"})
 
 
 @dataclass(frozen=True)
-class Skipped:
-    """A pose that was left out.
+class CalibrationOrder:
+    """What a command asks for.
 
     Attributes:
-        pose: Its name.
-        reason: Why.
+        cameras: Names of the cameras to calibrate.
+        file: All poses, in order, and the arm that carries the light through them.
     """
 
-    pose: str
-    reason: str
+    cameras: tuple[str, ...]
+    file: PosesFile
+
+    @property
+    def light(self) -> str:
+        """Name of the light that the cameras look for."""
+        return f"{self.file.group}_led"
 
 
-def check(cameras: Sequence[str], poses: Sequence[WristPose], known_cameras: Sequence[str]) -> None:
-    """Checks what a command asks for.
+def order_of(arguments: Mapping[str, object], known_cameras: Sequence[str]) -> CalibrationOrder:
+    """Reads and checks what a command asks for.
 
     Args:
-        cameras: Names of the cameras to calibrate.
-        poses: All poses, in order.
+        arguments: Of the command: ``cameras``, names (none: the ceiling's), and ``poses_file`` (none: the cell's own).
         known_cameras: Names of the cameras that exist.
 
     Raises:
         NotFoundError: An unknown camera.
-        DataError: No camera, a camera named twice, or fewer poses than :data:`FEWEST_POSES`.
+        DataError: A camera named twice, fewer poses than :data:`FEWEST_POSES`, or arguments of another kind.
+        ConfigError: The poses file is missing, empty, or malformed.
     """
-    if not cameras:
-        raise DataError("calibrate_camera needs at least one camera")
+    cameras, poses_file = arguments.get("cameras") or CEILING, arguments.get("poses_file") or ""
+    if not isinstance(cameras, list | tuple) or not all(isinstance(name, str) for name in cameras):
+        raise DataError(f"the cameras of calibrate_camera are a list of names, not {cameras!r:.80}")
+    if not isinstance(poses_file, str):
+        raise DataError(f"the poses file of calibrate_camera is a path, not {poses_file!r:.80}")
+    file = load_poses(poses_file)
     for name in cameras:
         if name not in known_cameras:
             raise NotFoundError(kind="camera", name=name, known=known_cameras)
         if list(cameras).count(name) > 1:
             raise DataError(f"camera '{name}' is named twice", camera=name)
-    if len(poses) < FEWEST_POSES:
+    if len(file.poses) < FEWEST_POSES:
         raise DataError(
-            f"{len(poses)} poses are too few to calibrate a camera; at least {FEWEST_POSES} are needed",
-            poses=len(poses),
+            f"{len(file.poses)} poses are too few to calibrate a camera; at least {FEWEST_POSES} are needed",
+            poses=len(file.poses),
             limit=FEWEST_POSES,
         )
+    return CalibrationOrder(tuple(cameras), file)
 
 
 @dataclass
-class CalibrationJob:
-    """Loop over the poses of one calibrate_camera command.
+class PoseLoop:
+    """Loop over the poses of one command.
 
     Attributes:
-        cameras: Names of the cameras to calibrate.
-        poses: All poses, in order.
-        directory: Folder of the report.
-        kept: Names of the poses that were observed.
-        skipped: Poses that were left out.
-        taken: How many poses have been visited, the present one included.
+        poses: How many there are.
+        taken: How many have been visited, the present one included.
+        skipped: How many of these were left out.
     """
 
-    cameras: list[str]
-    poses: list[WristPose]
-    directory: str
-    kept: list[str] = field(default_factory=list)
-    skipped: list[Skipped] = field(default_factory=list)
+    poses: int
     taken: int = 0
+    skipped: int = 0
 
     @property
     def remaining(self) -> int:
         """The loop variable: poses not yet visited."""
-        return len(self.poses) - self.taken
+        return self.poses - self.taken
 
     @property
     def progress(self) -> float:
-        """Share of the poses that are done, 0..1."""
-        return (len(self.kept) + len(self.skipped)) / len(self.poses)
-
-    @property
-    def current(self) -> WristPose:
-        """The pose being visited.
-
-        Raises:
-            DataError: None has been taken.
-        """
-        if self.taken == 0:
-            raise DataError("no pose has been taken yet")
-        return self.poses[self.taken - 1]
+        """Share of the poses that have been visited, 0..1."""
+        return self.taken / self.poses
 
     def more_poses(self) -> bool:
         """Enabling function of loop_again; negated, of loop_done."""
         return self.remaining > 0
 
-    def take(self) -> WristPose:
-        """Count the loop variable down and give the next pose.
+    def next_pose(self) -> int:
+        """Count the loop variable down and give the number of the next pose, from 1.
 
         Raises:
             DataError: None is left.
@@ -112,39 +108,35 @@ class CalibrationJob:
         if self.remaining == 0:
             raise DataError("all poses have been visited")
         self.taken += 1
-        return self.current
+        return self.taken
 
-    def keep(self) -> None:
-        """Note that the current pose has been observed."""
-        self.kept.append(self.current.name)
+    def skip(self) -> int:
+        """Leave out the present pose; returns how many were.
 
-    def skip(self, reason: str) -> None:
-        """Leave out the current pose."""
-        self.skipped.append(Skipped(self.current.name, reason))
+        Raises:
+            DataError: None has been taken.
+        """
+        if self.taken == 0:
+            raise DataError("no pose has been taken yet")
+        self.skipped += 1
+        return self.skipped
 
     def dispensable(self, failure_code: str) -> bool:
-        """Whether a failure concerns this pose only, and enough poses remain without it."""
-        return failure_code in POSE_FAILURES and len(self.kept) + self.remaining >= FEWEST_POSES
+        """Whether a failure concerns the present pose only, and enough poses remain without it."""
+        return failure_code in POSE_FAILURES and self.poses - self.skipped - 1 >= FEWEST_POSES
 
-    def to_dict(self) -> dict[str, object]:
-        """The job as JSON data."""
-        return {
-            "cameras": self.cameras,
-            "poses": [pose.model_dump(mode="json") for pose in self.poses],
-            "directory": self.directory,
-            "kept": self.kept,
-            "skipped": [asdict(skipped) for skipped in self.skipped],
-            "taken": self.taken,
-        }
+    def to_json(self) -> list[int]:
+        """The loop as JSON data."""
+        return [self.poses, self.taken, self.skipped]
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> "CalibrationJob":
-        """The job that :meth:`to_dict` wrote."""
-        return cls(
-            cameras=list(data["cameras"]),
-            poses=[WristPose.model_validate(pose) for pose in data["poses"]],
-            directory=str(data["directory"]),
-            kept=list(data["kept"]),
-            skipped=[Skipped(**skipped) for skipped in data["skipped"]],
-            taken=int(data["taken"]),
-        )
+    def from_json(cls, data: object) -> "PoseLoop":
+        """The loop that :meth:`to_json` wrote.
+
+        Raises:
+            StateError: There is none.
+        """
+        match data:
+            case [int(poses), int(taken), int(skipped)]:
+                return cls(poses, taken, skipped)
+        raise StateError("no calibrate_camera command is running")

@@ -12,6 +12,26 @@ from im_core.files import write_whole
 LATEST = "latest"
 
 
+@dataclass(frozen=True)
+class SkippedPose:
+    """A pose that was left out.
+
+    Attributes:
+        pose: Its name.
+        reason: Why.
+    """
+
+    pose: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class SolverReport:
+    """What the calibration reports of itself, as JSON data: data object ``calibration``."""
+
+    content: dict[str, object]
+
+
 @dataclass
 class StepTime:
     """Time spent in one transition.
@@ -34,11 +54,15 @@ class StepTimes:
     steps: dict[str, StepTime] = field(default_factory=lambda: defaultdict(StepTime))
     _started: dict[str, float] = field(default_factory=dict)
 
-    def start(self, transition: str, stamp_s: float) -> None:
+    def restart(self) -> None:
+        """Forgets all times; what runs counts from when it began."""
+        self.steps.clear()
+
+    def note_start(self, transition: str, stamp_s: float) -> None:
         """A transition began at a testbed time [s]."""
         self._started[transition] = stamp_s
 
-    def end(self, transition: str, stamp_s: float, wall_s: float) -> None:
+    def note_end(self, transition: str, stamp_s: float, wall_s: float) -> None:
         """It ended or failed at a testbed time [s], after ``wall_s`` of wall time."""
         step = self.steps[transition]
         step.count += 1
@@ -49,9 +73,10 @@ class StepTimes:
         """The times as JSON data; what runs is not in them."""
         return {name: [step.count, step.wall_s, step.simulated_s] for name, step in self.steps.items()}
 
-    def add(self, times: Mapping[str, Sequence[float]]) -> None:
-        """Adds the times that :meth:`to_dict` wrote."""
-        for name, (count, wall_s, simulated_s) in times.items():
+    def add_times(self, times: object) -> None:
+        """Adds the times that :meth:`to_dict` wrote; nothing where they are none."""
+        for name, time in times.items() if isinstance(times, dict) else ():
+            count, wall_s, simulated_s = time
             step = self.steps[name]
             step.count += int(count)
             step.wall_s += wall_s
@@ -74,6 +99,28 @@ class StepTimes:
                 if step.wall_s > 0.0
             },
         }
+
+
+def succeeded(solver: SolverReport, skipped: Sequence[SkippedPose], poses: int) -> dict[str, object]:
+    """The report of a command whose calibration succeeded.
+
+    Args:
+        solver: What the calibration reports.
+        skipped: Poses that it was not given.
+        poses: How many were asked for.
+    """
+    rejected = solver.content.get("points_rejected", [])
+    assert isinstance(rejected, list)
+    return {**solver.content, "points_rejected": [*rejected, *_rejections(skipped)], "poses": poses}
+
+
+def failed(reason: str, skipped: Sequence[SkippedPose]) -> dict[str, object]:
+    """The report of a command that failed."""
+    return {"success": False, "message": reason, "points_used": 0, "points_rejected": _rejections(skipped)}
+
+
+def _rejections(skipped: Sequence[SkippedPose]) -> list[dict[str, str]]:
+    return [{"pose": skip.pose, "camera": "", "reason": skip.reason} for skip in skipped]
 
 
 def make_directory(results: Path, stamp: str) -> Path:

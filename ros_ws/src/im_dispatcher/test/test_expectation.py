@@ -5,7 +5,7 @@ import pytest
 from im_core.config import package_file
 from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.report import StepTimes
-from im_pnt.net import Net
+from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
 
 LOOP = """
@@ -30,8 +30,8 @@ def test_the_expectation_grows_with_the_poses(poses: int) -> None:
 def test_the_measured_run_stands_beside_it() -> None:
     times = StepTimes()
     for begin in (0.0, 3.0):
-        times.start("calibrate_camera.move", begin)
-        times.end("calibrate_camera.move", begin + 2.5, 0.1)
+        times.note_start("calibrate_camera.move", begin)
+        times.note_end("calibrate_camera.move", begin + 2.5, 0.1)
     told = beside(expectation([parse_net(LOOP)], "calibrate_camera", 2), times.steps, 5.5)
     assert told["measured_s"] == 5.5
     assert told["bottleneck"] in ("move", "calibrate_camera.move")

@@ -1,81 +1,88 @@
-"""The loop of calibrate_camera without ROS."""
+"""The loop of calibrate_camera, and what a command may ask for, without ROS."""
 
 import json
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from im_core.errors import DataError, NotFoundError
-from im_dispatcher.job import FEWEST_POSES, CalibrationJob, check
-from im_dispatcher.poses_file import WristPose
+from im_core.errors import ConfigError, DataError, NotFoundError, StateError
+from im_dispatcher.job import CEILING, FEWEST_POSES, PoseLoop, order_of
 
-CAMERAS = ["ceiling_left", "ceiling_right"]
-
-
-def make_poses(count: int) -> list[WristPose]:
-    return [
-        WristPose(name=f"p{i}", position_m=(0.1 * i, 0.0, 1.0), orientation_xyzw=(0.0, 0.6, 0.0, 0.8))
-        for i in range(count)
-    ]
+KNOWN = (*CEILING, "wall")
 
 
-def make_job(count: int = 20) -> CalibrationJob:
-    return CalibrationJob(cameras=CAMERAS, poses=make_poses(count), directory="/tmp/results")
-
-
-def returned(job: CalibrationJob) -> CalibrationJob:
-    """The job after its dispatcher died and came back."""
-    return CalibrationJob.from_dict(json.loads(json.dumps(job.to_dict())))
+def returned(loop: PoseLoop) -> PoseLoop:
+    """The loop after its dispatcher died and came back."""
+    return PoseLoop.from_json(json.loads(json.dumps(loop.to_json())))
 
 
 @given(st.lists(st.booleans(), min_size=FEWEST_POSES, max_size=40), st.lists(st.integers(0, 39)))
 def test_every_pose_is_either_observed_or_skipped_whenever_the_dispatcher_dies(
     outcomes: list[bool], deaths: list[int]
 ) -> None:
-    job = make_job(len(outcomes))
+    loop = PoseLoop(len(outcomes))
     for number, seen in enumerate(outcomes):
-        assert job.more_poses()
-        job.take()
+        assert loop.more_poses()
+        assert loop.next_pose() == number + 1
         if number in deaths:
-            job = returned(job)
-        if seen:
-            job.keep()
-        else:
-            job.skip("hidden")
-    assert not job.more_poses()
-    assert job.progress == 1.0
-    assert sorted([*job.kept, *(skipped.pose for skipped in job.skipped)]) == sorted(pose.name for pose in job.poses)
+            loop = returned(loop)
+        if not seen:
+            assert loop.skip() == outcomes[: number + 1].count(False)
+    assert not loop.more_poses()
+    assert loop.progress == 1.0
+    assert loop.taken - loop.skipped == outcomes.count(True)
     with pytest.raises(DataError, match="all poses have been visited"):
-        job.take()
+        loop.next_pose()
 
 
-def test_a_job_comes_back_as_it_was() -> None:
-    job = make_job()
-    job.take()
-    job.keep()
-    job.take()
-    job.skip("out of reach")
-    assert returned(job) == job
+@given(st.integers(1, 1000), st.data())
+def test_a_loop_comes_back_as_it_was_and_takes_no_more_room_than_before(poses: int, data: st.DataObject) -> None:
+    taken = data.draw(st.integers(0, poses))
+    loop = PoseLoop(poses, taken, data.draw(st.integers(0, taken)))
+    assert returned(loop) == loop
+    assert len(json.dumps(loop.to_json())) < 20
+
+
+@pytest.mark.parametrize("memory", [None, {}, [1, 2], ["1", 2, 3]])
+def test_without_a_command_there_is_no_loop(memory: object) -> None:
+    with pytest.raises(StateError, match="no calibrate_camera command is running"):
+        PoseLoop.from_json(memory)
 
 
 def test_a_pose_is_dispensable_only_while_enough_remain() -> None:
-    job = make_job(FEWEST_POSES + 1)
-    job.take()
-    assert job.dispensable("spot_not_found")
-    assert not job.dispensable("state")
-    job.skip("hidden")
-    job.take()
-    assert not job.dispensable("spot_not_found")
+    loop = PoseLoop(FEWEST_POSES + 1)
+    with pytest.raises(DataError, match="no pose has been taken yet"):
+        loop.skip()
+    loop.next_pose()
+    assert loop.dispensable("spot_not_found")
+    assert loop.dispensable("unusable")
+    assert not loop.dispensable("state")
+    loop.skip()
+    loop.next_pose()
+    assert not loop.dispensable("spot_not_found")
 
 
-def test_wrong_cameras_and_too_few_poses_are_named() -> None:
-    known = (*CAMERAS, "wall")
+def test_a_command_without_arguments_calibrates_the_ceiling_with_the_cells_own_poses() -> None:
+    for arguments in ({}, {"cameras": [], "poses_file": ""}):
+        order = order_of(arguments, KNOWN)
+        assert (order.cameras, order.light, len(order.file.poses)) == (CEILING, "left_led", 40)
+
+
+def test_wrong_cameras_and_too_few_poses_are_named(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match="no camera 'ceiling_lefd'; did you mean 'ceiling_left'"):
-        check(["ceiling_lefd"], make_poses(20), known)
+        order_of({"cameras": ["ceiling_lefd"]}, KNOWN)
     with pytest.raises(DataError, match="'wall' is named twice"):
-        check(["wall", "wall"], make_poses(20), known)
-    with pytest.raises(DataError, match="at least one camera"):
-        check([], make_poses(20), known)
+        order_of({"cameras": ["wall", "wall"]}, KNOWN)
+    with pytest.raises(DataError, match="a list of names, not 'wall'"):
+        order_of({"cameras": "wall"}, KNOWN)
+    with pytest.raises(DataError, match="is a path, not 7"):
+        order_of({"poses_file": 7}, KNOWN)
+    few = tmp_path / "few.yaml"
+    pose = "  - {{name: p{}, position_m: [0, 0, 1], orientation_xyzw: [0, 0, 0, 1]}}\n"
+    few.write_text("group: left\nframe: world\nposes:\n" + "".join(pose.format(number) for number in range(5)))
     with pytest.raises(DataError, match=f"5 poses are too few .* at least {FEWEST_POSES}"):
-        check(CAMERAS, make_poses(5), known)
+        order_of({"poses_file": str(few)}, KNOWN)
+    with pytest.raises(ConfigError, match=r"nowhere\.yaml: cannot be read"):
+        order_of({"poses_file": str(tmp_path / "nowhere.yaml")}, KNOWN)

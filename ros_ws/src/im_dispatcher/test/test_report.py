@@ -5,7 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from im_dispatcher.report import StepTimes, make_directory, write_report
+from im_dispatcher.report import (
+    SkippedPose,
+    SolverReport,
+    StepTimes,
+    failed,
+    make_directory,
+    succeeded,
+    write_report,
+)
 
 
 def test_latest_points_to_the_newest_report(tmp_path: Path) -> None:
@@ -26,10 +34,10 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> N
 def test_times_add_up_by_step() -> None:
     times = StepTimes()
     for start in (1.0, 5.0):
-        times.start("net.move", start)
-        times.end("net.move", start + 2.0, 0.5)
-    times.start("net.instant", 9.0)
-    times.end("net.instant", 9.0, 0.0)
+        times.note_start("net.move", start)
+        times.note_end("net.move", start + 2.0, 0.5)
+    times.note_start("net.instant", 9.0)
+    times.note_end("net.instant", 9.0, 0.0)
     summary = times.summary(wall_s=2.0, simulated_s=10.0)
     assert summary["simulated_over_wall"] == 5.0
     assert summary["steps"] == {"net.move": {"count": 2, "wall_s": 1.0, "simulated_s": 4.0}}
@@ -38,8 +46,25 @@ def test_times_add_up_by_step() -> None:
 def test_times_go_on_where_a_former_life_ended() -> None:
     former, present = StepTimes(), StepTimes()
     for times, wall_s in ((former, 0.5), (present, 0.25)):
-        times.start("net.move", 1.0)
-        times.end("net.move", 3.0, wall_s)
-    present.add(json.loads(json.dumps(former.to_dict())))
+        times.note_start("net.move", 1.0)
+        times.note_end("net.move", 3.0, wall_s)
+    present.add_times(json.loads(json.dumps(former.to_dict())))
     summary = present.summary(wall_s=2.0, simulated_s=10.0)
     assert summary["steps"] == {"net.move": {"count": 2, "wall_s": 0.75, "simulated_s": 4.0}}
+
+
+def test_times_of_a_command_begin_with_it() -> None:
+    times = StepTimes()
+    times.note_start("net.move", 1.0)
+    times.note_end("net.move", 2.0, 0.5)
+    times.restart()
+    times.add_times(None)
+    assert times.to_dict() == {}
+
+
+def test_skipped_poses_stand_behind_those_that_the_solver_rejected() -> None:
+    skipped = [SkippedPose("p3", "out of reach")]
+    told = {"pose": "p3", "camera": "", "reason": "out of reach"}
+    report = succeeded(SolverReport({"success": True, "points_rejected": [{"pose": "p7"}]}), skipped, 20)
+    assert report == {"success": True, "points_rejected": [{"pose": "p7"}, told], "poses": 20}
+    assert failed("stopped", skipped)["points_rejected"] == [told]

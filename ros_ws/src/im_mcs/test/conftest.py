@@ -7,13 +7,13 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from im_core.robot import Cell, load_cell, urdf
-from im_core.testbed_link import Command
-from im_mcs.config import McsConfig, load_config
-from im_mcs.model import Model
-from im_mcs.servo.channel import record_layout
+from im_cell.link import TickCommand
+from im_cell.robot import Cell, load_cell, urdf
+from im_mcs.limits.configuration import McsConfig, load_config
+from im_mcs.model import CellModel
+from im_mcs.protocol.channel import record_layout
+from im_mcs.protocol.evidence import Recorder, Records
 from im_mcs.servo.core import Mcs
-from im_mcs.servo.recorder import Recorder, Records
 from im_mcs.testbed import Drive, Measured, TestbedInterface
 from im_mcs.testbed.loopback import LoopbackDriver
 from im_sim.plant import Plant
@@ -30,8 +30,8 @@ def config() -> McsConfig:
 
 
 @pytest.fixture(scope="session")
-def model(cell: Cell) -> Model:
-    return Model(cell)
+def model(cell: Cell) -> CellModel:
+    return CellModel(cell)
 
 
 def joint_path(*points: NDArray[np.float64]) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def joint_path(*points: NDArray[np.float64]) -> dict[str, Any]:
 class Bench:
     """MCS over a driver, with the requests and answers of a client."""
 
-    def __init__(self, config: McsConfig, model: Model, driver: Any) -> None:
+    def __init__(self, config: McsConfig, model: CellModel, driver: Any) -> None:
         self.events: list[dict[str, Any]] = []
         self.driver = driver
         clock = config.testbed.clock
@@ -99,11 +99,11 @@ def frictionless(config: McsConfig) -> McsConfig:
 
 
 @pytest.fixture
-def make_bench(model: Model, cell: Cell) -> Callable[[McsConfig], Bench]:
+def make_bench(model: CellModel, cell: Cell) -> Callable[[McsConfig], Bench]:
     """Benches over the loopback driver."""
 
     def make(config: McsConfig) -> Bench:
-        driver = LoopbackDriver(model.inertia_diagonal(cell.home), cell.home, bias=Model(cell).gravity)
+        driver = LoopbackDriver(model.inertia_diagonal(cell.home), cell.home, bias=CellModel(cell).gravity)
         return Bench(config, model, driver)
 
     return make
@@ -191,7 +191,7 @@ def _slide(mass: NDArray[np.float64], momentum: NDArray[np.float64], bound: NDAr
 
 
 @pytest.fixture
-def arm_bench(config: McsConfig, model: Model, cell: Cell) -> Bench:
+def arm_bench(config: McsConfig, model: CellModel, cell: Cell) -> Bench:
     return Bench(config, model, LeftArm(cell, seed=5))
 
 
@@ -219,7 +219,7 @@ class PlantDriver:
 
     def write(self, drive: Drive) -> None:
         self.plant.run_tick(
-            Command(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time, drive.gripper_force)
+            TickCommand(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time, drive.gripper_force)
         )
         self._tick += 1
 
@@ -228,7 +228,7 @@ class PlantDriver:
 
 
 @pytest.fixture
-def plant_bench(model: Model, cell: Cell) -> Iterator[Callable[[McsConfig, int], Bench]]:
+def plant_bench(model: CellModel, cell: Cell) -> Iterator[Callable[[McsConfig, int], Bench]]:
     """Benches over the simulated testbed's physics, with friction and encoders."""
     made: list[PlantDriver] = []
 

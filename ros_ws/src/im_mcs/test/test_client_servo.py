@@ -8,7 +8,7 @@ from im_core import clock
 from im_core.errors import LinkError
 from im_mcs.client.servo_client import ServoClient
 from im_mcs.client.time_source import FlowingTime
-from im_mcs.servo.channel import ServoChannel
+from im_mcs.protocol.channel import ServoChannel
 from im_mcs.state import Event
 
 INSTANCE = f"im_mcs_client_{os.getpid()}"

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from im_core.errors import DataError, ImError
 from im_mcs.client.points import JointsError, joint_order, ordered_points
 from im_mcs.client.trajectory import (
+    GoalTolerances,
     OldStampError,
     TimedTrajectory,
     Tolerance,
-    Tolerances,
     Waypoint,
     trajectory_path,
 )
@@ -22,7 +22,7 @@ NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 
 
 def path(*points, joints=JOINTS, start_s=0.0, now_s=10.0, at_rest=None, **tolerances):
-    given_ = TimedTrajectory(joints, points, start_s, Tolerances(**tolerances))
+    given_ = TimedTrajectory(joints, points, start_s, GoalTolerances(**tolerances))
     return trajectory_path("arm", JOINTS, given_, now_s, at_rest)
 
 
@@ -105,7 +105,7 @@ def test_tolerances_by_name():
     st.floats(-1.0, 5.0),
 )
 def test_whatever_comes_is_refused_or_fit_to_travel(joints, points, start_s, tolerances, goal_time_s):
-    trajectory = TimedTrajectory(joints, points, start_s, Tolerances(tolerances, tolerances, goal_time_s))
+    trajectory = TimedTrajectory(joints, points, start_s, GoalTolerances(tolerances, tolerances, goal_time_s))
     try:
         arguments = trajectory_path("arm", JOINTS, trajectory, 10.0, [0.0] * 3)
     except ImError:

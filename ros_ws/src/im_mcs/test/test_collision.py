@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from im_core.errors import DataError, ImError
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.collision import Bodies, CollisionChecker
-from im_mcs.collision.braking import BrakingDistance
+from im_mcs.collision.braking_distance import BrakingDistance
 from im_mcs.collision.travel import lever_bounds
 from im_mcs.planning import MotionLimits
 

@@ -3,8 +3,8 @@ import pytest
 
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker, CollisionMonitor
-from im_mcs.config import Collision
-from im_mcs.limits import JointLimits
+from im_mcs.limits.configuration import Collision
+from im_mcs.limits.limits import JointLimits
 from im_mcs.planning import JointPath, Setpoint
 from im_mcs.planning.profile import ramp, to_rest
 
@@ -15,7 +15,7 @@ REACTION = 3
 
 @pytest.fixture(scope="module")
 def limits(config, model):
-    return JointLimits(model, config.limits)
+    return JointLimits(model.cell, config.limits)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def towards(way, limits):
     def at(t):
         s = start.at(t)
         if t >= start.duration:
-            return way * (start.end.q[0] + speed * (t - start.duration)), way * speed, np.zeros(18)
+            return way * (start.end_setpoint.q[0] + speed * (t - start.duration)), way * speed, np.zeros(18)
         return way * s.q[0], way * s.v[0], way * s.a[0]
 
     return at

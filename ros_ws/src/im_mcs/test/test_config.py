@@ -3,7 +3,7 @@ from pydantic import ValidationError
 
 from im_core.config import package_file
 from im_core.errors import ConfigError, NotFoundError
-from im_mcs.config import McsConfig, load_config
+from im_mcs.limits.configuration import McsConfig, load_config
 
 
 @pytest.fixture

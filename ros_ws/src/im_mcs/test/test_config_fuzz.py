@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from im_core.config import field_name, package_file
 from im_core.errors import ConfigError
-from im_mcs.config import McsConfig, load_config
+from im_mcs.limits.configuration import McsConfig, load_config
 
 TEXT = package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8")
 WHOLE = yaml.safe_load(TEXT)

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from im_cell.robot import load_cell
 from im_core.errors import ConfigError
-from im_core.robot import load_cell
-from im_mcs.config import McsConfig, Switching, load_config
 from im_mcs.control import ControlInput, ControllerSetup, load_controller
-from im_mcs.model import Model
+from im_mcs.limits.configuration import McsConfig, Switching, load_config
+from im_mcs.model import CellModel
 from im_mcs.planning import Setpoint
 from im_mcs.state import State
 
 CONFIG, CELL = load_config(), load_cell()
-MODEL = Model(CELL)
+MODEL = CellModel(CELL)
 LEFT = np.arange(9)
 COMPUTED_TORQUE = "im_mcs.control.computed_torque:ComputedTorque"
 IMPEDANCE = "im_mcs.control.impedance:JointImpedance"
@@ -87,7 +87,7 @@ def test_an_impedance_yields_in_proportion_to_what_pushes_it():
 
 def test_a_wrong_model_has_all_masses_and_inertias_wrong_and_nothing_else():
     random = np.random.default_rng(4)
-    wrong = Model(CELL, -0.25)
+    wrong = CellModel(CELL, -0.25)
     for _ in range(5):
         q, v, a = CELL.home + random.uniform(-0.5, 0.5, 18), random.normal(0, 1, 18), random.normal(0, 1, 18)
         np.testing.assert_allclose(wrong.inverse_dynamics(q, v, a), 0.75 * MODEL.inverse_dynamics(q, v, a), atol=1e-9)

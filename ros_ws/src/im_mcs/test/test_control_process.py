@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import ConfigError
-from im_core.robot import load_cell
 from im_core.shm import ProcessId
-from im_mcs.config import LawProcesses, load_config
 from im_mcs.control import ControlInput, ControllerSetup, LawSource, load_controller
 from im_mcs.control.guard import ControlLawError
+from im_mcs.limits.configuration import LawProcesses, load_config
 from im_mcs.model import ControlledModel, Payload
 from im_mcs.planning import Setpoint
 

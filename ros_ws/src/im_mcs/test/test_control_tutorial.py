@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from im_core.errors import ConfigError
-from im_mcs.config import McsConfig
+from im_mcs.limits.configuration import McsConfig
 
 PAGE = Path(__file__).resolve().parents[4] / "docs" / "control_law.md"
 LAW = "my_laws:SlidingMode"

@@ -168,7 +168,7 @@ def path(*points, **more):
         (lambda t: path(*[t] * 201), ["201 points"]),
         (lambda t: path(t, speed_scale=1.5), ["speed_scale", "1.5"]),
         (lambda t: path(t, policy="perhaps"), ["policy", "append", "'perhaps'"]),
-        (lambda t: {"path": {"kind": "circle"}}, ["path", "kind joint, line or trajectory"]),
+        (lambda t: {"path": {"kind": "circle"}}, ["path", "kind 'circle' is not one of joint, line, trajectory"]),
         (lambda t: path(t, group="right"), ["'right' is not reserved", "left"]),
         (lambda t: path(t, group="lefft"), ["lefft", "did you mean 'left'"]),
     ],

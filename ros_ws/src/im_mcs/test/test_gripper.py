@@ -2,7 +2,7 @@
 
 import pytest
 
-from im_core.testbed_link import JawObject
+from im_cell.link import JawObject
 
 SPONGE = JawObject(width=0.05, stiffness=1e4, mass=0.1)
 

@@ -45,7 +45,7 @@ class Run:
     def judge(self):
         mcs, limits = self.mcs, self.limits
         q, measured = mcs.setpoint.copy(), mcs.measured.q.copy()
-        driven = [name for name in mcs.groups if mcs.loop.driving.torque(name) is not None]
+        driven = [name for name in mcs.groups if mcs.loop.torque_streams.torque(name) is not None]
         engaged = np.zeros(18, dtype=bool)
         judged = np.zeros(18, dtype=bool)
         for name, group in mcs.groups.items():

@@ -6,7 +6,7 @@ from im_core.errors import DataError, ImError, LimitError, NotFoundError, StateE
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.inverse import Arm, ArmTracker, InverseKinematics
 from im_mcs.inverse.redundancy import Redundancy
-from im_mcs.limits import JointLimits
+from im_mcs.limits.limits import JointLimits
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def kinematics(config, model):
 
 @pytest.fixture(scope="module")
 def limits(config, model):
-    return JointLimits(model, config.limits)
+    return JointLimits(model.cell, config.limits)
 
 
 def test_poses_of_random_positions_are_found_again(kinematics, limits, model, cell):

@@ -3,10 +3,10 @@ import pinocchio as pin
 import pytest
 
 from im_core.errors import ImError, LimitError, StateError
-from im_mcs.limits import JointLimits
-from im_mcs.planning.arguments import LineMove
+from im_mcs.limits.limits import JointLimits
 from im_mcs.planning.context import PlanContext
-from im_mcs.planning.line import LinePreparation
+from im_mcs.planning.line.line import LinePreparation
+from im_mcs.protocol.requests import LineMove
 
 PERIOD = 0.0045
 SIX, NINE = np.arange(3, 9), np.arange(9)
@@ -17,7 +17,7 @@ class Lines:
 
     def __init__(self, config, model, cell):
         self.config, self.model = config, model
-        self.limits = JointLimits(model, config.limits)
+        self.limits = JointLimits(model.cell, config.limits)
         self.start = cell.home.copy()
         self.start[7] = 0.8
         self.pose = model.pose(self.start, "left_wrist")
@@ -29,7 +29,7 @@ class Lines:
     def prepare(self, index, poses, speed=0.25, blend=0.0, frame="left_wrist", start=None):
         q = self.start if start is None else start
         context = PlanContext(self.model, self.limits, index, frame, lambda: q, 2 * PERIOD, self.config)
-        preparation = LinePreparation(context, q[index], LineMove(poses, speed, blend))
+        preparation = LinePreparation(context, q[index], LineMove(poses=poses, speed=speed, blend=blend))
         for _ in range(2000):
             trajectory = preparation.step()
             if trajectory is not None:
@@ -136,6 +136,19 @@ def test_several_poses_rest_or_are_rounded(lines):
         assert {points[0], points[-1]} == {0, 1}
     middle = np.abs(lines.ticks(rounded).v).max(axis=1)[20:-20]
     assert middle.min() > 0.02  # no rest at the corner
+
+
+@pytest.mark.parametrize("blend", [0.0, 0.005, 0.01, 0.02, 0.03, 0.04, 0.06, 0.1])
+def test_limits_hold_between_the_ticks_too(lines, blend):
+    """At every instant, on both sides of a jump of jerk: what rounding puts a tick on must not decide."""
+    corner, end = lines.target([0.0, 0.2, 0.0]), lines.target([0.0, 0.2, -0.2], (0.0, 0.0, 0.3))
+    trajectory, limits = lines.prepare(SIX, [corner, end], blend=blend), lines.limits.motion.of(SIX)
+    s = trajectory.span(np.linspace(0.0, trajectory.duration, 10_000))
+    assert (np.abs(s.v) <= limits.velocity).all()
+    assert (np.abs(s.a) <= limits.acceleration).all()
+    x = trajectory.lengths[:, None, None] * np.linspace(0.0, 1.0, 17)[:, None]
+    c3, c4, c5 = (trajectory.coefficients[:, None, k] for k in (3, 4, 5))
+    assert (np.abs(6.0 * c3 + x * (24.0 * c4 + x * 60.0 * c5)) <= limits.jerk * 1.0005).all()
 
 
 def test_a_pose_where_the_wrist_is_takes_no_time(lines):

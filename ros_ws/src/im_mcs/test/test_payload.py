@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from im_cell.robot import load_cell, urdf
 from im_core.errors import DataError, LimitError, NotFoundError
-from im_core.robot import load_cell, urdf
 from im_mcs.model import ControlledModel, Payload
 
 CELL = load_cell()
@@ -133,7 +133,7 @@ def test_a_payload_may_be_told_while_the_arm_moves(bench, cell):
     assert max(errors) < 0.2 * bench.mcs.limits.following_error[:9].min()
     assert (np.max(steps, axis=0) < 0.05 * bench.mcs.limits.torque[:9]).all()
     assert not bench.mcs.control_model.changing
-    for mass, words in ((9.0, "mass 9 kg is beyond the limit 2.5 kg"), (-1.0, "mass is a finite number >= 0")):
+    for mass, words in ((9.0, "mass 9 kg is beyond the limit 2.5 kg"), (-1.0, "mass -1.0 is not a finite number >= 0")):
         reply = bench.ask("set_payload", group="left", mass=mass, center=[0.0] * 3, inertia=[0.0] * 6)
         assert words in reply["error"]["message"]
 

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.collision import CollisionChecker
 from im_mcs.poses.command import main

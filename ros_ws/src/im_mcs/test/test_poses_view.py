@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_core.errors import DataError
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
 from im_mcs.poses.common import CommonView
 from im_mcs.poses.spread import farthest_first, spread_of
 from im_mcs.poses.view import facing, stand
@@ -26,9 +26,9 @@ def cell_with(cell, **cameras):
 
 
 def common_view(cell, config, names):
-    model = Model(cell)
+    model = CellModel(cell)
     index = np.array([model.index(joint) for joint in JOINTS], dtype=np.intp)
-    limits = JointLimits(model, config.limits, config.slots)
+    limits = JointLimits(model.cell, config.limits, config.slots)
     return CommonView(model, limits, index, "left_wrist", stand(model, names, "left", JOINTS))
 
 

@@ -80,7 +80,7 @@ def seen(mcs):
         groups,
         mcs.grippers.opening.tolist(),
         mcs.control_model.changing,
-        bool(mcs.loop.driving),
+        bool(mcs.loop.torque_streams),
     )
 
 

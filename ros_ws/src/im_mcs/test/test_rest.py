@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_mcs.config import load_config
+from im_mcs.limits.configuration import load_config
 from im_mcs.servo.rest import RestMonitor, RestPhase
 
 SERVO = load_config().servo

@@ -95,13 +95,13 @@ def path(cell):
     ("change", "words"),
     [
         ({"owner": "bob"}, "driven by its owner 'ann' only, not by 'bob'"),
-        ({"lease_s": 0.0}, "lease_s is a number above 0 and up to 10 [s]"),
-        ({"lease_s": 11.0}, "not 11.0"),
-        ({"kind": "setpoint", "positions": [0.0] * 9, "lease_s": 0.0}, "lease_s is a number above 0"),
+        ({"lease_s": 0.0}, "lease_s 0.0 is not a number above 0 and up to 10 [s]"),
+        ({"lease_s": 11.0}, "lease_s 11.0 is not a number above 0 and up to 10 [s]"),
+        ({"kind": "setpoint", "positions": [0.0] * 9, "lease_s": 0.0}, "lease_s 0.0 is not a number above 0"),
         ({"torques": [0.0] * 8}, "8 torques for 9 joints"),
         ({"torques": [0.0] * 8 + [math.nan]}, "left_j6"),
-        ({"torques": [0.0] * 8 + ["1"]}, "torques is a list of numbers"),
-        ({"kind": "voltage"}, "kind is one of setpoint, torque"),
+        ({"torques": [0.0] * 8 + ["1"]}, "is not a list of numbers"),
+        ({"kind": "voltage"}, "kind 'voltage' is not one of setpoint, torque"),
     ],
 )
 def test_wrong_torques_are_refused(owned, change, words):
@@ -137,8 +137,8 @@ def test_torques_beyond_the_limit_are_cut_and_counted(owned):
 
 
 @pytest.mark.parametrize("request_name", ["estop", "protective_stop"])
-def test_stops_end_driving(owned, model, cell, request_name):
+def test_stops_end_torque_streams(owned, model, cell, request_name):
     first = drive(owned, model.gravity(cell.home)[LEFT])
     owned.send(request_name, reason="enough")
     assert "enough" in owned.reply(first)["error"]["message"]
-    assert not owned.mcs.loop.driving
+    assert not owned.mcs.loop.torque_streams

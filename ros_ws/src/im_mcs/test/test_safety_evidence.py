@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from im_core.errors import ImError, LimitError
-from im_mcs.servo.evidence import write_evidence
-from im_mcs.servo.recorder import KEPT, PER_JOINT, Recorder, RecordLayout, Records
+from im_mcs.client.evidence import write_evidence
+from im_mcs.protocol.evidence import KEPT, PER_JOINT, Recorder, RecordLayout, Records
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def fill(recorder, ticks):
     for tick in ticks:
         q = np.array([tick, 10.0 * tick, 0.0])
         setpoint = np.array([q + 0.5, q + 1.0, q + 2.0])
-        recorder.put(tick, 4500 * tick, (q, -q, 2.0 * q), setpoint, np.full((2, 6), float(tick)))
+        recorder.put_row(tick, 4500 * tick, (q, -q, 2.0 * q), setpoint, np.full((2, 6), float(tick)))
 
 
 def test_a_record_holds_the_newest_ticks_in_order(layout):

@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, Trajectory
 
 from im_core.errors import DataError
-from im_mcs.limits import JointLimits
-from im_mcs.planning.motion_limits import MotionLimits
-from im_mcs.safety import KINDS, Saturations, SetpointLimiter
-from im_mcs.safety.braking import Reach, stopping_position
+from im_mcs.limits.limits import JointLimits
+from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.limits.saturation import KINDS, Saturations
+from im_mcs.safety import SetpointLimiter
+from im_mcs.safety.stopping_position import Reach, stopping_position
 
 DT = 0.0045
 ALL = np.arange(18)
@@ -19,7 +20,7 @@ JERK_FACTOR = 2.0
 
 @pytest.fixture
 def limits(model, config):
-    return JointLimits(model, config.limits, config.slots)
+    return JointLimits(model.cell, config.limits, config.slots)
 
 
 @pytest.fixture

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from im_core import clock
-from im_mcs.servo.channel import STATES, ServoChannel
+from im_mcs.limits.slots import Driver
+from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.evidence import Records
 from im_mcs.servo.process import ServoProcess
-from im_mcs.servo.recorder import Records
 from im_mcs.state import State
-from im_mcs.testbed.declaration import Driver
+from im_mcs.state.table import STATES
 from im_mcs.testbed.loopback import LoopbackDriver
 
 INSTANCE = f"im_mcs_process_{os.getpid()}"
@@ -173,19 +174,19 @@ def test_snapshot_samples_and_evidence(turns, cell):
     record = Records(turns.owner.layout, turns.owner.evidence).read(int(snapshot["evidence"]))
     assert np.abs(record["setpoint_v"][-1, :9]).max() > 0.0
 
-    samples = turns.owner.samples.take()
+    samples = turns.owner.samples.take_samples()
     assert len(samples) > 30
     np.testing.assert_allclose(np.diff([s["stamp_ns"] for s in samples]), 20e6, atol=4.6e6)
     assert {"q", "v", "tau", "age", "setpoint_q", "setpoint_v", "setpoint_a", "wrench", "gripper"} <= samples[-1].keys()
     assert len(samples[-1]["wrench"]) == 2
-    assert turns.owner.samples.take() == []
+    assert turns.owner.samples.take_samples() == []
 
 
 def test_a_slow_owner_loses_the_oldest_samples_only(turns):
     to_motion(turns)
     turns._mcs.wants_time = True
     turn(turns, 1000)
-    samples = turns.owner.samples.take()
+    samples = turns.owner.samples.take_samples()
     assert len(samples) < 130
     assert samples[-1]["stamp_ns"] >= turns._mcs.measured.stamp_ns - 25_000_000
     assert (np.diff([s["tick"] for s in samples]) > 0).all()

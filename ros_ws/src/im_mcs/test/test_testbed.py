@@ -3,9 +3,9 @@ import pytest
 
 from im_core.config import package_file
 from im_core.errors import ConfigError
-from im_mcs.config import load_config
+from im_mcs.limits.configuration import load_config
+from im_mcs.limits.slots import Slot
 from im_mcs.testbed import Drive, TestbedInterface, load_driver
-from im_mcs.testbed.declaration import Slot
 from im_mcs.testbed.loopback import LoopbackDriver
 
 FULL = np.array([np.inf, np.inf])

@@ -18,26 +18,27 @@ NAME = f"{INSTANCE}_topics_robot_state"
 NOTHING = np.zeros(0)
 
 
-class Process:
+class Bridge:
     """Stands for the bridge's process, which is not started."""
 
-    def __init__(self, *_, **__):
+    def __init__(self):
         self.code = None
+
+    @classmethod
+    def of_module(cls, module, arguments):
+        return cls()
 
     def poll(self):
         return self.code
 
-    def terminate(self):
+    def stop(self):
         self.code = -15
-
-    def wait(self, timeout=None):
-        return self.code
 
 
 @pytest.fixture
 def bridge(monkeypatch):
     """``bridge(q, age_s, named)`` lets the robot speak; what it says first is awaited by the driver."""
-    monkeypatch.setattr(joint_state.subprocess, "Popen", Process)
+    monkeypatch.setattr(joint_state, "ChildProcess", Bridge)
     links = []
 
     def say(q, age_s=0.0, named="x, y"):

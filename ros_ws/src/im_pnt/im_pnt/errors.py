@@ -1,11 +1,9 @@
 """What can go wrong with nets."""
 
-import difflib
+import json
 from collections.abc import Iterable
 
 from im_core.errors import ImError
-
-_LONGEST_NAME, _MOST_NAMES = 100, 30
 
 
 class NetError(ImError):
@@ -34,20 +32,39 @@ class VerificationError(ImError):
         )
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Says what may have been meant: `` (did you mean 'x'?)``, or the known names where none is near.
+class JournalError(ImError):
+    """A journal that cannot be read, written, or used with these nets; nothing was started.
 
     Args:
-        name: The name that was not found.
-        known: The names that exist.
-
-    Returns:
-        Text to append to a message, empty where nothing is known.
+        message: One sentence.
+        file: The file, or the folder.
+        **facts: Byte offset, record number, or what else the message speaks of.
     """
-    names = sorted(set(known))
-    short = [each for each in names if len(each) <= _LONGEST_NAME] if len(name) <= _LONGEST_NAME else []
-    close = difflib.get_close_matches(name, short, n=1, cutoff=0.6)
-    if close:
-        return f" (did you mean '{close[0]}'?)"
-    listed = names if len(names) <= _MOST_NAMES else [*names[:_MOST_NAMES], "..."]
-    return f" (known: {', '.join(listed)})" if names else ""
+
+    default_code = "journal"
+
+    def __init__(self, message: str, *, file: str, **facts: object) -> None:
+        super().__init__(message)
+        self.facts.update(file=file, **facts)
+
+
+def encode_error(error: ImError | None) -> list[object] | None:
+    """Writes an error as JSON data; facts that are none are written as text."""
+    if error is None:
+        return None
+    facts: object = json.loads(json.dumps(error.facts, default=str, skipkeys=True))
+    return [error.code, error.message, facts]
+
+
+def decode_error(content: object) -> ImError | None:
+    """Reads an error.
+
+    Raises:
+        ValueError: It is none.
+    """
+    match content:
+        case None:
+            return None
+        case [str(code), str(message), dict(facts)]:
+            return ImError.restored(code, message, facts)
+    raise ValueError(f"{str(content)[:200]} is no error")

@@ -1,8 +1,5 @@
-from pathlib import Path
+"""Net files of the tests."""
 
-import pytest
+from support.fixtures import data
 
-
-@pytest.fixture
-def data() -> Path:
-    return Path(__file__).parent / "data"
+__all__ = ["data"]

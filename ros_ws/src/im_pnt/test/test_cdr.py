@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_pnt.errors import NetError
-from im_pnt.ros.packet_bytes import decode_packet, encode_packet
+from im_pnt.ros.cdr import decode_packet, encode_packet
 
 
 @given(st.text())

@@ -9,18 +9,18 @@ import json
 import os
 import random
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 from im_core.errors import DataError
-from im_pnt.events import Firing, Observer, Phase
-from im_pnt.functions import ActionContext
-from im_pnt.jobs import Command
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Command
+from im_pnt.execution.notification import Firing, Observer, Phase
 from im_pnt.journal.folder import Folder
-from im_pnt.journal.testing import JournalledProcess
 from im_pnt.netfile import parse_net
+from support.journalled import JournalledProcess
 
 BOSS = parse_net(
     """
@@ -112,9 +112,10 @@ class Teller(Observer):
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def fired(self, firing: Firing) -> None:
-        if firing.phase is Phase.DOUBT:
-            append(self.path, f"{firing.net}.{firing.transition}")
+    def fired(self, firings: Sequence[Firing]) -> None:
+        for firing in firings:
+            if firing.phase is Phase.DOUBT:
+                append(self.path, f"{firing.net}.{firing.transition}")
 
 
 def append(path: Path, line: str) -> None:
@@ -162,7 +163,7 @@ def live(folder: Path, point: int | None, compact_bytes: int) -> None:
         process.turn()
         killer.point()
     assert not boss.busy()
-    marking = {name: executive.marking() for name, executive in process.exchange.nets.items()}
+    marking = {name: executor.marking() for name, executor in process.exchange.nets.items()}
     process.journal.close()
     (folder / "end").write_text(json.dumps({"marking": marking, "points": killer.count}))
 

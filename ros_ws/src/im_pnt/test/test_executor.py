@@ -2,12 +2,12 @@ import pytest
 
 from im_core.errors import DataError, ImError
 from im_pnt.errors import NetError, NetFileError
-from im_pnt.events import CommandCancelled, GuardsChanged, ObjectInvalidated, RequestArrived
-from im_pnt.executive import Executive
-from im_pnt.functions import ActionContext
-from im_pnt.jobs import Command, Request
+from im_pnt.execution.events import CommandCancelled, GuardsChanged, ObjectInvalidated, RequestArrived
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Command, Request
 from im_pnt.netfile import load_net, parse_net
-from im_pnt.testing import Process, hold
+from support.process import Process, hold
 
 
 def test_tokens_are_hidden_in_active_while_an_action_runs_and_appear_when_it_confirms():
@@ -215,14 +215,14 @@ def test_a_request_that_names_a_symbol_is_a_command_of_the_tape_of_another_net()
         ctx.result["y"] = 2
 
     process = Process([], {"f": f})
-    executive = Executive(net, process.functions, process, Outlet(), process.recorder)
-    executive.post(RequestArrived(Request("r", "n", "s", "", "m", "ask", Command(), {"x": 1})))
-    executive.post(RequestArrived(Request("q", "n", "nothing", "", "m", "ask", Command(), {})))
-    executive.pump()
+    executor = Executor(net, process.functions, process, Outlet(), process.recorder)
+    executor.post(RequestArrived(Request("r", "n", "s", "", "m", "ask", Command(), {"x": 1})))
+    executor.post(RequestArrived(Request("q", "n", "nothing", "", "m", "ask", Command(), {})))
+    executor.pump()
     assert replies[0][0] == "q"
     assert "reads no symbol nothing" in str(replies[0][1])
     assert replies[1] == ("r", None, {"y": 2})
-    assert executive.at_rest()
+    assert executor.at_rest()
 
 
 def test_any_number_of_actions_in_flight_end_in_any_order():
@@ -239,9 +239,9 @@ def test_any_number_of_actions_in_flight_end_in_any_order():
 
 def test_a_net_without_actions_does_not_hold_the_loop():
     net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b}, u: {in: b, out: a}}")
-    executive = Process([net]).exchange.nets["n"]
-    assert executive.pump(limit=10)
-    assert executive.sequence == 10
+    executor = Process([net]).exchange.nets["n"]
+    assert executor.pump(limit=10)
+    assert executor.sequence == 10
 
 
 def test_an_unregistered_function_is_named_with_file_and_line(data):
@@ -366,16 +366,16 @@ def test_a_net_says_why_it_is_not_at_rest():
         "  u: {in: a, out: idle, emit: s_done}"
     )
     process = Process([net], {"f": hold})
-    executive = process.exchange.nets["n"]
-    assert executive.at_rest()
-    assert str(executive.at_rest()) == "at rest"
+    executor = process.exchange.nets["n"]
+    assert executor.at_rest()
+    assert str(executor.at_rest()) == "at rest"
     process.command("n", "s")
-    assert executive.at_rest().reasons == (
+    assert executor.at_rest().reasons == (
         "function f of transition t is active",
         "command s (number 1) is open",
     )
     process.end("t")
-    assert executive.at_rest()
+    assert executor.at_rest()
 
 
 def test_what_a_job_keeps_in_memory_is_found_by_its_later_actions_and_not_by_its_caller():

@@ -5,13 +5,12 @@ import asyncio
 import pytest
 
 from im_core.errors import ImError
-from im_pnt.doubt import Answer, Verdict
 from im_pnt.errors import NetError
-from im_pnt.events import CommandCancelled, RequestArrived
-from im_pnt.functions import ActionContext, Functions
-from im_pnt.jobs import Command, Request
+from im_pnt.execution.events import Answer, CommandCancelled, Outcome, RequestArrived
+from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.execution.jobs import Command, Request
 from im_pnt.netfile import parse_net
-from im_pnt.testing import Clock, Process, hold
+from support.process import Clock, Process, hold
 
 TIMED = """
 net: n
@@ -61,9 +60,9 @@ def test_what_is_in_doubt_is_asked_again_while_it_runs_and_ends_by_itself():
 @pytest.mark.parametrize(
     ("answer", "place"),
     [
-        (Answer(Verdict.DONE), "b"),
-        (Answer(Verdict.FAILED, ImError("it fell")), "bad"),
-        (Answer(Verdict.UNKNOWN, asked="the gripper"), "bad"),
+        (Answer(Outcome.DONE), "b"),
+        (Answer(Outcome.FAILED, ImError("it fell")), "bad"),
+        (Answer(Outcome.UNKNOWN, asked="the gripper"), "bad"),
     ],
 )
 def test_the_answer_decides(answer, place):
@@ -71,21 +70,21 @@ def test_the_answer_decides(answer, place):
     process.answers["t"] = answer
     process.wait(1.0)
     assert process.marking("n") == {place: 1}
-    if answer.verdict is Verdict.UNKNOWN:
+    if answer.outcome is Outcome.UNKNOWN:
         assert "nobody can tell what became of function f of transition t" in process.recorder.firings[-1].message
         assert "the gripper" in process.recorder.firings[-1].message
 
 
 def test_where_nobody_can_tell_the_tokens_go_to_the_on_doubt_places():
     process = timed("timeout: 1, on_doubt: lost")
-    process.answers["t"] = Answer(Verdict.UNKNOWN)
+    process.answers["t"] = Answer(Outcome.UNKNOWN)
     process.wait(1.0)
     assert process.marking("n") == {"lost": 1}
 
 
 def test_a_completion_after_it_was_given_up_changes_nothing():
     process = timed("timeout: 1")
-    process.answers["t"] = Answer(Verdict.UNKNOWN)
+    process.answers["t"] = Answer(Outcome.UNKNOWN)
     process.wait(1.0)
     process.end("t")
     assert process.marking("n") == {"bad": 1}
@@ -101,7 +100,7 @@ def test_a_completion_after_it_was_given_up_changes_nothing():
     ],
 )
 def test_an_ask_function_finds_out_and_one_that_breaks_knows_nothing(ask, place, message):
-    answers[:] = [Answer(Verdict.RUNNING), Answer(Verdict.DONE)]
+    answers[:] = [Answer(Outcome.RUNNING), Answer(Outcome.DONE)]
     process = timed("timeout: 1", asks={"f": ask})
     process.wait(5.0)
     assert process.marking("n") == {place: 1}
@@ -111,7 +110,7 @@ def test_an_ask_function_finds_out_and_one_that_breaks_knows_nothing(ask, place,
 def test_no_answer_in_time_is_no_answer():
     process = timed("timeout: 1")
     process.pump()
-    process.exchange.nets["n"]._operation.actions.ask = lambda activity, answered: None
+    process.exchange.nets["n"]._loop.actions.ask = lambda activity, answered: None
     process.wait(5.9)
     assert process.marking("n") == {"t.in_doubt": 1}
     process.wait(0.2)
@@ -121,7 +120,7 @@ def test_no_answer_in_time_is_no_answer():
 
 def test_there_is_nothing_to_ask_about_without_an_action():
     with pytest.raises(NetError, match=r"no action function 'go' to ask about \(did you mean 'goo'"):
-        Functions({"goo": hold}, asks={"go": lambda ctx: Answer(Verdict.DONE)})
+        Functions({"goo": hold}, asks={"go": lambda ctx: Answer(Outcome.DONE)})
 
 
 def test_cancelling_is_seen_in_the_marking_until_the_action_has_ended():
@@ -141,9 +140,9 @@ def test_cancelling_is_seen_in_the_marking_until_the_action_has_ended():
 def test_a_cancellation_that_meets_the_result_is_not_lost():
     process = Process([parse_net(COMMAND)], {"f": hold})
     number = process.command("n", "go")
-    executive = process.exchange.nets["n"]
-    executive.post(CommandCancelled(number, ENOUGH))
-    executive.ended(process.held[0][1], None)
+    executor = process.exchange.nets["n"]
+    executor.post(CommandCancelled(number, ENOUGH))
+    executor.ended(process.held[0][1], None)
     process.pump()
     assert process.recorder.names("n") == ["begin", "t+", "t~", "t", "end"]
     assert process.results[0].success
@@ -164,7 +163,7 @@ def test_a_cancelled_action_may_time_out():
     process = Process([parse_net(text)], {"f": hold}, clock=Clock())
     number = process.command("n", "go")
     process.exchange.nets["n"].post(CommandCancelled(number, ENOUGH))
-    process.answers["t"] = Answer(Verdict.UNKNOWN)
+    process.answers["t"] = Answer(Outcome.UNKNOWN)
     process.wait(2.0)
     assert process.recorder.names("n") == ["begin", "t+", "t~", "t?", "t!", "fail"]
     assert process.results[0].error.code == "in_doubt"

@@ -7,22 +7,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
-from im_pnt.doubt import Answer, Verdict
 from im_pnt.errors import NetError
-from im_pnt.events import (
+from im_pnt.execution.events import (
+    Answer,
     CommandCancelled,
     ModeSet,
     ObjectInvalidated,
+    Outcome,
     PauseSet,
     RequestArrived,
     RequestCancelled,
     TokenArrived,
 )
-from im_pnt.functions import ActionContext
-from im_pnt.jobs import ActivityState, Command, Request
-from im_pnt.modes import Mode
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import ActivityState, Command, Request
+from im_pnt.execution.operator import Mode
+from im_pnt.execution.record import NetEntry, difference, renewed
+from im_pnt.journal.codec import decode_net_entry, net_encoder
+from im_pnt.journal.state import net_state, restore_net
 from im_pnt.netfile import parse_net
-from im_pnt.testing import Clock, Process, hold
+from support.process import Clock, Process, hold
 
 NET = """
 net: n
@@ -66,6 +70,11 @@ STEPS = (
 )
 
 
+def written(entry: NetEntry) -> list[object]:
+    """An entry as a journal brings it back."""
+    return json.loads(net_encoder("n")(entry))[2]
+
+
 def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
     """Does some steps; returns the process, and its state after each with the number of entries up to there."""
     again = [False]
@@ -81,11 +90,11 @@ def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
         {"now": now, "act": hold},
         {"again": lambda ctx: again[0]},
         clock=Clock(),
-        record=lambda entry: entries.append(json.loads(json.dumps(entry, allow_nan=False))),
+        record=lambda entry: entries.append(written(entry)),
     )
-    executive = process.exchange.nets["n"]
+    executor = process.exchange.nets["n"]
     process.pump()
-    states = [(0, json.loads(json.dumps(executive.state())))]
+    states = [(0, json.loads(json.dumps(net_state(executor))))]
     numbers = [0]
     for count, step in enumerate(steps):
         match step:
@@ -94,30 +103,30 @@ def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
             case "end" | "fail" if process.held:
                 process.end(process.held[-1][1].transition, ImError("no", count=count) if step == "fail" else None)
             case "cancel":
-                executive.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
+                executor.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
             case "invalid":
-                executive.post(ObjectInvalidated("path"))
+                executor.post(ObjectInvalidated("path"))
             case "toggle":
                 again[0] = not again[0]
             case "token":
-                executive.post(TokenArrived("spare", 1))
+                executor.post(TokenArrived("spare", 1))
             case "request":
-                executive.post(
+                executor.post(
                     RequestArrived(Request(f"r{count}", "n", "serve", "", "m", "t", Command(7, "far"), {"x": 1}))
                 )
             case "unwanted":
-                executive.post(RequestArrived(Request("u", "n", "serve", "", "m", "t", Command(), {})))
-                executive.post(RequestCancelled("u", ImError("not wanted any more")))
+                executor.post(RequestArrived(Request("u", "n", "serve", "", "m", "t", Command(), {})))
+                executor.post(RequestCancelled("u", ImError("not wanted any more")))
             case "wait":
                 process.wait(0.7)
             case "unknown":
-                process.answers["move"] = Answer(Verdict.UNKNOWN)
+                process.answers["move"] = Answer(Outcome.UNKNOWN)
             case "mode":
-                executive.post(ModeSet(Mode.STEP if executive.mode is Mode.AUTOMATIC else Mode.AUTOMATIC))
+                executor.post(ModeSet(Mode.STEP if executor.mode is Mode.AUTOMATIC else Mode.AUTOMATIC))
             case "pause":
-                executive.post(PauseSet(not executive.paused))
+                executor.post(PauseSet(not executor.paused))
         process.pump()
-        states.append((len(entries), json.loads(json.dumps(executive.state()))))
+        states.append((len(entries), json.loads(json.dumps(net_state(executor)))))
     process.entries = entries
     return process, states
 
@@ -130,20 +139,20 @@ def fresh() -> Process:
 @given(st.lists(st.sampled_from(STEPS), max_size=25))
 def test_entries_done_again_give_the_same_state_at_every_point_and_from_every_snapshot(steps):
     process, states = run(steps)
-    executive = fresh().exchange.nets["n"]
+    executor = fresh().exchange.nets["n"]
     done = 0
     for count, state in states:
         for entry in process.entries[done:count]:
-            executive.replay(entry)
+            executor.replay(decode_net_entry(entry))
         done = count
-        assert executive.state() == state
+        assert net_state(executor) == state
     for first, snapshot in states[:: max(1, len(states) // 4)]:
-        executive = fresh().exchange.nets["n"]
-        executive.restore(snapshot)
-        assert executive.state() == snapshot
+        executor = fresh().exchange.nets["n"]
+        restore_net(executor, snapshot)
+        assert net_state(executor) == snapshot
         for entry in process.entries[first:]:
-            executive.replay(entry)
-        assert executive.state() == states[-1][1]
+            executor.replay(decode_net_entry(entry))
+        assert net_state(executor) == states[-1][1]
 
 
 @settings(max_examples=30, deadline=None)
@@ -152,21 +161,45 @@ def test_what_was_brought_back_is_asked_about_and_goes_on(steps):
     process, states = run(steps)
     running = sorted(activity.transition for activity in process.exchange.nets["n"].activities)
     back = fresh()
-    executive = back.exchange.nets["n"]
-    executive.restore(states[-1][1])
-    executive.resume()
-    assert sorted(activity.transition for activity in executive.activities) == running
-    assert {activity.state for activity in executive.activities} <= {ActivityState.IN_DOUBT}
-    executive.post(ModeSet(Mode.AUTOMATIC))
-    executive.post(PauseSet(False))
+    executor = back.exchange.nets["n"]
+    restore_net(executor, states[-1][1])
+    executor.resume()
+    assert sorted(activity.transition for activity in executor.activities) == running
+    assert {activity.state for activity in executor.activities} <= {ActivityState.IN_DOUBT}
+    executor.post(ModeSet(Mode.AUTOMATIC))
+    executor.post(PauseSet(False))
     back.wait(10.0)
     while back.held:
         back.end(back.held[0][1].transition)
     back.wait(10.0)
-    assert not executive.activities
+    assert not executor.activities
     told = [firing.message for firing in back.recorder.firings[: len(running)]]
     assert all("died" in message or "waited" in message for message in told)
-    assert executive.marking()["tool"] == 1
+    assert executor.marking()["tool"] == 1
+
+
+json_data = st.recursive(
+    st.none() | st.booleans() | st.integers(-2, 2) | st.sampled_from([0.0, 1.0, -0.5, "", "a"]),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from("abc"), inner, max_size=3),
+    max_leaves=12,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(json_data, json_data)
+def test_data_with_their_difference_are_the_new_ones(old, new):
+    change = json.loads(json.dumps(difference(old, new)))
+    assert (change is None) == (json.dumps(old, sort_keys=True) == json.dumps(new, sort_keys=True))
+    again = old if change is None else renewed(json.loads(json.dumps(old)), change)
+    assert json.dumps(again, sort_keys=True) == json.dumps(new, sort_keys=True)
+
+
+@pytest.mark.parametrize(
+    "change", [[], ["keys", {}, []], ["items", {"7": ["set", 1]}, []], ["items", {"x": ["set", 1]}, []], "set", None]
+)
+def test_a_difference_that_does_not_fit_is_refused(change):
+    with pytest.raises(NetError, match=r"is no change of|there is no item"):
+        renewed([1, 2], change)
 
 
 def test_the_entry_comes_before_what_it_tells():
@@ -176,13 +209,16 @@ def test_the_entry_comes_before_what_it_tells():
         order.append(f"action {ctx.transition}")
 
     net = parse_net("net: n\nplaces: {a: 1, b: , bad: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: bad}}")
-    process = Process([net], {"f": act}, record=lambda entry: order.append(f"{entry[0]} {process.marking('n')}"))
+    def record(entry: NetEntry) -> None:
+        order.append(f"{written(entry)[0]} {process.marking('n')}")
+
+    process = Process([net], {"f": act}, record=record)
     process.pump()
     assert order == ["fire {'a': 1}", "action t", "end {'t.active': 1}"]
 
 
 def test_a_record_that_cannot_be_made_leaves_everything_as_it_was():
-    def full(entry: list[object]) -> None:
+    def full(entry: NetEntry) -> None:
         raise OSError("no space left")
 
     net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b}}")
@@ -212,7 +248,7 @@ def test_what_json_cannot_carry_fails_the_action_that_made_it(value, message):
         ctx.memory["x"] = value
         ctx.result["good"] = 1
 
-    process = Process([net], {"f": f}, record=lambda entry: json.dumps(entry, allow_nan=False))
+    process = Process([net], {"f": f}, record=net_encoder("n"))
     process.command("n", "go")
     with pytest.raises(NetError, match=message):
         raise process.results[0].error
@@ -238,21 +274,21 @@ def test_a_value_that_contains_itself_is_refused_like_any_other():
      ["forgotten", 1, None], ["cancel", 1, None], ["mode", "fast"], ["pause", 1], ["guard", 3, ["a", "b", {}]]],
 )  # fmt: skip
 def test_an_entry_that_does_not_fit_is_refused(entry):
-    executive = fresh().exchange.nets["n"]
-    before = executive.state()
+    executor = fresh().exchange.nets["n"]
+    before = net_state(executor)
     with pytest.raises(NetError):
-        executive.replay(entry)
-    assert executive.state() == before
+        executor.replay(decode_net_entry(entry))
+    assert net_state(executor) == before
 
 
 @given(
-    st.sampled_from(sorted(fresh().exchange.nets["n"].state())),
+    st.sampled_from(sorted(net_state(fresh().exchange.nets["n"]))),
     st.sampled_from([None, "x", -1, [[1]], {"no": 1}, [{}]]),
 )
 def test_a_state_that_does_not_fit_is_refused(key, value):
-    executive = fresh().exchange.nets["n"]
-    state = executive.state()
+    executor = fresh().exchange.nets["n"]
+    state = net_state(executor)
     if (key, value) in (("serving", None), ("sequence", -1), ("entered", -1)):
         return
     with pytest.raises(NetError, match="no state of net n"):
-        executive.restore({**state, key: value})
+        restore_net(executor, {**state, key: value})

@@ -3,10 +3,10 @@
 import pytest
 
 from im_pnt.errors import NetError
-from im_pnt.events import GuardsChanged, ObjectInvalidated, TokenArrived
-from im_pnt.functions import ActionContext, Functions, woken_by
+from im_pnt.execution.events import GuardsChanged, ObjectInvalidated, TokenArrived
+from im_pnt.execution.functions import ActionContext, Functions, woken_by
 from im_pnt.netfile import parse_net
-from im_pnt.testing import Clock, Process, hold
+from support.process import Clock, Process, hold
 
 
 def net(transitions: str, places: str = "a: 1, b: , c: "):
@@ -68,16 +68,16 @@ def test_a_delay_begins_when_its_guard_lets_it_and_is_void_when_it_does_not_in_t
     process = Process(
         [net("t: {in: a, out: b, delay: 2, guard: g}")], guards={"g": lambda ctx: allowed[0]}, clock=Clock()
     )
-    executive = process.exchange.nets["n"]
+    executor = process.exchange.nets["n"]
     process.wait(3.0)
     allowed[0] = True
-    executive.post(GuardsChanged())
+    executor.post(GuardsChanged())
     process.wait(1.0)
     allowed[0] = False
     process.wait(2.0)
     assert process.marking("n") == {"a": 1}
     allowed[0] = True
-    executive.post(GuardsChanged())
+    executor.post(GuardsChanged())
     process.wait(1.9)
     assert process.marking("n") == {"a": 1}
     process.wait(0.2)
@@ -88,13 +88,13 @@ def test_nothing_is_to_be_woken_for_while_nothing_waits_for_the_clock():
     timed = "t: {in: a, out: b, action: f, on_failure: c, timeout: 60}"
     process = Process([net(timed, "a: 1000, b: , c: ")], {"f": hold}, clock=Clock())
     process.pump()
-    executive = process.exchange.nets["n"]
-    assert executive.next_wakeup() == pytest.approx(60.0)
-    assert not executive.due
+    executor = process.exchange.nets["n"]
+    assert executor.next_wakeup() == pytest.approx(60.0)
+    assert not executor.due
     for entry in process.held:
-        executive.ended(entry[1], None)
+        executor.ended(entry[1], None)
     process.pump()
-    assert executive.next_wakeup() is None
+    assert executor.next_wakeup() is None
 
 
 def declared(*sources: str, allowed: list[bool], calls: list[str]):
@@ -110,20 +110,20 @@ def test_a_guard_that_says_what_wakes_it_is_asked_when_that_happens_and_not_othe
     allowed, calls = [False], []
     guard = declared("data:destination", "topic:/mcs/state", allowed=allowed, calls=calls)
     process = Process([net("t: {in: a, out: b, guard: g}", "a: 1, b: , c: {remote: true}")], guards={"g": guard})
-    executive = process.exchange.nets["n"]
-    assert process.functions.wakes(executive.net) == {"data:destination", "topic:/mcs/state"}
+    executor = process.exchange.nets["n"]
+    assert process.functions.wakes(executor.net) == {"data:destination", "topic:/mcs/state"}
     process.pump()
     assert len(calls) == 1
     for event in (GuardsChanged("topic:/other"), TokenArrived("c", 1), ObjectInvalidated("other")):
-        executive.post(event)
+        executor.post(event)
         process.pump()
     assert len(calls) == 1
     for event in (GuardsChanged("topic:/mcs/state"), ObjectInvalidated("destination"), GuardsChanged()):
-        executive.post(event)
+        executor.post(event)
         process.pump()
     assert len(calls) == 4
     allowed[0] = True
-    executive.post(GuardsChanged("data:destination"))
+    executor.post(GuardsChanged("data:destination"))
     process.pump()
     assert process.marking("n") == {"b": 1, "c": 1}
 

@@ -9,13 +9,14 @@ import random
 
 import pytest
 
-from im_pnt.events import Observer
+from im_pnt.distributed.packets import MessageKind
+from im_pnt.execution.events import TokenArrived
+from im_pnt.execution.notification import Observer
 from im_pnt.journal.folder import Files, Folder
-from im_pnt.journal.link_record import link_state
-from im_pnt.journal.memory import MemoryFiles
-from im_pnt.journal.testing import JournalledProcess
+from im_pnt.journal.state import link_state
 from im_pnt.netfile import parse_net
-from im_pnt.remote import Kind
+from support.journalled import JournalledProcess
+from support.memory_files import MemoryFiles
 
 TOKENS, JOBS = 4, 3
 NETS = {
@@ -152,7 +153,7 @@ class World:
 
     @staticmethod
     def rests(process: JournalledProcess) -> bool:
-        return process.link.idle() and not any(executive.due for executive in process.exchange.nets.values())
+        return process.link.idle() and not any(executor.due for executor in process.exchange.nets.values())
 
     def tokens(self) -> int:
         """Tokens of the ring, wherever they are: of the dead, what their journals tell."""
@@ -167,12 +168,12 @@ class World:
             marking = process.exchange.nets[f"n{name}"].marking()
             count += sum(marking.get(place, 0) for place in ("source", "p", "q", "sink"))
             delivered = process.exchange.inboxes.deliveries.waiting().get(f"n{name}", [])
-            count += sum(entry[0] == "token" for entry in delivered)
+            count += sum(isinstance(event, TokenArrived) for event in delivered)
             count += sum(process.exchange.undeliverable.values())
             for node, peer in link_state(process.link)["peers"].items():
                 there = link_state(processes[node].link)["peers"].get(name)
                 floor = there["heard"][1] if there else 0
-                count += sum(entry[0] > floor and entry[1] == Kind.TOKEN for entry in peer["waiting"])
+                count += sum(entry[0] > floor and entry[1] == MessageKind.TOKEN for entry in peer["waiting"])
         return count
 
     def run(self, troubled_s: float = 8.0, most_s: float = 200.0) -> None:
@@ -213,7 +214,7 @@ def test_nothing_is_lost_or_doubled_on_real_files(seed, tmp_path):
             path = max((tmp_path / name).glob("*.journal"))
             if world.dice.random() < 0.5:
                 with path.open("ab") as file:
-                    file.write(b"00000500 12345678 [[\"net\"")
+                    file.write(b'00000500 12345678 [["net"')
             world.dead[name] = world.now + 1.0
         world.step()
     world.loss = 0.0

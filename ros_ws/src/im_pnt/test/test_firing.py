@@ -1,4 +1,4 @@
-"""The loop without ceremony fires what the observed one fires, and its work does not grow with the net."""
+"""Firing: what is chosen and marked, that it does not matter who looks on, and that work does not grow with the net."""
 
 import asyncio
 
@@ -7,11 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
-from im_pnt.action import FunctionAction
-from im_pnt.events import CommandCancelled, Observer
-from im_pnt.functions import ActionContext
-from im_pnt.net import Guard, Net, Place, Transition
-from im_pnt.testing import Process
+from im_pnt.execution.events import CommandCancelled
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.notification import Observer
+from im_pnt.model.action import FunctionAction
+from im_pnt.model.net import Guard, Net, Place, Transition
+from support.process import Process
 
 PLACES = tuple("abcdef")
 
@@ -69,16 +70,16 @@ def run(net: Net, seed: int, limits: list[int], observer: Observer | None) -> li
         seed=seed,
         observer=observer,
     )
-    executive = process.exchange.nets["n"]
+    executor = process.exchange.nets["n"]
     for limit in limits:
-        executive.pump(limit)
-        seen.append((executive.sequence, executive.marking()))
+        executor.pump(limit)
+        seen.append((executor.sequence, executor.marking()))
     return seen
 
 
 @settings(max_examples=250, deadline=None)
 @given(nets(), st.integers(0, 3), st.lists(st.integers(1, 60), min_size=1, max_size=3))
-def test_it_fires_what_the_observed_loop_fires(net, seed, limits):
+def test_nobody_who_looks_on_changes_anything(net, seed, limits):
     assert run(net, seed, limits, Observer()) == run(net, seed, limits, None)
 
 
@@ -121,11 +122,11 @@ def test_a_firing_touches_the_transitions_next_to_the_places_that_changed_and_no
     touched = {}
     for size in (10, 100, 1000):
         process = Process([make(size)], observer=observer)
-        executive = process.exchange.nets["n"]
-        executive.pump(3 * size)
-        enabling = executive._rule.enabling
+        executor = process.exchange.nets["n"]
+        executor.pump(3 * size)
+        enabling = executor.rule.enabling
         enabling.unmet = Counting(enabling.unmet)
-        executive.pump(1000)
+        executor.pump(1000)
         touched[size] = enabling.unmet.touched / 1000
     assert touched[1000] <= 1.3 * touched[10]
     assert touched[1000] < 20
@@ -147,20 +148,20 @@ def test_an_action_that_goes_on_after_its_function_has_returned_is_one_like_any_
         return later(ctx)
 
     process = Process([ring(3, "f")], {"f": begins}, observer=Observer(), spawn=loop.create_task)
-    executive = process.exchange.nets["n"]
-    executive.pump()
+    executor = process.exchange.nets["n"]
+    executor.pump()
     loop.run_until_complete(asyncio.sleep(0))
-    assert executive.marking() == {"t0.active": 1}
-    assert [activity.transition for activity in executive.activities] == ["t0"]
-    executive.post(CommandCancelled(None, ImError("enough")))
-    executive.pump()
-    assert executive.marking() == {"t0.cancelling": 1}
+    assert executor.marking() == {"t0.active": 1}
+    assert [activity.transition for activity in executor.activities] == ["t0"]
+    executor.post(CommandCancelled(None, ImError("enough")))
+    executor.pump()
+    assert executor.marking() == {"t0.cancelling": 1}
     assert sorted(asked) == ["before", "inside"]
     waits[0].set_result(None)
     loop.run_until_complete(asyncio.sleep(0))
-    executive.pump()
+    executor.pump()
     loop.run_until_complete(asyncio.sleep(0))
-    assert executive.marking() == {"t1.active": 1}
+    assert executor.marking() == {"t1.active": 1}
     for task in asyncio.all_tasks(loop):
         task.cancel()
     loop.run_until_complete(asyncio.sleep(0))
@@ -171,14 +172,14 @@ def test_what_an_action_sees_of_its_own_net_is_whole():
     seen: list[tuple[dict[str, int], bool, bool, str]] = []
 
     def looks(ctx: ActionContext) -> None:
-        executive = process.exchange.nets["n"]
-        assert not executive.pump()
-        assert not executive.due
-        seen.append((executive.marking(), executive.busy(), bool(executive.at_rest()), str(executive.at_rest())))
+        executor = process.exchange.nets["n"]
+        assert not executor.pump()
+        assert not executor.due
+        seen.append((executor.marking(), executor.busy(), bool(executor.at_rest()), str(executor.at_rest())))
 
     process = Process([ring(2, "f")], {"f": looks}, observer=Observer())
     process.exchange.nets["n"].pump(2)
-    assert seen[0] == ({"t0.active": 1}, True, False, "the action of transition t0 is running")
+    assert seen[0] == ({"t0.active": 1}, True, False, "function f of transition t0 is active")
     assert seen[1][0] == {"t1.active": 1}
     assert process.marking("n") == {"p0": 1}
 

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
-from im_pnt.net import Net
-from im_pnt.netfile import load_net, parse_net
-from im_pnt.netfile.writer import yaml_text
+from im_pnt.model.net import Net
+from im_pnt.netfile import load_net, parse_net, yaml_text
 from im_pnt.pnml import pnml_text
 
 NET = """\

@@ -4,14 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
-from im_pnt.analysis.semiflows import p_semiflows
-from im_pnt.compiled import compile_net
-from im_pnt.doubt import Answer, Verdict
-from im_pnt.events import CommandCancelled, Firing, ObjectInvalidated
-from im_pnt.expand import expand
-from im_pnt.functions import ActionContext
+from im_pnt.execution.events import Answer, CommandCancelled, ObjectInvalidated, Outcome
+from im_pnt.execution.functions import ActionContext
+from im_pnt.model.compiled import compile_net
+from im_pnt.model.expand import expand
 from im_pnt.netfile import parse_net
-from im_pnt.testing import Clock, Process, Recorder, hold
+from im_pnt_analysis.structure.semiflows import p_semiflows
+from support.process import Clock, Process, hold
 
 NET = """
 net: n
@@ -33,18 +32,6 @@ transitions:
   give_up: {in: bad, out: idle, emit: go_failed}
 """
 STEPS = ("go", "end", "fail", "cancel", "invalid", "toggle", "wait", "done", "unknown")
-
-
-class Watchful(Recorder):
-    """Looks at the invariants at every firing."""
-
-    def __init__(self, look) -> None:
-        super().__init__()
-        self.look = look
-
-    def fired(self, firing: Firing) -> None:
-        super().fired(firing)
-        self.look()
 
 
 @settings(max_examples=100, deadline=None)
@@ -73,9 +60,9 @@ def test_invariants_hold_at_every_instant(steps, seed):
         {"again": lambda ctx: again[0]},
         seed=seed,
         clock=Clock(),
-        observer=Watchful(look),
+        record=lambda _: look(),
     )
-    executive = process.exchange.nets["n"]
+    executor = process.exchange.nets["n"]
     initial, wanted = process.marking("n"), sums()
     numbers = [0]
     for step in steps:
@@ -85,15 +72,15 @@ def test_invariants_hold_at_every_instant(steps, seed):
             case "end" | "fail" if process.held:
                 process.end(process.held[-1][1].transition, ImError("no") if step == "fail" else None)
             case "cancel":
-                executive.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
+                executor.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
             case "invalid":
-                executive.post(ObjectInvalidated("path"))
+                executor.post(ObjectInvalidated("path"))
             case "toggle":
                 again[0] = not again[0]
             case "wait":
                 process.wait(0.7)
             case "done" | "unknown":
-                process.answers["move"] = Answer(Verdict(step))
+                process.answers["move"] = Answer(Outcome(step))
         process.pump()
         look()
     again[0] = False

@@ -7,18 +7,17 @@ from types import SimpleNamespace
 import pytest
 
 from im_core.errors import ImError, LinkError
-from im_pnt.action import FunctionAction, RequestAction, TopicAction
-from im_pnt.events import CommandCancelled, Observer, TokenArrived
-from im_pnt.functions import ActionContext
-from im_pnt.jobs import Command, CommandResult
-from im_pnt.journal.errors import JournalError
-from im_pnt.journal.fingerprint import fingerprint
+from im_pnt.errors import JournalError
+from im_pnt.execution.events import CommandCancelled, TokenArrived
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Command, CommandResult
+from im_pnt.execution.notification import Observer
 from im_pnt.journal.folder import Folder
-from im_pnt.journal.guarded_runner import GuardedRunner
-from im_pnt.journal.memory import MemoryFiles
-from im_pnt.journal.process_journal import Journal
-from im_pnt.journal.testing import JournalledProcess
+from im_pnt.journal.journal import GuardedRunner, Journal, fingerprint
+from im_pnt.model.action import FunctionAction, RequestAction, TopicAction
 from im_pnt.netfile import parse_net
+from support.journalled import JournalledProcess
+from support.memory_files import MemoryFiles
 
 LINE = "net: n\nplaces: {a: {tokens: 3, remote: true}, b: }\ntransitions: {t: {in: [a, a, a], out: b}}"
 
@@ -331,6 +330,48 @@ def test_the_journal_grows_no_further_than_its_limit():
     assert JournalledProcess("x", [loop], files.reborn()).exchange.nets["n"].sequence == sequence == 1000
 
 
+def test_a_job_that_grows_is_not_written_whole_again():
+    loop = parse_net(
+        """
+net: n
+places: {idle: 1, a: , b: , bad: }
+transitions:
+  begin: {in: idle, out: a, symbol: go}
+  pose: {in: a, out: b, action: pose, on_failure: bad}
+  next: {in: b, out: a, guard: more}
+  finish: {in: b, out: idle, guard: not more, emit: go_done}
+"""
+    )
+    files = MemoryFiles()
+    sizes: list[int] = []
+
+    def pose(ctx: ActionContext) -> None:
+        job = ctx.memory.setdefault("job", {"name": "x" * 1000, "poses": []})
+        job["poses"].append({"number": len(job["poses"]), "joints": [0.1] * 6, "seen": False})
+        job["poses"][-2:][0]["seen"] = True
+        ctx.result["last"] = job["poses"][-1]["number"]
+        sizes.append(sum(len(content) for content in files.contents.values()))
+
+    guards = {"more": lambda ctx: len(sizes) < 200}
+    process = JournalledProcess("x", [loop], files, actions={"pose": pose}, guards=guards)
+    process.exchange.nets["n"].command(Command(1, "go", {"text": "y" * 1000}))
+    process.turn()
+    assert len(sizes) == 200
+    assert sizes[-1] - sizes[100] < 1.1 * (sizes[100] - sizes[1])
+    assert sizes[-1] < 200 * 500
+    held = MemoryFiles()
+    name = files.names()[-1]
+    lines = bytes(files.contents[name]).splitlines(keepends=True)
+    ends = [number for number, line in enumerate(lines) if b"pose.end" in line]
+    held.contents[name] = bytearray(b"".join(lines[: ends[149] + 1]))
+    back = JournalledProcess("x", [loop], held, actions={"pose": pose}, guards=guards)
+    (job,) = back.exchange.nets["n"].jobs()
+    assert [(pose["number"], pose["seen"]) for pose in job.memory["job"]["poses"]] == [
+        (number, number < 149) for number in range(150)
+    ]
+    assert job.results == {"last": 149}
+
+
 def test_while_the_journal_cannot_be_written_nothing_leaves_and_afterwards_all():
     sends = "net: sends\nplaces: {a: 2, b: }\ntransitions: {t: {in: a, out: [b, gets.p]}}"
     gets = "net: gets\nplaces: {p: {remote: true}, q: }\ntransitions: {t: {in: p, out: q}}"
@@ -400,7 +441,7 @@ def test_no_action_of_any_kind_begins_before_the_journal_is_written():
     class Runner:
         watch = waits = ask = None
 
-        def start(self, executive, activity, context) -> None:
+        def start(self, executor, activity, context) -> None:
             steps.append(f"start {activity.action}")
 
         def direct(self, action):

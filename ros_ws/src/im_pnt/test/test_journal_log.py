@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.journal.errors import JournalError
+from im_pnt.errors import JournalError
 from im_pnt.journal.folder import Folder
-from im_pnt.journal.log import Log, Sync, discard
-from im_pnt.journal.memory import MemoryFiles
-from im_pnt.journal.records import frame, scan
+from im_pnt.journal.log import Log, Sync, discard, frame, scan
+from support.memory_files import MemoryFiles
 
 HEADER = {"node": "n", "nets": {}}
 BATCHES = [[["net", "a", ["token", "p", 1]]], [["x", 1.5], ["y", "ü\n"]], [], [["z" * 300]]]
@@ -184,7 +183,7 @@ def test_a_real_file_that_cannot_grow_keeps_what_it_had(tmp_path):
     program = f"""
 import resource, signal
 from pathlib import Path
-from im_pnt.journal.errors import JournalError
+from im_pnt.errors import JournalError
 from im_pnt.journal.folder import Folder
 from im_pnt.journal.log import Log, Sync
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -1,7 +1,7 @@
-from im_pnt.events import Confirmed, GuardsChanged, ModeSet, PauseSet, StepAsked
-from im_pnt.modes import Mode
+from im_pnt.execution.events import Confirmed, GuardsChanged, ModeSet, PauseSet, StepAsked
+from im_pnt.execution.operator import Mode
 from im_pnt.netfile import parse_net
-from im_pnt.testing import Clock, Process, hold
+from support.process import Clock, Process, hold
 
 NET = """
 net: n

@@ -2,11 +2,12 @@ import os
 
 import pytest
 
+from im_core.clock import cpu
 from im_core.errors import ImError
-from im_pnt.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
-from im_pnt.delay import Delay
 from im_pnt.errors import NetFileError
-from im_pnt.net import Guard, RemotePlace, Strategy
+from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.delay import Delay
+from im_pnt.model.net import Guard, RemotePlace, Strategy
 from im_pnt.netfile import load_net, parse_net
 
 GOOD = """\
@@ -149,6 +150,29 @@ BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
 def test_hostile_text_is_refused_where_it_stands(text, complaint):
     with pytest.raises(NetFileError, match=complaint):
         parse_net(text, "x")
+
+
+MANY = 20_000
+MANY_RANGES = ", ".join(f"k{i}: 0..9999" for i in range(MANY))
+MANY_NAMES = ", ".join(f"k{i}" for i in range(MANY))
+MANY_MISTAKES = "".join(f"  p{i}: x\n" for i in range(MANY))
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (f"net: n\nplaces:\n{MANY_MISTAKES}transitions: {{}}\n", "^x:3:7: places.p0: 'x' is not a whole number"),
+        (f"net: n\nplaces: {{a: 1}}\n{MANY_MISTAKES.replace('  p', 'p')}", "^x:3:1: 'p0' is not a known key"),
+        (f"net: n\ntemplates: {{t: }}\nuse: {{template: t, for: {{{MANY_RANGES}}}}}\n", "copies; 10000 are allowed"),
+        (f"net: n\ntemplates: {{t: {{parameters: [{MANY_NAMES}]}}}}\nuse: {{template: t}}\n", "parameter 'k0'$"),
+        (f"net: n\nplaces: {{a: 1}}\ntransitions: {{t: {{in: [{MANY_NAMES}]}}}}\n", "there is no place 'k0'"),
+    ],
+)
+def test_many_mistakes_take_no_longer_than_one(text, complaint):
+    began = cpu()
+    with pytest.raises(NetFileError, match=complaint):
+        parse_net(text, "x")
+    assert cpu() - began < 10.0
 
 
 def test_words_are_read_as_yaml_1_2_reads_them():

@@ -8,15 +8,12 @@ import jsonschema
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
-from im_pnt.delay import Delay
 from im_pnt.errors import NetFileError
-from im_pnt.net import Guard, Net, Place, RemotePlace, Service, Strategy, Transition
-from im_pnt.netfile import load_net, parse_net
-from im_pnt.netfile.describe import describe
-from im_pnt.netfile.writer import yaml_text
+from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.delay import Delay
+from im_pnt.model.net import Guard, Net, Place, RemotePlace, Service, Strategy, Transition
+from im_pnt.netfile import describe, load_net, parse_net, schema_text, yaml_text
 from im_pnt.pnml import pnml_text
-from im_pnt.schema import schema_text
 
 NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
 NCNAME = re.compile(r"[A-Za-z_][\w.-]*", re.ASCII)

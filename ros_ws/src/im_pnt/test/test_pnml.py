@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.analysis.compose import compose
-from im_pnt.analysis.verify import verify
-from im_pnt.cli import main
-from im_pnt.cli.exits import BAD_INPUT, OK
-from im_pnt.draw import draw
 from im_pnt.errors import NetError, NetFileError
-from im_pnt.expand import expand
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.expand import expand
+from im_pnt.model.net import Net, Place, Transition
 from im_pnt.netfile import load_net, parse_net
 from im_pnt.pnml import pnml_text
-from im_pnt.pnml.plain import plain_net
+from im_pnt_analysis.cli import main
+from im_pnt_analysis.cli.terminal import BAD_INPUT, OK
+from im_pnt_analysis.composition.compose import compose
+from im_pnt_analysis.composition.plain_net import plain_net
+from im_pnt_analysis.verify.verdict import verify
+from im_pnt_display import draw
 
 
 def bare(net):
@@ -125,6 +125,8 @@ def test_one_net_of_several_is_asked_for_by_name(tmp_path):
         "<guard>1</guard>",
         '<im:in>["p"]</im:in>',
         '<im:action>"f"</im:action>',
+        f'<im:message>{"[" * 300}{"]" * 300}</im:message>',
+        f"<im:message>{'[' * 100_000}</im:message>",
     ],
 )
 def test_damage_to_what_is_ours_is_named(tmp_path, content):
@@ -132,6 +134,14 @@ def test_damage_to_what_is_ours_is_named(tmp_path, content):
     arc = '<place id="p"/><arc source="p" target="t"/>'
     with pytest.raises(NetFileError, match=r"net\.pnml:1:\d+: "):
         read(tmp_path, f'<pnml><net id="n"><transition id="t">{tool}</transition>{arc}</net></pnml>')
+
+
+@pytest.mark.parametrize("name", ["[]", '""', "null", "{}"])
+def test_a_place_of_another_net_has_a_name(tmp_path, name):
+    tool = f'<toolspecific tool="im" version="1" xmlns:im="urn:im:pnt:net:1"><im:remote_place>{name}</im:remote_place>'
+    arcs = '<place id="p"/><arc source="p" target="t"/><transition id="t"/><arc source="t" target="q"/>'
+    with pytest.raises(NetFileError, match=r"net\.pnml:1:\d+: remote_place: .* is not the name of a place of another"):
+        read(tmp_path, f'<pnml><net id="n">{arcs}<place id="q">{tool}</toolspecific></place></net></pnml>')
 
 
 @st.composite

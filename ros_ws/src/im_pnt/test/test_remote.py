@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import DataError
-from im_pnt.link import Link
+from im_pnt.distributed.link import Link
 from im_pnt.netfile import parse_net
-from im_pnt.testing import Process, hold
+from support.process import Process, hold
 
 
 class Network:
@@ -152,5 +152,3 @@ def test_the_death_of_a_coordinator_fails_its_requests_and_that_of_a_caller_canc
     front.pump()
     assert str(front.process.results[0].error) == "middle is missing (last heard 6.1 s ago)"
     assert front.process.marking("front") == {"idle": 1}
-
-

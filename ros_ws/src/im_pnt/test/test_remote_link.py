@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import DataError
+from im_pnt.distributed.link import MOST_PEERS, Link
+from im_pnt.distributed.packets import VOID, Message, MessageKind, decode_message, encode_message
+from im_pnt.distributed.streams import WINDOW, LinkEntry
 from im_pnt.errors import NetError
-from im_pnt.events import Observer
-from im_pnt.journal.link_record import link_state, replay_link, restore_link
-from im_pnt.link import MOST_PEERS, Link
-from im_pnt.remote import VOID, Kind, Message, decode_message, encode_message
-from im_pnt.streams import WINDOW
+from im_pnt.execution.notification import Observer
+from im_pnt.journal.codec import decode_link_entry, encode_link_entry
+from im_pnt.journal.state import link_state, restore_link
 
 
 class Troubles(Observer):
@@ -48,7 +49,10 @@ class End:
             clock=lambda: self.now,
         )
         if journal:
-            self.link.record = self.entries.append
+            self.link.record = self.record
+
+    def record(self, entry: LinkEntry) -> None:
+        self.entries.append(encode_link_entry(entry))
 
     def accept(self, sender: str, message: Message) -> str:
         if self.refuses and message.place == self.refuses:
@@ -60,11 +64,11 @@ class End:
         """The same process after its death, brought back by its journal alone."""
         other = End(name, 1, journal=False)
         other.now, other.got, other.refuses = self.now, list(self.got), self.refuses
-        for entry in [f'["epoch",{self.first_epoch}]', *self.entries]:
-            replay_link(other.link, json.loads(entry))
+        for entry in [f'["link",["epoch",{self.first_epoch}]]', *self.entries]:
+            other.link.replay(decode_link_entry(json.loads(entry)[1]))
         other.first_epoch = self.first_epoch
         other.entries = list(self.entries)
-        other.link.record = other.entries.append
+        other.link.record = other.record
         return other
 
     first_epoch = 1
@@ -78,7 +82,7 @@ class End:
 
 
 def token(place: str) -> Message:
-    return Message(Kind.TOKEN, "net", place)
+    return Message(MessageKind.TOKEN, "net", place)
 
 
 def exchange(*ends: End, keep=lambda packet: True, seconds: float = 0.1) -> None:
@@ -120,7 +124,7 @@ def test_nothing_leaves_before_the_flush_and_no_acknowledgement_before_its_journ
     a.link.flush()
     b.link.hear(a.packets[0][1])
     assert b.packets == []
-    assert [json.loads(entry)[0] for entry in b.entries] == ["begin", "in"]
+    assert [json.loads(entry)[1][0] for entry in b.entries] == ["begin", "in"]
 
 
 @settings(max_examples=150, deadline=None)
@@ -200,7 +204,7 @@ def test_who_lost_its_journal_begins_anew_and_the_other_side_says_what_was_in_fl
     b.send("a", "u")
     exchange(a, b)
     a.send("b", "y")
-    a.link.send("b", Message(Kind.REQUEST, "net", "I.s", "r-1"))
+    a.link.send("b", Message(MessageKind.REQUEST, "net", "I.s", "r-1"))
     late = End("b", 2)
     late.send("a", "v")
     late.link.flush()
@@ -255,11 +259,11 @@ def test_a_process_whose_clock_went_back_becomes_the_later_one():
 def test_what_nobody_needs_any_more_leaves_no_gap():
     a, b = pair()
     a.send("b", "x")
-    a.link.send("b", Message(Kind.REQUEST, "net", "I.s", "r-1"))
+    a.link.send("b", Message(MessageKind.REQUEST, "net", "I.s", "r-1"))
     a.send("b", "y")
     a.link.forget("r-1")
     exchange(a, b)
-    assert [message.kind for message in b.got] == [Kind.TOKEN, Kind.VOID, Kind.TOKEN]
+    assert [message.kind for message in b.got] == [MessageKind.TOKEN, MessageKind.VOID, MessageKind.TOKEN]
 
 
 def test_while_a_process_is_silent_only_a_window_is_on_its_way():
@@ -350,10 +354,10 @@ def test_a_flood_of_senders_and_of_numbers_is_bounded():
 def test_messages_are_what_they_were_after_crossing():
     error = DataError("no spot", camera="wall", size=(1, 2))
     messages = [
-        token("p\n\"ü\ud800"),
+        token('p\n"ü\ud800'),
         VOID,
-        Message(Kind.REQUEST, "n", "I.s", "r", "c", "t", 7, None, {"arguments": {"x": [1, None]}}),
-        Message(Kind.REPLY, "n", "", "r", error=error, payload={"results": {}}),
+        Message(MessageKind.REQUEST, "n", "I.s", "r", "c", "t", 7, None, {"arguments": {"x": [1, None]}}),
+        Message(MessageKind.REPLY, "n", "", "r", error=error, payload={"results": {}}),
     ]
     for message in messages:
         back = decode_message(json.loads(f"[{encode_message(message)}]"))
@@ -367,7 +371,7 @@ def test_messages_are_what_they_were_after_crossing():
 def test_a_payload_that_is_not_json_is_refused_before_it_is_numbered():
     a, _ = pair()
     with pytest.raises(NetError, match="request r to net n is not JSON data: Object of type object"):
-        a.link.send("b", Message(Kind.REQUEST, "n", "I.s", "r", payload={"x": object()}))
+        a.link.send("b", Message(MessageKind.REQUEST, "n", "I.s", "r", payload={"x": object()}))
     assert a.entries == []
     assert a.link.idle()
 

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from im_core.errors import ImError
 from im_pnt.errors import NetError
-from im_pnt.events import CommandCancelled
-from im_pnt.net import Strategy
+from im_pnt.execution.conflicts import StrategyBook, entropy, probabilities
+from im_pnt.execution.events import CommandCancelled
+from im_pnt.model.net import Strategy
 from im_pnt.netfile import parse_net
-from im_pnt.strategies import StrategyBook, entropy, probabilities
-from im_pnt.testing import Process, hold
+from support.process import Process, hold
 
 NET = """
 net: n
@@ -56,8 +56,8 @@ def test_entropy_of_a_fair_coin_is_a_nat_times_ln_2():
 
 def test_what_works_is_learned_and_the_choice_and_its_entropy_are_told():
     process = Process([parse_net(NET)], {"left": lambda ctx: None, "right": lambda ctx: fails()}, seed=2)
-    executive = process.exchange.nets["n"]
-    executive.pump(500)
+    executor = process.exchange.nets["n"]
+    executor.pump(500)
     choices = process.recorder.choices
     assert choices[0] == (
         ("todo",),

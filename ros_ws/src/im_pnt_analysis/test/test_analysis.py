@@ -2,11 +2,11 @@ import re
 
 import pytest
 
-from im_pnt.analysis.reachability import Limits
-from im_pnt.analysis.verify import verify
 from im_pnt.errors import VerificationError
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.net import Net, Place, Transition
 from im_pnt.netfile import parse_net
+from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.verify.verdict import verify
 
 
 def philosophers(count: int) -> Net:
@@ -83,7 +83,7 @@ def test_waiting_at_a_declared_rest_is_no_deadlock():
 def test_what_was_not_decided_is_not_accepted_and_said():
     text = "places: {a: 900, b: }\ntransitions: {t: {in: a, out: b}, u: {in: b, out: a}}"
     rings = [parse_net(f"net: n{i}\n{text}") for i in (1, 2)]
-    report = verify(rings, Limits(states=1, seconds=0.0))
+    report = verify(rings, SearchLimits(states=1, seconds=0.0))
     assert not report.ok
     assert not report.refusals
     with pytest.raises(VerificationError, match=r"n1\+n2 is refused: .*resources_return is unknown \(.+\)"):

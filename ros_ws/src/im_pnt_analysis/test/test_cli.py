@@ -1,8 +1,11 @@
 import json
+import sys
 from xml.etree import ElementTree
 
-from im_pnt.cli import main
-from im_pnt.cli.exits import BAD_INPUT, OK, REFUSED
+import pytest
+
+from im_pnt_analysis.cli import main
+from im_pnt_analysis.cli.terminal import BAD_INPUT, OK, REFUSED
 
 
 def test_verify_prints_one_object_with_every_answer(data, capsys):
@@ -82,3 +85,13 @@ def test_a_counterexample_is_written_and_can_be_played(tmp_path, capsys):
     assert main(["simulate", str(net), "--replay", str(written)]) == OK
     assert main(["verify", str(net), "--counterexample", str(tmp_path / "no" / "way.json")]) == BAD_INPUT
     assert "No such file" in capsys.readouterr().err
+
+
+def test_draw_says_whose_it_is_where_the_display_is_not_installed(data, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys.modules["im_pnt_analysis.cli.main"], "extensions", lambda group: iter(()))
+    assert main(["draw", str(data / "coordinator.yaml"), "-o", str(tmp_path / "net.svg")]) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert said == "pnt: draw is a command of the package im_pnt_display, which is not installed\n"
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "draw" not in capsys.readouterr().out

@@ -8,18 +8,17 @@ from hypothesis import strategies as st
 
 from im_core.clock import monotonic
 from im_core.errors import ImError
-from im_pnt.analysis.compose import compose
-from im_pnt.analysis.large import answer_from_diagrams
-from im_pnt.analysis.problem import problem_of
-from im_pnt.analysis.reachability import Limits, Search
-from im_pnt.analysis.report import Report
-from im_pnt.analysis.verify import verify
-from im_pnt.doubt import Answer, Verdict
 from im_pnt.errors import NetError
-from im_pnt.events import CommandCancelled, Firing, Observer
-from im_pnt.net import Net
+from im_pnt.execution.events import Answer, CommandCancelled, Outcome
+from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
-from im_pnt.testing import Clock, Process, hold
+from im_pnt_analysis.composition.compose import compose
+from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.verify.answers import answer_from_diagrams
+from im_pnt_analysis.verify.problem import problem_of
+from im_pnt_analysis.verify.report import Report
+from im_pnt_analysis.verify.verdict import verify
+from support.process import Clock, Process, hold
 
 
 def test_composition_joins_callers_and_coordinators(data):
@@ -148,14 +147,14 @@ def test_waiting_and_being_stuck_are_told_apart_in_diagrams_too(data):
         assert found == [(r.kind, len(r.sequence), True) for r in listed.refusals]
 
 
-class Watch(Observer):
-    """Notes the marking of all nets together at each firing of one."""
+class Watch:
+    """Notes the marking of all nets together before anything happens in one."""
 
     def __init__(self) -> None:
         self.process: Process | None = None
         self.seen: list[frozenset[tuple[str, int]]] = []
 
-    def fired(self, firing: Firing) -> None:
+    def __call__(self, _: object) -> None:
         """Notes what is marked."""
         if self.process is not None:
             nets = self.process.exchange.nets
@@ -181,11 +180,11 @@ def searched_markings(server: str) -> set[frozenset[tuple[str, int]]]:
     nets = [parse_net(CALLER), parse_net(server)]
     problem = problem_of(nets)
     search = Search(problem.compiled, problem.initial)
-    assert search.run(Limits(states=1_000_000), monotonic() + 60.0) == ""
+    assert search.run(SearchLimits(states=1_000_000), monotonic() + 60.0) == ""
     own = {
         f"{name}.{place}"
-        for name, executive in Process(nets, {"prepare": hold, "serve": hold}).exchange.nets.items()
-        for place in executive.net.places
+        for name, executor in Process(nets, {"prepare": hold, "serve": hold}).exchange.nets.items()
+        for place in executor.net.places
     }
     markings = (search.found.marking(number) for number in range(search.found.count))
     return {frozenset((place, count) for place, count in marking.items() if place in own) for marking in markings}
@@ -202,7 +201,7 @@ def test_what_nets_do_when_they_run_is_in_their_composition(reachable, steps):
     server, markings = reachable
     watch = Watch()
     nets = [parse_net(CALLER), parse_net(server)]
-    process = Process(nets, {"prepare": hold, "serve": hold}, clock=Clock(), observer=watch)
+    process = Process(nets, {"prepare": hold, "serve": hold}, clock=Clock(), record=watch)
     watch.process = process
     process.pump()
     for step in steps:
@@ -214,7 +213,7 @@ def test_what_nets_do_when_they_run_is_in_their_composition(reachable, steps):
         elif step == 2:
             process.wait(2.5)
         elif step == 3:
-            process.answers["serve"] = Answer(Verdict.UNKNOWN)
+            process.answers["serve"] = Answer(Outcome.UNKNOWN)
         elif process.held:
             transition = process.held[step % len(process.held)][1].transition
             process.end(transition, ImError("no", code="no") if step == 7 else None)

@@ -1,12 +1,12 @@
 import pytest
 
 from im_core.clock import monotonic
-from im_pnt.analysis.closed import emptied_siphon
-from im_pnt.analysis.reductions import reduce_for_deadlock
-from im_pnt.analysis.stubborn import find_deadlock, search
-from im_pnt.bench.nets import catching_philosophers, kanban, ring
-from im_pnt.compiled import Compiled, compile_net
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.net import Net, Place, Transition
+from im_pnt_analysis.search.stubborn import find_deadlock, search
+from im_pnt_analysis.simulation.families import catching_philosophers, kanban, ring
+from im_pnt_analysis.structure.reduction import reduce_for_deadlock
+from im_pnt_analysis.structure.siphons import emptied_siphon
 
 
 def start(net: Net) -> tuple[Compiled, tuple[int, ...]]:

@@ -8,11 +8,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from im_core.clock import monotonic
-from im_pnt.analysis import digraph, fields, reachability
-from im_pnt.analysis.graph import Graph
-from im_pnt.analysis.reachability import Limits, Search
-from im_pnt.compiled import Compiled, compile_net
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.net import Net, Place, Transition
+from im_pnt_analysis.search import digraph, packing, reachability
+from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.search.reachability_graph import ReachabilityGraph
 
 _LARGEST = 300
 
@@ -62,7 +62,7 @@ def searched(net: Net) -> tuple[Search, Compiled, tuple[int, ...]]:
     compiled = compile_net(net)
     initial = compiled.marking_vector(net.initial_marking())
     search = Search(compiled, initial)
-    search.run(Limits(states=_LARGEST + 2_000), monotonic() + 10.0)
+    search.run(SearchLimits(states=_LARGEST + 2_000), monotonic() + 10.0)
     return search, compiled, initial
 
 
@@ -74,8 +74,8 @@ def searched(net: Net) -> tuple[Search, Compiled, tuple[int, ...]]:
 def test_all_markings_are_found_by_shortest_ways(spec, padding, cost, weak, monkeypatch):
     monkeypatch.setattr(reachability, "_WIDEST", cost)
     if weak:
-        strong = fields._hash
-        monkeypatch.setattr(fields, "_hash", lambda n, attempt: strong(n, attempt) if attempt else [1] * n)
+        strong = packing._hash
+        monkeypatch.setattr(packing, "_hash", lambda n, attempt: strong(n, attempt) if attempt else [1] * n)
     try:
         search, compiled, initial = searched(built(spec, padding))
     finally:
@@ -132,8 +132,8 @@ def test_a_search_goes_on_where_it_stopped():
     search = Search(compiled, (300, 0, 0))
     counts = []
     for states in (10, 500, 5_000, 100_000):
-        search.run(Limits(states=states), monotonic() + 60.0)
+        search.run(SearchLimits(states=states), monotonic() + 60.0)
         counts.append(search.found.count)
     assert counts[0] < counts[1] < counts[2] < counts[3] == 301 * 302 // 2
     assert search.complete
-    assert Graph(search).reversible
+    assert ReachabilityGraph(search).reversible

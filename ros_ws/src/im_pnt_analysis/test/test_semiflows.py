@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.clock import monotonic
-from im_pnt.analysis.semiflows import p_semiflows, t_semiflows
-from im_pnt.bench.nets import catching_philosophers, kanban
-from im_pnt.compiled import Compiled, compile_net
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.net import Net, Place, Transition
+from im_pnt_analysis.simulation.families import catching_philosophers, kanban
+from im_pnt_analysis.structure.semiflows import p_semiflows, t_semiflows
 
 
 @st.composite

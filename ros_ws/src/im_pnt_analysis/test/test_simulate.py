@@ -6,25 +6,24 @@ import os
 import subprocess
 import sys
 from collections import deque
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
-from im_pnt.action import FunctionAction, RequestAction
-from im_pnt.analysis.verify import verify
-from im_pnt.delay import Delay, exponential
 from im_pnt.errors import NetError
-from im_pnt.net import Net, Place, Service, Strategy, Transition
+from im_pnt.model.action import FunctionAction, RequestAction
+from im_pnt.model.delay import Delay, exponential
+from im_pnt.model.net import Net, Place, Service, Strategy, Transition
 from im_pnt.netfile import load_net
-from im_pnt.replay import Script, read_script, replay
-from im_pnt.simulate import simulate
-from im_pnt.timed.model import timed_net
-from im_pnt.timed.player import Player
-from im_pnt.timed.steady import steady_state
-from im_pnt.timed.summary import summarise
+from im_pnt_analysis.simulation.replay import FiringSequence, read_firing_sequence, replay
+from im_pnt_analysis.simulation.simulate import simulate, summarise
+from im_pnt_analysis.timed.model import timed_net
+from im_pnt_analysis.timed.player import Player
+from im_pnt_analysis.timed.steady import steady_state
+from im_pnt_analysis.verify.verdict import verify
+from support.fixtures import NETS
 
 
 def t(name, inputs, outputs, delay=None, **more):
@@ -41,7 +40,7 @@ def constant(value):
 
 
 EXAMPLES = [
-    load_net(Path(__file__).parent / "data" / "molloy.yaml"),
+    load_net(NETS / "molloy.yaml"),
     net("mm15", {"free": 5}, t("arrive", "free", "queue", exponential(2)), t("serve", "queue", "free", exponential(3))),
     net(
         "two_machines",
@@ -94,7 +93,7 @@ def test_littles_law_on_the_path():
 
 
 def test_same_seed_same_run_in_every_process(data):
-    code = "import sys; from im_pnt.cli import main; main(['simulate', *sys.argv[1:]])"
+    code = "import sys; from im_pnt_analysis.cli import main; main(['simulate', *sys.argv[1:]])"
     files = [str(data / name) for name in ("dispatcher.yaml", "coordinator.yaml")]
     runs = []
     for seed, hashing in (("3", "1"), ("3", "2"), ("4", "1")):
@@ -202,7 +201,7 @@ DINERS = net(
 
 
 def test_replay_shows_each_marking_and_what_is_enabled():
-    steps = list(replay([DINERS], Script(("left1", "left2"), marking={"has1": 1, "has2": 1})))
+    steps = list(replay([DINERS], FiringSequence(("left1", "left2"), marking={"has1": 1, "has2": 1})))
     assert [step.marking for step in steps] == [{"f1": 1, "f2": 1}, {"f2": 1, "has1": 1}, {"has1": 1, "has2": 1}]
     assert steps[1].enabled == ("right1", "left2")
     assert steps[-1].enabled == ()
@@ -218,40 +217,43 @@ def test_counterexamples_of_verification_play():
         report = verify(nets)
         assert report.refusals
         for refusal in report.refusals:
-            steps = list(replay(nets, Script(refusal.sequence, refusal.repeat, marking=refusal.marking)))
+            steps = list(replay(nets, FiringSequence(refusal.sequence, refusal.repeat, marking=refusal.marking)))
             assert len(steps) == 1 + len(refusal.sequence) + len(refusal.repeat)
 
 
 @pytest.mark.parametrize(
-    ("script", "message"),
+    ("firings", "message"),
     [
         (
-            Script(("left1", "right2")),
+            FiringSequence(("left1", "right2")),
             "step 2: transition right2 is not enabled: place has2 holds 0 of the 1 tokens.*place f1 "
             "holds 0.*; enabled: right1, left2",
         ),
         (
-            Script(("left1", "lefd2")),
+            FiringSequence(("left1", "lefd2")),
             r"step 2: there is no transition 'lefd2' \(did you mean 'left2'\?\); enabled: right1",
         ),
-        (Script(("left1",), marking={"has2": 1}), "ends in another marking than it says: has2 holds 0 and not 1"),
-        (Script((), nets=("other",)), "the sequence is for the nets other; diners were given"),
+        (
+            FiringSequence(("left1",), marking={"has2": 1}),
+            "ends in another marking than it says: has2 holds 0 and not 1",
+        ),
+        (FiringSequence((), nets=("other",)), "the sequence is for the nets other; diners were given"),
     ],
 )
-def test_replay_says_where_a_sequence_goes_wrong(script, message):
+def test_replay_says_where_a_sequence_goes_wrong(firings, message):
     with pytest.raises(NetError, match=message):
-        list(replay([DINERS], script))
+        list(replay([DINERS], firings))
 
 
-def test_scripts_in_their_three_forms(tmp_path):
-    assert read_script("a -> b->c").sequence == ("a", "b", "c")
+def test_sequences_in_their_three_forms(tmp_path):
+    assert read_firing_sequence("a -> b->c").sequence == ("a", "b", "c")
     file = tmp_path / "steps.txt"
     file.write_text("# how it gets stuck\nleft1\nleft2 -> right1\n")
-    assert read_script(str(file)).sequence == ("left1", "left2", "right1")
+    assert read_firing_sequence(str(file)).sequence == ("left1", "left2", "right1")
     file.write_text(json.dumps({"nets": ["n"], "reason": "r", "sequence": ["a"], "repeat": ["b"], "marking": {"p": 2}}))
-    assert read_script(str(file)) == Script(("a",), ("b",), "r", ("n",), {"p": 2})
+    assert read_firing_sequence(str(file)) == FiringSequence(("a",), ("b",), "r", ("n",), {"p": 2})
     file.write_text(json.dumps({"sequence": ["a", "b"], "repeat_from": 1, "marking": None}))
-    assert read_script(str(file)) == Script(("a",), ("b",))
+    assert read_firing_sequence(str(file)) == FiringSequence(("a",), ("b",))
 
 
 @pytest.mark.parametrize(
@@ -266,10 +268,10 @@ def test_scripts_in_their_three_forms(tmp_path):
         (b"[" * 100_000, "is not JSON"),
     ],
 )
-def test_scripts_that_cannot_be_read(tmp_path, content, message):
-    file = tmp_path / "script"
+def test_sequences_that_cannot_be_read(tmp_path, content, message):
+    file = tmp_path / "firings"
     file.write_bytes(content)
     with pytest.raises(ImError, match=message):
-        read_script(str(file))
+        read_firing_sequence(str(file))
     with pytest.raises(ImError, match="cannot read the firing sequence"):
-        read_script(str(tmp_path / "nothing"))
+        read_firing_sequence(str(tmp_path / "nothing"))

@@ -4,15 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.clock import monotonic
-from im_pnt.analysis.bounds import place_bounds, structurally_bounded
-from im_pnt.analysis.closed import emptied_siphon, unmarked_siphon
-from im_pnt.analysis.coverability import coverability
-from im_pnt.analysis.reductions import reduce_for_deadlock
-from im_pnt.analysis.siphons import siphon_trap_property, siphons, traps
-from im_pnt.analysis.stubborn import find_deadlock, search
-from im_pnt.bench.nets import catching_philosophers, kanban
-from im_pnt.compiled import Compiled, compile_net
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.net import Net, Place, Transition
+from im_pnt_analysis.search.coverability import coverability
+from im_pnt_analysis.search.stubborn import find_deadlock, search
+from im_pnt_analysis.simulation.families import catching_philosophers, kanban
+from im_pnt_analysis.structure.reduction import reduce_for_deadlock
+from im_pnt_analysis.structure.siphons import emptied_siphon, siphon_trap_property, siphons, traps, unmarked_siphon
+from im_pnt_analysis.structure.state_equation import place_bounds, structurally_bounded
 
 Vector = tuple[int, ...]
 MOST = 400

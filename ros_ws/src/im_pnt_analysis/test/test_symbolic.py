@@ -3,12 +3,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from im_core.clock import monotonic
-from im_pnt.analysis.mdd import Diagram, deep_recursion
-from im_pnt.analysis.saturation import Saturation, event
-from im_pnt.analysis.symbolic import explore
-from im_pnt.bench.nets import catching_philosophers, kanban, ring
-from im_pnt.compiled import Compiled, compile_net
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.net import Net, Place, Transition
+from im_pnt_analysis.simulation.families import catching_philosophers, kanban, ring
+from im_pnt_analysis.symbolic.exploration import explore
+from im_pnt_analysis.symbolic.mdd import Diagram, deep_recursion
+from im_pnt_analysis.symbolic.saturation import Saturation, saturation_event
 
 Vector = tuple[int, ...]
 
@@ -134,7 +134,7 @@ def test_backward_search_stays_within_its_set_and_finds_all_of_it(net, random):
     allowed = 0
     for vector in within:
         allowed = diagram.union(allowed, diagram.single(vector))
-    undone = [event(compiled, diagram, t, backward=True) for t in range(len(compiled.transitions))]
+    undone = [saturation_event(compiled, diagram, t, backward=True) for t in range(len(compiled.transitions))]
     found = Saturation(diagram, undone, within=allowed).close(diagram.single(target))
     expected = can_reach(inside, [target])
     assert diagram.count(found) == len(expected)

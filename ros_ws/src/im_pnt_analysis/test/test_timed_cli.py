@@ -6,10 +6,10 @@ from xml.etree import ElementTree
 import pytest
 
 from im_core.errors import ImError
-from im_pnt.cli import main
-from im_pnt.cli.exits import BAD_INPUT, OK
-from im_pnt.events import Firing, Phase
-from im_pnt.timed.measured import Observation, observations, read_measurement
+from im_pnt.execution.notification import Firing, Phase
+from im_pnt_analysis.cli import main
+from im_pnt_analysis.cli.terminal import BAD_INPUT, OK
+from im_pnt_analysis.timed.measurement import MeasuredFiring, measured_firings, read_measurement
 
 QUEUE = """
 net: mm15
@@ -180,5 +180,5 @@ def test_observations_are_the_ends_of_firings():
     def firing(phase, duration):
         return Firing("n", "t", 1, phase, "", 0, "", duration, 0.0)
 
-    seen = observations([firing(Phase.START, 0.0), firing(Phase.END, 1.5), firing(Phase.FAILED, 2.0)])
-    assert seen == [Observation("n.t", 1.5), Observation("n.t", 2.0, failed=True)]
+    seen = measured_firings([firing(Phase.START, 0.0), firing(Phase.END, 1.5), firing(Phase.FAILED, 2.0)])
+    assert seen == [MeasuredFiring("n.t", 1.5), MeasuredFiring("n.t", 2.0, failed=True)]

@@ -4,14 +4,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.action import FunctionAction, RequestAction
-from im_pnt.delay import Delay, exponential
 from im_pnt.errors import NetError
-from im_pnt.net import Guard, Net, Place, Service, Transition
-from im_pnt.timed.comparison import compare
-from im_pnt.timed.durations import expected_command
-from im_pnt.timed.fit import fit_delays
-from im_pnt.timed.measured import Observation
+from im_pnt.model.action import FunctionAction, RequestAction
+from im_pnt.model.delay import Delay, exponential
+from im_pnt.model.net import Guard, Net, Place, Service, Transition
+from im_pnt_analysis.timed.durations import expected_command
+from im_pnt_analysis.timed.measurement import MeasuredFiring, compare, fit_delays
 
 
 def constant(value):
@@ -220,9 +218,9 @@ def test_measured_run_fits_and_compares():
     )
     model = Net("net", model.places, {n: part for n, part in model.transitions.items() if n != "regret"})
     moves = [3.0, 5.0, 4.0, 4.0]
-    seen = [Observation("net.init", 1.5), Observation("net.retry", 2.0)]
-    seen += [Observation("net.move", time, failed=time == 5.0) for time in moves]
-    seen += [Observation("net.again", 0.0)] * 3 + [Observation("net.enough", 0.0)]
+    seen = [MeasuredFiring("net.init", 1.5), MeasuredFiring("net.retry", 2.0)]
+    seen += [MeasuredFiring("net.move", time, failed=time == 5.0) for time in moves]
+    seen += [MeasuredFiring("net.again", 0.0)] * 3 + [MeasuredFiring("net.enough", 0.0)]
     (fitted,) = fit_delays([model], seen)
     assert fitted.transitions["init"].delay == constant(1.5)
     assert fitted.transitions["move"].delay.mean == pytest.approx(4.0)

@@ -2,7 +2,6 @@
 
 import math
 from fractions import Fraction
-from pathlib import Path
 
 import networkx as nx
 import numpy as np
@@ -10,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.action import FunctionAction, RequestAction
-from im_pnt.compiled import compile_net
-from im_pnt.delay import Delay, exponential
 from im_pnt.errors import NetError
-from im_pnt.net import Net, Place, Service, Transition
+from im_pnt.model.action import FunctionAction, RequestAction
+from im_pnt.model.compiled import compile_net
+from im_pnt.model.delay import Delay, exponential
+from im_pnt.model.net import Net, Place, Service, Transition
 from im_pnt.netfile import load_net
-from im_pnt.timed.steady import steady_state
+from im_pnt_analysis.timed.steady import steady_state
+from support.fixtures import NETS
 
 
 def t(name, inputs, outputs, delay=None, **more):
@@ -31,7 +31,7 @@ def net(name, marking, *transitions, **more):
     return Net(name, places, {one.name: one for one in transitions}, **more)
 
 
-MOLLOY = load_net(Path(__file__).parent / "data" / "molloy.yaml")
+MOLLOY = load_net(NETS / "molloy.yaml")
 
 
 def test_molloy_1982_comes_out_in_fractions():

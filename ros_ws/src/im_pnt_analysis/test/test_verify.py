@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.analysis.reachability import Limits
-from im_pnt.analysis.report import ANSWERS, Report
-from im_pnt.analysis.verify import verify
-from im_pnt.compiled import compile_net
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.compiled import compile_net
+from im_pnt.model.net import Net, Place, Transition
+from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.verify.report import ANSWERS, Report
+from im_pnt_analysis.verify.verdict import verify
 
 
 def net_of(name: str, tokens: dict[str, int], arcs: dict[str, tuple[dict[str, int], dict[str, int]]]) -> Net:
@@ -104,13 +104,13 @@ def test_numbers_stay_exact_beyond_a_word():
         2 * big + 1,
     )
     huge = net_of("huge", {"a": 10**30, "b": 0}, {"t": ({"a": 10**30}, {"b": 1})})
-    report = verify([huge], Limits(seconds=5.0))
+    report = verify([huge], SearchLimits(seconds=5.0))
     assert report.states == 2
     assert report.max_token_in_place == 10**30
 
 
 def test_what_the_limits_do_not_permit_is_null_with_a_reason():
-    report = verify([ring(30, 30)], Limits(states=2_000, seconds=0.0), structure=True)
+    report = verify([ring(30, 30)], SearchLimits(states=2_000, seconds=0.0), structure=True)
     assert report.bounded
     assert report.states is None
     for answer in ANSWERS:
@@ -120,10 +120,10 @@ def test_what_the_limits_do_not_permit_is_null_with_a_reason():
 
 
 def test_spaces_too_large_to_list_are_counted_all_the_same():
-    report = verify([ring(30, 30)], Limits(states=2_000))
+    report = verify([ring(30, 30)], SearchLimits(states=2_000))
     assert report.ok
     assert report.states == comb(59, 30)
-    report = verify([philosophers(20)], Limits(states=20_000))
+    report = verify([philosophers(20)], SearchLimits(states=20_000))
     assert (report.states, report.deadlock_states, len(report.refusals[0].sequence)) == (3**20, 2, 20)
 
 
@@ -228,9 +228,7 @@ class Reference:
             "reversible": all(first in found for found in reach.values()),
             "terminal_sccs": len(terminal),
             "resources_return": not dead
-            and all(
-                any(other[i] >= first[i] for other in reach[m]) for m in self.arcs for i in range(len(self.names))
-            ),
+            and all(any(other[i] >= first[i] for other in reach[m]) for m in self.arcs for i in range(len(self.names))),
         }
 
 
@@ -252,7 +250,7 @@ def replayed(net: Net, report: Report, times: int = 1) -> tuple[int, ...]:
 def test_every_answer_agrees_with_the_definition(spec):
     net = built(spec)
     reference = Reference(net, 150)
-    report = verify([net], Limits(states=1_000, seconds=0.2))
+    report = verify([net], SearchLimits(states=1_000, seconds=0.2))
     if report.refusals:
         replayed(net, report)
     if reference.over:
@@ -271,7 +269,7 @@ def test_every_answer_agrees_with_the_definition(spec):
 @given(specs)
 def test_growth_can_be_repeated_for_ever(spec):
     net = built(spec)
-    report = verify([net], Limits(states=1_000, seconds=0.2))
+    report = verify([net], SearchLimits(states=1_000, seconds=0.2))
     if report.bounded is False:
         assert Reference(net, 2_000).over
         assert report.refusals[0].repeat

@@ -4,13 +4,12 @@ import argparse
 from pathlib import Path
 
 from im_core.errors import ImError
-from im_pnt.cli.exits import OK, Subcommands
-from im_pnt.cli.output import write_output
-from im_pnt.draw import dot, draw, svg
 from im_pnt.netfile import load_net
+from im_pnt_analysis.cli.terminal import OK, write_output
+from im_pnt_display.drawing.draw import dot, draw, svg
 
 
-def add(commands: Subcommands) -> None:
+def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Adds the command to the parser."""
     parser = commands.add_parser("draw", help="draw a net", description="Draws a net file.")
     parser.set_defaults(run=run)

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from im_pnt.display.story import story
 from im_pnt.errors import NetError
 from im_pnt.netfile import parse_net
-from im_pnt.replay import Script
+from im_pnt_analysis.simulation.replay import FiringSequence
+from im_pnt_display.page.counterexample import drawn_counterexample
 
 ALONE = """
 net: alone
@@ -31,7 +31,8 @@ transitions:
 
 
 def test_each_step_has_the_marking_that_it_leads_to():
-    told = json.loads(json.dumps(story([parse_net(ALONE)], Script(("t.start", "t.failed"), reason="c is a trap"))))
+    firings = FiringSequence(("t.start", "t.failed"), reason="c is a trap")
+    told = json.loads(json.dumps(drawn_counterexample([parse_net(ALONE)], firings)))
     assert told["reason"] == "c is a trap"
     assert [step["fired"] for step in told["steps"]] == ["", "t.start", "t.failed"]
     assert [step["markings"] for step in told["steps"]] == [
@@ -45,7 +46,7 @@ def test_each_step_has_the_marking_that_it_leads_to():
 
 def test_a_composition_is_told_net_by_net():
     nets = [parse_net(CALLER), parse_net(SERVER)]
-    told = story(nets, Script(("caller.ask.start",)))
+    told = drawn_counterexample(nets, FiringSequence(("caller.ask.start",)))
     assert [net["net"] for net in told["drawings"]] == ["caller", "server"]
     assert told["steps"][0]["markings"] == {"caller": {"idle": 1}, "server": {"SI": 1, "SO": 1}}
     after = told["steps"][1]["markings"]
@@ -55,11 +56,11 @@ def test_a_composition_is_told_net_by_net():
 
 def test_what_can_be_repeated_for_ever_is_marked():
     net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: [a, b]}}")
-    told = story([net], Script(("t",), repeat=("t",)))
+    told = drawn_counterexample([net], FiringSequence(("t",), repeat=("t",)))
     assert told["repeats"] == 1
     assert told["steps"][-1]["markings"] == {"n": {"a": 1, "b": 2}}
 
 
 def test_a_sequence_that_does_not_fit_is_refused():
     with pytest.raises(NetError, match="not enabled"):
-        story([parse_net(ALONE)], Script(("t.end",)))
+        drawn_counterexample([parse_net(ALONE)], FiringSequence(("t.end",)))

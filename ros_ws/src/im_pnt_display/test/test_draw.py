@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.action import FunctionAction
-from im_pnt.delay import Delay
-from im_pnt.draw import dot, draw, svg
-from im_pnt.layout import Box, layered
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.action import FunctionAction
+from im_pnt.model.delay import Delay
+from im_pnt.model.net import Net, Place, Transition
 from im_pnt.netfile import load_net
+from im_pnt_display import dot, draw, svg
+from im_pnt_display.drawing.layout import NodeBox, layered
 
-boxes = st.builds(Box, st.floats(5, 60), st.floats(5, 60), st.floats(10, 50))
+boxes = st.builds(NodeBox, st.floats(5, 60), st.floats(5, 60), st.floats(10, 50))
 
 
 @st.composite

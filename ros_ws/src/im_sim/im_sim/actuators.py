@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_core.robot import Cell
+from im_cell.robot import Cell
 from im_sim.dynamics import Dynamics
 from im_sim.friction import DryFriction
 

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_core.robot import Cell, urdf
-from im_core.testbed_link import JawObject
+from im_cell.link import JawObject
+from im_cell.robot import Cell, urdf
 
 
 class Dynamics:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.testbed_link import ExposureRequest, LaserBeam, TestbedLink
+from im_cell.link import ExposureRequest, HostEnd, LaserBeam
 from im_sim.laser import Laser
 
 
@@ -14,7 +14,7 @@ class Exposures:
         link: Where requests come from and results go to.
     """
 
-    def __init__(self, link: TestbedLink) -> None:
+    def __init__(self, link: HostEnd) -> None:
         self._link = link
         self._request: ExposureRequest | None = None
         self._start = 0

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.robot import Gripper
-from im_core.testbed_link import JawObject
+from im_cell.link import JawObject
+from im_cell.robot import Gripper
 
 
-class Grippers:
-    """Both grippers.
+class GripperJaws:
+    """The jaws of both grippers.
 
     Jaws close on an object of width ``w`` and stiffness ``k`` until ``k (w - opening)`` is the force allowed; with less
     force allowed later, the object pushes them apart.

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from im_core.robot.scenery import LaserScanner
-from im_core.testbed_link import LaserBeam
+from im_cell.link import LaserBeam
+from im_cell.robot import LaserScanner
 
 _STREAM = 5
 

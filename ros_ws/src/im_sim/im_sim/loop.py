@@ -1,7 +1,7 @@
 """The tick loop of the physics process."""
 
+from im_cell.link import HostEnd, LaserBeam
 from im_core import clock
-from im_core.testbed_link import LaserBeam, TestbedLink
 from im_sim.exposures import Exposures
 from im_sim.laser import Laser
 from im_sim.plant import Plant
@@ -20,7 +20,7 @@ class TickLoop:
         link: Created, not yet published; the first state opens it.
     """
 
-    def __init__(self, plant: Plant, laser: Laser, link: TestbedLink) -> None:
+    def __init__(self, plant: Plant, laser: Laser, link: HostEnd) -> None:
         self._plant = plant
         self._laser = laser
         self._link = link

@@ -1,4 +1,4 @@
-"""Faults and objects of a testbed by name."""
+"""The panel of a testbed: faults, objects between the jaws, and wrist lights by name."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.link import Faults, JawObject, PanelEnd
+from im_cell.robot import Cell
 from im_core.errors import DataError, NotFoundError
-from im_core.robot import Cell
-from im_core.testbed_link import Faults, JawObject, TestbedLink
 
 LONGEST_STALL_S = 60.0
 _OF_JOINTS = ("encoder_nan", "encoder_frozen", "brake_stuck", "brake_open")
@@ -20,10 +20,10 @@ class FaultPanel:
 
     Args:
         cell: Names of joints and grippers.
-        link: Of the testbed.
+        link: The testbed's panel.
     """
 
-    def __init__(self, cell: Cell, link: TestbedLink) -> None:
+    def __init__(self, cell: Cell, link: PanelEnd) -> None:
         self._joints = cell.joint_names
         self._grippers = tuple(f"{side}_gripper" for side in cell.sides)
         self._link = link
@@ -99,3 +99,29 @@ class FaultPanel:
         if faults.power_loss:
             broken.append("power_loss")
         return f"broken: {', '.join(broken)}" if broken else "nothing is broken"
+
+
+class Lights:
+    """Switches the lights of a testbed.
+
+    Args:
+        link: The testbed's panel.
+    """
+
+    def __init__(self, link: PanelEnd) -> None:
+        self._link = link
+
+    def switch(self, name: str, on: bool) -> None:
+        """Switch a light; exposures see it from the next tick on.
+
+        Raises:
+            NotFoundError: There is no light of that name.
+        """
+        names = self._link.light_names
+        if name not in names:
+            raise NotFoundError(kind="light", name=name, known=names)
+        self._link.set_light(names.index(name), on)
+
+    def state(self) -> dict[str, bool]:
+        """Which lights are switched on."""
+        return dict(zip(self._link.light_names, self._link.lights(), strict=True))

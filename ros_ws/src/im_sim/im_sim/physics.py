@@ -6,10 +6,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from im_cell.link import HostEnd
+from im_cell.robot import load_cell
 from im_core import scheduling
 from im_core.errors import ImError
-from im_core.robot import load_cell
-from im_core.testbed_link import TestbedLink
 from im_sim.laser import Laser
 from im_sim.loop import TickLoop
 from im_sim.plant import Plant
@@ -49,7 +49,7 @@ def simulate(instance: str, config: Path | None, period: float, factor: float, s
     if period != 0.0:
         cell = cell.at_period(period)
     n_joints = len(cell.joints)
-    with TestbedLink.create(instance, n_joints, cell.period, factor, seed, cell.light_names) as link:
+    with HostEnd.create(instance, n_joints, cell.period, factor, seed, cell.light_names) as link:
         plant = Plant(cell, seed)
         loop = TickLoop(plant, Laser(cell.laser, cell.period, seed), link)
         for number in (signal.SIGTERM, signal.SIGINT):

@@ -3,15 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.robot import Cell
-from im_core.testbed_link import Command, Faults, JawObject, Sensors
+from im_cell.link import Faults, JawObject, Sensors, TickCommand
+from im_cell.robot import Cell
 from im_sim.actuators import Actuators
 from im_sim.dynamics import Dynamics
-from im_sim.encoders import Encoders
-from im_sim.grippers import Grippers
-from im_sim.noise import ForceSensors
+from im_sim.grippers import GripperJaws
+from im_sim.sensors import Encoders, ForceSensors, WristSensors
 from im_sim.world import World
-from im_sim.wrist_sensors import WristSensors
 
 _AT_REST = 1e-12
 _JAW_STREAM = 3
@@ -37,7 +35,7 @@ class Plant:
         self._world = World(cell, self._dt)
         self._dynamics = Dynamics(cell)
         self._actuators = Actuators(cell, self._dynamics, self._dt)
-        self._grippers = Grippers(cell.gripper)
+        self._grippers = GripperJaws(cell.gripper)
         self._encoders = Encoders(cell, seed)
         self._wrists = WristSensors(cell, self._dynamics, seed)
         self._jaws = ForceSensors([cell.gripper.force_sensor] * len(cell.sides), seed, _JAW_STREAM)
@@ -90,7 +88,7 @@ class Plant:
         self._grippers.put(objects)
         self._dynamics.carry(self._grippers.held())
 
-    def run_tick(self, command: Command | None) -> None:
+    def run_tick(self, command: TickCommand | None) -> None:
         """One tick under a command; without one, power is off. Without power every brake is engaged.
 
         What stands still after a step, with every joint stuck, is not stepped again before the next tick.

@@ -4,10 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from im_core.robot import Camera, Cell
-from im_core.robot.parameters import Vector
-from im_core.robot.scenery import LaserScanner
-from im_core.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth, Matrix
+from im_cell.robot import Camera, Cell, LaserScanner, Vector
+from im_cell.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth, Matrix
 
 FOCAL_SPREAD = 0.02
 ASPECT_SPREAD = 0.001

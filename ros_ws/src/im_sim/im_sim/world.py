@@ -10,8 +10,8 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
+from im_cell.robot import Cell, urdf
 from im_core.errors import DataError
-from im_core.robot import Cell, urdf
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,21 @@
 """The simulated cameras: light where the lens puts it, hidden by the arm, noise as stated and repeatable."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from im_core.camera_model import CameraModel
-from im_core.robot import load_cell
-from im_core.testbed_link import Exposure
-from im_vss.camera.bank import CameraBank
-from im_vss.camera.lens import Lens
-from im_vss.camera.scene import SceneMirror
-from im_vss.camera.sensor import noise_stream, read_out
+from bench.vss.cameras import simulated
+from im_cell.camera_model import CameraModel
+from im_cell.frames import FrameSourceSetup
+from im_cell.link import Exposure
+from im_cell.robot import load_cell
+from im_core.errors import ConfigError
+from im_sim.cameras.bank import CameraBank
+from im_sim.cameras.host import CameraHost
+from im_sim.cameras.lens import Lens
+from im_sim.cameras.scene import SceneMirror
+from im_sim.cameras.sensor import noise_stream, read_out
 from im_vss.camera_book import nominal
 from im_vss.settings import load_settings
 from im_vss.spot import find_spot
@@ -22,7 +28,7 @@ DISTORTION = (-0.22, 0.04, 7e-4, -5e-4, 0.0)
 @pytest.fixture(scope="module")
 def bank(make_truth):
     scene = SceneMirror(CELL, "tiny")
-    yield CameraBank(CELL, make_truth(CELL), SETTINGS, scene, seed=1)
+    yield CameraBank(CELL, make_truth(CELL), simulated(SETTINGS), scene, seed=1)
     scene.close()
 
 
@@ -98,6 +104,14 @@ def test_noise_has_the_variance_of_the_data_sheet():
     read_out(mean, SETTINGS.sensor, noise_stream(1, "wall", 0, 0), out)
     np.testing.assert_allclose(out.var(axis=1), SETTINGS.sensor.variance(mean[:, 0]), rtol=0.06)
     np.testing.assert_allclose(out.mean(axis=1), mean[:, 0], atol=0.2)
+
+
+def test_settings_of_the_cameras_own_are_checked():
+    setup = FrameSourceSetup(CELL, None, ("wall",), SETTINGS.sensor, 0.018, 1.0, {"renderer": "elg"})
+    with pytest.raises(ConfigError, match=r"frame_source\.settings\.renderer: 'elg': .*'egl'"):
+        CameraHost(setup)
+    with pytest.raises(ConfigError, match=r"frame_source\.settings\.render: .*'renderer'"):
+        CameraHost(replace(setup, settings={"render": "egl"}))
 
 
 def test_lens_warps_as_the_camera_model_projects():

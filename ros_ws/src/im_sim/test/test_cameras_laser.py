@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from im_core.robot import load_cell
-from im_core.testbed_link import Exposure, LaserBeam
-from im_vss.camera.bank import CameraBank
-from im_vss.camera.laser import LaserLight
-from im_vss.camera.scene import SceneMirror
-from im_vss.camera.targets import BLACK, WHITE
+from bench.vss.cameras import simulated
+from im_cell.link import Exposure, LaserBeam
+from im_cell.robot import load_cell
+from im_sim.cameras.bank import CameraBank
+from im_sim.cameras.laser import LaserLight
+from im_sim.cameras.plates import BLACK, WHITE
+from im_sim.cameras.scene import SceneMirror
 from im_vss.settings import load_settings
 
 CELL = load_cell()
@@ -101,17 +102,20 @@ def test_a_plate_hides_the_spot_from_a_camera_above_it(scene, scanner, make_trut
     between = tuple((spot + 0.5 * (camera - spot)).tolist())
     shade = PLATES["table_disc"].model_copy(update={"position": between, "name": "shade"})
     for cell, seen in ((CELL, True), (CELL.model_copy(update={"targets": (*CELL.targets, shade)}), False)):
-        bank = CameraBank(cell, make_truth(cell), SETTINGS, scene, seed=1)
+        bank = CameraBank(cell, make_truth(cell), simulated(SETTINGS), scene, seed=1)
         images = [bank.expected("ceiling_left", shown, 0.018, SETTINGS.sensor) for shown in (lit, dark)]
         assert (np.abs(images[0] - images[1]).max() > 20.0) == seen
 
 
 def test_a_plate_hides_a_wrist_light(scene, make_truth):
-    seen = CameraBank(CELL, make_truth(CELL), SETTINGS, scene, seed=1).spot("ceiling_left", "left_led")
+    seen = CameraBank(CELL, make_truth(CELL), simulated(SETTINGS), scene, seed=1).spot("ceiling_left", "left_led")
     assert seen is not None
     rotation, wrist = scene.pose("left_wrist")
     light, camera = wrist + rotation @ CELL.led.offset, np.array(CELL.cameras["ceiling_left"].position)
     between = tuple((0.5 * (light + camera)).tolist())
     shade = PLATES["table_disc"].model_copy(update={"position": between, "name": "shade"})
     shaded = CELL.model_copy(update={"targets": (*CELL.targets, shade)})
-    assert CameraBank(shaded, make_truth(shaded), SETTINGS, scene, seed=1).spot("ceiling_left", "left_led") is None
+    assert (
+        CameraBank(shaded, make_truth(shaded), simulated(SETTINGS), scene, seed=1).spot("ceiling_left", "left_led")
+        is None
+    )

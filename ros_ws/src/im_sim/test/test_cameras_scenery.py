@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from im_core.camera_model import CameraModel
-from im_core.robot import load_cell
-from im_core.robot.scenery import Lamp, Mirror
-from im_core.testbed_link import Exposure
-from im_vss.camera.bank import CameraBank
-from im_vss.camera.lens import vignette
-from im_vss.camera.mirror import reflect
-from im_vss.camera.scene import SceneMirror
-from im_vss.frames import SensorControls
+from bench.spot.trials import Lamp as Light
+from bench.spot.trials import spot_image
+from bench.vss.cameras import simulated
+from im_cell.camera_model import CameraModel
+from im_cell.link import Exposure
+from im_cell.robot import Lamp, Mirror, load_cell
+from im_cell.sensor import SensorControls
+from im_sim.cameras.bank import CameraBank
+from im_sim.cameras.lens import vignette
+from im_sim.cameras.light import reflect
+from im_sim.cameras.scene import SceneMirror
 from im_vss.settings import load_settings
-from im_vss.spot.evaluation.trials import Lamp as Light
-from im_vss.spot.evaluation.trials import spot_image
 
 CELL = load_cell()
 SETTINGS = load_settings(CELL)
@@ -37,7 +37,7 @@ def exposure(q=CELL.home, on=1.0, ticks=(10, 14)):
 def test_centre_of_the_light_is_right_to_a_fiftieth_of_a_pixel(scene, make_truth):
     """Against the true camera and the wrist's true pose, by a fit that shares nothing with the renderer."""
     truth = make_truth(CELL)
-    bank = CameraBank(CELL, truth, SETTINGS, scene, seed=1)
+    bank = CameraBank(CELL, truth, simulated(SETTINGS), scene, seed=1)
     rng = np.random.default_rng(1)
     worst = 0.0
     for _ in range(12):
@@ -86,7 +86,9 @@ def test_metal_shows_the_light_a_second_time(scene, make_truth):
     floor = Mirror(
         name="f", link="world", center=(0.0, 0.0, 0.0), axis="z", size=(6.0, 6.0), reflectance=0.5, roughness=0.0
     )
-    bank = CameraBank(CELL.model_copy(update={"mirrors": (floor,)}), make_truth(CELL), SETTINGS, scene, seed=1)
+    bank = CameraBank(
+        CELL.model_copy(update={"mirrors": (floor,)}), make_truth(CELL), simulated(SETTINGS), scene, seed=1
+    )
     q, wrist = CELL.home.copy(), CELL.joint_names.index("left_j6")
     for turn in np.linspace(-np.pi, np.pi, 13):  # until the light faces both the floor and the camera
         q[wrist] = turn
@@ -103,7 +105,7 @@ def test_metal_shows_the_light_a_second_time(scene, make_truth):
 
 def test_a_lamp_blinks_in_testbed_time(scene, make_truth):
     lamp = Lamp(name="l", position=(0.3, 0.9, 1.2), brightness=1.0, period=0.9, duty=0.5)
-    bank = CameraBank(CELL.model_copy(update={"lamps": (lamp,)}), make_truth(CELL), SETTINGS, scene, seed=1)
+    bank = CameraBank(CELL.model_copy(update={"lamps": (lamp,)}), make_truth(CELL), simulated(SETTINGS), scene, seed=1)
     during = {"lit": (10, 14), "dark": (110, 114), "half": (98, 102)}  # ticks of 4.5 ms; it goes out at 0.45 s
     light = {name: bank.expected("ceiling_left", exposure(on=0.0, ticks=ticks), EXPOSURE_S, SENSOR)
              for name, ticks in during.items()}  # fmt: skip
@@ -114,7 +116,7 @@ def test_a_lamp_blinks_in_testbed_time(scene, make_truth):
 
 
 def test_an_arm_hides_a_plate(scene, make_truth):
-    bank = CameraBank(CELL, make_truth(CELL), SETTINGS, scene, seed=1)
+    bank = CameraBank(CELL, make_truth(CELL), simulated(SETTINGS), scene, seed=1)
     with_arm = bank.expected("wall", exposure(on=0.0), EXPOSURE_S, SENSOR)
     away = CELL.home.copy()
     away[CELL.joint_names.index("left_j2")] -= 0.9
@@ -129,7 +131,7 @@ def test_an_arm_hides_a_plate(scene, make_truth):
 
 
 def test_gain_and_noise_of_a_sensor(scene, make_truth):
-    bank = CameraBank(CELL, make_truth(CELL), SETTINGS, scene, seed=1)
+    bank = CameraBank(CELL, make_truth(CELL), simulated(SETTINGS), scene, seed=1)
     amplified = SensorControls(gain=2.0, noise=3.0).of(SENSOR)
     plain = bank.expected("wall", exposure(on=0.0), EXPOSURE_S, SENSOR) - SENSOR.black_level
     bright = bank.expected("wall", exposure(on=0.0), EXPOSURE_S, amplified) - SENSOR.black_level

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_core.robot import load_cell, urdf
+from im_cell.robot import load_cell, urdf
 from im_sim.actuators import Actuators
 from im_sim.dynamics import Dynamics
 from im_sim.world import World

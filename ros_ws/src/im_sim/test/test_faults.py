@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from im_cell.link import Faults, HostEnd, PanelEnd, ServoEnd, TickCommand
+from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError
-from im_core.robot import load_cell
 from im_core.shm import remove_all
-from im_core.testbed_link import Command, Faults, TestbedLink
-from im_sim.faults import FaultPanel
 from im_sim.laser import Laser
 from im_sim.loop import TickLoop
+from im_sim.panel import FaultPanel
 from im_sim.plant import Plant
 
 CELL = load_cell()
@@ -38,7 +38,7 @@ def run(plant, ticks, first=0):
     seen = []
     for tick in range(first, first + ticks):
         seen.append(plant.sensors(tick))
-        plant.run_tick(Command(np.zeros(N), True, FREE, np.zeros(2), True, np.full(2, np.inf)))
+        plant.run_tick(TickCommand(np.zeros(N), True, FREE, np.zeros(2), True, np.full(2, np.inf)))
     return seen
 
 
@@ -90,7 +90,7 @@ def test_an_open_brake_lets_its_joint_fall_and_says_so(plant, power):
     before = plant.q
     for tick in range(30):
         seen = plant.sensors(tick)
-        plant.run_tick(Command(np.zeros(N), power, ~FREE, np.zeros(2), True, np.full(2, np.inf)))
+        plant.run_tick(TickCommand(np.zeros(N), power, ~FREE, np.zeros(2), True, np.full(2, np.inf)))
     assert np.flatnonzero(~seen.brakes).tolist() == [5]
     assert abs(plant.q - before)[5] > 1e-3
     assert np.delete(np.abs(plant.q - before), 5).max() < 1e-6
@@ -102,10 +102,10 @@ def test_an_open_brake_lets_its_joint_fall_and_says_so(plant, power):
 
 
 def test_faults_and_objects_travel_over_the_link(plant):
-    with TestbedLink.create(INSTANCE, factor=0.0) as host:
+    with HostEnd.create(INSTANCE, factor=0.0) as host:
         loop = TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
-        client = TestbedLink.attach(INSTANCE, 1.0)
-        panel = FaultPanel(CELL, client)
+        client, end = ServoEnd.attach(INSTANCE, 1.0), PanelEnd.attach(INSTANCE, 1.0)
+        panel = FaultPanel(CELL, end)
         assert panel.inject("encoder_nan", "left_j3", True, 0.0) == "broken: encoder_nan of left_j3"
         panel.inject("brake_stuck", "right_j1", True, 0.0)
         said = panel.inject("brake_open", "right_j2", True, 0.0)
@@ -128,12 +128,15 @@ def test_faults_and_objects_travel_over_the_link(plant):
         assert host.take_stall() == 0.3
         assert host.take_stall() == 0.0
         client.close()
+        end.close()
     assert remove_all(INSTANCE) == []
 
 
 def test_faults_that_cannot_be_are_refused_and_change_nothing(plant):
-    with TestbedLink.create(INSTANCE, factor=0.0) as link:
-        panel = FaultPanel(CELL, link)
+    with HostEnd.create(INSTANCE, factor=0.0) as host:
+        TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
+        end = PanelEnd.attach(INSTANCE, 1.0)
+        panel = FaultPanel(CELL, end)
         with pytest.raises(NotFoundError, match=r"there is no fault 'encoder_nann'; did you mean 'encoder_nan'"):
             panel.inject("encoder_nann", "left_j3", True, 0.0)
         with pytest.raises(NotFoundError, match="there is no joint 'left_j7'"):
@@ -146,4 +149,5 @@ def test_faults_that_cannot_be_are_refused_and_change_nothing(plant):
             panel.put_in_jaws("gripper", 0.1, 1.0, 1.0)
         with pytest.raises(DataError, match="cannot be"):
             panel.put_in_jaws("left_gripper", 0.1, -1.0, 1.0)
-        assert not link.disturbed()
+        assert not host.disturbed()
+        end.close()

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from im_cell.link import JawObject
+from im_cell.robot import load_cell
 from im_core.errors import DataError
-from im_core.robot import load_cell
-from im_core.testbed_link import JawObject
-from im_sim.grippers import Grippers
+from im_sim.grippers import GripperJaws
 
 GRIPPER = load_cell().gripper
 DT = 0.0045
@@ -15,7 +15,7 @@ WIDTH, STIFFNESS = 0.03, 1.0e4
 
 @pytest.fixture
 def grippers():
-    return Grippers(GRIPPER)
+    return GripperJaws(GRIPPER)
 
 
 def run(grippers, ticks, opening, force=(np.inf, np.inf)):

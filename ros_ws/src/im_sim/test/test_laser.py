@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from im_core.robot import load_cell
-from im_core.testbed_link import LaserBeam, TestbedLink
+from im_cell.link import HostEnd, LaserBeam, LaserEnd, Sensors
+from im_cell.robot import load_cell
 from im_sim.exposures import Exposures
 from im_sim.laser import Laser
 from im_sim.truth import draw_truth
@@ -61,7 +61,7 @@ def test_where_mirrors_really_are_is_drawn_anew_for_each_command_from_the_seed()
 
 
 def test_an_exposure_sees_the_mean_and_its_strobe():
-    with TestbedLink.create(f"imlaser{os.getpid()}", n_joints=2, period_s=PERIOD_S, factor=0.0) as host:
+    with HostEnd.create(f"imlaser{os.getpid()}", n_joints=2, period_s=PERIOD_S, factor=0.0) as host:
         exposures, q, beam = Exposures(host), np.zeros(2), LaserBeam(0.1, 0.2, 0.05, 0.5)
         view = host._shared.view
         for number, blank in enumerate((False, True), 1):
@@ -75,13 +75,16 @@ def test_an_exposure_sees_the_mean_and_its_strobe():
 
 
 def test_commands_and_readings_travel_over_the_link():
-    with TestbedLink.create(f"imlaser{os.getpid()}", n_joints=2, factor=0.0) as link:
-        beam = LaserBeam(0.1, 0.2, 0.05, 0.5)
-        link.set_laser(beam)
-        assert link.laser_command() == beam
-        assert link.laser() == LaserBeam()
-        link.publish_laser(beam)
-        assert link.laser() == beam
+    instance, two = f"imlaser{os.getpid()}", np.zeros(2)
+    with HostEnd.create(instance, n_joints=2, factor=0.0) as host:
+        host.publish_state(0, Sensors(two, False, two > 0.0, two, two, np.zeros((2, 6)), two), two, two)
+        with LaserEnd.attach(instance, 1.0) as laser:
+            beam = LaserBeam(0.1, 0.2, 0.05, 0.5)
+            laser.set_laser(beam)
+            assert host.laser_command() == beam
+            assert laser.laser() == LaserBeam()
+            host.publish_laser(beam)
+            assert laser.laser() == beam
 
 
 def test_the_true_scanner_is_within_its_tolerances_and_another_for_each_seed():

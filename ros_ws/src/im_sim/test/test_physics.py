@@ -9,10 +9,10 @@ import sys
 import numpy as np
 import pytest
 
+from im_cell.link import CameraEnd, HostEnd, PanelEnd, ServoEnd, TickCommand
 from im_core import clock
 from im_core.errors import LinkError
 from im_core.shm import remove_all
-from im_core.testbed_link import Command, Slot, TestbedLink
 
 INSTANCE = f"imtest{os.getpid()}"
 N = 18
@@ -37,23 +37,23 @@ def physics(*arguments, instance=INSTANCE):
 
 
 @contextlib.contextmanager
-def attached(instance=INSTANCE):
-    link = TestbedLink.attach(instance, timeout_s=15.0)
-    yield link
-    link.close()
+def attached(*kinds, instance=INSTANCE):
+    """Ends of the link, one of each kind."""
+    with contextlib.ExitStack() as stack:
+        yield [stack.enter_context(kind.attach(instance, timeout_s=15.0)) for kind in kinds]
 
 
-def drive(link, ticks, tau):
+def drive(servo, time, ticks, tau):
     """Be the servo for some ticks; the states seen, as bytes."""
-    link.attach_servo(os.getpid())
-    link.request_time(Slot.MCS, 1)
+    servo.attach_servo(os.getpid())
+    time.request_time(1)
     seen = []
     for count in range(ticks):
-        assert link.wait_state(2.0)
-        state = link.read_state()
+        assert servo.wait_state(2.0)
+        state = servo.read_state()
         seen.append((state.tick, state.q.tobytes(), state.gripper.tobytes()))
-        link.write_command(Command(tau * np.sin(0.1 * count), True, FREE, CLOSED, count < ticks - 1, CLOSED))
-    link.wait_tick(ticks, timeout_s=2.0)
+        servo.write_command(TickCommand(tau * np.sin(0.1 * count), True, FREE, CLOSED, count < ticks - 1, CLOSED))
+    time.wait_tick(ticks, timeout_s=2.0)
     return seen
 
 
@@ -63,62 +63,63 @@ def test_two_processes_with_one_seed_give_the_same_bits():
     runs = []
     with physics(*options), physics(*options, instance=f"{INSTANCE}b"):
         for instance in (INSTANCE, f"{INSTANCE}b"):
-            with attached(instance) as link:
-                runs.append(drive(link, 100, tau))
-                assert np.abs(link.read_truth().v).max() > 0.01
+            with attached(ServoEnd, PanelEnd, HostEnd, instance=instance) as (servo, time, host):
+                runs.append(drive(servo, time, 100, tau))
+                assert np.abs(host.read_truth().v).max() > 0.01
     assert runs[0] == runs[1]
 
 
 def test_a_session_at_factor_0():
-    with physics("--factor", "0", "--seed", "1") as process, attached() as link:
+    ends = CameraEnd, HostEnd, PanelEnd, ServoEnd
+    with physics("--factor", "0", "--seed", "1") as process, attached(*ends) as (camera, host, panel, servo):
         clock.sleep(0.05)
-        assert link.tick == 0, "time passes only while something waits for it"
-        state = link.read_state()
+        assert panel.tick == 0, "time passes only while something waits for it"
+        state = servo.read_state()
         assert not state.power
         assert state.brakes.all()
 
-        link.set_light(0, True)
-        on = link.expose(3, blank_light=False, timeout_s=2.0)
-        off = link.expose(3, blank_light=True, timeout_s=2.0)
+        panel.set_light(0, True)
+        on = camera.expose(3, blank_light=False, timeout_s=2.0)
+        off = camera.expose(3, blank_light=True, timeout_s=2.0)
         assert (on.start_tick, on.end_tick, off.start_tick, off.end_tick) == (0, 3, 3, 6)
         assert on.light_fraction == {"left_led": 1.0, "right_led": 0.0}
         assert off.light_fraction == {"left_led": 0.0, "right_led": 0.0}
-        np.testing.assert_allclose(on.q_true, link.read_truth().q, atol=1e-12)
+        np.testing.assert_allclose(on.q_true, host.read_truth().q, atol=1e-12)
         assert np.abs(on.q_true - state.q).max() < 1e-4
 
-        link.wait_tick(link.request_time(Slot.TESTBED, 1000), timeout_s=10.0)
-        assert link.tick == 1006
+        panel.wait_tick(panel.request_time(1000), timeout_s=10.0)
+        assert panel.tick == 1006
 
         process.send_signal(signal.SIGTERM)
         assert process.wait(2.0) == 0
         with pytest.raises(LinkError, match="physics process is gone"):
-            link.expose(1, blank_light=False, timeout_s=2.0)
+            camera.expose(1, blank_light=False, timeout_s=2.0)
         with pytest.raises(LinkError, match="does not exist"):
-            TestbedLink.attach(INSTANCE, timeout_s=0.0)
+            ServoEnd.attach(INSTANCE, timeout_s=0.0)
 
 
 def test_real_time_keeps_pace_alone_and_outlives_its_servo():
-    with physics("--factor", "1"), attached() as link:
-        link.wait_tick(20, timeout_s=5.0)  # the loop runs
-        start, begin = link.tick, clock.monotonic()
+    with physics("--factor", "1"), attached(PanelEnd, ServoEnd) as (panel, servo):
+        panel.wait_tick(20, timeout_s=5.0)  # the loop runs
+        start, begin = panel.tick, clock.monotonic()
         clock.sleep(0.3)
-        passed, wall = (link.tick - start) * link.period_s, clock.monotonic() - begin
+        passed, wall = (panel.tick - start) * panel.period_s, clock.monotonic() - begin
         assert 0.5 * wall < passed < wall + 0.05  # how evenly, the bench tells
 
-        link.attach_servo(os.getpid())
-        assert link.wait_state(1.0)
-        link.write_command(Command(np.zeros(N), True, HELD, CLOSED, True, CLOSED))
-        assert link.wait_state(1.0)
-        assert link.read_state().power
-        link.wait_tick(link.tick + 10, timeout_s=3.0)  # no further command: declared gone after 0.5 s
-        assert link.read_truth().servo_losses == 1
-        state = link.read_state()
+        servo.attach_servo(os.getpid())
+        assert servo.wait_state(1.0)
+        servo.write_command(TickCommand(np.zeros(N), True, HELD, CLOSED, True, CLOSED))
+        assert servo.wait_state(1.0)
+        assert servo.read_state().power
+        panel.wait_tick(panel.tick + 10, timeout_s=3.0)  # no further command: declared gone after 0.5 s
+        assert panel.servo_losses == 1
+        state = servo.read_state()
         assert not state.power
         assert state.brakes.all()
 
 
 def test_a_killed_machine_is_replaced_and_a_living_one_is_not():
-    with physics("--factor", "0") as first, attached() as old:
+    with physics("--factor", "0") as first, attached(ServoEnd) as (old,):
         second = subprocess.run(
             [*first.args], capture_output=True, text=True, check=False,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
@@ -128,8 +129,8 @@ def test_a_killed_machine_is_replaced_and_a_living_one_is_not():
         first.send_signal(signal.SIGKILL)
         first.wait()
         assert not old.physics_alive()
-        with physics("--factor", "0"), attached() as new:
-            assert new.wait_tick(new.request_time(Slot.MCS, 5), timeout_s=5.0) == 5
+        with physics("--factor", "0"), attached(PanelEnd) as (new,):
+            assert new.wait_tick(new.request_time(5), timeout_s=5.0) == 5
 
 
 def test_a_wrong_cell_file_is_one_sentence(tmp_path):

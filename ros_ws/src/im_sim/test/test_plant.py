@@ -2,8 +2,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_core.robot import load_cell, urdf
-from im_core.testbed_link import Command
+from im_cell.link import TickCommand
+from im_cell.robot import load_cell, urdf
 from im_sim.plant import Plant
 
 CELL = load_cell()
@@ -22,7 +22,7 @@ def plant():
 
 
 def command(tau=None, brakes=FREE, power=True, gripper=CLOSED, force=ALL_FORCE):
-    return Command(np.zeros(N) if tau is None else tau, power, brakes, gripper, True, force)
+    return TickCommand(np.zeros(N) if tau is None else tau, power, brakes, gripper, True, force)
 
 
 def place(plant, q):

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from im_core.robot import load_cell
-from im_core.robot.truth import load_truth
-from im_sim.encoders import Encoders
+from im_cell.robot import load_cell
+from im_cell.robot.truth import load_truth
+from im_sim.sensors import Encoders
 from im_sim.truth import draw_truth
 
 CELL = load_cell()

@@ -1,31 +1,99 @@
-"""The present calibration of each camera: nominal until something better is set."""
+"""The present calibration of each camera, and the file it is from: nominal until something better is set."""
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
-from im_core.calibration_files import (
+from im_cell.calibration_files import (
     EXTRINSICS,
     CalibrationFiles,
     CameraPose,
     Rectified,
     camera_info_yaml,
     extrinsics_yaml,
+    frame_of,
     monocular,
 )
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
+from im_cell.robot import Camera, Cell
 from im_core.errors import DataError, NotFoundError
 from im_core.files import write_whole
-from im_core.robot import Camera, Cell
-from im_vss.camera_entry import CameraEntry
 from im_vss.stereo import rectify
 
 
+@dataclass(frozen=True)
+class CameraEntry:
+    """What is known of a camera.
+
+    Attributes:
+        name: Its name.
+        parent: Frame of the robot it is fixed to.
+        model: Intrinsics, lens and pose; the pose is relative to `parent`.
+        rectified: R and P of its camera infos; those of its stereo pair if it belongs to one.
+        intrinsics_file: File of intrinsics and lens; None: they are the drawing's.
+        pose_file: File of the pose; None: it is the drawing's.
+    """
+
+    name: str
+    parent: str
+    model: CameraModel
+    rectified: Rectified
+    intrinsics_file: Path | None = None
+    pose_file: Path | None = None
+
+    @property
+    def frame(self) -> str:
+        """Name of its optical frame."""
+        return frame_of(self.name)
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether intrinsics and lens, and the pose, are better known than by the drawing.
+
+        Either alone does not tell where in the world a pixel looks.
+        """
+        return self.intrinsics_file is not None and self.pose_file is not None
+
+    def told(self) -> str:
+        """Where its calibration comes from, in a sentence."""
+        return f"{self.name}: {self.origin}"
+
+    @property
+    def origin(self) -> str:
+        """Files of its lens and pose, or that they are the drawing's."""
+        if self.intrinsics_file is None and self.pose_file is None:
+            return "as drawn"
+        lens, pose = (str(file) if file is not None else "as drawn" for file in (self.intrinsics_file, self.pose_file))
+        return f"intrinsics {lens}, pose {pose}"
+
+    def with_intrinsics(self, lens: CameraModel, folder: Path) -> Self:
+        """The entry with intrinsics and lens of `lens`, from the camera's file in `folder`.
+
+        Raises:
+            DataError: The image size is not the camera's.
+        """
+        old = self.model
+        if (lens.width, lens.height) != (old.width, old.height):
+            raise DataError(
+                f"{self.name} takes images of {old.width} x {old.height} px, the calibration is for "
+                f"{lens.width} x {lens.height} px",
+                camera=self.name,
+            )
+        model = replace(old, K=lens.K, D=lens.D)
+        return replace(self, model=model, intrinsics_file=folder / f"{self.name}.yaml")
+
+    def with_pose(self, pose: CameraPose, folder: Path) -> Self:
+        """The entry with a pose relative to its parent, from the poses' file in `folder`."""
+        model = replace(self.model, R_cam_base=pose.R_cam_base, t_cam_base=pose.t_cam_base)
+        return replace(self, model=model, pose_file=folder / EXTRINSICS)
+
+
 class CameraBook:
-    """Calibrations by camera; what is set is also written to files, see :mod:`im_core.calibration_files`."""
+    """Calibrations by camera; what is set is also written to files, see :mod:`im_cell.calibration_files`."""
 
     def __init__(
         self, cell: Cell, cameras: Iterable[str], directory: Path, pairs: Iterable[tuple[str, str]] = ()
@@ -69,32 +137,13 @@ class CameraBook:
         """All entries, in the order of the settings."""
         return tuple(self._entries.values())
 
-    def set_intrinsics(self, name: str, model: CameraModel) -> Path:
-        """Set intrinsics and lens of a camera, from `model`; its pose stays.
+    def set_cameras(self, models: Mapping[str, CameraModel], *, intrinsics: bool = True, pose: bool = True) -> Path:
+        """Set cameras at one stroke.
 
-        Returns:
-            The folder of the files.
-
-        Raises:
-            NotFoundError: The camera is not known.
-            DataError: The image size is not the camera's, or the files cannot be written; nothing has changed then.
-        """
-        return self._set({name: model}, intrinsics=True)
-
-    def set_pose(self, name: str, model: CameraModel) -> Path:
-        """Set the pose of a camera, relative to its parent, from `model`.
-
-        Returns:
-            The folder of the files.
-
-        Raises:
-            NotFoundError: The camera is not known.
-            DataError: The files cannot be written; nothing has changed then.
-        """
-        return self._set({name: model}, pose=True)
-
-    def set_cameras(self, models: Mapping[str, CameraModel]) -> Path:
-        """Set intrinsics, lenses and poses of cameras at one stroke.
+        Args:
+            models: By name.
+            intrinsics: Whether intrinsics and lenses are set.
+            pose: Whether poses are, relative to the cameras' parents.
 
         Returns:
             The folder of the files.
@@ -103,7 +152,18 @@ class CameraBook:
             NotFoundError: A camera is not known.
             DataError: An image size is not the camera's, or the files cannot be written; nothing has changed then.
         """
-        return self._set(models, intrinsics=True, pose=True)
+        with self._changing:
+            entries = {}
+            for name, model in models.items():
+                entry = self[name]
+                if intrinsics:
+                    entry = entry.with_intrinsics(model, self._directory)
+                if pose:
+                    entry = entry.with_pose(CameraPose.of(entry.parent, model), self._directory)
+                entries[name] = entry
+            self._put(entries)
+        self.on_change()
+        return self._directory
 
     def rectified(self, models: Mapping[str, CameraModel]) -> dict[str, Rectified]:
         """R and P that cameras would have with these models; those of a stereo pair where both are given.
@@ -115,7 +175,7 @@ class CameraBook:
         pairs = [pair for pair in self._pairs if models.keys() >= set(pair)]
         return {name: entry.rectified for name, entry in _rectified(entries, pairs).items()}
 
-    def take(self, files: CalibrationFiles) -> tuple[str, ...]:
+    def adopt(self, files: CalibrationFiles) -> tuple[str, ...]:
         """Use calibrations of an earlier run, and write what is in use now.
 
         Args:
@@ -140,20 +200,6 @@ class CameraBook:
         return tuple(
             f"{name} is not in use; its calibration is passed over" for name in files.cameras if name not in entries
         )
-
-    def _set(self, models: Mapping[str, CameraModel], intrinsics: bool = False, pose: bool = False) -> Path:
-        with self._changing:
-            entries = {}
-            for name, model in models.items():
-                entry = self[name]
-                if intrinsics:
-                    entry = entry.with_intrinsics(model, self._directory)
-                if pose:
-                    entry = entry.with_pose(CameraPose.of(entry.parent, model), self._directory)
-                entries[name] = entry
-            self._put(entries)
-        self.on_change()
-        return self._directory
 
     def _put(self, changed: Mapping[str, CameraEntry]) -> None:
         """Write, then use; under the lock."""

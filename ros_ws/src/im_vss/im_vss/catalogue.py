@@ -1,6 +1,5 @@
 """The master catalogue of all Services, Tools and Vision Modules, and the part of it that an application needs."""
 
-import importlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -8,7 +7,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from im_core.config import Model, load_model, package_file
-from im_core.errors import ConfigError, NotFoundError
+from im_core.errors import NotFoundError
 
 Implementation = Annotated[str, Field(pattern=r"^[a-z_][\w.]*:[A-Z]\w*$")]
 
@@ -136,22 +135,6 @@ def load_catalogue(path: Path | None = None) -> Catalogue:
         ConfigError: The file is missing or wrong; the message names file and line.
     """
     return load_model(path or package_file("im_vss", "config/catalogue.yaml"), Catalogue)
-
-
-def load_class(implementation: str, base: type) -> Any:
-    """The class named by ``module:Class``.
-
-    Raises:
-        ConfigError: It does not exist, or is no subclass of `base`.
-    """
-    module, name = implementation.split(":")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(f"catalogue: {implementation} cannot be loaded: {error}") from error
-    if not (isinstance(found, type) and issubclass(found, base)):
-        raise ConfigError(f"catalogue: {implementation} is no {base.__name__}")
-    return found
 
 
 def _require(where: str, names: Iterable[str], known: Iterable[str]) -> None:

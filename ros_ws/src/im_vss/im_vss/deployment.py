@@ -7,8 +7,8 @@ from pathlib import Path
 
 import yaml
 
+from im_cell.robot import load_cell
 from im_core.errors import ImError
-from im_core.robot import load_cell
 from im_vss.catalogue import load_catalogue
 from im_vss.settings import load_settings
 

@@ -1,5 +1,6 @@
-"""Pose of a plate from its four corners."""
+"""Fiducial plates in an image: their corners by the edges, and their poses by the corners."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -7,13 +8,67 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from im_vss.fiducial.corners import Corners
+from im_cell.camera_model import CameraModel, distort
+from im_cell.fiducial import CELLS
+from im_cell.robot import Target
+from im_cell.sensor import SensorNoise
+from im_core.errors import DataError
+from im_vss.edges.step import Image, StraightEdge, follow_edge
 
 Array = NDArray[np.float64]
 
+_MARGIN_SHARE = 0.12
+_SMALLEST_HALF_PX, _CELLS_HALF = 2.0, 0.5
 _ITERATIONS = 20
 _TOLERANCE = 1e-10
 _NEAREST_M = 0.01
+_DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Four corners in undistorted pixels, shape (4, 2) [px], and their joint covariance, shape (8, 8) [px^2]."""
+
+    uv: Array
+    covariance: Array
+
+
+def refine_corners(image: Image, camera: CameraModel, rough: Array, cells: int, noise: SensorNoise) -> Corners | None:
+    """Fit the four edges of a black square on white, and intersect them.
+
+    Args:
+        image: Pixels, shape (h, w) [DN].
+        camera: Intrinsics and lens.
+        rough: Corners as detected, clockwise, shape (4, 2) [px].
+        cells: Cells along a side: the border's width says how far from an edge pixels may be used.
+        noise: Noise of the sensor.
+
+    Returns:
+        The corners in the same order, None where an edge cannot be fitted.
+
+    Raises:
+        DataError: The lens model cannot be inverted there.
+    """
+    edges: list[StraightEdge] = []
+    for k in range(4):
+        ends = rough[[k, (k + 1) % 4]]
+        length = float(np.linalg.norm(ends[1] - ends[0]))
+        half = max(_SMALLEST_HALF_PX, _CELLS_HALF * length / cells)
+        edge = follow_edge(image, camera, ends, half, _MARGIN_SHARE * length, noise)
+        if edge is None:
+            return None
+        edges.append(edge)
+    uv, jacobian, covariance = np.zeros((4, 2)), np.zeros((8, 8)), np.zeros((8, 8))
+    for k in range(4):
+        first, second = (k - 1) % 4, k
+        normals = np.stack([edges[first].normal, edges[second].normal])
+        uv[k] = np.linalg.solve(normals, [n @ edges[e].middle for n, e in zip(normals, (first, second), strict=True)])
+        inverse = np.linalg.inv(normals)
+        for column, e in enumerate((first, second)):
+            arm = float((uv[k] - edges[e].middle) @ edges[e].direction)
+            jacobian[2 * k : 2 * k + 2, 2 * e : 2 * e + 2] = np.outer(inverse[:, column], [1.0, arm])
+        covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = edges[k].fit.covariance
+    return Corners(uv, jacobian @ covariance @ jacobian.T)
 
 
 @dataclass(frozen=True)
@@ -94,3 +149,57 @@ def _linearised(rotation: Array, translation: Array, plate: Array, uv: Array, K:
     jacobian = np.concatenate((by_point, by_point @ turn), axis=-1).reshape(8, 6)
     seen = np.stack((K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]), axis=-1)
     return (uv - seen).ravel(), jacobian
+
+
+@dataclass(frozen=True)
+class FiducialFit:
+    """A plate: the target of the cell, its pose, its corners in the image, shape (4, 2) [px].
+
+    Attributes:
+        target: Which one.
+        pose: Where it is in the optical frame.
+        corners: Upper left first, clockwise as printed, shape (4, 2) [px].
+        ambiguity: Reprojection error of this pose over that of the mirrored one, 0 to 1.
+    """
+
+    target: Target
+    pose: PlatePose
+    corners: Array
+    ambiguity: float
+
+
+def find_fiducials(
+    image: Image, camera: CameraModel, noise: SensorNoise, wanted: Mapping[int, Target]
+) -> tuple[list[FiducialFit], dict[int, str]]:
+    """Find plates in an image.
+
+    Args:
+        image: Pixels, shape (h, w) [DN].
+        camera: Intrinsics and lens.
+        noise: Noise of the sensor.
+        wanted: Plates by number of their code.
+
+    Returns:
+        What was found, by number, and for each of the others why it was not.
+    """
+    found: list[FiducialFit] = []
+    missed = dict.fromkeys(wanted, "not seen: it is out of view, hidden or too small")
+    quads, numbers, _ = cv2.aruco.ArucoDetector(_DICTIONARY).detectMarkers(image)
+    for quad, number in zip(quads, [] if numbers is None else numbers.ravel(), strict=True):
+        target = wanted.get(int(number))
+        if target is None or target.id not in missed:
+            continue
+        try:
+            corners = refine_corners(image, camera, quad.reshape(4, 2).astype(float), CELLS, noise)
+        except DataError as error:
+            missed[target.id] = error.message
+            continue
+        poses = plate_poses(corners, camera.K, target.size) if corners is not None else []
+        if corners is None or not poses:
+            missed[target.id] = "seen, but its edges are not straight or not clear enough"
+            continue
+        ideal = (corners.uv - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
+        ambiguity = float(np.sqrt(poses[0].chi2 / max(poses[1].chi2, 1e-12))) if len(poses) > 1 else 0.0
+        found.append(FiducialFit(target, poses[0], camera.to_pixels(distort(ideal, camera.D)), ambiguity))
+        del missed[target.id]
+    return sorted(found, key=lambda fit: fit.target.id), missed

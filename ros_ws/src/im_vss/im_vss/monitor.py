@@ -2,12 +2,13 @@
 
 import threading
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.frames import Frame, Image
+from im_cell.frames import Frame, Image
 
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
@@ -63,6 +64,16 @@ class Picture:
 
     image: Image
     stamp_ns: int
+
+
+class Screen(Protocol):
+    """The monitors and image outputs."""
+
+    def raw(self, frame: Frame) -> None:
+        """Put out an image as it was taken."""
+
+    def display(self, camera: str, image: Image, stamp_ns: int) -> None:
+        """Show an image, shape (h, w, 3), red-green-blue [DN]."""
 
 
 class Monitors:

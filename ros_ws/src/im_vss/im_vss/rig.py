@@ -1,20 +1,50 @@
-"""What the Vision Services System is built around: its settings, its cameras and its monitors."""
+"""What the Vision Services System is built around: its settings, its cameras and their controls, its monitors."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.frames import FrameSource, SnapOrder
+from im_cell.robot import Cell
+from im_cell.sensor import SensorControls
 from im_core.errors import StateError
-from im_core.robot import Cell
 from im_vss.camera_book import CameraBook
-from im_vss.camera_controls import CameraControls
-from im_vss.frames import FrameSource, Screen
 from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import Scanner
-from im_vss.monitor import Monitors
+from im_vss.monitor import Monitors, Screen
 from im_vss.settings import VssSettings
+
+
+class CameraControls:
+    """Controls of each camera, and the exposure time that all share; any thread may set and read them."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sensors: dict[str, SensorControls] = {}
+        self._exposure_s: float | None = None
+
+    def set_sensor(self, camera: str, controls: SensorControls) -> None:
+        """Set gain and noise of a camera from its next exposure on."""
+        with self._lock:
+            self._sensors[camera] = controls
+
+    def set_exposure(self, exposure_s: float) -> None:
+        """Set the exposure time that a request's 0 stands for [s]."""
+        with self._lock:
+            self._exposure_s = exposure_s
+
+    def sensors(self, cameras: tuple[str, ...]) -> dict[str, SensorControls]:
+        """The controls of some cameras."""
+        with self._lock:
+            return {camera: self._sensors.get(camera, SensorControls()) for camera in cameras}
+
+    def exposure(self, wanted: float, nominal: float) -> float:
+        """The exposure time for a request [s]: what is wanted, or what was set, or the nominal one."""
+        with self._lock:
+            return wanted or self._exposure_s or nominal
 
 
 @dataclass(frozen=True)
@@ -54,6 +84,34 @@ class Rig:
     light_position: Callable[[int], NDArray[np.float64] | None] = lambda stamp_ns: None
     mount: Callable[[str], tuple[NDArray[np.float64], NDArray[np.float64]] | None] = lambda frame: None
     laser: LaserRig | None = None
+
+    def order(
+        self,
+        cameras: tuple[str, ...],
+        exposure_s: float,
+        blank_light: tuple[bool, ...],
+        blank_laser: tuple[bool, ...] = (),
+    ) -> SnapOrder:
+        """An order for exposures of cameras as they are set.
+
+        Args:
+            cameras: Names of the cameras.
+            exposure_s: Length of each exposure [s]; 0: the one that is set.
+            blank_light: For each frame, whether the wrist lights are strobed off.
+            blank_laser: For each frame, whether the laser is; empty: in none.
+
+        Raises:
+            ImError: A camera is unknown, or the exposure out of range.
+        """
+        settings = self.settings
+        return SnapOrder(
+            cameras=settings.check_cameras(cameras),
+            blank_light=blank_light,
+            exposure_s=settings.exposure_time(self.controls.exposure(exposure_s, settings.exposure.nominal)),
+            timeout_s=settings.waits.exposure,
+            controls=self.controls.sensors(cameras),
+            blank_laser=blank_laser,
+        )
 
     @property
     def scanner(self) -> LaserRig:

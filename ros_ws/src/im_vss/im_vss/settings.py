@@ -1,17 +1,18 @@
 """Typed contents of ``vss.yaml``."""
 
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from im_cell.robot import Cell
+from im_cell.sensor import SensorNoise
 from im_core.config import Model, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
-from im_core.robot import Cell
 from im_vss.edges import CircleGates, LineGates
 from im_vss.laser.calibration import CalibrationGates
-from im_vss.laser.line_peaks import LaserLineGates
-from im_vss.spot import SensorNoise, SpotGates
+from im_vss.laser.line import LaserLineGates
+from im_vss.spot import SpotGates
 
 Seconds = Annotated[float, Field(gt=0.0)]
 
@@ -122,6 +123,13 @@ class LaserSettings(Model):
     calibration: CalibrationGates
 
 
+class FrameSourceEntry(Model):
+    """What takes the images: a :class:`im_cell.frames.FrameSource` as ``module:Class``, and its own settings."""
+
+    implementation: str
+    settings: dict[str, Any]
+
+
 class VssSettings(Model):
     """Configuration of the Vision Services System; cameras' noise is their data sheet's."""
 
@@ -138,7 +146,7 @@ class VssSettings(Model):
     circles: CircleGates
     laser: LaserSettings
     waits: Waits
-    renderer: Literal["auto", "egl", "tiny"]
+    frame_source: FrameSourceEntry
 
     def exposure_time(self, wanted: float) -> float:
         """An exposure time [s] that was checked.

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]

@@ -6,12 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from im_core import plugins
 from im_core.errors import NotFoundError, StateError
-from im_vss.catalogue import Catalogue, load_class
+from im_vss.catalogue import Catalogue
 from im_vss.managers import ModuleState, VisionClient, VisionModuleManager
 from im_vss.modules import VisionModule
 from im_vss.rig import Rig
-from im_vss.services import Service
+from im_vss.services import VisionService
 from im_vss.tools import ModuleAccess, Tool
 
 PROCESS = "vss"
@@ -51,7 +52,8 @@ class VisionServicesManager:
         """
         self.catalogue = closure = catalogue.closure(rig.settings.services).in_process(process)
         self.modules: dict[str, VisionModule] = {
-            name: load_class(entry.implementation, VisionModule)(rig) for name, entry in closure.modules.items()
+            name: plugins.load(entry.implementation, VisionModule, "vision module")(rig)
+            for name, entry in closure.modules.items()
         }
         self.managers: dict[str, VisionModuleManager] = {
             manager: VisionModuleManager(
@@ -63,11 +65,13 @@ class VisionServicesManager:
             for manager in closure.managers
         }
         self.tools: dict[str, Tool] = {
-            name: load_class(entry.implementation, Tool)(rig, self._access(entry.modules))
+            name: plugins.load(entry.implementation, Tool, "tool")(rig, self._access(entry.modules))
             for name, entry in closure.tools.items()
         }
-        self.services: dict[str, Service] = {
-            name: load_class(entry.implementation, Service)(rig, {tool: self.tools[tool] for tool in entry.tools})
+        self.services: dict[str, VisionService] = {
+            name: plugins.load(entry.implementation, VisionService, "vision service")(
+                rig, {tool: self.tools[tool] for tool in entry.tools}
+            )
             for name, entry in closure.services.items()
         }
         self._numbers = itertools.count(1)

@@ -5,13 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from im_core.camera_model import CameraModel
-from im_core.robot import load_cell
-from im_core.testbed_link import Exposure
-from im_vss.bench.cameras import drawn_truth
-from im_vss.camera.bank import CameraBank
-from im_vss.camera.scene import SceneMirror
+from bench.vss.cameras import drawn_truth, simulated
+from im_cell.camera_model import CameraModel
+from im_cell.link import Exposure
+from im_cell.robot import load_cell
+from im_sim.cameras.bank import CameraBank
+from im_sim.cameras.scene import SceneMirror
 from im_vss.settings import load_settings
+from support.fixtures import make_truth
+
+__all__ = ["make_truth"]
 
 
 @dataclass
@@ -36,15 +39,10 @@ def plates():
     cell = load_cell()
     settings, truth = load_settings(cell), drawn_truth(cell)
     scene = SceneMirror(cell, "tiny")
-    bank = CameraBank(cell, truth, settings, scene, seed=1)
+    bank = CameraBank(cell, truth, simulated(settings), scene, seed=1)
     dark = Exposure(start_tick=0, end_tick=4, stamp_ns=0, q_true=cell.home, light_fraction={})
     mean = bank.expected("ceiling_left", dark, settings.exposure.nominal, settings.sensor)
     true = truth.cameras["ceiling_left"]
     camera = CameraModel(640, 480, true.K, true.D, true.R_cam_base, true.t_cam_base_m)
     yield Plates(cell, settings, bank, camera, mean)
     scene.close()
-
-
-@pytest.fixture(scope="session")
-def make_truth():
-    return drawn_truth

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from im_core.calibration_files import CalibrationFiles, LaserEstimate, read_calibration
+from im_cell.calibration_files import CalibrationFiles, LaserEstimate, read_calibration
+from im_cell.laser_model import LaserModel
+from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError
-from im_core.laser_model import LaserModel
-from im_core.robot import load_cell
 from im_vss.camera_book import CameraBook, nominal
 from im_vss.laser.book import LaserBook
 
@@ -51,7 +51,7 @@ def test_the_next_run_has_the_cameras_of_this_one(tmp_path):
     second = book(tmp_path / "second")
     changes = []
     second.on_change = lambda: changes.append(second["ceiling_left"].calibrated)
-    assert second.take(read_calibration(tmp_path / "first", CELL)) == ()
+    assert second.adopt(read_calibration(tmp_path / "first", CELL)) == ()
     assert changes == [True]
     for name in CAMERAS:
         assert equal(second[name], first[name]), name
@@ -67,13 +67,13 @@ def test_a_run_leaves_what_it_started_with_and_what_it_found(tmp_path):
     """So its folder alone is enough for a third run."""
     book(tmp_path / "first").set_cameras({"ceiling_left": truly("ceiling_left")})
     second = book(tmp_path / "second")
-    second.take(read_calibration(tmp_path / "first", CELL))
-    second.set_intrinsics("wall", truly("wall"))
-    second.set_pose("ceiling_right", truly("ceiling_right"))
+    second.adopt(read_calibration(tmp_path / "first", CELL))
+    second.set_cameras({"wall": truly("wall")}, pose=False)
+    second.set_cameras({"ceiling_right": truly("ceiling_right")}, intrinsics=False)
     found = read_calibration(tmp_path / "second", CELL)
     assert found.summary() == "ceiling_left (intrinsics and pose), wall (intrinsics), ceiling_right (pose)"
     third = book(tmp_path / "third")
-    third.take(found)
+    third.adopt(found)
     assert all(equal(third[name], second[name]) for name in CAMERAS)
     assert [third[name].calibrated for name in CAMERAS] == [True, False, False]  # half is not enough
     assert third["wall"].told() == f"wall: intrinsics {tmp_path}/second/wall.yaml, pose as drawn"
@@ -91,7 +91,7 @@ def test_cameras_that_are_not_in_use_are_said(tmp_path):
     book(tmp_path / "all").set_cameras({name: truly(name) for name in CAMERAS})
     few = book(tmp_path / "few", PAIR)
     files = read_calibration(tmp_path / "all", CELL)
-    assert few.take(files) == ("wall is not in use; its calibration is passed over",)
+    assert few.adopt(files) == ("wall is not in use; its calibration is passed over",)
     assert [entry.name for entry in few.entries() if entry.calibrated] == list(PAIR)
     assert not (tmp_path / "few" / "wall.yaml").exists()
 
@@ -115,15 +115,15 @@ def test_what_cannot_be_written_changes_nothing(tmp_path):
 def test_changes_at_the_same_time_are_all_kept(tmp_path):
     shared = book(tmp_path)
     models = {name: truly(name) for name in CAMERAS}
-    setters = [lambda n=n: shared.set_intrinsics(n, models[n]) for n in CAMERAS]
-    setters += [lambda n=n: shared.set_pose(n, models[n]) for n in CAMERAS]
+    setters = [lambda n=n: shared.set_cameras({n: models[n]}, pose=False) for n in CAMERAS]
+    setters += [lambda n=n: shared.set_cameras({n: models[n]}, intrinsics=False) for n in CAMERAS]
     threads = [threading.Thread(target=setter) for setter in setters]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     again = book(tmp_path / "again")
-    again.take(read_calibration(tmp_path, CELL))
+    again.adopt(read_calibration(tmp_path, CELL))
     for name in CAMERAS:
         assert np.array_equal(shared[name].model.K, models[name].K)
         assert np.array_equal(shared[name].model.R_cam_base, models[name].R_cam_base)
@@ -134,11 +134,11 @@ def test_the_next_run_has_the_laser_of_this_one(tmp_path):
     rotation, position = CELL.laser.pose()
     estimate = LaserEstimate(LaserModel(rotation, position + 0.01, 0.0121, (1.01, 0.98), 0.002), np.eye(10) * 1e-6)
     first = LaserBook(CELL.laser, tmp_path / "first")
-    first.take(CalibrationFiles(tmp_path, {}, {}))
+    first.adopt(CalibrationFiles(tmp_path, {}, {}))
     assert first.entry.told() == "laser scanner: as drawn"
     assert first.set(estimate.model, estimate.covariance) == tmp_path / "first" / "laser.yaml"
     second = LaserBook(CELL.laser, tmp_path / "second")
-    second.take(read_calibration(tmp_path / "first", CELL))
+    second.adopt(read_calibration(tmp_path / "first", CELL))
     assert second.entry.calibrated
     assert second.entry.told() == f"laser scanner: {tmp_path}/first/laser.yaml"
     angles = np.array([[0.1, -0.05], [0.0, 0.2]])

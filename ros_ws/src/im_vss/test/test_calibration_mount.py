@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_vss.services.svc_calibrate import fixed_to
 
 

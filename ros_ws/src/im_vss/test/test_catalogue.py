@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import yaml
 
+from im_cell.frames import Frame, FrameSet
+from im_cell.robot import load_cell
 from im_core.errors import ConfigError, NotFoundError
-from im_core.robot import load_cell
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import Catalogue, load_catalogue
-from im_vss.frames import Frame, FrameSet
 from im_vss.rig import Rig
 from im_vss.services.svc_snap import SnapRequest
 from im_vss.services.svc_spot_find import SpotFindRequest
@@ -24,7 +24,7 @@ class Cameras:
     def __init__(self):
         self.orders = []
 
-    def take(self, order):
+    def take_frames(self, order):
         self.orders.append(order)
         frames = {}
         for camera in order.cameras:
@@ -127,5 +127,5 @@ def test_software_that_is_missing_is_named(system):
     catalogue = load_catalogue()
     tool = catalogue.tools["tool_snap"].model_copy(update={"implementation": "im_vss.tools.tool_snip:ToolSnip"})
     broken = catalogue.model_copy(update={"tools": {**catalogue.tools, "tool_snap": tool}})
-    with pytest.raises(ConfigError, match=r"im_vss\.tools\.tool_snip:ToolSnip cannot be loaded"):
+    with pytest.raises(ConfigError, match=r"im_vss\.tools\.tool_snip:ToolSnip' cannot be loaded"):
         VisionServicesManager(rig, broken)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from im_vss.edges import find_circles, find_lines
-from im_vss.edges.band import undistorted
+from im_vss.edges.step import undistorted
 
 TRIALS = 25
 

@@ -1,14 +1,20 @@
 """Poses of fiducial plates: within their covariance of the truth, hidden ones are missing with a cause."""
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from im_core.camera_model import CameraModel
-from im_vss.fiducial import find_fiducials
-from im_vss.fiducial.corners import Corners
-from im_vss.fiducial.pose import _linearised, plate_poses
+from im_cell.camera_model import CameraModel
+from im_cell.fiducial import CELLS, code_of
+from im_vss.fiducial import Corners, _linearised, find_fiducials, plate_poses
 
 TRIALS = 40
+
+
+def test_codes_are_those_of_opencv():
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    for number in range(50):
+        assert np.array_equal(code_of(number), cv2.aruco.generateImageMarker(dictionary, number, CELLS) > 0)
 
 
 def wanted(cell):

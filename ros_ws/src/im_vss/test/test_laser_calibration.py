@@ -6,8 +6,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from im_core.laser_model import LaserModel
-from im_core.robot import load_cell
+from im_cell.laser_model import LaserModel
+from im_cell.robot import load_cell
 from im_vss.laser.book import LaserBook
 from im_vss.laser.calibration import PARAMETERS, LaserSpot, calibrate
 from im_vss.settings import load_settings

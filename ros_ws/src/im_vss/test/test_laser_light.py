@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from im_core.camera_model import CameraModel
-from im_core.robot import load_cell
-from im_core.testbed_link import Exposure, LaserBeam
-from im_vss.camera.bank import CameraBank
-from im_vss.camera.laser import LaserLight
-from im_vss.camera.scene import SceneMirror
-from im_vss.laser.line_peaks import line_peaks
-from im_vss.laser.line_stereo import match_lines
+from bench.vss.cameras import simulated
+from im_cell.camera_model import CameraModel
+from im_cell.link import Exposure, LaserBeam
+from im_cell.robot import load_cell
+from im_sim.cameras.bank import CameraBank
+from im_sim.cameras.laser import LaserLight
+from im_sim.cameras.scene import SceneMirror
+from im_vss.laser.line import line_peaks, match_lines
 from im_vss.settings import load_settings
 from im_vss.spot import find_spot
 
@@ -28,7 +28,7 @@ POWER = SETTINGS.laser.spot_power
 def cell_seen(make_truth):
     """True cell, its scene, a bank of cameras."""
     truth, scene = make_truth(CELL), SceneMirror(CELL, "tiny")
-    yield truth, scene, CameraBank(CELL, truth, SETTINGS, scene, seed=1)
+    yield truth, scene, CameraBank(CELL, truth, simulated(SETTINGS), scene, seed=1)
     scene.close()
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from im_core.robot import load_cell
-from im_vss.laser.line_peaks import line_peaks
+from im_cell.robot import load_cell
+from im_vss.laser.line import line_peaks
 from im_vss.settings import load_settings
 
 SETTINGS = load_settings(load_cell())

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from im_cell.frames import Frame, FrameSet
+from im_cell.laser_model import LaserModel
+from im_cell.link import LaserBeam
+from im_cell.robot import load_cell
 from im_core.errors import LimitError, StateError
-from im_core.laser_model import LaserModel
-from im_core.robot import load_cell
-from im_core.testbed_link import LaserBeam
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
-from im_vss.frames import Frame, FrameSet
 from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import check_beam
 from im_vss.managers import VisionClient
@@ -18,7 +18,7 @@ from im_vss.services.laser_spots import why_not
 from im_vss.services.svc_laser_point import LaserPointRequest
 from im_vss.services.svc_spot_find import CameraSpot
 from im_vss.settings import load_settings
-from im_vss.spot import Finding, SpotFit
+from im_vss.spot import SpotFinding, SpotFit
 from im_vss.tools.tool_triangulate import StereoFinding
 from im_vss.vsm import VisionServicesManager
 
@@ -49,7 +49,7 @@ class Cameras:
     def __init__(self, scanner):
         self.scanner, self.orders, self.seen, self.meanwhile = scanner, [], [], lambda: None
 
-    def take(self, order):
+    def take_frames(self, order):
         self.orders.append(order)
         self.seen.append(self.scanner.reading())
         self.meanwhile()
@@ -166,8 +166,8 @@ def test_one_camera_and_the_beam_say_where_the_other_would_see_the_spot(system, 
     u, v = model.project(place)
     fit = SpotFit(u, v, np.eye(2) * 1e-3, 100.0, 1.0, 50.0, 1.0, 0, True)
     spots = (
-        CameraSpot("ceiling_left", 0, Finding(fit, "", 50.0, (fit,))),
-        CameraSpot("table", 0, Finding(None, "no light seen", 0.0)),
+        CameraSpot("ceiling_left", 0, SpotFinding(fit, "", 50.0, (fit,))),
+        CameraSpot("table", 0, SpotFinding(None, "no light seen", 0.0)),
     )
     none = StereoFinding(None, "table: no light seen", float("nan"), (fit, None))
     first, second = rig.scanner.book.entry.model.angles_to(place)

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from im_cell.frames import Frame, FrameSet
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
-from im_vss.frames import Frame, FrameSet
 from im_vss.monitor import Curve, Marker, Monitors
 from im_vss.rig import Rig
 from im_vss.services.svc_circle_find import CircleFindRequest
@@ -35,7 +35,7 @@ class Camera:
     def __init__(self, plates):
         self.plates = plates
 
-    def take(self, order):
+    def take_frames(self, order):
         frame = Frame(CAMERA, self.plates.image(1), 1000, order.blank_light[0])
         return FrameSet({CAMERA: (frame,)}, {"expose_s": 0.0})
 
@@ -49,8 +49,8 @@ def shown(plates, tmp_path):
 
     def ask(service, request, calibrated=True):
         if calibrated:
-            book.set_intrinsics(CAMERA, plates.camera)
-            book.set_pose(CAMERA, plates.camera)
+            book.set_cameras({CAMERA: plates.camera}, pose=False)
+            book.set_cameras({CAMERA: plates.camera}, intrinsics=False)
         screen.picture = None
         return vsm.request(service, request), screen.picture
 

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_vss.spot import SensorNoise, SpotGates, find_spot
-from im_vss.spot.psf import amplitude_to_flux, pixel_derivatives, pixel_integrals
+from im_cell.psf import amplitude_to_flux, pixel_derivatives, pixel_integrals
+from im_cell.sensor import SensorNoise
+from im_vss.spot import SpotGates, find_spot
 
 NOISE = SensorNoise(gain=10.0, read_noise=28.0, black_level=8.0)
 GATES = SpotGates(

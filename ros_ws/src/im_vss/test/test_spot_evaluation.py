@@ -1,13 +1,13 @@
-"""The bars of spot finding, on a few seeded trials; ``python -m im_vss.spot.evaluation`` has the many."""
+"""The bars of spot finding, on a few seeded trials; ``python -m bench.spot`` has the many."""
 
 import numpy as np
 import pytest
 
-from im_core.robot import load_cell
+from bench.spot.trials import Lamp, bound, count_false, expose, room, score_spots, spot_image
+from im_cell.psf import amplitude_to_flux, pixel_integrals
+from im_cell.robot import load_cell
 from im_vss.settings import load_settings
-from im_vss.spot import Region, find_spot
-from im_vss.spot.evaluation.trials import Lamp, bound, count_false, expose, room, score_spots, spot_image
-from im_vss.spot.psf import amplitude_to_flux, pixel_integrals
+from im_vss.spot import SearchDisc, find_spot
 
 SETTINGS = load_settings(load_cell())
 NOISE, GATES = SETTINGS.sensor, SETTINGS.spot
@@ -62,9 +62,9 @@ def test_up_to_three_candidates_are_handed_on_brightest_first():
 
 def test_a_predicted_region_leaves_other_lights_out():
     lamps = Lamp(20.0, 20.0, 150.0, 1.2), Lamp(75.0, 60.0, 160.0, 1.2)
-    finding = find_spot(*pair(*lamps), NOISE, GATES, Region(22.0, 21.0, 15.0))
+    finding = find_spot(*pair(*lamps), NOISE, GATES, SearchDisc(22.0, 21.0, 15.0))
     assert finding.spot is not None, finding.cause
     assert (finding.spot.u, finding.spot.v) == pytest.approx((20.0, 20.0), abs=0.2)
-    missed = find_spot(*pair(lamps[1]), NOISE, GATES, Region(22.0, 21.0, 15.0))
+    missed = find_spot(*pair(lamps[1]), NOISE, GATES, SearchDisc(22.0, 21.0, 15.0))
     assert missed.spot is None
     assert missed.cause == "no light seen: it is off, blocked or out of view; searched within 15 px of (22, 21) px"

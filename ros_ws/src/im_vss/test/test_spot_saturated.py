@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from im_core.robot import load_cell
+from bench.spot.trials import Lamp, bound, expose, information, room, spot_image
+from im_cell.psf import pixel_integrals
+from im_cell.robot import load_cell
 from im_vss.settings import load_settings
 from im_vss.spot import fit_spot
-from im_vss.spot.evaluation.trials import Lamp, bound, expose, information, room, spot_image
-from im_vss.spot.psf import pixel_integrals
 
 NOISE = load_settings(load_cell()).sensor
 SHAPE = (41, 41)

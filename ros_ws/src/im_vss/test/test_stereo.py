@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from im_cell.robot import load_cell
 from im_core.errors import DataError
-from im_core.robot import load_cell
 from im_vss.camera_book import CameraBook, nominal
 from im_vss.stereo import epipolar_distance, rectify, triangulate
 
@@ -63,7 +63,7 @@ def test_camera_infos_of_a_pair_are_rectified_together_and_follow_a_calibration(
     right = book["ceiling_right"].rectified
     assert right.P[0, 3] == pytest.approx(-right.P[0, 0] * baseline)
     assert np.array_equal(book["wall"].rectified.R, np.eye(3))
-    book.set_intrinsics("ceiling_left", LEFT)
+    book.set_cameras({"ceiling_left": LEFT}, pose=False)
     assert not np.array_equal(book["ceiling_right"].rectified.P, right.P)
     assert (tmp_path / "ceiling_left.yaml").is_file()
 

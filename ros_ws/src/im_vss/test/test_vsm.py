@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import yaml
 
+from bench.calibration.synthetic import Design, make_scene
+from im_cell.frames import FrameSet
+from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError, StateError
-from im_core.robot import load_cell
 from im_vss import deployment
-from im_vss.calibration.synthetic import Design, make_scene
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import Catalogue, load_catalogue
-from im_vss.frames import FrameSet
 from im_vss.rig import Rig
 from im_vss.services.svc_calibrate import CalibrateRequest, Observation, SeenSpot
 from im_vss.services.svc_snap import SnapRequest
@@ -29,7 +29,7 @@ class SlowCameras:
     def __init__(self):
         self.go, self.inside, self.most = threading.Event(), 0, 0
 
-    def take(self, order):
+    def take_frames(self, order):
         self.inside += 1
         self.most = max(self.most, self.inside)
         self.go.wait(10.0)

@@ -15,7 +15,7 @@ class FiringPhase(IntEnum):
 
 #: The net ``calibrate_camera``: what takes the next pose, what ends one, and what needs no line of its own.
 FIRST = "read_next_pos"
-LAST = frozenset({"loop_again", "loop_done", "skip_unreached", "skip_unseen", "note_failure"})
+LAST = frozenset({"loop_again", "loop_done", "skip_unreached", "skip_unseen", "skip_unusable", "note_failure"})
 ABORTS = "abort_"
 QUIET = frozenset({"skip_again", "skip_done"})
 
@@ -46,7 +46,7 @@ class ProgressLines:
         step = f"{transition} failed: {message}" if phase is FiringPhase.FAILED else f"{transition} {duration_s:.2f} s"
         if self._steps is None:
             return _told(fraction, step) if phase is FiringPhase.FAILED else None
-        if transition in LAST or transition.startswith(ABORTS):
+        if (transition in LAST and phase is FiringPhase.END) or transition.startswith(ABORTS):
             if transition in LAST and fraction > 0.0:  # an aborted pose is not part of the fraction
                 self._total = round(self._pose / fraction)
             line = self._pose_line(fraction)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from im_core.calibration_error import evaluate
-from im_core.camera_model import CameraModel
+from im_cell.calibration_error import evaluate
+from im_cell.camera_model import CameraModel
+from im_cell.robot.truth import CameraTruth, CellTruth
+from im_cell.workspace import Workspace
 from im_core.errors import DataError, NotFoundError
 from im_core.files import write_whole
-from im_core.robot.truth import CameraTruth, CellTruth
-from im_core.workspace import Workspace
 
 
 def truth_error(report: Mapping[str, Any], truth: CellTruth) -> dict[str, Any]:

@@ -1,12 +1,61 @@
-"""Bootstrap (paper, section 3): takes all tasks of a deployment through the start-up phases, and watches them after."""
+"""Bootstrap (paper, section 3): takes all tasks of a deployment through the start-up phases, and watches them after.
 
-from collections.abc import Sequence
+No task enters a phase before all tasks have finished the one before.
+"""
 
-from im_bringup import machine, phases
-from im_bringup.agent import Agent, Died, Started
-from im_bringup.deployment import Placed
-from im_bringup.phases import Phase
-from im_bringup.registry import Progress, Registry
+from collections.abc import Iterable, Sequence
+
+from im_bringup.machine import record as machine
+from im_bringup.tasks.agent import Agent, Died, Started
+from im_bringup.tasks.deployment import PlacedTask
+from im_bringup.tasks.registry import Progress, Registry, TaskRecord
+from im_core.startup import StartupPhase
+
+#: How far a task must be for its part of a phase to be done.
+_DONE = {
+    StartupPhase.LOAD: Progress.LOADED,
+    StartupPhase.CONFIGURE: Progress.CONFIGURED,
+    StartupPhase.START: Progress.READY,
+}
+_WORDS = {StartupPhase.LOAD: "loaded", StartupPhase.CONFIGURE: "configured", StartupPhase.START: "ready"}
+
+
+def done(phase: StartupPhase, records: Iterable[TaskRecord]) -> bool:
+    """Whether all tasks have finished a phase."""
+    return all(_finished(phase, record) for record in records)
+
+
+def next_phase(phase: StartupPhase, records: Sequence[TaskRecord]) -> StartupPhase:
+    """The phase the machine may be in: the following one if all tasks have finished this one."""
+    if phase < StartupPhase.START and done(phase, records):
+        return StartupPhase(phase + 1)
+    return phase
+
+
+def missing(phase: StartupPhase, records: Iterable[TaskRecord]) -> list[str]:
+    """One sentence for each task that has not finished a phase: who, where it is, and why if it told."""
+    sentences = []
+    for record in records:
+        if _finished(phase, record):
+            continue
+        if record.progress is Progress.FAILED:
+            sentences.append(f"{record.name} failed: {record.detail}")
+        elif record.progress is Progress.DEAD:
+            sentences.append(f"{record.name} died: {record.detail}")
+        else:
+            sentences.append(f"{record.name} is {record.progress.word}, not {_WORDS[phase]}")
+    return sentences
+
+
+def broken(records: Iterable[TaskRecord]) -> list[TaskRecord]:
+    """The tasks that will not go on by themselves: failed or dead."""
+    return [record for record in records if record.progress in (Progress.FAILED, Progress.DEAD)]
+
+
+def _finished(phase: StartupPhase, record: TaskRecord) -> bool:
+    if phase is StartupPhase.SHUTDOWN:
+        return record.progress is Progress.DEAD
+    return _DONE[phase] <= record.progress <= Progress.READY
 
 
 class Bootstrap:
@@ -21,9 +70,9 @@ class Bootstrap:
         host: Name of this host in the deployment.
     """
 
-    def __init__(self, tasks: Sequence[Placed], agent: Agent, host: str) -> None:
+    def __init__(self, tasks: Sequence[PlacedTask], agent: Agent, host: str) -> None:
         self.registry = Registry(tasks, host)
-        self.phase = Phase.LOAD
+        self.phase = StartupPhase.LOAD
         self.state = machine.STARTING
         self._agent = agent
         self._changed = True
@@ -34,7 +83,7 @@ class Bootstrap:
             self._note(event)
 
     def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str, now: float) -> None:
-        """Take a heartbeat; arguments as in :meth:`im_bringup.registry.Registry.heard`."""
+        """Take a heartbeat; arguments as in :meth:`im_bringup.tasks.registry.Registry.heard`."""
         if self.registry.heard(name, pid, incarnation, progress, detail, now):
             self._changed = True
 
@@ -64,22 +113,22 @@ class Bootstrap:
     def missing(self) -> list[str]:
         """One sentence for each task that keeps the machine from being ready; if some are broken, only these."""
         records = self.registry.records()
-        return phases.missing(Phase.START, phases.broken(records) or records)
+        return missing(StartupPhase.START, broken(records) or records)
 
     def shut_down(self) -> list[str]:
         """Stop the processes of this host; returns the names of the tasks that had to be killed."""
-        self.state, self.phase = machine.STOPPING, Phase.SHUTDOWN
+        self.state, self.phase = machine.STOPPING, StartupPhase.SHUTDOWN
         return self._agent.shut_down()
 
     def _advance(self) -> None:
         records = self.registry.records()
-        if phases.broken(records):
+        if broken(records):
             self.state, self._changed = machine.FAILED, True
             return
-        following = phases.next_phase(self.phase, records)
+        following = next_phase(self.phase, records)
         if following is not self.phase:
             self.phase, self._changed = following, True
-        elif self.phase is Phase.START and phases.done(Phase.START, records):
+        elif self.phase is StartupPhase.START and done(StartupPhase.START, records):
             self.state, self._changed = machine.READY, True
             self._agent.respawn = True
 

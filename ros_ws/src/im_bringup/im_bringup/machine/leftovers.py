@@ -6,11 +6,9 @@ import re
 import signal
 from pathlib import Path
 
+from im_bringup.tasks.agent import MARKER
 from im_core import clock, names, shm
 from im_core.shm import ProcessId
-
-#: Every process of a machine has this in its environment, with the machine's instance as value.
-MARKER = "IM_MACHINE"
 
 _SHM = Path("/dev/shm")
 _DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))(?:_[es]l|_mutex)?$")

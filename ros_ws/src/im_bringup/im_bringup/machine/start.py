@@ -3,20 +3,21 @@
 import argparse
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
-from im_bringup import deployment as deployments
-from im_bringup import leftovers, machine, stop
-from im_bringup.commands import environment
-from im_bringup.deployment import Deployment
-from im_bringup.executables import path_of
-from im_bringup.interrupts import interrupt_once
-from im_bringup.machine import MachineRecord
+from im_bringup.machine import leftovers, stop
+from im_bringup.machine import record as machine
+from im_bringup.machine.interrupts import interrupt_once
+from im_bringup.machine.record import MachineRecord
+from im_bringup.tasks import deployment as deployments
+from im_bringup.tasks.agent import environment
+from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.executables import path_of
+from im_cell.robot import load_cell
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
-from im_core.robot import load_cell
+from im_core.process import ChildProcess
 
 TIMEOUT_S = 60.0
 CALIBRATION = "${calibration}"
@@ -82,7 +83,7 @@ def check_calibration(deployment: Deployment, path: Path) -> None:
     """
     if not deployment.calibration:
         return
-    from im_core.calibration_files import read_calibration  # takes half a second, which few starts need
+    from im_cell.calibration_files import read_calibration  # takes half a second, which few starts need
 
     takers = [placed for placed in deployment.tasks() if CALIBRATION in placed.task.parameters.values()]
     if not takers:
@@ -157,7 +158,7 @@ def clear_the_way() -> None:
     (run_dir / "log").mkdir()
 
 
-def spawn_bootstrap(deployment: Deployment, path: Path) -> "subprocess.Popen[bytes]":
+def spawn_bootstrap(deployment: Deployment, path: Path) -> ChildProcess:
     """Start the bootstrap, detached from this terminal."""
     run_dir = names.run_dir().resolve()
     argv = [
@@ -169,15 +170,12 @@ def spawn_bootstrap(deployment: Deployment, path: Path) -> "subprocess.Popen[byt
         *("--port", str(deployment.port)),
         *(("--calibration", deployment.calibration) if deployment.calibration else ()),
     ]
-    with (run_dir / "log" / "bootstrap.log").open("ab") as log:
-        return subprocess.Popen(
-            argv,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=environment(os.environ, run_dir, deployment),
-            start_new_session=True,
-        )
+    return ChildProcess(
+        argv,
+        log=run_dir / "log" / "bootstrap.log",
+        environment=environment(os.environ, run_dir, deployment),
+        death_signal=None,
+    )
 
 
 def _folder(text: str) -> str:

@@ -6,11 +6,12 @@ import signal
 import sys
 from collections.abc import Callable
 
-from im_bringup import leftovers, machine
-from im_bringup.agent import last_words
-from im_bringup.interrupts import ignore_interrupts
+from im_bringup.machine import leftovers
+from im_bringup.machine import record as machine
+from im_bringup.machine.interrupts import ignore_interrupts
 from im_core import clock, names
 from im_core.errors import DataError
+from im_core.process import last_words
 
 #: The bootstrap's own ordered shutdown takes less than this [s].
 _ORDERLY_S = 4.3

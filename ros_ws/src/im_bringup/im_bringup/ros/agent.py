@@ -8,17 +8,16 @@ import sys
 
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from std_msgs.msg import UInt8
 
-from im_bringup import deployment as deployments
-from im_bringup.agent import Agent, Died
-from im_bringup.commands import commands, environment
-from im_bringup.deployment import Deployment
-from im_bringup.phases import Phase
+from im_bringup.tasks import deployment as deployments
+from im_bringup.tasks.agent import Agent, Died, commands, environment
+from im_bringup.tasks.deployment import Deployment
 from im_core import clock, names
 from im_core.ros import qos, run
-from im_core.ros.node import PHASE_TOPIC
+from im_core.startup import PHASE_TOPIC, StartupPhase
 
 POLL_PERIOD_S = 0.05
 
@@ -33,34 +32,36 @@ class AgentNode(Node):
 
     def __init__(self, deployment: Deployment, host: str) -> None:
         super().__init__("agent_" + re.sub(r"\W", "_", host))
+        self.log: RcutilsLogger = Node.get_logger(self)
         run_dir = names.run_dir().resolve() / host
         shutil.rmtree(run_dir / "journal", ignore_errors=True)  # a new machine is a new mission
         self._agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))
         self._started = False
         self.finished = False
-        self.create_subscription(UInt8, PHASE_TOPIC, lambda message: self._follow(Phase(message.data)), qos.LATCHED)
+        self.create_subscription(UInt8, PHASE_TOPIC, self._follow, qos.LATCHED)
         self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.get_logger().info(f"host {host} waits for the bootstrap")
+        self.log.info(f"host {host} waits for the bootstrap")
 
     def shut_down(self) -> None:
         """Stop all tasks of this host, the last started first."""
         for name in self._agent.shut_down():
-            self.get_logger().warning(f"task {name} did not end and was killed")
+            self.log.warning(f"task {name} did not end and was killed")
 
-    def _follow(self, phase: Phase) -> None:
-        if phase is Phase.SHUTDOWN:
+    def _follow(self, message: UInt8) -> None:
+        phase = StartupPhase(message.data)
+        if phase is StartupPhase.SHUTDOWN:
             self.finished = self._started
         elif not self._started:
             self._started = True
             for event in self._agent.start():
-                self.get_logger().info(f"task {event.name} started, process {event.pid}")
-        if phase is Phase.START:
+                self.log.info(f"task {event.name} started, process {event.pid}")
+        if phase is StartupPhase.START:
             self._agent.respawn = True
 
     def _poll(self) -> None:
         for event in self._agent.poll(clock.monotonic()):
             if isinstance(event, Died):
-                self.get_logger().error(f"task {event.name}: {event.sentence}")
+                self.log.error(f"task {event.name}: {event.sentence}")
         if self.finished:
             rclpy.try_shutdown()
 

@@ -4,28 +4,26 @@ import argparse
 import os
 import sys
 from pathlib import Path
-from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from std_msgs.msg import UInt8
 
-from im_bringup import deployment as deployments
-from im_bringup import machine
-from im_bringup.agent import Agent, Died
-from im_bringup.bootstrap import Bootstrap
-from im_bringup.commands import commands, environment
-from im_bringup.deployment import Deployment
-from im_bringup.machine import MachineRecord
-from im_bringup.phases import Phase
-from im_bringup.registry import Progress
-from im_bringup.ros.convert import to_message
+from im_bringup.machine import record as machine
+from im_bringup.machine.bootstrap import Bootstrap
+from im_bringup.machine.record import MachineRecord
+from im_bringup.tasks import deployment as deployments
+from im_bringup.tasks.agent import Agent, Died, commands, environment
+from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.registry import Progress, TaskRecord
 from im_core import clock, names
 from im_core.errors import ImError
 from im_core.ros import qos, run
-from im_core.ros.node import PHASE_TOPIC, STATUS_TOPIC
 from im_core.shm import ProcessId
+from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
+from im_msgs.msg import TaskRecord as TaskRecordMessage
 from im_msgs.msg import TaskRegistry, TaskStatus
 from im_msgs.srv import QueryTask
 
@@ -34,7 +32,7 @@ ACKNOWLEDGED_S = 2.0
 
 
 class BootstrapNode(Node):
-    """ROS shell of :class:`im_bringup.bootstrap.Bootstrap`; translates messages, decides nothing.
+    """ROS shell of :class:`im_bringup.machine.bootstrap.Bootstrap`; translates messages, decides nothing.
 
     Args:
         deployment: What to start.
@@ -44,6 +42,7 @@ class BootstrapNode(Node):
 
     def __init__(self, deployment: Deployment, path: Path, host: str) -> None:
         super().__init__("bootstrap")
+        self.log: RcutilsLogger = Node.get_logger(self)
         self._deployment, self._path = deployment, path
         self._run_dir = names.run_dir().resolve()
         agent = Agent(commands(deployment, host, self._run_dir), environment(os.environ, self._run_dir, deployment))
@@ -54,7 +53,7 @@ class BootstrapNode(Node):
         self._tasks_publisher = self.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
         self.create_service(QueryTask, "/bootstrap/query_task", self._query)
-        self._announce(Phase.LOAD)
+        self._announce(StartupPhase.LOAD)
         self._bootstrap.start()
         self._show()
         self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -63,10 +62,10 @@ class BootstrapNode(Node):
         """Stop all tasks, the last started first; then those of other hosts are told to stop."""
         self._write_record(machine.STOPPING)
         for name in self._bootstrap.shut_down():
-            self.get_logger().warning(f"task {name} did not end and was killed")
-        self._announce(Phase.SHUTDOWN)
+            self.log.warning(f"task {name} did not end and was killed")
+        self._announce(StartupPhase.SHUTDOWN)
         if not self._phase_publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S)):
-            self.get_logger().warning(f"not everybody has heard within {ACKNOWLEDGED_S:g} s that the machine ends")
+            self.log.warning(f"not everybody has heard within {ACKNOWLEDGED_S:g} s that the machine ends")
         machine.remove()
 
     def _poll(self) -> None:
@@ -74,20 +73,20 @@ class BootstrapNode(Node):
         events = self._bootstrap.poll(clock.monotonic())
         for event in events:
             if isinstance(event, Died):
-                self.get_logger().error(f"task {event.name}: {event.sentence}")
+                self.log.error(f"task {event.name}: {event.sentence}")
             else:
-                self.get_logger().info(f"task {event.name} started again, process {event.pid}")
+                self.log.info(f"task {event.name} started again, process {event.pid}")
         if self._bootstrap.phase is not before:
             self._announce(self._bootstrap.phase)
         if events or self._bootstrap.changed():
             self._show()
 
-    def _status(self, message: Any) -> None:
+    def _status(self, message: TaskStatus) -> None:
         self._bootstrap.heard(
             message.name, message.pid, message.incarnation, Progress(message.phase), message.detail, clock.monotonic()
         )
 
-    def _query(self, request: Any, response: Any) -> Any:
+    def _query(self, request: QueryTask.Request, response: QueryTask.Response) -> QueryTask.Response:
         try:
             response.task = to_message(self._bootstrap.registry.find(request.name))
         except ImError as error:
@@ -96,9 +95,9 @@ class BootstrapNode(Node):
         response.success = True
         return response
 
-    def _announce(self, phase: Phase) -> None:
+    def _announce(self, phase: StartupPhase) -> None:
         self._phase_publisher.publish(UInt8(data=int(phase)))
-        self.get_logger().info(f"phase {phase.name}")
+        self.log.info(f"phase {phase.name}")
 
     def _show(self) -> None:
         message = TaskRegistry(tasks=[to_message(record) for record in self._bootstrap.registry.records()])
@@ -124,6 +123,25 @@ class BootstrapNode(Node):
         if record != self._written:
             machine.write(record)
             self._written = record
+
+
+def to_message(record: TaskRecord) -> TaskRecordMessage:
+    """The message of a record."""
+    placed = record.placed
+    return TaskRecordMessage(
+        id=placed.id,
+        name=placed.name,
+        node=placed.task.node,
+        host=placed.host,
+        process=placed.process,
+        package=placed.task.package,
+        executable=placed.task.executable,
+        pid=record.pid,
+        incarnation=record.incarnation,
+        restarts=record.restarts,
+        phase=record.progress.word,
+        detail=record.detail,
+    )
 
 
 def main() -> int:

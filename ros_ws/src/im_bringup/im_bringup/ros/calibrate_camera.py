@@ -20,14 +20,14 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from im_bringup import machine
-from im_bringup.progress import FiringPhase, ProgressLines
-from im_bringup.summary import summary
+from im_bringup.calibration.progress import FiringPhase, ProgressLines
+from im_bringup.calibration.summary import summary
+from im_bringup.machine import record as machine
 from im_core import clock
 from im_core.errors import ImError, LinkError, WaitTimeoutError
 from im_core.ros import qos
-from im_core.ros.node import STATUS_TOPIC
 from im_core.ros.run import Spinner
+from im_core.startup import STATUS_TOPIC
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import Firing, TaskStatus
 from im_msgs.srv import CalibrateCamera
@@ -42,10 +42,10 @@ SILENCE_S = 20.0
 #: Time after which a goal that met the server of a former life is sent again [s].
 ACCEPT_S = 2.0
 
-DONE, FAILED, BAD_USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
+DONE, FAILED, NOT_RUNNING, INTERRUPTED = 0, 1, 3, 130
 
 
-class Client(Node):
+class CalibrateCameraClient(Node):
     """Calls the service and prints the progress of the command.
 
     Args:
@@ -159,7 +159,7 @@ def main() -> int:
         print(f"calibrate_camera: {error.message}", file=sys.stderr)
         return NOT_RUNNING
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    client = Client(sys.stderr if arguments.json else sys.stdout)
+    client = CalibrateCameraClient(sys.stderr if arguments.json else sys.stdout)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: client.interrupt())
     began = clock.monotonic()

@@ -1,7 +1,6 @@
 """``record``: every topic of the ROS domain into a bag, also those that appear later, until SIGINT or SIGTERM."""
 
 import argparse
-import importlib
 import signal
 import sys
 from pathlib import Path
@@ -15,14 +14,15 @@ from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.bag import BagWriter, Delivery, default_folder
 from im_core import clock
-from im_core.errors import DataError, ImError
+from im_core.errors import ImError
+from im_core.ros.interfaces import interface_class
 from im_core.ros.run import Spinner
 
 DISCOVERY_PERIOD_S = 0.5
 QUEUE_DEPTH = 1000
 
 
-class Recorder(Node):
+class BagRecorder(Node):
     """Subscribes to what is published and writes the bytes as they come.
 
     Args:
@@ -51,18 +51,16 @@ class Recorder(Node):
 
     def _subscribe(self, topic: str, type_name: str, delivery: Delivery) -> None:
         try:
-            message_class = message_class_of(type_name)
+            message_class = interface_class(type_name)
             self._bag.add_topic(topic, type_name, delivery)
-        except DataError as error:
+        except ImError as error:
             self._refused.add(topic)
             print(f"record: {topic} is left out: {error.message}", file=sys.stderr)
             return
-        self.create_subscription(
-            message_class, topic, lambda data: self._write(topic, data), to_profile(delivery), raw=True
-        )
+        def write(data: bytes) -> None:
+            self._bag.write(topic, int(clock.wall() * 1e9), data)
 
-    def _write(self, topic: str, data: bytes) -> None:
-        self._bag.write(topic, int(clock.wall() * 1e9), data)
+        self.create_subscription(message_class, topic, write, to_profile(delivery), raw=True)
 
 
 def delivery_of(publishers: Any) -> Delivery:
@@ -85,19 +83,6 @@ def to_profile(delivery: Delivery) -> QoSProfile:
     )
 
 
-def message_class_of(type_name: str) -> Any:
-    """Class of a message type such as ``std_msgs/msg/String``.
-
-    Raises:
-        DataError: It is not installed.
-    """
-    package, kind, name = type_name.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), name)
-    except (ImportError, AttributeError) as error:
-        raise DataError(f"the type {type_name} is not installed: {error}", type=type_name) from error
-
-
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="record", description="Record topics into a bag (MCAP) until Ctrl-C.")
@@ -111,7 +96,7 @@ def main() -> int:
         print(f"record: {error.message}", file=sys.stderr)
         return 2
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    recorder = Recorder(bag, arguments.topics)
+    recorder = BagRecorder(bag, arguments.topics)
     spinner = Spinner([recorder])
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: spinner.request_stop())

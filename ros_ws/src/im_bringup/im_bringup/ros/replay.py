@@ -13,9 +13,10 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.bag import BagReader, chosen_topics
-from im_bringup.ros.record import message_class_of, to_profile
+from im_bringup.ros.record import to_profile
 from im_core import clock
 from im_core.errors import ImError
+from im_core.ros.interfaces import interface_class
 
 #: Time for subscribers to find the publishers before the first message: at least, and while none has [s].
 DISCOVERY_S = 1.0
@@ -39,7 +40,7 @@ class Replay:
         self._node, self._bag = node, bag
         self._stop = threading.Event()
         self._publishers: dict[str, Publisher] = {
-            topic: node.create_publisher(message_class_of(bag.types[topic]), topic, to_profile(bag.deliveries[topic]))
+            topic: node.create_publisher(interface_class(bag.types[topic]), topic, to_profile(bag.deliveries[topic]))
             for topic in topics
         }
 

@@ -8,12 +8,12 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from im_bringup.interrupts import interrupt_once
-from im_bringup.summary import error_lines
-from im_bringup.truth import add_to_report
+from im_bringup.calibration.summary import error_lines
+from im_bringup.calibration.truth import add_to_report
+from im_bringup.machine.interrupts import interrupt_once
+from im_cell.robot.truth import CellTruth
 from im_core.errors import ImError, StateError
 from im_core.names import results_dir
-from im_core.robot.truth import CellTruth
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import Spinner
 from im_msgs.srv import GetTruth

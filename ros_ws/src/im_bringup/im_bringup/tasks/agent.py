@@ -1,17 +1,20 @@
 """The agent of a host: starts the processes of its tasks, starts again what died, and stops all of them in order."""
 
-import ctypes
-import os
 import signal
-import subprocess
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
-from im_core import clock
+import yaml
 
+from im_bringup.tasks.deployment import Deployment, ParameterValue
+from im_bringup.tasks.executables import path_of
+from im_core import clock, names, scheduling
+from im_core.process import ChildProcess, await_ends, last_words
+
+#: Every process of a machine has this in its environment, with the machine's instance as value.
+MARKER = "IM_MACHINE"
 RESPAWN_DELAY_S = 1.0
 RESPAWN_LIMIT = 5
 RESPAWN_WINDOW_S = 60.0
@@ -22,26 +25,9 @@ _ALL_TURNS_S = 1.8
 _TERM_AFTER_S = 2.6
 _KILL_AFTER_S = 3.5
 
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None, use_errno=True)
-
-
-class Child(Protocol):
-    """What the agent needs of a process; ``subprocess.Popen`` has it."""
-
-    pid: int
-
-    def poll(self) -> int | None:
-        """Exit code, or None while it runs."""
-        ...
-
-    def send_signal(self, sig: int) -> None:
-        """Send a signal; nothing happens if it ended."""
-        ...
-
 
 @dataclass(frozen=True)
-class Command:
+class TaskCommand:
     """How the process of a task is started.
 
     Attributes:
@@ -79,33 +65,21 @@ class Died:
 
 @dataclass
 class _Slot:
-    command: Command
-    child: Child | None = None
+    command: TaskCommand
+    child: ChildProcess | None = None
     restarts: int = 0
     respawn_at: float | None = None
     respawned: deque[float] = field(default_factory=deque)
 
 
-Spawn = Callable[[Command, Mapping[str, str]], Child]
+Spawn = Callable[[TaskCommand, Mapping[str, str]], ChildProcess]
 
 
-def spawn_process(command: Command, environment: Mapping[str, str]) -> Child:
-    """Start a process in a session of its own; it is ended by the kernel if this thread dies."""
-    command.log.parent.mkdir(parents=True, exist_ok=True)
-    with command.log.open("ab") as log:
-        return subprocess.Popen(
-            command.argv,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=dict(environment),
-            start_new_session=True,
-            preexec_fn=_end_with_parent,
-        )
-
-
-def _end_with_parent() -> None:
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+def spawn_process(command: TaskCommand, environment: Mapping[str, str]) -> ChildProcess:
+    """Start the process of a task; it is asked to end if this thread dies."""
+    return ChildProcess(
+        command.argv, name=command.name, log=command.log, environment=environment, death_signal=signal.SIGTERM
+    )
 
 
 class Agent:
@@ -118,7 +92,7 @@ class Agent:
     """
 
     def __init__(
-        self, commands: Sequence[Command], environment: Mapping[str, str], spawn: Spawn = spawn_process
+        self, commands: Sequence[TaskCommand], environment: Mapping[str, str], spawn: Spawn = spawn_process
     ) -> None:
         self._slots = {command.name: _Slot(command) for command in commands}
         self._environment = dict(environment)
@@ -168,17 +142,17 @@ class Agent:
         children = [(name, slot.child) for name, slot in self._slots.items() if slot.child is not None]
         turn = min(_TURN_S, _ALL_TURNS_S / max(1, len(children)))
         for _, child in reversed(children):
-            _signal(child, signal.SIGINT)
-            _wait([child], clock.monotonic() + turn)
+            child.send_signal(signal.SIGINT)
+            await_ends([child], clock.monotonic() + turn)
         everyone = [child for _, child in children]
-        _wait(everyone, began + _TERM_AFTER_S)
+        await_ends(everyone, began + _TERM_AFTER_S)
         for child in everyone:
-            _signal(child, signal.SIGTERM)
-        _wait(everyone, began + _KILL_AFTER_S)
+            child.send_signal(signal.SIGTERM)
+        await_ends(everyone, began + _KILL_AFTER_S)
         killed = [name for name, child in children if child.poll() is None]
         for child in everyone:
-            _signal(child, signal.SIGKILL)
-        _wait(everyone, began + _KILL_AFTER_S + 0.4)
+            child.send_signal(signal.SIGKILL)
+        await_ends(everyone, began + _KILL_AFTER_S + 0.4)
         return killed
 
     def _start(self, slot: _Slot) -> Started:
@@ -198,30 +172,42 @@ class Agent:
         return f"{sentence}; it is started again in {RESPAWN_DELAY_S:g} s"
 
 
-def last_words(log: Path, most_bytes: int = 4096) -> str:
-    """The last line of a log that is not empty, or an empty string."""
-    try:
-        with log.open("rb") as file:
-            file.seek(0, os.SEEK_END)
-            file.seek(max(0, file.tell() - most_bytes))
-            text = file.read().decode(errors="replace")
-    except OSError:
-        return ""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return lines[-1] if lines else ""
-
-
 def _how(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
     return f"was killed by {signal.Signals(-code).name}"
 
 
-def _signal(child: Child, number: int) -> None:
-    if child.poll() is None:
-        child.send_signal(number)
+def commands(deployment: Deployment, host: str, run_dir: Path) -> list[TaskCommand]:
+    """Commands for the tasks of one host, in starting order; their parameter files are written.
+
+    Args:
+        deployment: The deployment.
+        host: Name of the host in it.
+        run_dir: Folder for parameter files and logs.
+
+    Raises:
+        NotFoundError: The host, a package or an executable does not exist.
+    """
+    result = []
+    for placed in deployment.on_host(host):
+        program = path_of(placed.task.package, placed.task.executable)
+        parameters = write_parameters(run_dir, placed.name, deployment.parameters_of(placed.task))
+        argv = [str(program), "--ros-args", "--disable-external-lib-logs", "--params-file", str(parameters)]
+        result.append(TaskCommand(placed.name, argv, run_dir / "log" / f"{placed.name}.log"))
+    return result
 
 
-def _wait(children: Sequence[Child], deadline: float) -> None:
-    while any(child.poll() is None for child in children) and clock.monotonic() < deadline:
-        clock.sleep(0.01)
+def write_parameters(run_dir: Path, task: str, parameters: Mapping[str, ParameterValue]) -> Path:
+    """Write a ROS parameter file that holds for every node of the task's process."""
+    path = run_dir / "parameters" / f"{task}.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = {"/**": {"ros__parameters": dict(parameters)}}
+    path.write_text(yaml.safe_dump(content, sort_keys=True), encoding="utf-8")
+    return path
+
+
+def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:
+    """Environment of the machine's processes: marked as belonging to it, with its folder, and the core of its servo."""
+    core = scheduling.reserve() if deployment.clock_factor > 0.0 else {}
+    return {**base, **core, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir)}

@@ -41,7 +41,7 @@ class Task(Model):
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedTask:
     """A task and its place: unique id, symbolic name, host and process."""
 
     id: int
@@ -104,16 +104,16 @@ class Deployment(Model):
     def _variables(self) -> dict[str, Scalar]:
         return {name: getattr(self, name) for name in _VALUES}
 
-    def tasks(self) -> Iterator[Placed]:
+    def tasks(self) -> Iterator[PlacedTask]:
         """All tasks with their places, in starting order; ids count from 1."""
         number = 0
         for host, processes in self.hosts.items():
             for process, tasks in processes.items():
                 for name, task in tasks.items():
                     number += 1
-                    yield Placed(number, name, host, process, task)
+                    yield PlacedTask(number, name, host, process, task)
 
-    def on_host(self, host: str) -> list[Placed]:
+    def on_host(self, host: str) -> list[PlacedTask]:
         """The tasks of one host, in starting order.
 
         Raises:
@@ -160,11 +160,9 @@ class Deployment(Model):
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})
         except pydantic.ValidationError as error:
-            fault = error.errors()[0]
-            name = str(fault["loc"][0])
-            value = changed[name]
-            shown = f"{value:g}" if isinstance(value, float) else value
-            raise ConfigError(f"{name}: {shown}: {fault['msg']}", field=name) from error
+            fault = config.faults(error, Deployment)[0]
+            shown = f"{fault.value:g}" if isinstance(fault.value, float) else fault.value
+            raise ConfigError(f"{fault.field}: {shown}: {fault.words}", field=fault.field) from error
 
 
 def default_path() -> Path:

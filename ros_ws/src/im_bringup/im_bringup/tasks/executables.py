@@ -1,6 +1,7 @@
-"""Where the executables of the workspace's packages are."""
+"""Where the executables of the workspace's packages are, and ``run PACKAGE EXECUTABLE ARGS...``, which becomes one."""
 
 import os
+import sys
 from pathlib import Path
 
 from im_core.errors import NotFoundError
@@ -43,8 +44,55 @@ def path_of(package: str, executable: str) -> Path:
     return next(path for path in (prefix / "lib" / package / executable for prefix in prefixes()) if path.is_file())
 
 
+def packages_with(executable: str) -> list[str]:
+    """Names of the packages of colcon workspaces that have an executable of that name, sorted."""
+    return [package for package in packages() if executable in executables(package)]
+
+
+def main() -> int:
+    """Run it; with less than two arguments, list what there is.
+
+    Returns:
+        0 after a listing, 2 if there is no such thing; does not return otherwise.
+    """
+    arguments = sys.argv[1:]
+    try:
+        if not arguments:
+            for package in packages():
+                print(f"{package}: {' '.join(executables(package))}")
+        elif len(arguments) == 1 or arguments[1] in ("-h", "--help"):
+            print("\n".join(executables(arguments[0])))
+        else:
+            path = _path_anywhere(arguments[0], arguments[1])
+            os.execv(path, [str(path), *arguments[2:]])
+    except NotFoundError as error:
+        print(f"run: {error.message}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _path_anywhere(package: str, executable: str) -> Path:
+    """Path of an executable; of the one other package that has it where this one has not, which is said.
+
+    Raises:
+        NotFoundError: Nobody has it, or several others have.
+    """
+    try:
+        return path_of(package, executable)
+    except NotFoundError:
+        others = packages_with(executable)
+        if len(others) != 1:
+            raise
+    print(f"run: {executable} is in {others[0]}", file=sys.stderr)
+    return path_of(others[0], executable)
+
+
 def _programs(folder: Path) -> list[Path]:
     try:
         return [path for path in folder.iterdir() if path.is_file() and os.access(path, os.X_OK)]
     except OSError:
         return []
+
+
+if __name__ == "__main__":
+    sys.exit(main())

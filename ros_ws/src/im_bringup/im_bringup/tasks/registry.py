@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from im_bringup.deployment import Placed
+from im_bringup.tasks.deployment import PlacedTask
 from im_core.errors import NotFoundError
 
 #: A task of another host whose heartbeat is silent for longer is taken for dead [s].
@@ -42,7 +42,7 @@ class TaskRecord:
         heard: When its heartbeat came last, monotonic time [s]; negative if never.
     """
 
-    placed: Placed
+    placed: PlacedTask
     pid: int = 0
     incarnation: int = 0
     restarts: int = 0
@@ -64,7 +64,7 @@ class Registry:
         local_host: Host whose processes are watched directly; the others are known by their heartbeats.
     """
 
-    def __init__(self, tasks: Iterable[Placed], local_host: str) -> None:
+    def __init__(self, tasks: Iterable[PlacedTask], local_host: str) -> None:
         self._records = {placed.name: TaskRecord(placed) for placed in tasks}
         self._local_host = local_host
 

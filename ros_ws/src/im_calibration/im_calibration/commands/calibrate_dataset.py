@@ -5,12 +5,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from im_calibration.commands import command
+from im_calibration.problem.dataset import load_problems
+from im_calibration.reporting.report import answer
 from im_core.clock import monotonic
 from im_core.errors import DataError
 from im_core.files import write_whole
-from im_vss.calibration import command
-from im_vss.calibration.answer import answer
-from im_vss.calibration.dataset import load_problems
 
 _QUIET_S = 2.0
 
@@ -33,7 +33,7 @@ OUT.json holds an entry for each trial, in order:
 exit codes: 0 OUT.json is written, whatever the flags; 1 IN.json or OUT.json cannot be used, and OUT.json is as before;
             2 wrong arguments; 130 interrupted
 
-example:  scripts/run.sh im_vss calibrate_dataset data.json cameras.json
+example:  scripts/run.sh im_calibration calibrate_dataset data.json cameras.json
 """
 
 

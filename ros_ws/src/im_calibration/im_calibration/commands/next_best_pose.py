@@ -5,13 +5,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from im_calibration.commands import command
+from im_calibration.design import NextPose, load_candidates, next_best_poses
+from im_calibration.pipeline import calibrate
+from im_calibration.problem.dataset import load_problems
+from im_cell.robot import load_cell
 from im_core.errors import DataError
-from im_core.robot import load_cell
-from im_vss.calibration import command
-from im_vss.calibration.dataset import load_problems
-from im_vss.calibration.next_pose import NextPose, next_best_poses
-from im_vss.calibration.pipeline import calibrate
-from im_vss.calibration.pose_file import load_candidates
 
 _EPILOG = """\
 DATA.json has the format vislab-calib-1 (calibrate_dataset --help); POSES.yaml holds the wrist poses to choose from:
@@ -26,7 +25,7 @@ exit codes: 0 the poses are printed; 1 a file cannot be used, or the data give n
             130 interrupted
 
 example:  scripts/run.sh im_mcs poses --count 200 --seed 7 --output poses.yaml
-          scripts/run.sh im_vss next_best_pose data.json poses.yaml --count 5
+          scripts/run.sh im_calibration next_best_pose data.json poses.yaml --count 5
 """
 
 

@@ -1,27 +1,102 @@
-"""Chi-square gates: which spots the noise can explain, judged without their own influence on the estimate."""
+"""Chi-square gates: which spots the noise can explain, judged without their own influence on the estimate.
+
+Where a pose does not fit, one camera's spot is wrong, or the robot's position that all cameras share.
+"""
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from im_vss.calibration.agreement import FALSE_ALARM, Agreement, Prediction
-from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.residuals import camera_blocks, linearise, projectable
-from im_vss.calibration.solve import Fit, maximise_likelihood, spot_distances
-from im_vss.calibration.unknowns import Layout, Unknowns
+from im_calibration.estimation.residuals import camera_blocks, linearise, projectable
+from im_calibration.estimation.solve import Fit, maximise_likelihood, spot_distances
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.problem.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+FALSE_ALARM = 5e-4
+"""Probability with which a gate rejects an honest pose."""
 TRUSTED_SHARE = 0.6
 """Least share of the spots that has to agree; less is not a matter of outliers."""
 
+_AMBIGUOUS = 9.0
+_FREE_POSITION = 1.0
 _ROUNDS = 20
 _STEPS = 30
 _LEAST_SHARE, _WORST_SHARE = 0.5, 0.1
 _RIDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Spots of n poses in c cameras as predicted without them.
+
+    Attributes:
+        errors: Measured minus predicted, shape (n, 2c) [px].
+        covariances: Covariances of `errors`, shape (n, 2c, 2c) [px^2].
+        by_point: Derivatives of the spots by the LED position, shape (n, 2c, 3) [px/m].
+    """
+
+    errors: Array
+    covariances: Array
+    by_point: Array
+
+    def distance(self, pose: int, cameras: NDArray[np.intp], *, scale: float = 1.0, free: bool = False) -> float:
+        """Squared Mahalanobis length of the errors of some cameras.
+
+        Args:
+            pose: Index of the pose.
+            cameras: Indices of the cameras.
+            scale: Factor on the covariance.
+            free: Whether the LED may be anywhere, so that only contradictions between the cameras count.
+        """
+        rows = np.stack((2 * cameras, 2 * cameras + 1), axis=1).ravel()
+        covariance = scale * self.covariances[pose][np.ix_(rows, rows)]
+        if free:
+            moved = self.by_point[pose][rows]
+            covariance = covariance + _FREE_POSITION**2 * moved @ moved.T
+        errors = self.errors[pose][rows]
+        return float(errors @ np.linalg.solve(covariance, errors))
+
+
+class Agreement:
+    """Decides for each pose which cameras' spots agree with the prediction and with each other."""
+
+    def __init__(self, prediction: Prediction, detected: Mask, scale: float) -> None:
+        """Prepare the decision.
+
+        Args:
+            prediction: Spots as predicted from the other poses.
+            detected: Which spots there are, shape (c, n).
+            scale: Factor on all covariances.
+        """
+        self._prediction, self._detected, self._scale = prediction, detected, scale
+
+    def cameras(self, pose: int) -> list[int]:
+        """Cameras whose spots to use; empty where it cannot be told who is wrong.
+
+        A camera is to blame only if the spots contradict each other wherever the LED was; if they do not, the robot's
+        position may be wrong as well, and the whole pose goes.
+        """
+        seen = np.flatnonzero(self._detected[:, pose])
+        if self._distance(pose, seen) <= _gate(2 * len(seen)):
+            return [int(c) for c in seen]
+        contradiction = self._prediction.distance(pose, seen, scale=self._scale, free=True)
+        if len(seen) < 2 or contradiction <= _gate(2 * len(seen) - 3):
+            return []
+        for size in range(len(seen) - 1, 0, -1):
+            sets = sorted((self._distance(pose, np.array(subset)), subset) for subset in combinations(seen, size))
+            if sets[0][0] <= _gate(2 * size):
+                ambiguous = len(sets) > 1 and sets[1][0] - sets[0][0] < _AMBIGUOUS
+                return [] if ambiguous else [int(c) for c in sets[0][1]]
+        return []
+
+    def _distance(self, pose: int, cameras: NDArray[np.intp]) -> float:
+        return self._prediction.distance(pose, cameras, scale=self._scale)
 
 
 @dataclass(frozen=True)
@@ -41,7 +116,7 @@ class Gated:
     scale: float
 
 
-def fit_with_gates(first: Unknowns, problem: CalibrationProblem, layout: Layout) -> Gated:
+def fit_with_gates(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayout) -> Gated:
     """Alternate between gates and maximum likelihood until the set of spots no longer changes.
 
     Where gates at the stated noise would leave out more than outliers explain, the noise is larger than stated (or the
@@ -59,7 +134,7 @@ def fit_with_gates(first: Unknowns, problem: CalibrationProblem, layout: Layout)
     return _iterate(first, problem, layout, widen=True)
 
 
-def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Layout, used: Mask) -> Prediction:
+def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: ParameterLayout, used: Mask) -> Prediction:
     """Predict the spots of each pose from all other poses.
 
     Leaving a pose out takes its share from the information; the parameters then have covariance P', move by
@@ -87,7 +162,7 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Layout, u
     return Prediction(errors, line.covariances + spread @ np.swapaxes(line.jacobians, 1, 2), line.by_point)
 
 
-def _iterate(first: Unknowns, problem: CalibrationProblem, layout: Layout, *, widen: bool) -> Gated:
+def _iterate(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, *, widen: bool) -> Gated:
     """Iterate to a stable set; once sets recur, spots may only leave, so that it ends."""
     detected = problem.detected
     unknowns, used, scale = first, _first_gate(first, problem, layout), 1.0
@@ -137,7 +212,7 @@ def _noise_scale(prediction: Prediction, used: Mask) -> float:
     return scale if scale > 1.0 + 3.0 / np.sqrt(len(poses)) else 1.0
 
 
-def _first_gate(unknowns: Unknowns, problem: CalibrationProblem, layout: Layout) -> Mask:
+def _first_gate(unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout) -> Mask:
     """Generous gate on the robust fit: a spot by itself, widened by the scatter of the typical spot."""
     seen = problem.detected & projectable(unknowns, problem)
     unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
@@ -154,6 +229,11 @@ def _own_distances(prediction: Prediction) -> Array:
     return np.asarray(np.maximum((spots * solved).sum(axis=2), 0.0))
 
 
-def _enough(chosen: Mask, layout: Layout) -> bool:
+def _enough(chosen: Mask, layout: ParameterLayout) -> bool:
     """Whether each camera keeps more coordinates than it has unknowns."""
     return bool(chosen.sum(axis=1).min() >= 8) and 2 * int(chosen.sum()) > 14 * layout.cameras
+
+
+def _gate(dof: int) -> float:
+    """Value that chi-square exceeds with probability :data:`FALSE_ALARM`."""
+    return float(scipy.stats.chi2.isf(FALSE_ALARM, dof))

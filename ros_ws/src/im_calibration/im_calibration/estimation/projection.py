@@ -20,7 +20,7 @@ def project(intrinsics: Array, rotations: Array, translations: Array, points: Ar
 
     Returns:
         Pixels (c, n, 2), NaN behind a camera; derivatives by the point (c, n, 2, 3) [px/m]; derivatives by the camera's
-        parameters in the order of :data:`im_vss.calibration.unknowns.CAMERA_PARAMETERS` (c, n, 2, 14).
+        parameters in the order of :data:`im_calibration.estimation.unknowns.CAMERA_PARAMETERS` (c, n, 2, 14).
     """
     rotated = points @ np.swapaxes(rotations, 1, 2)
     x, y, depth = _ideal(rotated + translations[:, None, :])

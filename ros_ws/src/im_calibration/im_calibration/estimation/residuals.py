@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.projection import image, project
-from im_vss.calibration.unknowns import Layout, Unknowns
+from im_calibration.estimation.projection import image, project
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.problem.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,7 +39,11 @@ class Linearisation:
 
 
 def linearise(
-    unknowns: Unknowns, problem: CalibrationProblem, layout: Layout, used: Mask, image_covariances: Array | None = None
+    unknowns: Unknowns,
+    problem: CalibrationProblem,
+    layout: ParameterLayout,
+    used: Mask,
+    image_covariances: Array | None = None,
 ) -> Linearisation:
     """Linearise the problem.
 

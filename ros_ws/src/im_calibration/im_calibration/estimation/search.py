@@ -11,14 +11,13 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from im_vss.calibration.agreement import FALSE_ALARM
-from im_vss.calibration.errors import DegenerateDataError, InconsistentDataError
-from im_vss.calibration.gates import TRUSTED_SHARE, Gated, fit_with_gates
-from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
-from im_vss.calibration.residuals import projectable
-from im_vss.calibration.solve import robust_cost, robust_fit
-from im_vss.calibration.start import FLAT, core_extent, start
-from im_vss.calibration.unknowns import PER_CAMERA, Layout, Unknowns
+from im_calibration.errors import DegenerateDataError, InconsistentDataError
+from im_calibration.estimation.gates import FALSE_ALARM, TRUSTED_SHARE, Gated, fit_with_gates
+from im_calibration.estimation.residuals import projectable
+from im_calibration.estimation.solve import robust_cost, robust_fit
+from im_calibration.estimation.start import FLAT, core_extent, start
+from im_calibration.estimation.unknowns import PER_CAMERA, ParameterLayout, Unknowns
+from im_calibration.problem.problem import MINIMUM_SPOTS, CalibrationProblem
 
 _PARTS, _MOST_PARTS = 6, 18
 _PART = 0.67
@@ -28,7 +27,7 @@ _REDUNDANT_SPOTS = 25
 """Spots of a camera from which on the gates have not been seen to end in a wrong set."""
 
 
-def best_explanation(problem: CalibrationProblem, layout: Layout) -> Gated:
+def best_explanation(problem: CalibrationProblem, layout: ParameterLayout) -> Gated:
     """The fit with gates of the best start.
 
     Args:
@@ -64,14 +63,14 @@ def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
     return float(gated.fit.chi2 + gates) if np.isfinite(gated.fit.chi2) else float("inf")
 
 
-def _plausible(gated: Gated, problem: CalibrationProblem, layout: Layout) -> bool:
+def _plausible(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
     """Whether most spots are believed, and the noise explains them; else it is worth to search on."""
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
     freedom = max(1, 2 * int(gated.used.sum()) - PER_CAMERA * layout.cameras)
     return bool(believed and gated.fit.chi2 < scipy.stats.chi2.isf(_UNLIKELY, freedom))
 
 
-def _robust_start(problem: CalibrationProblem, layout: Layout) -> Unknowns:
+def _robust_start(problem: CalibrationProblem, layout: ParameterLayout) -> Unknowns:
     """Robust fit from a linear start; with unknown offsets started again from those found, and the better one kept."""
     fits = [robust_fit(start(problem, layout), problem, layout, problem.detected)]
     if layout.led or layout.joints:
@@ -89,11 +88,11 @@ def _robust_start(problem: CalibrationProblem, layout: Layout) -> Unknowns:
                     parameters=(f"{camera}.intrinsics", f"{camera}.pose"),
                     camera=camera,
                 )
-            raise InconsistentDataError(camera)
+            raise InconsistentDataError(f"No camera explains where {camera} saw the LED.", camera=camera)
     return best
 
 
-def _starts_from_parts(problem: CalibrationProblem, layout: Layout, offsets: Unknowns) -> Iterator[Unknowns]:
+def _starts_from_parts(problem: CalibrationProblem, layout: ParameterLayout, offsets: Unknowns) -> Iterator[Unknowns]:
     """Robust fits of random parts of the poses; every other one from the offsets found before."""
     rng, n = np.random.default_rng(_SEED), len(problem.positions)
     for i in range(_MOST_PARTS):

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.residuals import Linearisation, camera_blocks, image_residuals, linearise, projectable
-from im_vss.calibration.unknowns import Layout, Unknowns
+from im_calibration.estimation.residuals import Linearisation, camera_blocks, image_residuals, linearise, projectable
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.problem.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -44,7 +44,7 @@ class Fit:
 def maximise_likelihood(
     start: Unknowns,
     problem: CalibrationProblem,
-    layout: Layout,
+    layout: ParameterLayout,
     used: Mask,
     inflation: Array | None = None,
     max_steps: int = _MAX_STEPS,
@@ -89,7 +89,7 @@ def maximise_likelihood(
             return Fit(unknowns, information, chi2, line, steps)
 
 
-def robust_fit(start: Unknowns, problem: CalibrationProblem, layout: Layout, used: Mask) -> Fit:
+def robust_fit(start: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask) -> Fit:
     """Fit with the Geman-McClure loss on each spot, its scale following the median of the residuals down.
 
     Args:
@@ -118,7 +118,7 @@ def robust_fit(start: Unknowns, problem: CalibrationProblem, layout: Layout, use
     return fit
 
 
-def robust_cost(unknowns: Unknowns, problem: CalibrationProblem, layout: Layout) -> float:
+def robust_cost(unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout) -> float:
     """How badly a fit explains all spots, from 0 to their number; gross outliers count 1 each."""
     still = replace(unknowns, displacements=np.zeros_like(problem.positions))
     visible = problem.detected & projectable(still, problem)
@@ -137,7 +137,9 @@ def spot_distances(line: Linearisation) -> Array:
 class _Cost:
     """Chi-square of a value of all unknowns, LED positions included."""
 
-    def __init__(self, problem: CalibrationProblem, layout: Layout, used: Mask, inflation: Array | None) -> None:
+    def __init__(
+        self, problem: CalibrationProblem, layout: ParameterLayout, used: Mask, inflation: Array | None
+    ) -> None:
         self._problem, self._layout, self._used = problem, layout, used
         self._widths = np.array([[size[0]] for size in problem.image_sizes], dtype=float)
         factors = np.ones(used.shape) if inflation is None else np.where(used, inflation, 1.0)
@@ -177,7 +179,9 @@ def _displacements(line: Linearisation, weights: Array, step: Array, problem: Ca
     return np.asarray((problem.position_covariances @ force)[..., 0])
 
 
-def _normal_equations(line: Linearisation, weights: Array, unknowns: Unknowns, layout: Layout) -> tuple[Array, Array]:
+def _normal_equations(
+    line: Linearisation, weights: Array, unknowns: Unknowns, layout: ParameterLayout
+) -> tuple[Array, Array]:
     """Information matrix and right-hand side, priors included."""
     weighted = (weights @ line.jacobians).reshape(-1, layout.size)
     information = line.jacobians.reshape(-1, layout.size).T @ weighted + np.diag(layout.prior_precision)

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.calibration.affine_start import affine_start
-from im_vss.calibration.errors import DegenerateDataError, InconsistentDataError
-from im_vss.calibration.planar_start import planar_start
-from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
-from im_vss.calibration.unknowns import Layout, Unknowns
+from im_calibration.errors import DegenerateDataError, InconsistentDataError
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.problem.problem import MINIMUM_SPOTS, CalibrationProblem
 
 Array = NDArray[np.float64]
 
@@ -20,6 +18,8 @@ _SAMPLES = 400
 _SAMPLE_SIZE = 7
 _SEED = 1989
 _REFITS = 6
+_REWEIGHTINGS = 15
+_FOCAL_LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)
 FLAT = 0.02
 """Thickness over length of a cloud of positions below which it counts as a plane."""
 _THIN = 0.02
@@ -41,7 +41,7 @@ class PinholeStart:
     translation: Array
 
 
-def start(problem: CalibrationProblem, layout: Layout, offsets: Unknowns | None = None) -> Unknowns:
+def start(problem: CalibrationProblem, layout: ParameterLayout, offsets: Unknowns | None = None) -> Unknowns:
     """Start values of all unknowns, distortion at zero.
 
     Args:
@@ -100,7 +100,7 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
             camera=name,
         )
     if found is None:
-        raise InconsistentDataError(name)
+        raise InconsistentDataError(f"No camera explains where {name} saw the LED.", camera=name)
     return PinholeStart(*found)
 
 
@@ -209,3 +209,118 @@ def _decompose(matrix: Array, points: Array) -> tuple[Array, Array, Array] | Non
     translation = np.linalg.solve(K, matrix[:, 3])
     K = K / K[2, 2]
     return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), rotation, translation
+
+
+def affine_start(
+    points: Array, pixels: Array, image_size: tuple[int, int], tolerance: float
+) -> tuple[Array, Array, Array] | None:
+    """Orientation and scale from the affine camera, which has 8 unknowns only; then the likeliest focal length.
+
+    Args:
+        points: Positions that fill a volume, shape (m, 3) [m].
+        pixels: Their images, shape (m, 2) [px].
+        image_size: Width and height [px].
+        tolerance: Deviation that counts as small [px].
+
+    Returns:
+        fx, fy, cx, cy, rotation and translation; None if there is no such camera.
+        Source: Hartley and Zisserman, "Multiple View Geometry", 2nd ed., sections 6.3 and 7.3.
+    """
+    linear, centre, image = _affine_camera(points, pixels, tolerance)
+    u, values, vt = np.linalg.svd(linear, full_matrices=False)
+    if values[1] < 1e-9:
+        return None
+    rows = u @ vt
+    rotation = np.vstack((rows, np.cross(rows[0], rows[1])))
+    middle = (np.array(image_size) - 1.0) / 2.0
+    best, found = np.inf, None
+    for focal in image_size[0] * np.array(_FOCAL_LENGTHS):
+        depth = focal / values.mean()
+        translation = depth * np.append((image - middle) / focal, 1.0) - rotation @ centre
+        in_camera = points @ rotation.T + translation
+        ahead = in_camera[:, 2] > 0.1 * depth
+        predicted = focal * in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] + middle
+        squared = np.where(ahead, ((predicted - pixels) ** 2).sum(axis=1), np.inf)
+        cost = float((1.0 - 1.0 / (1.0 + squared / tolerance**2)).sum())
+        if cost < best:
+            best, found = cost, (np.array([focal, focal, *middle]), rotation, translation)
+    return found
+
+
+def _affine_camera(points: Array, pixels: Array, tolerance: float) -> tuple[Array, Array, Array]:
+    """Robust linear map of points to pixels about their centres: matrix (2, 3) [px/m], centre [m], its image [px]."""
+    weights = np.ones(len(points))
+    linear, centre, image = np.zeros((2, 3)), points.mean(axis=0), pixels.mean(axis=0)
+    for _ in range(_REWEIGHTINGS):
+        share = weights / weights.sum()
+        centre, image = share @ points, share @ pixels
+        root = np.sqrt(weights)[:, None]
+        linear = np.linalg.lstsq(root * (points - centre), root * (pixels - image), rcond=None)[0].T
+        squared = ((pixels - image - (points - centre) @ linear.T) ** 2).sum(axis=1)
+        scale = max(tolerance**2, 4.0 * float(np.median(squared)))
+        weights = (1.0 + squared / scale) ** -2
+    return linear, centre, image
+
+
+def planar_start(
+    points: Array, pixels: Array, image_size: tuple[int, int], tolerance: float
+) -> tuple[Array, Array, Array] | None:
+    """Pose and focal length from the homography of the plane, with the principal point in the middle of the image.
+
+    Args:
+        points: Nearly coplanar positions, shape (m, 3) [m].
+        pixels: Their images, shape (m, 2) [px].
+        image_size: Width and height [px].
+        tolerance: Deviation that counts as small [px].
+
+    Returns:
+        fx, fy, cx, cy, rotation and translation; None if there is no such camera.
+        Source: Zhang, "A flexible new technique for camera calibration" (2000), section 3.1.
+    """
+    centre = points.mean(axis=0)
+    axes = np.linalg.svd(points - centre)[2]
+    if np.linalg.det(axes) < 0.0:
+        axes[2] = -axes[2]
+    flat = (points - centre) @ axes[:2].T
+    middle = (np.array(image_size) - 1.0) / 2.0
+    width = float(image_size[0])
+    homography = _homography(flat, (pixels - middle) / width, tolerance / width)
+    focal = _focal_length(homography)
+    columns = np.linalg.solve(np.diag([focal, focal, 1.0]), homography)
+    scale = (np.linalg.norm(columns[:, 0]) + np.linalg.norm(columns[:, 1])) / 2.0
+    if not np.isfinite(scale) or scale < 1e-12:
+        return None
+    columns = columns / scale * (1.0 if columns[2, 2] > 0.0 else -1.0)
+    u, _, vt = np.linalg.svd(np.column_stack((columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1]))))
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt @ axes
+    translation = columns[:, 2] - rotation @ centre
+    if np.median(points @ rotation[2] + translation[2]) <= 0.0:
+        return None
+    return np.array([focal * width, focal * width, *middle]), rotation, translation
+
+
+def _homography(flat: Array, image: Array, tolerance: float) -> Array:
+    """Homography plane -> image by reweighted direct linear transformation, shape (3, 3)."""
+    weights, homography = np.ones(len(flat)), np.eye(3)
+    plane = np.column_stack((flat, np.ones(len(flat))))
+    for _ in range(_REWEIGHTINGS):
+        rows = np.zeros((len(flat), 2, 9))
+        rows[:, 0, 0:3] = rows[:, 1, 3:6] = plane
+        rows[:, :, 6:9] = -image[:, :, None] * plane[:, None, :]
+        rows *= np.sqrt(weights)[:, None, None]
+        homography = np.linalg.svd(rows.reshape(-1, 9))[2][-1].reshape(3, 3)
+        mapped = plane @ homography.T
+        depth = np.where(np.abs(mapped[:, 2]) > 1e-12, mapped[:, 2], 1e-12)
+        squared = ((mapped[:, :2] / depth[:, None] - image) ** 2).sum(axis=1)
+        scale = max(tolerance**2, 4.0 * float(np.median(squared)))
+        weights = (1.0 + squared / scale) ** -2
+    return np.asarray(homography)
+
+
+def _focal_length(homography: Array) -> float:
+    """Focal length in image widths from the two constraints of a plane; 1 where they give none in 0.3 ... 5."""
+    h1, h2 = homography[:, 0], homography[:, 1]
+    left = np.array([h1[2] * h2[2], h1[2] ** 2 - h2[2] ** 2])
+    right = -np.array([h1[:2] @ h2[:2], h1[:2] @ h1[:2] - h2[:2] @ h2[:2]])
+    square = float(left @ right) / max(float(left @ left), 1e-300)
+    return float(np.sqrt(square)) if 0.09 < square < 25.0 else 1.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.calibration.problem import CalibrationProblem
+from im_calibration.problem.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ likelihood is so flat and bent that its maximum runs away to lenses nobody can b
 
 
 @dataclass(frozen=True)
-class Layout:
+class ParameterLayout:
     """Which unknowns a problem has, and where: the cameras, then the LED offset, then the joint offsets.
 
     Attributes:
@@ -39,8 +39,8 @@ class Layout:
     prior_precision: Array
 
     @staticmethod
-    def of(problem: CalibrationProblem) -> "Layout":
-        """Layout of the unknowns of a problem."""
+    def of(problem: CalibrationProblem) -> "ParameterLayout":
+        """ParameterLayout of the unknowns of a problem."""
         led = problem.led_offset_prior_sd > 0.0
         joints = 0
         if problem.joint_jacobians is not None and problem.joint_offset_prior_sd > 0.0:
@@ -57,7 +57,7 @@ class Layout:
             precision[PER_CAMERA * c : PER_CAMERA * c + 3] = problem.led_offset_prior_sd**-2
         if joints:
             precision[-joints:] = problem.joint_offset_prior_sd**-2
-        return Layout(c, led, joints, mean, precision)
+        return ParameterLayout(c, led, joints, mean, precision)
 
     @property
     def size(self) -> int:
@@ -122,7 +122,7 @@ class Unknowns:
         """Estimated LED positions: those by the robot, moved to agree with the spots, shape (n, 3) [m]."""
         return self.robot_positions(problem) + self.displacements
 
-    def moved(self, step: Array, layout: Layout, displacements: Array) -> "Unknowns":
+    def moved(self, step: Array, layout: ParameterLayout, displacements: Array) -> "Unknowns":
         """Unknowns after a step; a rotation moves by ``exp(step) @ R``.
 
         Args:
@@ -140,7 +140,7 @@ class Unknowns:
             displacements,
         )
 
-    def prior_vector(self, layout: Layout) -> Array:
+    def prior_vector(self, layout: ParameterLayout) -> Array:
         """Deviation of each unknown from its prior mean, 0 where there is no prior, shape (size,)."""
         vector = np.zeros(layout.size)
         for c in range(layout.cameras):

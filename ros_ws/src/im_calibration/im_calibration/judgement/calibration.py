@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
-from im_vss.calibration.checks import Checks
-from im_vss.calibration.expected import ExpectedError
-from im_vss.calibration.scale import Scale
+from im_calibration.judgement.checks import Checks
+from im_calibration.judgement.expected import ExpectedError
+from im_calibration.judgement.scale import Scale
+from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -60,7 +60,7 @@ class CameraEstimate:
     Attributes:
         name: Name of the camera.
         model: Intrinsics, lens and pose.
-        covariance: Covariance of :data:`im_vss.calibration.unknowns.CAMERA_PARAMETERS`, shape (14, 14).
+        covariance: Covariance of :data:`im_calibration.estimation.unknowns.CAMERA_PARAMETERS`, shape (14, 14).
         spots_used: Number of spots that count.
         rms_px: RMS length of their residuals [px].
     """

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.calibration.covariance import covariance_of
-from im_vss.calibration.expected import expected_error, inside, rms
-from im_vss.calibration.gates import Gated, predict_from_others
-from im_vss.calibration.problem import MINIMUM_SPOTS, CalibrationProblem
-from im_vss.calibration.projection import image
-from im_vss.calibration.solve import maximise_likelihood
-from im_vss.calibration.unknowns import Layout
+from im_calibration.estimation.covariance import covariance_of
+from im_calibration.estimation.gates import Gated, predict_from_others
+from im_calibration.estimation.projection import image
+from im_calibration.estimation.solve import maximise_likelihood
+from im_calibration.estimation.unknowns import ParameterLayout
+from im_calibration.judgement.expected import expected_error, inside, rms
+from im_calibration.problem.problem import MINIMUM_SPOTS, CalibrationProblem
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Checks:
     split_half_expected_px: float
 
 
-def check(gated: Gated, problem: CalibrationProblem, layout: Layout) -> Checks:
+def check(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> Checks:
     """Check an estimate.
 
     Args:
@@ -49,7 +49,7 @@ def check(gated: Gated, problem: CalibrationProblem, layout: Layout) -> Checks:
     return Checks(float(held_out), float(expected), *_split_half(gated, problem, layout))
 
 
-def _split_half(gated: Gated, problem: CalibrationProblem, layout: Layout) -> tuple[float, float]:
+def _split_half(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> tuple[float, float]:
     poses = np.flatnonzero(gated.used.any(axis=0))
     points = problem.workspace.grid()
     images, variances = [], []

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.workspace import Workspace
-from im_vss.calibration.projection import project
-from im_vss.calibration.unknowns import PER_CAMERA, Unknowns
+from im_calibration.estimation.projection import project
+from im_calibration.estimation.unknowns import PER_CAMERA, Unknowns
+from im_cell.workspace import Workspace
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from im_vss.calibration.agreement import FALSE_ALARM
-from im_vss.calibration.lengths import KnownLengths
-from im_vss.calibration.projection import project
-from im_vss.calibration.unknowns import PER_CAMERA, Unknowns
+from im_calibration.estimation.gates import FALSE_ALARM
+from im_calibration.estimation.projection import project
+from im_calibration.estimation.unknowns import PER_CAMERA, Unknowns
+from im_calibration.problem.problem import KnownLengths
 
 Array = NDArray[np.float64]
 

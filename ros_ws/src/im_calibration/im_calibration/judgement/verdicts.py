@@ -4,14 +4,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from im_vss.calibration.agreement import FALSE_ALARM
-from im_vss.calibration.calibration import Calibration, Verdict
-from im_vss.calibration.covariance import Covariance
-from im_vss.calibration.gates import TRUSTED_SHARE
-from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.scale import Scale
-from im_vss.calibration.start import FLAT, core_extent, robust_extent
-from im_vss.calibration.unknowns import CAMERA_PARAMETERS, PER_CAMERA, Layout
+from im_calibration.estimation.covariance import Covariance
+from im_calibration.estimation.gates import FALSE_ALARM, TRUSTED_SHARE
+from im_calibration.estimation.start import FLAT, core_extent, robust_extent
+from im_calibration.estimation.unknowns import CAMERA_PARAMETERS, PER_CAMERA, ParameterLayout
+from im_calibration.judgement.calibration import Calibration, Verdict
+from im_calibration.judgement.scale import Scale
+from im_calibration.problem.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 
@@ -31,7 +30,7 @@ _LIMITS = {"k1": 1.0, "k2": 12.0, "p1": 0.05, "p2": 0.05, "rx": 0.15, "ry": 0.15
 
 
 def judge(
-    calibration: Calibration, problem: CalibrationProblem, layout: Layout, covariance: Covariance
+    calibration: Calibration, problem: CalibrationProblem, layout: ParameterLayout, covariance: Covariance
 ) -> tuple[Verdict, ...]:
     """Reasons not to trust an estimate; none for a good one.
 
@@ -113,7 +112,7 @@ def _unknown(calibration: Calibration, covariance: Covariance, c: int) -> Verdic
     )
 
 
-def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: Layout) -> Verdict | None:
+def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: ParameterLayout) -> Verdict | None:
     """LED offset that shifts all positions alike because the wrist hardly turns."""
     used = calibration.used.any(axis=0)
     rotations = problem.wrist_rotations[used]

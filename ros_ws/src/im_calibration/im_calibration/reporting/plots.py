@@ -1,25 +1,32 @@
 """Pictures of a calibration: residuals with the noise they should have, coverage, geometry."""
 
 import io
+from itertools import combinations
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
-from im_vss.calibration.calibration import Calibration
-from im_vss.calibration.plot_expected import draw_expected
-from im_vss.calibration.plot_scene import draw_scene
-from im_vss.calibration.problem import CalibrationProblem
+from im_calibration.judgement.calibration import Calibration
+from im_calibration.judgement.expected import ExpectedError
+from im_calibration.problem.problem import CalibrationProblem
+from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
 
 USED, REJECTED, NOISE, GRID = "#1f6fb4", "#d1495b", "#8aa6bf", "#dfe5ea"
 
+_COLOURS = ("#e07b39", "#4c956c", "#7b5ea7", "#b08900", "#3a7ca5")
+_FRUSTUM_DEPTH = 0.45
+_WRIST_LENGTH = 0.10
 _SIGMAS_95 = float(np.sqrt(5.991))
 
 
@@ -154,3 +161,89 @@ def _grid(axes: Axes) -> None:
 
 def _save(figure: Figure, target: io.BytesIO) -> None:
     figure.savefig(target, format="png", metadata={"Software": None})
+
+
+def draw_expected(figure: FigureBase, expected: ExpectedError) -> None:
+    """Draw both errors from above and from the side, each RMS over the axis that is looked along.
+
+    Args:
+        figure: An empty figure, or part of one.
+        expected: The map; an error that is nowhere defined (triangulation by one camera) is left out.
+    """
+    errors = (
+        ("Triangulation", expected.triangulation_mm, expected.triangulation_rms_mm, "mm"),
+        ("Reprojection", expected.reprojection_px, expected.reprojection_rms_px, "px"),
+    )
+    known = [error for error in errors if not np.isnan(error[2])]
+    for column, (name, values, whole, unit) in enumerate(known):
+        for row, third in enumerate((2, 1)):
+            axes = figure.add_subplot(2, len(known), row * len(known) + column + 1)
+            _draw_map(figure, axes, expected.points, values, third, unit)
+            seen_from = "from above" if third == 2 else "from the side"
+            axes.set_title(f"{name}, {seen_from}" + f"; {whole:.3g} {unit} RMS" * (row == 0), fontsize=9)
+
+
+def _draw_map(figure: FigureBase, axes: Axes, points: Array, values: Array, third: int, unit: str) -> None:
+    """Map of an error over two axes of the workspace, RMS over the third."""
+    i, j = (axis for axis in range(3) if axis != third)
+    across, up = np.unique(points[:, i]), np.unique(points[:, j])
+    column, row = np.searchsorted(across, points[:, i]), np.searchsorted(up, points[:, j])
+    shape, known = (len(up), len(across)), ~np.isnan(values)
+    squares, counts = np.zeros(shape), np.zeros(shape)
+    np.add.at(squares, (row[known], column[known]), values[known] ** 2)
+    np.add.at(counts, (row[known], column[known]), 1.0)
+    picture = axes.pcolormesh(across, up, np.sqrt(squares / np.where(counts > 0.0, counts, np.nan)), cmap="viridis")
+    figure.colorbar(picture, ax=axes, shrink=0.85, label=f"RMS over {'xyz'[third]} [{unit}]")
+    axes.set(aspect="equal", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
+    axes.tick_params(labelsize=8)
+
+
+def draw_scene(axes: Axes3D, calibration: Calibration, problem: CalibrationProblem) -> None:
+    """Draw cameras as frusta, LED positions with the wrist's z axis, and the workspace.
+
+    Args:
+        axes: Three-dimensional axes.
+        calibration: The result.
+        problem: What it was made from.
+    """
+    used = calibration.used.any(axis=0)
+    points = calibration.led_positions
+    axes.scatter(*points[used].T, s=12, color="#1f6fb4", depthshade=False, label="pose used")
+    if not used.all():
+        axes.scatter(*points[~used].T, s=26, color="#d1495b", marker="x", label="pose rejected")
+    tips = points + _WRIST_LENGTH * problem.wrist_rotations[:, :, 2]
+    axes.add_collection3d(Line3DCollection(np.stack((points, tips), axis=1), colors="#8aa6bf", linewidths=0.8))
+    axes.add_collection3d(Line3DCollection(_box(problem), colors="#9aa5ad", linewidths=0.9, linestyles="dashed"))
+    for camera, colour in zip(calibration.cameras, _COLOURS * len(calibration.cameras), strict=False):
+        axes.add_collection3d(Line3DCollection(_frustum(camera.model), colors=colour, linewidths=1.4))
+        axes.scatter(*camera.model.position, s=20, color=colour, depthshade=False, label=camera.name)
+    stands = [camera.model.position for camera in calibration.cameras]
+    everything = np.vstack((points, problem.workspace.low, problem.workspace.high, stands))
+    low, high = everything.min(axis=0) - 0.1, everything.max(axis=0) + 0.1
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(high - low, zoom=0.88)
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    axes.tick_params(labelsize=7)
+    for axis, count in ((axes.xaxis, 5), (axes.yaxis, 3), (axes.zaxis, 6)):
+        axis.set_major_locator(MaxNLocator(count))
+    axes.view_init(elev=18.0, azim=-50.0)
+    axes.set_title("Cameras, poses (tick: wrist z axis) and workspace", fontsize=9)
+    axes.legend(fontsize=7, loc="upper left")
+
+
+def _frustum(model: CameraModel) -> Array:
+    """Lines of a camera's field of view, shape (8, 2, 3) [m]."""
+    corners = np.array([(0.0, 0.0), (model.width, 0.0), (model.width, model.height), (0.0, model.height)])
+    ideal = np.column_stack(((corners - model.K[:2, 2]) / np.diag(model.K)[:2], np.ones(4)))
+    ends = (ideal * _FRUSTUM_DEPTH - model.t_cam_base) @ model.R_cam_base
+    edges = [(model.position, end) for end in ends]
+    rim = [(ends[i], ends[(i + 1) % 4]) for i in range(4)]
+    return np.array(edges + rim)
+
+
+def _box(problem: CalibrationProblem) -> Array:
+    """The twelve edges of the workspace, shape (12, 2, 3) [m]."""
+    low, high = np.array(problem.workspace.low), np.array(problem.workspace.high)
+    corners = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    edges = [(a, b) for a, b in combinations(corners, 2) if np.abs(a - b).sum() == 1]
+    return np.array([(low + a * (high - low), low + b * (high - low)) for a, b in edges])

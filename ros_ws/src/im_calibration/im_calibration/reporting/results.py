@@ -5,13 +5,13 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from im_core.calibration_files import EXTRINSICS, CameraPose, Rectified, camera_info_yaml, extrinsics_yaml
+from im_calibration.judgement.calibration import Calibration, CameraEstimate
+from im_calibration.problem.dataset import dataset_of
+from im_calibration.problem.problem import CalibrationProblem
+from im_calibration.reporting.report import report_of, summary
+from im_cell.calibration_files import EXTRINSICS, CameraPose, Rectified, camera_info_yaml, extrinsics_yaml
 from im_core.errors import DataError
 from im_core.files import write_whole
-from im_vss.calibration.calibration import Calibration, CameraEstimate
-from im_vss.calibration.dataset_file import dataset_of
-from im_vss.calibration.problem import CalibrationProblem
-from im_vss.calibration.report import report_of, summary
 
 
 def write_results(
@@ -24,7 +24,7 @@ def write_results(
     """Write ``report.json``, ``summary.txt``, three plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
 
     ``observations.json`` is the data set, for ``calibrate_dataset`` and ``next_best_pose``; the format needs images of
-    one size. Each file appears whole or not at all. Camera files and poses, see :mod:`im_core.calibration_files`, are
+    one size. Each file appears whole or not at all. Camera files and poses, see :mod:`im_cell.calibration_files`, are
     written for a successful calibration only.
 
     Args:
@@ -67,7 +67,7 @@ def _camera_file(camera: CameraEstimate, rectified: Mapping[str, Rectified] | No
 
 def _pictures(calibration: Calibration, problem: CalibrationProblem) -> dict[str, bytes]:
     """The plots by file name; matplotlib is loaded with the first picture, not with a node that may never draw."""
-    from im_vss.calibration.plots import plot_coverage, plot_geometry, plot_residuals
+    from im_calibration.reporting.plots import plot_coverage, plot_geometry, plot_residuals
 
     pictures = {}
     for name, plot in (("residuals", plot_residuals), ("coverage", plot_coverage), ("geometry", plot_geometry)):

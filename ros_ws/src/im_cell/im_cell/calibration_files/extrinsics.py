@@ -12,7 +12,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_core.config import Model, load_model
 
 EXTRINSICS = "extrinsics.yaml"

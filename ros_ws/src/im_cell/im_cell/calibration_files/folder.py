@@ -5,13 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from im_core.calibration_files.extrinsics import EXTRINSICS, FRAME_END, CameraPose, frame_of, read_extrinsics
-from im_core.calibration_files.fault import fault
-from im_core.calibration_files.intrinsics import read_intrinsics
-from im_core.calibration_files.laser import LASER, LaserEstimate, read_laser
-from im_core.camera_model import CameraModel
+from im_cell.calibration_files.extrinsics import EXTRINSICS, FRAME_END, CameraPose, frame_of, read_extrinsics
+from im_cell.calibration_files.intrinsics import read_intrinsics
+from im_cell.calibration_files.laser import LASER, LaserEstimate, read_laser
+from im_cell.camera_model import CameraModel
+from im_cell.robot import Camera, Cell
+from im_core.config import fault_in
 from im_core.errors import ConfigError, NotFoundError
-from im_core.robot import Camera, Cell
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,10 @@ def _intrinsics(path: Path, cameras: Mapping[str, Camera], notes: list[str]) -> 
     content, lens = read_intrinsics(path), cameras[name].intrinsics
     for side, wanted in (("image_width", lens.width), ("image_height", lens.height)):
         if getattr(content, side) != wanted:
-            raise fault(path, (side,), f"{getattr(content, side)}: {name} takes images of {wanted} px")
+            raise fault_in(path, (side,), f"{getattr(content, side)}: {name} takes images of {wanted} px")
     if content.camera_name not in ("", name):
         if content.camera_name in cameras:
-            raise fault(path, ("camera_name",), f"'{content.camera_name}': the name of the file says {name}")
+            raise fault_in(path, ("camera_name",), f"'{content.camera_name}': the name of the file says {name}")
         notes.append(f"{path}: camera_name is '{content.camera_name}', it is taken for {name}")
     return content.model
 
@@ -107,12 +107,12 @@ def _poses(path: Path, cameras: Mapping[str, Camera]) -> dict[str, CameraPose]:
         name = frame.removesuffix(FRAME_END)
         if frame != frame_of(name) or name not in cameras:
             unknown = NotFoundError(kind="camera frame", name=frame, known=[frame_of(camera) for camera in cameras])
-            raise fault(path, (*place, "child_frame_id"), unknown.message)
+            raise fault_in(path, (*place, "child_frame_id"), unknown.message)
         if name in poses:
-            raise fault(path, (*place, "child_frame_id"), f"'{frame}': given twice")
+            raise fault_in(path, (*place, "child_frame_id"), f"'{frame}': given twice")
         if transform.header.frame_id != cameras[name].parent:
             sentence = f"'{transform.header.frame_id}': {name} is fixed to {cameras[name].parent}"
-            raise fault(path, (*place, "header", "frame_id"), sentence)
+            raise fault_in(path, (*place, "header", "frame_id"), sentence)
         poses[name] = transform.pose
     return poses
 

@@ -9,7 +9,7 @@ import pydantic
 import yaml
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_core.config import load_model
 
 Array = NDArray[np.float64]

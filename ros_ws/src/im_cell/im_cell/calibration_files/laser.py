@@ -9,8 +9,8 @@ import pydantic
 import yaml
 from numpy.typing import NDArray
 
+from im_cell.laser_model import LaserModel
 from im_core.config import Model, load_model
-from im_core.laser_model import LaserModel
 
 Array = NDArray[np.float64]
 LASER = "laser.yaml"
@@ -56,7 +56,7 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...],
 
 
 class LaserFile(Model):
-    """Contents of ``laser.yaml``; see :class:`im_core.laser_model.LaserModel`.
+    """Contents of ``laser.yaml``; see :class:`im_cell.laser_model.LaserModel`.
 
     Attributes:
         rotation: Rotation scanner -> world.

@@ -1,24 +1,26 @@
 """The link between the testbed's physics, the servo loop and the cameras: shared memory ``/<instance>_testbed``.
 
-The physics process creates the link, everybody else attaches. It is a stand-in for the wires of a real robot: encoder
-readings one way, torques the other, and an exposure trigger for the cameras.
+It is a stand-in for the wires of a real robot: encoder readings one way, torques the other, and an exposure trigger for
+the cameras. The physics process creates the link as :class:`HostEnd`; everybody else attaches an end that can do what
+its user may do and no more: :class:`ServoEnd`, :class:`CameraEnd`, :class:`LaserEnd`, :class:`PanelEnd` (lights,
+faults, objects between the jaws), :class:`ClockEnd` (time only). Truth is to be had at the host's end alone.
 
 One tick, period 4.5 ms, is one handshake::
 
     physics                                        servo (im_mcs.servo)
     -------                                        --------------------
-    while factor == 0 and no demand: sleep         while not link.wait_state(timeout_s=0.2):
+    while factor == 0 and no demand: sleep         while not end.wait_state(timeout_s=0.2):
     publish_state(tick k), post state    ------>       (nothing to do yet; look after oneself)
-    await_command()                                state = link.read_state()          # tick k
-                                         <------   link.write_command(command)
+    await_command()                                state = end.read_state()          # tick k
+                                         <------   end.write_command(command)
     four substeps
     tick = k + 1, its state is readable
 
 *Pace.* ``factor > 0``: with a servo attached the servo paces, i.e. it sleeps to its own absolute deadline
-(``link.wall_period_s`` apart) between ``wait_state`` and ``write_command``; alone, physics paces itself.
+(``wall_period_s`` apart) between ``wait_state`` and ``write_command``; alone, physics paces itself.
 ``factor == 0``: a tick starts only while somebody wants time: the servo's last command said ``wants_time``, a client
-asked by ``request_time(slot, ticks)``, or an exposure is pending. A client that first sends its message to the servo
-and then calls ``request_time(Slot.MCS, 1)`` is therefore heard at a tick that does not depend on anybody's speed.
+asked by ``request_time(ticks)``, or an exposure is pending. A client that first sends its message to the servo
+and then calls ``request_time(1)`` is therefore heard at a tick that does not depend on anybody's speed.
 
 *Watchdog.* A servo that does not answer a tick within 0.5 s of wall time, or dies, is declared gone: brakes on, power
 off, physics goes on alone. A servo that comes back late gets a :class:`~im_core.errors.LinkError` from
@@ -26,7 +28,7 @@ off, physics goes on alone. A servo that comes back late gets a :class:`~im_core
 raise the same error, and one attaches anew.
 
 *Brakes.* ``brakes[i]`` true: the joint is held. Without power all torques are zero and all brakes are engaged, whatever
-the command says; ``State.power`` and ``State.brakes`` tell what is so.
+the command says; ``TickState.power`` and ``TickState.brakes`` tell what is so.
 
 *Grippers.* Openings in metres, forces in newtons: the command says where to go and with what force at most, the state
 where the jaws are and what they press with.
@@ -36,36 +38,43 @@ ticks; ``blank_light`` strobes the wrist lights off during it, ``blank_laser`` t
 client replaces a dead one.
 
 *Laser.* ``set_laser`` says where the mirrors of the scanner shall go and with what power the beam shall be lit; they
-move at their own rate, ``laser`` says where they are. Time for that is asked for in ``Slot.VSS``.
+move at their own rate, ``laser`` says where they are. The end asks for the time that takes.
 
 *Disturbances.* ``set_faults``, ``stall`` and ``set_object`` break the testbed and put things between its jaws, from the
 next tick on: to test what stands above it.
 """
 
-from im_core.testbed_link.link import TestbedLink
-from im_core.testbed_link.values import (
-    Command,
+from im_cell.link.end import ClockEnd
+from im_cell.link.host import HostEnd
+from im_cell.link.panel import PanelEnd
+from im_cell.link.servo import ServoEnd
+from im_cell.link.values import (
     Exposure,
     ExposureRequest,
     Faults,
     JawObject,
     LaserBeam,
     Sensors,
-    Slot,
-    State,
+    TickCommand,
+    TickState,
     TrueState,
 )
+from im_cell.link.vision import CameraEnd, LaserEnd
 
 __all__ = [
-    "Command",
+    "CameraEnd",
+    "ClockEnd",
     "Exposure",
     "ExposureRequest",
     "Faults",
+    "HostEnd",
     "JawObject",
     "LaserBeam",
+    "LaserEnd",
+    "PanelEnd",
     "Sensors",
-    "Slot",
-    "State",
-    "TestbedLink",
+    "ServoEnd",
+    "TickCommand",
+    "TickState",
     "TrueState",
 ]

@@ -5,6 +5,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.link.values import Faults, JawObject
 from im_core.shm import Semaphore, SharedBlock
 
 N_GRIPPERS = 2
@@ -125,11 +126,21 @@ class LinkBlock:
         semaphores = {name: Semaphore.attach(f"{instance}_testbed_{name}", timeout_s) for name in _SEMAPHORES}
         return cls(instance, block, semaphores)
 
-    def unlink(self) -> None:
-        """Remove the names, as the creator."""
-        for semaphore in self._semaphores.values():
-            semaphore.unlink()
-        self.block.unlink()
+    def faults(self) -> Faults:
+        """The faults in force."""
+        nan, frozen, stuck, open_ = self.view["fault_joints"].copy()
+        return Faults(nan, frozen, stuck, open_, bool(self.view["fault_power"]))
+
+    def objects(self) -> tuple[JawObject | None, ...]:
+        """What is between the jaws of each gripper."""
+        return tuple(
+            JawObject(width, stiffness, mass) if width else None
+            for width, stiffness, mass in self.view["objects"].tolist()
+        )
+
+    def lights(self) -> tuple[bool, ...]:
+        """Which lights are switched on, in the order of ``light_names``."""
+        return tuple(bool(on) for on in self.view["lights"][: len(self.light_names)])
 
     def close(self) -> None:
         """Release everything; the creator also removes the names."""

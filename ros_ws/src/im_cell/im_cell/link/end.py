@@ -1,29 +1,31 @@
-"""The testbed link: one object for all its users."""
+"""What every end of the testbed link has in common, and the end of those who need the testbed's time only."""
 
+from enum import IntEnum
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
+from im_cell.link.block import LinkBlock
 from im_core import clock
-from im_core.errors import DataError, LinkError, WaitTimeoutError
-from im_core.testbed_link.block import MAX_LIGHTS, LinkBlock
-from im_core.testbed_link.camera import CameraSide
-from im_core.testbed_link.disturb import DisturbSide
-from im_core.testbed_link.host import HostSide
-from im_core.testbed_link.laser import LaserSide
-from im_core.testbed_link.servo import ServoSide
-from im_core.testbed_link.values import Slot, TrueState
+from im_core.errors import LinkError, WaitTimeoutError
 
-DEFAULT_LIGHTS = ("left_led", "right_led")
 _POLL_S = 0.0005
 
 
-class TestbedLink(HostSide, ServoSide, CameraSide, LaserSide, DisturbSide):
-    """Shared memory and semaphores between physics, servo and cameras; see the package's docstring."""
+class LinkEnd:
+    """Knows how fast the testbed ticks, where it is, and whether it is there.
 
-    __test__ = False  # not a test class, whatever pytest thinks of the name
+    Attributes:
+        instance: Name of the machine.
+        n_joints: Number of joints.
+        factor: Clock factor; 0: as fast as it goes.
+        seed: Of the testbed's random numbers.
+        period_ns: Time of a tick [ns].
+        period_s: The same [s].
+        light_names: Of the lights, in the order of their numbers.
+    """
 
     def __init__(self, shared: LinkBlock) -> None:
-        """Use :meth:`create` or :meth:`attach`."""
+        """Use :meth:`attach`."""
         self._shared = shared
         self.instance = shared.instance
         self.n_joints = shared.n_joints
@@ -32,32 +34,6 @@ class TestbedLink(HostSide, ServoSide, CameraSide, LaserSide, DisturbSide):
         self.period_ns = shared.period_ns
         self.period_s = shared.period_ns * 1e-9
         self.light_names = shared.light_names
-
-    @classmethod
-    def create(
-        cls,
-        instance: str,
-        n_joints: int = 18,
-        period_s: float = 0.0045,
-        factor: float = 1.0,
-        seed: int = 0,
-        light_names: tuple[str, ...] = DEFAULT_LIGHTS,
-    ) -> Self:
-        """Create the link, as the physics process; what a dead machine left behind is replaced.
-
-        Others can attach once the first state is published.
-
-        Raises:
-            DataError: Period, factor or number of lights is out of range.
-            LinkError: A living process of the same instance owns the link.
-        """
-        if period_s <= 0.0:
-            raise DataError(f"testbed period {period_s} s is not > 0", period=period_s)
-        if factor < 0.0:
-            raise DataError(f"clock factor {factor} is not >= 0", factor=factor)
-        if len(light_names) > MAX_LIGHTS:
-            raise DataError(f"{len(light_names)} lights are more than {MAX_LIGHTS}", lights=len(light_names))
-        return cls(LinkBlock.create(instance, n_joints, round(period_s * 1e9), factor, seed, light_names))
 
     @classmethod
     def attach(cls, instance: str, timeout_s: float) -> Self:
@@ -74,11 +50,6 @@ class TestbedLink(HostSide, ServoSide, CameraSide, LaserSide, DisturbSide):
         return int(self._shared.view["tick"])
 
     @property
-    def stamp_ns(self) -> int:
-        """Testbed time [ns]."""
-        return self.tick * self.period_ns
-
-    @property
     def wall_period_s(self) -> float:
         """Wall time between ticks [s]; 0 at clock factor 0, as fast as it goes."""
         return self.period_s / self.factor if self.factor > 0.0 else 0.0
@@ -87,31 +58,49 @@ class TestbedLink(HostSide, ServoSide, CameraSide, LaserSide, DisturbSide):
         """Whether the physics process runs."""
         return self._shared.block.owner_alive()
 
-    def request_time(self, slot: Slot | int, ticks: int) -> int:
-        """Ask, at clock factor 0, for ``ticks`` more ticks.
+    def close(self) -> None:
+        """Release the link; the creator also removes its names."""
+        self._shared.close()
 
-        Args:
-            slot: Who asks; one process a slot.
-            ticks: Ticks from now.
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class TimeSlot(IntEnum):
+    """Who may ask for time at clock factor 0; one process each."""
+
+    MCS = 0
+    TESTBED = 1
+    VSS = 2
+
+
+class ClockEnd(LinkEnd):
+    """Asks for time, and waits for it; that of a client of MCS, other ends ask in slots of their own."""
+
+    slot: ClassVar[TimeSlot] = TimeSlot.MCS
+
+    def request_time(self, ticks: int) -> int:
+        """Ask, at clock factor 0, for ``ticks`` more ticks from now.
 
         Returns:
             The tick up to which time now passes, for :meth:`wait_tick`.
         """
-        return self.request_until(slot, self.tick + ticks)
+        return self.request_until(self.tick + ticks)
 
-    def request_until(self, slot: Slot | int, tick: int) -> int:
+    def request_until(self, tick: int) -> int:
         """Ask, at clock factor 0, for time up to a tick; asking again for the same tick changes nothing.
 
-        Args:
-            slot: Who asks; one process a slot.
-            tick: Tick that is to be reached.
-
         Returns:
             The tick up to which time now passes, for :meth:`wait_tick`.
         """
-        view = self._shared.view
-        until = max(int(view["demand_until"][slot]), tick)
-        view["demand_until"][slot] = until
+        demand = self._shared.view["demand_until"]
+        until = max(int(demand[self.slot]), tick)
+        demand[self.slot] = until
         self._shared.wake.post()
         return until
 
@@ -134,43 +123,3 @@ class TestbedLink(HostSide, ServoSide, CameraSide, LaserSide, DisturbSide):
                     raise LinkError("the testbed's physics process is gone")
             clock.sleep(_POLL_S)
         return now
-
-    def set_light(self, index: int, on: bool) -> None:
-        """Switch a light; it is seen from the next tick on.
-
-        Raises:
-            DataError: There is no light of that index.
-        """
-        if not 0 <= index < len(self.light_names):
-            raise DataError(f"light {index} is not one of 0 to {len(self.light_names) - 1}", index=index)
-        self._shared.view["lights"][index] = on
-
-    def lights(self) -> tuple[bool, ...]:
-        """Which lights are switched on, in the order of ``light_names``."""
-        return tuple(bool(on) for on in self._shared.view["lights"][: len(self.light_names)])
-
-    def read_truth(self) -> TrueState:
-        """True joint state; for the testbed's own node and for tests, nobody else."""
-        view = self._shared.view
-        return TrueState(
-            q=view["q_true"].copy(),
-            v=view["v_true"].copy(),
-            servo_losses=int(view["servo_losses"]),
-            servo_pid=int(view["servo_pid"]),
-        )
-
-    def close(self) -> None:
-        """Release the link; the creator also removes its names."""
-        self._shared.close()
-
-    def unlink(self) -> None:
-        """Remove the link's names, as its creator; whoever is attached keeps the memory."""
-        self._shared.unlink()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -1,21 +1,54 @@
 """The physics process's end of the testbed link."""
 
+from typing import Self
+
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.link.block import MAX_LIGHTS, LinkBlock
+from im_cell.link.end import LinkEnd
+from im_cell.link.values import ExposureRequest, Faults, JawObject, LaserBeam, Sensors, TickCommand, TrueState
 from im_core import clock
+from im_core.errors import DataError
 from im_core.shm import ProcessId
-from im_core.testbed_link.block import LinkBlock
-from im_core.testbed_link.values import Command, ExposureRequest, LaserBeam, Sensors
 
+DEFAULT_LIGHTS = ("left_led", "right_led")
 _SLICE_S = 0.05
 
 
-class HostSide:
-    """Publishes states, takes commands and exposure requests, knows whether somebody wants time."""
+class HostEnd(LinkEnd):
+    """Publishes states, takes commands and exposure requests, knows the truth and whether somebody wants time.
 
-    _shared: LinkBlock
+    The process that simulates creates it; who judges the machine (benches, tests) may attach one to read the truth.
+    """
+
     _seen = 0
+
+    @classmethod
+    def create(
+        cls,
+        instance: str,
+        n_joints: int = 18,
+        period_s: float = 0.0045,
+        factor: float = 1.0,
+        seed: int = 0,
+        light_names: tuple[str, ...] = DEFAULT_LIGHTS,
+    ) -> Self:
+        """Create the link; what a dead machine left behind is replaced.
+
+        Others can attach once the first state is published.
+
+        Raises:
+            DataError: Period, factor or number of lights is out of range.
+            LinkError: A living process of the same instance owns the link.
+        """
+        if period_s <= 0.0:
+            raise DataError(f"testbed period {period_s} s is not > 0", period=period_s)
+        if factor < 0.0:
+            raise DataError(f"clock factor {factor} is not >= 0", factor=factor)
+        if len(light_names) > MAX_LIGHTS:
+            raise DataError(f"{len(light_names)} lights are more than {MAX_LIGHTS}", lights=len(light_names))
+        return cls(LinkBlock.create(instance, n_joints, round(period_s * 1e9), factor, seed, light_names))
 
     def publish_state(
         self, tick: int, sensors: Sensors, q_true: NDArray[np.float64], v_true: NDArray[np.float64]
@@ -38,11 +71,15 @@ class HostSide:
         if not self._shared.block.published:
             self._shared.block.publish()
 
+    def read_truth(self) -> TrueState:
+        """True joint state."""
+        return TrueState(q=self._shared.view["q_true"].copy(), v=self._shared.view["v_true"].copy())
+
     def servo_attached(self) -> bool:
         """Whether a servo takes part in the handshake."""
         return bool(int(self._shared.view["servo_pid"]))
 
-    def await_command(self, timeout_s: float) -> Command | None:
+    def await_command(self, timeout_s: float) -> TickCommand | None:
         """Post the tick to the servo and wait for its command.
 
         Args:
@@ -67,7 +104,7 @@ class HostSide:
                 return None
         if int(view["servo_pid"]) != pid:
             return None
-        return Command(
+        return TickCommand(
             tau=view["command_tau"].copy(),
             power=bool(view["command_power"]),
             brakes=view["command_brakes"].copy(),
@@ -81,6 +118,18 @@ class HostSide:
         changes = int(self._shared.view["disturbances"])
         seen, self._seen = self._seen, changes
         return changes != seen
+
+    def faults(self) -> Faults:
+        """The faults in force."""
+        return self._shared.faults()
+
+    def objects(self) -> tuple[JawObject | None, ...]:
+        """What is between the jaws of each gripper."""
+        return self._shared.objects()
+
+    def lights(self) -> tuple[bool, ...]:
+        """Which lights are switched on, in the order of ``light_names``."""
+        return self._shared.lights()
 
     def take_stall(self) -> float:
         """How long physics shall pause now, wall time [s]; each stall is taken once."""

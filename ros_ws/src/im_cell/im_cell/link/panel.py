@@ -1,16 +1,45 @@
-"""The end of the testbed link of whoever disturbs it: faults, and objects between the jaws."""
+"""The testbed's panel: its end of the link switches lights and faults, and puts objects between the jaws."""
+
+from typing import ClassVar
 
 import numpy as np
 
+from im_cell.link.end import ClockEnd, TimeSlot
+from im_cell.link.values import Faults, JawObject
 from im_core.errors import DataError
-from im_core.testbed_link.block import LinkBlock
-from im_core.testbed_link.values import Faults, JawObject
 
 
-class DisturbSide:
-    """Writes faults and objects; one client at a time. Physics takes them at the next tick."""
+class PanelEnd(ClockEnd):
+    """Writes lights, faults and objects, and says which servo there is; one client at a time.
 
-    _shared: LinkBlock
+    Physics takes what changes at the next tick.
+    """
+
+    slot: ClassVar[TimeSlot] = TimeSlot.TESTBED
+
+    @property
+    def servo_pid(self) -> int:
+        """Process of the attached servo, 0 if none."""
+        return int(self._shared.view["servo_pid"])
+
+    @property
+    def servo_losses(self) -> int:
+        """How often a servo was declared gone."""
+        return int(self._shared.view["servo_losses"])
+
+    def set_light(self, index: int, on: bool) -> None:
+        """Switch a light; it is seen from the next tick on.
+
+        Raises:
+            DataError: There is no light of that index.
+        """
+        if not 0 <= index < len(self.light_names):
+            raise DataError(f"light {index} is not one of 0 to {len(self.light_names) - 1}", index=index)
+        self._shared.view["lights"][index] = on
+
+    def lights(self) -> tuple[bool, ...]:
+        """Which lights are switched on, in the order of ``light_names``."""
+        return self._shared.lights()
 
     def set_faults(self, faults: Faults) -> None:
         """Replace the faults in force."""
@@ -22,9 +51,7 @@ class DisturbSide:
 
     def faults(self) -> Faults:
         """The faults in force."""
-        view = self._shared.view
-        nan, frozen, stuck, open_ = view["fault_joints"].copy()
-        return Faults(nan, frozen, stuck, open_, bool(view["fault_power"]))
+        return self._shared.faults()
 
     def stall(self, seconds: float) -> None:
         """Let physics pause before its next tick, wall time [s].
@@ -51,10 +78,7 @@ class DisturbSide:
 
     def objects(self) -> tuple[JawObject | None, ...]:
         """What is between the jaws of each gripper."""
-        return tuple(
-            JawObject(width, stiffness, mass) if width else None
-            for width, stiffness, mass in self._shared.view["objects"].tolist()
-        )
+        return self._shared.objects()
 
     def _changed(self) -> None:
         changes = self._shared.view["disturbances"]

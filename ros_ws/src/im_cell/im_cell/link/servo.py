@@ -1,17 +1,13 @@
 """The servo's end of the testbed link."""
 
+from im_cell.link.end import LinkEnd
+from im_cell.link.values import TickCommand, TickState
 from im_core.errors import LinkError
 from im_core.shm import ProcessId
-from im_core.testbed_link.block import LinkBlock
-from im_core.testbed_link.values import Command, State
-
-_LIVENESS_S = 0.1
 
 
-class ServoSide:
+class ServoEnd(LinkEnd):
     """Reads the measured state of each tick and answers it with a command."""
-
-    _shared: LinkBlock
 
     def attach_servo(self, pid: int) -> None:
         """Take part in the handshake from the next tick on.
@@ -48,7 +44,7 @@ class ServoSide:
             raise LinkError("the testbed's physics process is gone")
         return False
 
-    def read_state(self) -> State:
+    def read_state(self) -> TickState:
         """The measured state of the newest tick; never torn, from any process.
 
         Raises:
@@ -59,7 +55,7 @@ class ServoSide:
         for _ in range(100_000):
             before = int(sequence)
             tick = int(view["tick"])
-            state = State(
+            state = TickState(
                 tick=tick,
                 stamp_ns=tick * self._shared.period_ns,
                 q=view["q"].copy(),
@@ -74,7 +70,7 @@ class ServoSide:
                 return state
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
-    def write_command(self, command: Command) -> None:
+    def write_command(self, command: TickCommand) -> None:
         """Answer the current tick.
 
         Raises:

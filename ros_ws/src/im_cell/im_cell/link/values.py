@@ -2,21 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import DataError
-
-
-class Slot(IntEnum):
-    """Who may ask for time at clock factor 0; one writer each."""
-
-    MCS = 0
-    TESTBED = 1
-    VSS = 2
 
 
 class Sensors(NamedTuple):
@@ -41,7 +32,7 @@ class Sensors(NamedTuple):
     gripper_force: NDArray[np.float64]
 
 
-class State(NamedTuple):
+class TickState(NamedTuple):
     """What :class:`Sensors` say at the start of a tick.
 
     Attributes:
@@ -60,7 +51,7 @@ class State(NamedTuple):
     gripper_force: NDArray[np.float64]
 
 
-class Command(NamedTuple):
+class TickCommand(NamedTuple):
     """What the servo wants during a tick.
 
     Attributes:
@@ -190,16 +181,12 @@ class Exposure:
 
 @dataclass(frozen=True)
 class TrueState:
-    """What is really so; for the testbed's own node and for tests.
+    """What is really so; the host's end alone tells it.
 
     Attributes:
         q: Joint positions, shape (n,) [rad or m].
         v: Joint velocities, shape (n,) [rad/s or m/s].
-        servo_losses: How often a servo was declared gone.
-        servo_pid: Process of the attached servo, 0 if none.
     """
 
     q: NDArray[np.float64]
     v: NDArray[np.float64]
-    servo_losses: int
-    servo_pid: int

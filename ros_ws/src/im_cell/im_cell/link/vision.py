@@ -1,18 +1,18 @@
-"""The cameras' end of the testbed link."""
+"""The ends of the testbed link of what sees: the cameras, and the laser scanner."""
 
+from typing import ClassVar
+
+from im_cell.link.end import ClockEnd, LinkEnd, TimeSlot
+from im_cell.link.values import Exposure, LaserBeam
 from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
-from im_core.testbed_link.block import LinkBlock
-from im_core.testbed_link.values import Exposure, LaserBeam
 
 _SLICE_S = 0.1
 MAX_EXPOSURE_TICKS = 10_000
 
 
-class CameraSide:
+class CameraEnd(LinkEnd):
     """Asks for exposures."""
-
-    _shared: LinkBlock
 
     def expose(self, ticks: int, blank_light: bool, timeout_s: float, blank_laser: bool = False) -> Exposure:
         """Open the shutter at the next tick boundary for ``ticks`` ticks, and wait until it has closed.
@@ -57,3 +57,17 @@ class CameraSide:
             light_fraction=dict(zip(shared.light_names, fractions, strict=False)),
             laser=LaserBeam(*view["exposure_laser"].tolist()),
         )
+
+
+class LaserEnd(ClockEnd):
+    """Commands mirrors and beam of the laser scanner; one client at a time."""
+
+    slot: ClassVar[TimeSlot] = TimeSlot.VSS
+
+    def set_laser(self, beam: LaserBeam) -> None:
+        """Say what is wanted; the mirrors start to move with the next tick, and stop at their ends."""
+        self._shared.view["laser_command"][:] = beam.values()
+
+    def laser(self) -> LaserBeam:
+        """What the scanner's own sensors say."""
+        return LaserBeam(*self._shared.view["laser"].tolist())

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from im_core.config import Model, load_model, package_file
-from im_core.errors import ConfigError
-from im_core.robot.parameters import (
+from im_cell.robot.parameters import (
     ArmModel,
     Box,
     Camera,
@@ -23,8 +21,10 @@ from im_core.robot.parameters import (
     Side,
     WristSensor,
 )
-from im_core.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
-from im_core.robot.tree import Joint, Link, joints_of, links_of
+from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
+from im_cell.robot.tree import Joint, LinkInertia, joints_of, links_of
+from im_core.config import Model, load_model, package_file
+from im_core.errors import ConfigError
 
 SIDES = ("left", "right")
 
@@ -88,7 +88,7 @@ class Cell(Model):
         )  # fmt: skip
 
     @cached_property
-    def links(self) -> tuple[Link, ...]:
+    def links(self) -> tuple[LinkInertia, ...]:
         """The 18 links with mass, each the child of the joint of the same rank."""
         return tuple(
             link for name, side in self.sides.items() for link in links_of(name, self.cart, self.arm_models[side.arm])
@@ -137,4 +137,4 @@ def load_cell(path: Path | str | None = None) -> Cell:
     Raises:
         ConfigError: The file is missing or wrong; the message names file, line and value.
     """
-    return load_model(Path(path) if path else package_file("im_core", "robot/cell.yaml"), Cell)
+    return load_model(Path(path) if path else package_file("im_cell", "robot/cell.yaml"), Cell)

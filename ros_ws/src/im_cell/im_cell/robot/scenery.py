@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from im_cell.robot.parameters import NonNegative, Positive, Vector, facing
 from im_core.config import Model
-from im_core.robot.parameters import NonNegative, Positive, Vector, facing
 
 
 class Optics(Model):
@@ -125,7 +125,7 @@ class LaserTolerance(Model):
 
 
 class LaserScanner(Model):
-    """A laser scanner with two mirrors, as drawn; see :class:`im_core.laser_model.LaserModel`.
+    """A laser scanner with two mirrors, as drawn; see :class:`im_cell.laser_model.LaserModel`.
 
     Attributes:
         position: Centre of mirror 2 in the world [m].

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import cos, pi, sin
 
-from im_core.robot.parameters import ArmModel, Cart, CartStage, DhLink, Limits, Motor, Side, Vector
+from im_cell.robot.parameters import ArmModel, Cart, CartStage, DhLink, Limits, Motor, Side, Vector
 
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 CART_LINKS = ("cart", "turntable", "platform")
@@ -50,7 +50,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Link:
+class LinkInertia:
     """A link with mass.
 
     Attributes:
@@ -103,13 +103,13 @@ def joints_of(name: str, side: Side, cart: Cart, arm: ArmModel, counts: int, noi
         parent, pose = child, far_end(row)
 
 
-def links_of(name: str, cart: Cart, arm: ArmModel) -> Iterator[Link]:
+def links_of(name: str, cart: Cart, arm: ArmModel) -> Iterator[LinkInertia]:
     """The nine links with mass of one side, each the child of the joint of the same rank."""
     stages: tuple[CartStage, ...] = (cart.track, cart.rotation, cart.tilt)
     for link, stage in zip(CART_LINKS, stages, strict=True):
-        yield Link(f"{name}_{link}", stage.mass, stage.com, ORIGIN, stage.inertia)
+        yield LinkInertia(f"{name}_{link}", stage.mass, stage.com, ORIGIN, stage.inertia)
     for number, row in enumerate(arm.links, start=1):
-        yield Link(f"{name}_link{number}", row.mass, _mass_centre(row), (row.alpha, 0.0, 0.0), row.inertia)
+        yield LinkInertia(f"{name}_link{number}", row.mass, _mass_centre(row), (row.alpha, 0.0, 0.0), row.inertia)
 
 
 def far_end(row: DhLink) -> tuple[Vector, Vector]:

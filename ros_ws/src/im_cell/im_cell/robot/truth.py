@@ -10,10 +10,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
-from im_core.config import Model
+from im_cell.laser_model import LaserModel
+from im_cell.robot.parameters import Positive, Vector
+from im_core.config import Model, faults
 from im_core.errors import DataError
-from im_core.laser_model import LaserModel
-from im_core.robot.parameters import Positive, Vector
 
 FILE_NAME = "truth.json"
 Matrix = tuple[Vector, Vector, Vector]
@@ -48,7 +48,7 @@ class LedTruth(Model):
 
 
 class LaserTruth(Model):
-    """The laser scanner, see :class:`im_core.laser_model.LaserModel`.
+    """The laser scanner, see :class:`im_cell.laser_model.LaserModel`.
 
     Attributes:
         rotation, position_m: Pose, ``x_world = R x_scanner + t`` [m].
@@ -88,4 +88,5 @@ def load_truth(path: Path) -> CellTruth:
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error}", file=str(path)) from error
     except ValidationError as error:
-        raise DataError(f"{path}: is not a truth file: {error}", file=str(path)) from error
+        fault = faults(error, CellTruth)[0]
+        raise DataError(f"{path}: is not a truth file: {fault.field}: {fault.sentence}", file=str(path)) from error

@@ -2,9 +2,9 @@
 
 from math import atan2, dist, hypot
 
-from im_core.robot.cell import Cell
-from im_core.robot.parameters import Box, Capsule, Vector
-from im_core.robot.tree import ORIGIN, Joint, Link, far_end
+from im_cell.robot.cell import Cell
+from im_cell.robot.parameters import Box, Capsule, Vector
+from im_cell.robot.tree import ORIGIN, Joint, LinkInertia, far_end
 
 
 def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
@@ -61,7 +61,7 @@ def _frame(name: str, parent: str, xyz: Vector, rpy: Vector) -> list[str]:
     ]
 
 
-def _inertial(link: Link) -> list[str]:
+def _inertial(link: LinkInertia) -> list[str]:
     ixx, iyy, izz = link.inertia
     return [
         "<inertial>",

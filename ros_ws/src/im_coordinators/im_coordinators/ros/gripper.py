@@ -5,6 +5,7 @@ import sys
 from im_core.config import package_file
 from im_core.ros import run
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
 
 
 class GripperCoordinator(PntNode):
@@ -12,7 +13,7 @@ class GripperCoordinator(PntNode):
 
     def __init__(self) -> None:
         nets = [package_file("im_coordinators", "nets/gripper_coordinator.yaml")]
-        super().__init__("gripper_coordinator", nets, functions={}, guards={})
+        super().__init__("gripper_coordinator", nets, functions={}, guards={}, verifier=verify_to_load)
 
 
 def main() -> None:

@@ -1,18 +1,18 @@
 """Node ``/motion_coordinator``."""
 
 import sys
-from typing import Any
 
 from trajectory_msgs.msg import JointTrajectory
 
-from im_coordinators.ros.carrier import DEFAULT_GROUP, carrier
-from im_coordinators.strategies import HOLDING_STATES, POWERED_STATES
+from im_coordinators.motion import HOLDING_STATES, POWERED_STATES, group_held, require_rest
+from im_coordinators.ros.calibration import group_of
 from im_core.config import package_file
-from im_core.errors import StateError
 from im_core.ros import qos, run
 from im_msgs.msg import McsState
-from im_pnt.functions import woken_by
+from im_msgs.srv import GetGroupState
+from im_pnt.execution.functions import ActionContext, woken_by
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
 
 MCS_STATE = "/mcs/state"
 of_mcs = woken_by(f"topic:{MCS_STATE}")
@@ -29,7 +29,6 @@ class MotionCoordinator(PntNode):
                 "group_to_reserve": self.group_to_reserve,
                 "group_held": self.group_held,
                 "path_to_follow": self.path_to_follow,
-                "store_end": self.store_end,
                 "store_position": self.store_position,
             },
             guards={
@@ -40,41 +39,41 @@ class MotionCoordinator(PntNode):
                 "mcs_holds_group": of_mcs(lambda _: self._mcs_state in HOLDING_STATES),
                 "path_given": woken_by("data:given_path")(lambda _: self.sources.valid("given_path")),
             },
+            verifier=verify_to_load,
         )
         self.sources.follow(MCS_STATE, McsState, qos.LATCHED)
 
-    async def group_to_reserve(self, ctx: Any) -> dict[str, object]:
+    async def group_to_reserve(self, ctx: ActionContext) -> dict[str, object]:
         """The arm that is to move."""
-        return {"group": await carrier(self.dom)}
+        return {"group": await group_of(ctx, self.dom)}
 
-    async def group_held(self, ctx: Any) -> dict[str, object]:
+    async def group_held(self, ctx: ActionContext) -> dict[str, object]:
         """The arm that MCS holds."""
         return {"group": self._held}
 
-    async def path_to_follow(self, ctx: Any) -> dict[str, object]:
+    async def path_to_follow(self, ctx: ActionContext) -> dict[str, object]:
         """The goal of a move: the path in the DOM."""
         return {"path": await self.dom.get("path", JointTrajectory)}
 
-    async def store_end(self, ctx: Any, result: Any) -> None:
-        """Stores where a move ended."""
-        await self.dom.put("current_position", result.state)
-
-    async def store_position(self, ctx: Any, answer: Any) -> None:
+    async def store_position(self, ctx: ActionContext, answer: GetGroupState.Response) -> None:
         """Stores the position that MCS measured at rest."""
-        if not answer.state.at_rest:
-            raise StateError(f"{answer.state.group} is not at rest; a position measured in motion is of no use")
+        require_rest(answer.state.group, answer.state.at_rest)
         await self.dom.put("current_position", answer.state, place="motion_coordinator.pos_found")
 
     @property
     def _held(self) -> str:
-        message = self.sources.last(MCS_STATE)
-        held = [] if message is None else list(message.reserved_groups)
-        return DEFAULT_GROUP if DEFAULT_GROUP in held or not held else str(held[0])
+        message = self._mcs
+        return group_held([] if message is None else list(message.reserved_groups))
 
     @property
     def _mcs_state(self) -> str:
-        message = self.sources.last(MCS_STATE)
+        message = self._mcs
         return "unconfigured" if message is None else str(message.state)
+
+    @property
+    def _mcs(self) -> McsState | None:
+        message: McsState | None = self.sources.last(MCS_STATE)
+        return message
 
 
 def main() -> None:

@@ -1,16 +1,21 @@
 """Node ``/vision_coordinator``."""
 
 import sys
-from typing import Any
 
-from im_coordinators.ros.carrier import CAMERAS
-from im_coordinators.strategies import another_look_may_help
+import numpy as np
+
+from im_calibration.light import MeasuredRest, rotation_of
+from im_cell.robot import load_cell
+from im_coordinators.ros.calibration import CAMERAS, cameras_of
+from im_coordinators.vision import another_look_may_help, require_spot
 from im_core.config import package_file
-from im_core.errors import DataError, ImError
+from im_core.errors import DataError
 from im_core.ros import run
-from im_msgs.msg import CameraNames, ObservationSet, SpotSet
-from im_pnt.functions import woken_by
+from im_msgs.msg import CameraNames, GroupState, Observation, ObservationSet, Rejection, SpotSet
+from im_msgs.srv import Calibrate, SetLight, SpotFind
+from im_pnt.execution.functions import ActionContext, idempotent, woken_by
 from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
 
 
 class VisionCoordinator(PntNode):
@@ -26,41 +31,73 @@ class VisionCoordinator(PntNode):
                 "nominal_exposure": self.nominal_exposure,
                 "longer_exposure": self.longer_exposure,
                 "store_spots": self.store_spots,
-                "observations": self.observations,
+                "keep_observation": self.keep_observation,
+                "calibration_problem": self.calibration_problem,
                 "store_calibration": self.store_calibration,
             },
-            guards={"another_look_may_help": woken_by()(lambda ctx: _mendable(ctx.failure))},
+            guards={"another_look_may_help": woken_by()(lambda ctx: another_look_may_help(ctx.failure))},
+            asks={"keep_observation": idempotent(self.keep_observation)},
+            verifier=verify_to_load,
         )
-        self._long_exposure = self.declare_parameter("long_exposure", 0.018).value
+        self._long_exposure = float(self.declare_parameter("long_exposure", 0.018).value)
+        self._led_offset = np.array(load_cell().led.offset)
 
-    async def light(self, ctx: Any) -> dict[str, object]:
+    async def light(self, ctx: ActionContext) -> dict[str, object]:
         """The light that the cameras are to look for."""
         return {"name": (await self.dom.get(CAMERAS, CameraNames)).light}
 
-    async def forget_cameras(self, ctx: Any, answer: Any) -> None:
+    async def forget_cameras(self, ctx: ActionContext, answer: SetLight.Response) -> None:
         """Ends the calibration: what moves next is no longer to carry its light."""
         await self.dom.invalidate(CAMERAS)
 
-    async def nominal_exposure(self, ctx: Any) -> dict[str, object]:
+    async def nominal_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """The request for a spot at the exposure of the cameras' configuration."""
-        return await self._spot_request(0.0)
+        return {"cameras": await cameras_of(ctx, self.dom), "exposure": 0.0}
 
-    async def longer_exposure(self, ctx: Any) -> dict[str, object]:
+    async def longer_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """The request for another look with more light."""
-        return await self._spot_request(self._long_exposure)
+        return {"cameras": await cameras_of(ctx, self.dom), "exposure": self._long_exposure}
 
-    async def store_spots(self, ctx: Any, answer: Any) -> None:
+    async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
         """Stores the spots that were found, if any was."""
-        missed = {spot.camera: spot.cause for spot in answer.spots if not spot.found}
-        if len(missed) == len(answer.spots):
-            named = "; ".join(f"{camera}: {cause}" for camera, cause in missed.items())
-            raise DataError(f"no camera sees the light: {named}", code="spot_not_found", causes=[*missed.values()])
+        require_spot({spot.camera: spot.cause for spot in answer.spots if not spot.found}, len(answer.spots))
         found = SpotSet(spots=answer.spots, timing_json=answer.timing_json)
         await self.dom.put("spots", found, place="vision_coordinator.spot_stored")
 
-    async def observations(self, ctx: Any) -> dict[str, object]:
-        """The request for a calibration from the observations in the DOM."""
-        collected = await self.dom.get("observations", ObservationSet)
+    async def keep_observation(self, ctx: ActionContext) -> None:
+        """Keeps spots and position of a pose as an observation, under the number of the pose."""
+        match ctx.request_arguments:
+            case {"number": int(number), "pose": str(pose)}:
+                pass
+            case arguments:
+                raise DataError(f"an observation is kept with number and name of its pose, not with {arguments}")
+        spots = await self.dom.get("spots", SpotSet)
+        position = await self.dom.get("current_position", GroupState)
+        rest = _rest(position)
+        for spot in spots.spots:
+            rest.require_shown(spot.stamp.sec * 10**9 + spot.stamp.nanosec, pose)
+        observation = Observation(
+            pose=pose,
+            wrist=position.wrist,
+            position_covariance=rest.light_covariance(self._led_offset).ravel(),
+            spots=spots.spots,
+            rest_since=position.rest_since,
+        )
+        await self.dom.put(f"observation/{number}", observation)
+
+    async def calibration_problem(self, ctx: ActionContext) -> dict[str, object]:
+        """The request for a calibration: from the observations that are named, or else from those in the DOM."""
+        match ctx.request_arguments:
+            case {"cameras": [*cameras], "observations": [*kept], "rejected": dict(rejected), "directory": str(folder)}:
+                collected = ObservationSet(
+                    cameras=[str(camera) for camera in cameras],
+                    observations=[await self.dom.get(f"observation/{number}", Observation) for number in kept],
+                    rejected=[Rejection(pose=pose, reason=reason) for pose, reason in rejected.items()],
+                    directory=folder,
+                )
+                await self.dom.put("observations", collected)
+            case _:
+                collected = await self.dom.get("observations", ObservationSet)
         return {
             "cameras": list(collected.cameras),
             "observations": list(collected.observations),
@@ -68,18 +105,19 @@ class VisionCoordinator(PntNode):
             "apply": True,
         }
 
-    async def store_calibration(self, ctx: Any, answer: Any) -> None:
+    async def store_calibration(self, ctx: ActionContext, answer: Calibrate.Response) -> None:
         """Stores the calibration."""
         await self.dom.put("calibration", answer.report, place="vision_coordinator.calibration_stored")
 
-    async def _spot_request(self, exposure: float) -> dict[str, object]:
-        wanted = await self.dom.get(CAMERAS, CameraNames)
-        return {"cameras": list(wanted.cameras), "exposure": exposure}
 
-
-def _mendable(failure: ImError | None) -> bool:
-    causes = failure.facts.get("causes", []) if failure is not None else []
-    return isinstance(causes, list) and another_look_may_help(causes)
+def _rest(position: GroupState) -> MeasuredRest:
+    orientation, n = position.wrist.orientation, len(position.q_rest)
+    return MeasuredRest(
+        jacobian=np.array(position.jacobian).reshape(6, -1),
+        q_covariance=np.array(position.q_rest_covariance).reshape(n, -1),
+        rotation=rotation_of(orientation.x, orientation.y, orientation.z, orientation.w),
+        since_ns=position.rest_since.sec * 10**9 + position.rest_since.nanosec,
+    )
 
 
 def main() -> None:

@@ -1,1 +1,9 @@
-"""What the ROS shells of all packages share."""
+"""What the ROS shells of all packages share.
+
+- :mod:`im_core.ros.node`: ``ManagedNode``, the base class of all tasks; :mod:`im_core.ros.run` spins them;
+- :mod:`im_core.ros.coroutines`, :mod:`im_core.ros.calls`: what a node's loop runs, and waiting with a time-out in it;
+- :mod:`im_core.ros.heartbeats`: which task is alive;
+- :mod:`im_core.ros.dom`: client of the Data Object Manager;
+- :mod:`im_core.ros.status`, :mod:`im_core.ros.interfaces`, :mod:`im_core.ros.qos`: errors as messages, types by name,
+  qualities of service.
+"""

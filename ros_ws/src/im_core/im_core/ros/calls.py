@@ -110,4 +110,5 @@ async def run_in_thread(node: ManagedNode, function: Callable[..., ResultT], *ar
             promise.set_result(result)
 
     threading.Thread(target=run, name=getattr(function, "__name__", "worker"), daemon=True).start()
-    return await promise
+    result: ResultT = await promise
+    return result

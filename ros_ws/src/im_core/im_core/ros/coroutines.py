@@ -1,16 +1,26 @@
-"""Coroutines of a node that cost nothing while they wait.
+"""What the loop of a node runs besides its callbacks: coroutines, and functions after a time.
 
-The events executor looks at every suspended task of its own after every event: a thousand actions that wait for
-something would take 8 ms of each second. Here a coroutine is looked at again only when the promise is kept for which
-it waits.
+What waits costs nothing. The events executor looks at every suspended task of its own after every event: a thousand
+actions that wait for something would take 8 ms of each second. Here a coroutine is looked at again only when the
+promise is kept for which it waits.
 """
 
+import heapq
 from collections import deque
 from collections.abc import Callable, Coroutine, Generator
+from dataclasses import dataclass
+from typing import Any, Protocol
 
+from rclpy.clock import Clock
 from rclpy.task import Future
+from rclpy.timer import Timer
+
+from im_core import clock
 
 Work = Coroutine[object, object, None]
+
+_FEW = 64
+_SOON_S = 1e-6
 
 
 class Promise(Future):
@@ -23,10 +33,10 @@ class Promise(Future):
     """
 
     def __init__(self, wake: Callable[[], None]) -> None:
-        super().__init__()
+        Future.__init__(self)
         self._wake = wake
 
-    def __await__(self) -> Generator["Promise", None, object]:
+    def __await__(self) -> Generator["Promise", None, Any]:
         """Tells whoever runs the coroutine what it waits for."""
         while not self.done():
             yield self
@@ -34,12 +44,12 @@ class Promise(Future):
 
     def set_result(self, result: object) -> None:
         """Complete with a result."""
-        super().set_result(result)
+        Future.set_result(self, result)
         self._wake()
 
     def set_exception(self, exception: Exception) -> None:
         """Complete with an exception, raised where the promise is awaited."""
-        super().set_exception(exception)
+        Future.set_exception(self, exception)
         self._wake()
 
 
@@ -53,7 +63,7 @@ class Coroutines:
     """
 
     def __init__(
-        self, wake: Callable[[], None], poll: Callable[[Work], None], failed: Callable[[Exception], None]
+        self, wake: Callable[[], None], poll: Callable[[Work], object], failed: Callable[[Exception], None]
     ) -> None:
         self._wake, self._poll, self._failed = wake, poll, failed
         self._ready: deque[Work] = deque()
@@ -99,3 +109,73 @@ class _Rest:
             except StopIteration:
                 return
             yield awaited
+
+
+class TimedNode(Protocol):
+    """What alarms need of a node: a timer of wall time."""
+
+    steady_clock: Clock
+
+    def create_timer(self, timer_period_sec: float, callback: Callable[[], None], *, clock: Clock) -> Timer:
+        """As in rclpy."""
+        ...
+
+
+@dataclass(eq=False)
+class Alarm:
+    """A function that is to be called once; None when it was, or is not wanted any more."""
+
+    call: Callable[[], None] | None
+
+
+class Alarms:
+    """Calls functions in the loop of a node, in wall time: any number of them, with one timer of the middleware.
+
+    Args:
+        node: The node.
+    """
+
+    def __init__(self, node: TimedNode) -> None:
+        self._heap: list[tuple[float, int, Alarm]] = []
+        self._count = 0
+        self._cancelled = 0
+        self._timer = node.create_timer(1.0, self._strike, clock=node.steady_clock)
+        self._timer.cancel()
+
+    def after(self, seconds: float, call: Callable[[], None]) -> Alarm:
+        """Has a function called after a time [s]; from the loop."""
+        alarm = Alarm(call)
+        self._count += 1
+        heapq.heappush(self._heap, (clock.monotonic() + seconds, self._count, alarm))
+        if self._heap[0][2] is alarm:
+            self._set()
+        return alarm
+
+    def cancel(self, alarm: Alarm) -> None:
+        """Takes an alarm back, if its function was not called yet."""
+        if alarm.call is None:
+            return
+        alarm.call = None
+        self._cancelled += 1
+        if self._cancelled > _FEW and 2 * self._cancelled > len(self._heap):
+            self._heap = [entry for entry in self._heap if entry[2].call is not None]
+            heapq.heapify(self._heap)
+            self._cancelled = 0
+
+    def _strike(self) -> None:
+        self._timer.cancel()
+        now = clock.monotonic()
+        while self._heap and self._heap[0][0] <= now:
+            alarm = heapq.heappop(self._heap)[2]
+            call, alarm.call = alarm.call, None
+            if call is None:
+                self._cancelled -= 1
+            else:
+                call()
+        self._set()
+
+    def _set(self) -> None:
+        if self._heap:
+            left = max(_SOON_S, self._heap[0][0] - clock.monotonic())
+            self._timer.timer_period_ns = round(1e9 * left)
+            self._timer.reset()

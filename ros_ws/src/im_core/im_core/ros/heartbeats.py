@@ -1,13 +1,14 @@
 """Who is alive: follows the heartbeats of all tasks, and waits for answers only while the answerer lives."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from im_core import clock
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import qos
-from im_core.ros.node import STATUS_TOPIC, ManagedNode
+from im_core.ros.node import ManagedNode
+from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import TaskStatus
 
 #: A task that has not been heard for this long is missing [s] of wall time.
@@ -25,7 +26,7 @@ class Heartbeat:
 
 
 @dataclass(eq=False)
-class Watch:
+class TaskWatch:
     """Somebody who waits for a task.
 
     Attributes:
@@ -48,7 +49,7 @@ class Heartbeats:
         self._node = node
         self._born = clock.monotonic()
         self._last: dict[str, Heartbeat] = {}
-        self._watches: dict[str, dict[Watch, None]] = {}
+        self._watches: dict[str, dict[TaskWatch, None]] = {}
         self._check_timer = node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady_clock)
         self._check_timer.cancel()
         node.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
@@ -80,7 +81,7 @@ class Heartbeats:
 
     def watch(self, task: str, since: int | None, lost: Callable[[str], None]) -> Callable[[], None]:
         """Has a function called when a task goes missing, until that is called which is returned."""
-        watch = Watch(since, lost)
+        watch = TaskWatch(since, lost)
         if not self._watches:
             self._check_timer.reset()
         self._watches.setdefault(task, {})[watch] = None
@@ -128,9 +129,11 @@ class Heartbeats:
 
     def _hear(self, message: TaskStatus) -> None:
         known, now = self._last.get(message.name), clock.monotonic()
-        same = known is not None and known.incarnation == message.incarnation
-        self._last[message.name] = Heartbeat(int(message.incarnation), known.since if same else now, now)
-        if known is not None and not same:
+        if known is not None and known.incarnation == message.incarnation:
+            self._last[message.name] = replace(known, heard=now)
+            return
+        self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now)
+        if known is not None:
             self._tell(message.name)
 
     def _check(self) -> None:

@@ -4,29 +4,30 @@ import inspect
 import os
 import secrets
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any
 
 import rclpy
+from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, qos_profile_services_default
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
+from rclpy.task import Task
 from std_msgs.msg import UInt8
 
 from im_core import clock
 from im_core.errors import ImError, NotFoundError
 from im_core.ros import qos
-from im_core.ros.alarms import Alarms
-from im_core.ros.coroutines import Coroutines, Promise, Work
+from im_core.ros.coroutines import Alarms, Coroutines, Promise, Work
+from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
-PHASE_LOAD, PHASE_CONFIGURE, PHASE_START, PHASE_SHUTDOWN = range(4)
-
-PHASE_TOPIC = "/im/phase"
-STATUS_TOPIC = "/im/task_status"
 HEARTBEAT_PERIOD_S = 0.5
 
 INTROSPECTION = {
@@ -50,8 +51,8 @@ class ManagedNode(Node):
 
     _introspection = ServiceIntrospectionState.OFF
 
-    def __init__(self, name: str, **kwargs: object) -> None:
-        super().__init__(name, **kwargs)
+    def __init__(self, name: str, *, parameter_overrides: list[Parameter] | None = None) -> None:
+        super().__init__(name, parameter_overrides=parameter_overrides)
         introspection = self.declare_parameter("introspection", "off").value
         if introspection not in INTROSPECTION:
             raise NotFoundError(kind="kind of introspection", name=str(introspection), known=INTROSPECTION)
@@ -65,25 +66,43 @@ class ManagedNode(Node):
         self.alarms = Alarms(self)
         self._wake_timer = self.create_timer(WAKE_DELAY_S, self._woken, clock=self.steady_clock)
         self._wake_timer.cancel()
-        self._coroutines = Coroutines(self.wake, self._poll, self._broken)
+        self._coroutines = Coroutines(self.wake, self._run_task, self._broken)
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self.create_timer(HEARTBEAT_PERIOD_S, self._publish_status, clock=self.steady_clock)
         standalone = self.declare_parameter("standalone", False).value
         if standalone:
             self._standalone_timer = self.create_timer(0.01, self._start_alone, clock=self.steady_clock)
         else:
-            self.create_subscription(UInt8, PHASE_TOPIC, lambda message: self._follow(message.data), qos.LATCHED)
+            self.create_subscription(UInt8, PHASE_TOPIC, self._hear_phase, qos.LATCHED)
         self._publish_status()
 
-    def create_service(self, *args: object, **kwargs: object) -> Service:
-        """As in rclpy, with queues for many clients, and introspection as the node's parameter says."""
-        kwargs.setdefault("qos_profile", qos.SERVICES)
-        service = super().create_service(*args, **kwargs)
+    def get_logger(self) -> RcutilsLogger:
+        """As in rclpy, which does not say of what type it is."""
+        logger: RcutilsLogger = Node.get_logger(self)
+        return logger
+
+    def create_service(
+        self,
+        srv_type: type[Any],
+        srv_name: str,
+        callback: Callable[[Any, Any], Any],
+        *,
+        qos_profile: QoSProfile = qos.SERVICES,
+        callback_group: CallbackGroup | None = None,
+    ) -> Service:
+        """As in rclpy, with queues for many clients, and introspection as the node's parameter says.
+
+        The callback may be a coroutine.
+        """
+        service = super().create_service(
+            srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
+        )
         service.configure_introspection(self.get_clock(), qos.EVENTS, self._introspection)
-        service.send_response = partial(self._send_when_done, service, service.send_response)
+        hooked: Any = service  # rclpy calls what it finds under this name
+        hooked.send_response = partial(self._send_when_done, service, service.send_response)
         return service
 
-    def _send_when_done(self, service: Service, send: Callable[..., None], response: Any, header: object) -> None:
+    def _send_when_done(self, service: Service, send: Callable[..., None], response: Any, header: Any) -> None:
         """Send what a service's callback returned; the events executor would take a coroutine for the response."""
         if not inspect.iscoroutine(response):
             send(response, header)
@@ -93,13 +112,21 @@ class ManagedNode(Node):
             if (error := task.exception()) is not None:
                 self.get_logger().error(f"{service.srv_name} failed: {error!r}")
             if rclpy.ok():
-                send(service.srv_type.Response() if error is not None else task.result(), header)
+                srv_type: Any = service.srv_type
+                send(srv_type.Response() if error is not None else task.result(), header)
 
-        self.executor.create_task(response).add_done_callback(finished)
+        self._run_task(response).add_done_callback(finished)
 
-    def create_client(self, *args: object, **kwargs: object) -> Client:
+    def create_client(
+        self,
+        srv_type: type[Any],
+        srv_name: str,
+        *,
+        qos_profile: QoSProfile = qos_profile_services_default,
+        callback_group: CallbackGroup | None = None,
+    ) -> Client:
         """As in rclpy, with introspection as the node's parameter says."""
-        client = super().create_client(*args, **kwargs)
+        client = super().create_client(srv_type, srv_name, qos_profile=qos_profile, callback_group=callback_group)
         client.configure_introspection(self.get_clock(), qos.EVENTS, self._introspection)
         return client
 
@@ -165,27 +192,31 @@ class ManagedNode(Node):
         self._wake_timer.cancel()
         self._coroutines.step()
 
-    def _poll(self, work: Work) -> None:
-        self.executor.create_task(work)
+    def _run_task(self, work: Coroutine[Any, Any, Any]) -> Task:
+        assert self.executor is not None, "coroutines begin in callbacks, which an executor calls"
+        return self.executor.create_task(work)
 
     def _broken(self, error: Exception) -> None:
         self.get_logger().error(f"a coroutine broke: {error!r}")
 
     def _start_alone(self) -> None:
         self._standalone_timer.cancel()
-        self._follow(PHASE_START)
+        self._follow(StartupPhase.START)
+
+    def _hear_phase(self, message: UInt8) -> None:
+        self._follow(message.data)
 
     def _follow(self, target: int) -> None:
-        if target == PHASE_SHUTDOWN:
+        if target == StartupPhase.SHUTDOWN:
             self.shut_down_once()
             rclpy.try_shutdown()
             return
-        if target >= PHASE_CONFIGURE and self._phase == TaskStatus.LOADED:
+        if target >= StartupPhase.CONFIGURE and self._phase == TaskStatus.LOADED:
             self._run_phase(self.phase_configure, TaskStatus.CONFIGURED)
-        if target >= PHASE_START and self._phase == TaskStatus.CONFIGURED:
+        if target >= StartupPhase.START and self._phase == TaskStatus.CONFIGURED:
             self._run_phase(self.phase_start, TaskStatus.READY)
 
-    def _run_phase(self, phase: object, reached: int) -> None:
+    def _run_phase(self, phase: Callable[[], None], reached: int) -> None:
         try:
             phase()
         except ImError as error:

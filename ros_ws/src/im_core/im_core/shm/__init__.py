@@ -9,8 +9,7 @@ a name left behind by a dead owner is replaced by the next creator and refused t
 - :class:`MessageRing`: JSON messages from one writer to one reader, in order.
 """
 
-from im_core.shm.block import SharedBlock, remove_all
-from im_core.shm.owner import ProcessId
+from im_core.shm.block import ProcessId, SharedBlock, remove_all
 from im_core.shm.ring import MessageRing
 from im_core.shm.semaphore import Semaphore
 from im_core.shm.snapshot import Snapshot

@@ -2,23 +2,24 @@
 
 import json
 import sys
-from typing import Any
+from collections.abc import Callable
 
 from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
 
-from im_core.config import package_file
 from im_core.errors import DataError, ImError, StateError
 from im_core.ros import run
 from im_core.ros.status import to_status
-from im_dispatcher.ros.calibrate_camera import CEILING, SYMBOL, CalibrateCamera, standing
+from im_dispatcher.command import joined
+from im_dispatcher.commands import calibrate_camera, installed
+from im_dispatcher.ros.host import NodeHost
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CalibrationReport
-from im_msgs.srv import CalibrateCamera as CalibrateCameraSrv
-from im_msgs.srv import LoadNet
+from im_msgs.srv import CalibrateCamera, LoadNet
 from im_pnt.netfile import load_net, parse_net
-from im_pnt.ros.node import CommandOutcome, PntNode
+from im_pnt.ros.node import CommandOutcome, PntNode, ProgressListener
+from im_pnt_analysis import verify_to_load
 
-NETS = ("calibrate_camera", "grip")
 CANCEL_CHECK_S = 0.1
 
 
@@ -26,20 +27,19 @@ class Dispatcher(PntNode):
     """Root of the Coordination Level: its services and its action write commands to the input tape of its nets."""
 
     def __init__(self) -> None:
-        self._calibration = CalibrateCamera()
+        host, commands = NodeHost(), installed()
+        functions = joined(command.functions(host) for command in commands)
+        nets = [command.net for command in commands]
         super().__init__(
-            "dispatcher",
-            [package_file("im_dispatcher", f"nets/{name}.yaml") for name in NETS],
-            functions=self._calibration.functions,
-            guards=self._calibration.guards,
-            asks=self._calibration.asks,
+            "dispatcher", nets, functions.actions, functions.guards, functions.asks, verifier=verify_to_load
         )
-        self._calibration.attach(self)
+        host.attach(self)
+        self._standing = {symbol: tell for command in commands for symbol, tell in command.standing.items()}
 
     def phase_start(self) -> None:
         """Start the nets, then take commands."""
         super().phase_start()
-        self.create_service(CalibrateCameraSrv, "/dispatcher/calibrate_camera", self._calibrate_camera)
+        self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._calibrate_camera)
         self.create_service(LoadNet, "/dispatcher/load_net", self._load_net)
         self._execute_server = ActionServer(
             self,
@@ -49,18 +49,26 @@ class Dispatcher(PntNode):
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
 
-    async def _run(self, symbol: str, arguments: dict[str, object], **following: Any) -> CommandOutcome:
+    async def _run(
+        self,
+        symbol: str,
+        arguments: dict[str, object],
+        listener: ProgressListener | None = None,
+        started: Callable[[int], None] | None = None,
+    ) -> CommandOutcome:
         """Runs a command; refuses a second one of the same symbol."""
         running = self.commands.running(symbol)
         if running is not None:
-            text = f"{symbol} is already running ({standing(running)}); ask again when it has ended"
-            raise StateError(text, command=symbol)
-        return await self.command(symbol, arguments, **following)
+            standing = self._standing[symbol](running) if symbol in self._standing else "begun"
+            raise StateError(f"{symbol} is already running ({standing}); ask again when it has ended", command=symbol)
+        return await self.command(symbol, arguments, listener, started)
 
-    async def _calibrate_camera(self, request: Any, response: Any) -> Any:
-        arguments = {"cameras": list(request.cameras) or list(CEILING), "poses_file": request.poses_file}
+    async def _calibrate_camera(
+        self, request: CalibrateCamera.Request, response: CalibrateCamera.Response
+    ) -> CalibrateCamera.Response:
         try:
-            outcome = await self._run(SYMBOL, arguments)
+            arguments: dict[str, object] = {"cameras": list(request.cameras), "poses_file": request.poses_file}
+            outcome = await self._run(calibrate_camera.SYMBOL, arguments)
             response.success = outcome.success
             response.message = str(outcome.results.get("message", outcome.status.message))
             if outcome.success:
@@ -72,7 +80,7 @@ class Dispatcher(PntNode):
             response.success, response.message = False, error.message
         return response
 
-    async def _execute(self, goal: Any) -> Any:
+    async def _execute(self, goal: ServerGoalHandle) -> ExecuteCommand.Result:
         result, feedback = ExecuteCommand.Result(), ExecuteCommand.Feedback()
         command_ids: list[int] = []
 
@@ -108,7 +116,7 @@ class Dispatcher(PntNode):
             goal.abort()
         return result
 
-    async def _load_net(self, request: Any, response: Any) -> Any:
+    async def _load_net(self, request: LoadNet.Request, response: LoadNet.Response) -> LoadNet.Response:
         try:
             net = parse_net(request.net_yaml) if request.net_yaml else load_net(request.net_file)
             report = await self.load_net(net, request.wait)

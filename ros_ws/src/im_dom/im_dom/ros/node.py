@@ -1,9 +1,10 @@
 """Node ``/dom``."""
 
 import sys
-from typing import Any
+from collections.abc import Callable
+from typing import TypeVar
 
-from im_core.errors import ImError
+from im_core.errors import ImError, StateError
 from im_core.names import run_dir
 from im_core.ros import qos, run
 from im_core.ros.node import ManagedNode
@@ -11,6 +12,8 @@ from im_core.ros.status import ok_status, to_status
 from im_dom.store import ObjectRecord, ObjectStore
 from im_msgs.msg import ObjectChange, ObjectInfo
 from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
+
+AnswerT = TypeVar("AnswerT", PutObject.Response, GetObject.Response, InvalidateObject.Response)
 
 
 class DomNode(ManagedNode):
@@ -34,34 +37,47 @@ class DomNode(ManagedNode):
         if self._store is not None:
             self._store.close()
 
-    def _put(self, request: Any, response: Any) -> Any:
+    @property
+    def store(self) -> ObjectStore:
+        """The objects, once the node is configured.
+
+        Raises:
+            StateError: It is not.
+        """
+        if self._store is None:
+            raise StateError("the objects' store is not open yet")
+        return self._store
+
+    def _put(self, request: PutObject.Request, response: PutObject.Response) -> PutObject.Response:
         def put() -> ObjectRecord:
-            return self._store.put(
+            return self.store.put(
                 request.name, request.type, bytes(request.data), request.place, request.source, self._now_ns()
             )
 
         return self._answer(response, put, changed=True)
 
-    def _get(self, request: Any, response: Any) -> Any:
+    def _get(self, request: GetObject.Request, response: GetObject.Response) -> GetObject.Response:
         def get() -> ObjectRecord:
-            record, data = self._store.get(request.name, request.type)
+            record, data = self.store.get(request.name, request.type)
             if not request.metadata_only:
                 response.data = data
             return record
 
         return self._answer(response, get, changed=False)
 
-    def _invalidate(self, request: Any, response: Any) -> Any:
+    def _invalidate(
+        self, request: InvalidateObject.Request, response: InvalidateObject.Response
+    ) -> InvalidateObject.Response:
         def invalidate() -> ObjectRecord:
-            return self._store.invalidate(request.name, request.source, self._now_ns())
+            return self.store.invalidate(request.name, request.source, self._now_ns())
 
         return self._answer(response, invalidate, changed=True)
 
-    def _list(self, request: Any, response: Any) -> Any:
-        response.objects = [to_info(record) for record in self._store.records(request.prefix)]
+    def _list(self, request: ListObjects.Request, response: ListObjects.Response) -> ListObjects.Response:
+        response.objects = [to_info(record) for record in self.store.records(request.prefix)]
         return response
 
-    def _answer(self, response: Any, operation: Any, changed: bool) -> Any:
+    def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:
         try:
             response.object = to_info(operation())
         except ImError as error:

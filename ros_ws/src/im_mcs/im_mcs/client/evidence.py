@@ -10,7 +10,7 @@ import numpy as np
 
 from im_core.errors import ImError
 from im_core.files import write_whole
-from im_mcs.servo.recorder import PER_JOINT
+from im_mcs.protocol.evidence import PER_JOINT
 
 _AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
@@ -20,7 +20,7 @@ def write_evidence(folder: Path, record: Mapping[str, Any], fault: ImError, join
 
     Args:
         folder: Where to; made if it is not there.
-        record: As :meth:`im_mcs.servo.recorder.Records.read` gives it.
+        record: As :meth:`im_mcs.protocol.evidence.Records.read` gives it.
         fault: Why; code, message and facts are in the ``.npz`` as JSON, under ``fault``.
         joints: Names of the joints, for the table; numbers if not given.
 

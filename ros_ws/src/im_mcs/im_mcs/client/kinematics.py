@@ -8,14 +8,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_core.errors import NotFoundError, StateError
+from im_core.errors import DataError, NotFoundError, StateError
 from im_mcs.client.points import check_measured_path
 from im_mcs.collision import CollisionChecker
-from im_mcs.config import Group, McsConfig
 from im_mcs.inverse import InverseKinematics
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
-from im_mcs.planning.pose_values import check_pose
+from im_mcs.limits.configuration import Group, McsConfig
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
+from im_mcs.protocol.requests import unit_pose
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class Kinematics:
         model: Kinematics and shapes; used by this object alone.
     """
 
-    def __init__(self, config: McsConfig, model: Model) -> None:
+    def __init__(self, config: McsConfig, model: CellModel) -> None:
         self._config = config
         self._model = model
-        self._limits = JointLimits(model, config.limits, config.slots)
+        self._limits = JointLimits(model.cell, config.limits, config.slots)
         self._collision = CollisionChecker(model, config.collision.clearance_m)
         self._lock = threading.Lock()
 
@@ -143,4 +143,7 @@ def wrist_pose(position: Sequence[float], orientation: Sequence[float]) -> pin.S
     Raises:
         DataError: A value is not finite, or the quaternion is not of length 1 (within 1 %).
     """
-    return pin.XYZQUATToSE3(np.array(check_pose([*position, *orientation])))
+    try:
+        return pin.XYZQUATToSE3(np.array(unit_pose([*position, *orientation])))
+    except ValueError as error:
+        raise DataError(str(error)) from None

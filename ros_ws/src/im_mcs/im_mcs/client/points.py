@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import DataError, NotFoundError
-from im_mcs.limits import JointLimits
+from im_mcs.limits.limits import JointLimits
 
 
 class JointsError(DataError):

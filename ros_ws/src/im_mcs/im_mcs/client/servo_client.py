@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import ImError, LinkError
-from im_mcs.client.requests import Request
 from im_mcs.client.time_source import TimeSource
-from im_mcs.servo.channel import STATES, ServoChannel
-from im_mcs.servo.recorder import Records
-from im_mcs.state import Event, State
+from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.evidence import Records
+from im_mcs.protocol.requests import request_message
+from im_mcs.state.table import STATES, Event, State
 
 _BELL_S = 0.02
 
 
 @dataclass(frozen=True)
-class Reply:
+class ServoReply:
     """Answer to a request.
 
     Attributes:
@@ -33,7 +33,7 @@ class Reply:
     results: dict[str, Any]
 
 
-OnReply = Callable[[Reply], None]
+OnReply = Callable[[ServoReply], None]
 OnState = Callable[[State, str], None]
 OnProgress = Callable[[float, int], None]
 
@@ -82,12 +82,12 @@ class ServoClient:
         with self._lock:
             if self._refusal is not None and event is not Event.ESTOP:
                 raise self._refusal
-            request = Request(self._next_id, event, arguments or {})
-            self._channel.requests.send(request.to_message())
+            number = self._next_id
+            self._channel.requests.send(request_message(number, event.value, arguments or {}))
             self._next_id += 1
-            self._waiting[request.id] = (on_reply or (lambda reply: None), on_progress)
+            self._waiting[number] = (on_reply or (lambda reply: None), on_progress)
         self._time.ask()
-        return request.id
+        return number
 
     def snapshot(self) -> NDArray[np.void]:
         """Newest state of the servo, shape ()."""
@@ -98,8 +98,8 @@ class ServoClient:
         return STATES[int(self.snapshot()["state"])]
 
     def samples(self) -> list[dict[str, Any]]:
-        """What the joints did since the last call: fields of :func:`im_mcs.servo.samples.sample_type`, as lists."""
-        return self._channel.samples.take()
+        """What the joints did since the last call: fields of :func:`im_mcs.protocol.samples.sample_type`, as lists."""
+        return self._channel.samples.take_samples()
 
     def evidence(self, number: int) -> dict[str, Any] | None:
         """The last seconds before an abort, oldest tick first; None if there is no such record, or none any more.
@@ -126,7 +126,7 @@ class ServoClient:
             self._refusal = error
             waiting, self._waiting = self._waiting, {}
         for on_reply, _ in waiting.values():
-            on_reply(Reply(error, {}))
+            on_reply(ServoReply(error, {}))
 
     def suspend(self, error: ImError) -> None:
         """The servo process hangs: as :meth:`give_up`, until :meth:`resume`; to be called as long as it hangs.
@@ -136,7 +136,7 @@ class ServoClient:
         """
         with self._lock, suppress(LinkError):  # of a queue that is full: what does not fit was not asked for either
             for number in self._waiting:
-                self._channel.requests.send(Request(0, Event.CANCEL, {"goal": number}).to_message())
+                self._channel.requests.send(request_message(0, Event.CANCEL.value, {"goal": number}))
         self.give_up(error)
 
     def resume(self) -> None:
@@ -175,19 +175,21 @@ class ServoClient:
         elif on_reply is not None:
             error = message.get("error")
             fault = ImError.restored(error["code"], error["message"], error["facts"]) if error else None
-            on_reply(Reply(fault, message["results"]))
+            on_reply(ServoReply(fault, message["results"]))
 
 
-def ask(client: ServoClient, event: Event, arguments: dict[str, Any] | None = None, timeout_s: float = 10.0) -> Reply:
+def ask(
+    client: ServoClient, event: Event, arguments: dict[str, Any] | None = None, timeout_s: float = 10.0
+) -> ServoReply:
     """Send a request and wait for its answer; for scripts and tests.
 
     Raises:
         LinkError: No answer within ``timeout_s`` of wall time [s].
     """
     done = threading.Event()
-    replies: list[Reply] = []
+    replies: list[ServoReply] = []
 
-    def take(reply: Reply) -> None:
+    def take(reply: ServoReply) -> None:
         replies.append(reply)
         done.set()
 

@@ -3,8 +3,8 @@
 from contextlib import suppress
 from typing import Protocol
 
+from im_cell.link import ClockEnd
 from im_core.errors import LinkError
-from im_core.testbed_link import Slot, TestbedLink
 
 
 class TimeSource(Protocol):
@@ -37,7 +37,7 @@ class TestbedTime:
 
     __test__ = False  # not a test class, whatever pytest thinks of the name
 
-    def __init__(self, link: TestbedLink) -> None:
+    def __init__(self, link: ClockEnd) -> None:
         self._link = link
 
     @property
@@ -47,14 +47,14 @@ class TestbedTime:
 
     def ask(self) -> None:
         """Ask for one tick."""
-        self._link.request_time(Slot.MCS, 1)
+        self._link.request_time(1)
 
     def ask_until(self, tick: int) -> None:
         """Ask for time until ``tick``; of a new testbed, if the one before is gone and there is one."""
-        self._link.request_until(Slot.MCS, tick)
+        self._link.request_until(tick)
         if not self._link.physics_alive():
             with suppress(LinkError):
-                link = TestbedLink.attach(self._link.instance, 0.0)
+                link = ClockEnd.attach(self._link.instance, 0.0)
                 self._link.close()
                 self._link = link
                 self.ask()

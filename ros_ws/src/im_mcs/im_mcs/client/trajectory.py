@@ -53,7 +53,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
-class Tolerances:
+class GoalTolerances:
     """What a goal allows.
 
     Attributes:
@@ -81,7 +81,7 @@ class TimedTrajectory:
     joints: Sequence[str]
     points: Sequence[Waypoint]
     start_s: float = 0.0
-    tolerances: Tolerances = field(default_factory=Tolerances)
+    tolerances: GoalTolerances = field(default_factory=GoalTolerances)
 
 
 def trajectory_path(

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_mcs.model import Model
+from im_mcs.model import CellModel
 
 _NEVER_TOUCHING = 2
 
@@ -42,7 +42,7 @@ class Bodies:
         model: Kinematics and shapes.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: CellModel) -> None:
         self._model = model
         self._geometry = pin.GeometryModel()
         self.names: list[str] = []
@@ -135,7 +135,7 @@ class Bodies:
         return abs(len(up_a) - len(up_b))
 
 
-def ancestors(model: Model, joint: int) -> list[int]:
+def ancestors(model: CellModel, joint: int) -> list[int]:
     """A joint of pinocchio's model and all those that it rides on, the world (0) last."""
     chain = [joint]
     while chain[-1] != 0:

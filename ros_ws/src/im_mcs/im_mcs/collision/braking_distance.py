@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.model.places import place_of
-from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.model.dynamics import place_of
 
 _TINY = 1e-12
 # Acceleration across the motion, as a share of its limit, that is rounding.

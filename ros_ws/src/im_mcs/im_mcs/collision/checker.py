@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.collision.bodies import Bodies, Closest
-from im_mcs.model import Model
+from im_mcs.model import CellModel
 
 _STEP_RAD = 0.03
 _STEP_M = 0.015
@@ -21,7 +21,7 @@ class CollisionChecker:
         clearance_m: Smallest distance allowed [m].
     """
 
-    def __init__(self, model: Model, clearance_m: float) -> None:
+    def __init__(self, model: CellModel, clearance_m: float) -> None:
         self._bodies = Bodies(model)
         self._clearance = clearance_m
         self._step = np.array([_STEP_M if joint.kind == "prismatic" else _STEP_RAD for joint in model.cell.joints])

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError
 from im_mcs.collision.bodies import Bodies
-from im_mcs.collision.braking import STRAIGHT, Ahead, BrakingDistance
+from im_mcs.collision.braking_distance import STRAIGHT, Ahead, BrakingDistance
 from im_mcs.collision.travel import lever_bounds
-from im_mcs.config import Collision
-from im_mcs.model import Model
-from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.limits.configuration import Collision
+from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.model import CellModel
 
 # Approaches below this are rounding of the distances [m].
 _ROUNDING_M = 1e-6
@@ -66,7 +66,7 @@ class CollisionMonitor:
 
     def __init__(
         self,
-        model: Model,
+        model: CellModel,
         limits: MotionLimits,
         settings: Collision,
         groups: Sequence[NDArray[np.intp]],

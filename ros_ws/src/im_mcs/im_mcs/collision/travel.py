@@ -5,10 +5,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_mcs.collision.bodies import Bodies, ancestors
-from im_mcs.model import Model
+from im_mcs.model import CellModel
 
 
-def lever_bounds(model: Model, bodies: Bodies) -> NDArray[np.float64]:
+def lever_bounds(model: CellModel, bodies: Bodies) -> NDArray[np.float64]:
     """Largest change of each pair's distance by unit motion of each joint, shape (pairs, joints) [m/rad or 1].
 
     A point that a revolute joint carries moves by at most the angle times its distance from the axis; that distance is
@@ -28,7 +28,7 @@ def lever_bounds(model: Model, bodies: Bodies) -> NDArray[np.float64]:
     return np.where((first > 0.0) & (second > 0.0), 0.0, first + second)
 
 
-def _lever(model: Model, carrier: int, between: list[int], ends: NDArray[np.float64]) -> float:
+def _lever(model: CellModel, carrier: int, between: list[int], ends: NDArray[np.float64]) -> float:
     """Bound of the distance from the axis of ``carrier`` to the ends of a body, over the joints ``between``."""
     if model.cell.joints[carrier - 1].kind == "prismatic":
         return 1.0
@@ -40,7 +40,7 @@ def _lever(model: Model, carrier: int, between: list[int], ends: NDArray[np.floa
     return sum(along) + float(np.linalg.norm(ends, axis=1).max())
 
 
-def _axis(model: Model, joint: int) -> NDArray[np.float64]:
+def _axis(model: CellModel, joint: int) -> NDArray[np.float64]:
     """Axis of a revolute joint in its own frame, shape (3,)."""
     data = model.pin.createData()
     q = pin.neutral(model.pin)

@@ -7,9 +7,10 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
+from im_core.config import faults
 from im_core.errors import ConfigError
-from im_mcs.model import Model
-from im_mcs.planning.setpoint import Setpoint
+from im_mcs.model import CellModel
+from im_mcs.planning.trajectory import Setpoint
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class ControllerSetup:
 
     joints: NDArray[np.intp]
     period_s: float
-    model: Model
+    model: CellModel
     torque_limit: NDArray[np.float64]
     q_nominal: NDArray[np.float64]
     parameters: dict[str, Any]
@@ -82,6 +83,5 @@ def checked(model: type[ParametersT], parameters: dict[str, Any]) -> ParametersT
     try:
         return model.model_validate(parameters)
     except pydantic.ValidationError as error:
-        fault = error.errors()[0]
-        where = ".".join(str(part) for part in fault["loc"])
-        raise ConfigError(f"controller parameter '{where}': {fault['msg']}", parameter=where) from None
+        fault = faults(error, model)[0]
+        raise ConfigError(f"controller parameter '{fault.field}': {fault.sentence}", parameter=fault.field) from None

@@ -7,8 +7,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError
-from im_mcs.control.controller import ControlInput, Controller
+from im_core import plugins
+from im_core.errors import ConfigError, ImError
+from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
 
 ResultT = TypeVar("ResultT")
 
@@ -77,3 +78,21 @@ class GuardedLaw:
             raise ControlLawError(
                 f"control law '{self._name}': {method} raised {type(error).__name__}: {error}", controller=self._name
             ) from error
+
+
+def load_controller(name: str, setup: ControllerSetup) -> Controller:
+    """Make the control law that the configuration names ``module:Class``.
+
+    Raises:
+        ConfigError: There is no such module or class, or it refuses its parameters.
+    """
+    factory = plugins.load(name, None, "controller")
+    try:
+        if not callable(factory):
+            raise TypeError("it is no class")
+        return GuardedLaw(name, factory(setup))
+    except ImError:
+        raise
+    except Exception as error:  # a law of the user's may raise anything
+        sentence = f"controller '{name}' cannot be loaded: {type(error).__name__}: {error}"
+        raise ConfigError(sentence, controller=name) from error

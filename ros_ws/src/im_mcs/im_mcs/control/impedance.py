@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from im_core.config import Model as ConfigModel
 from im_core.errors import ConfigError
 from im_mcs.control.controller import ControlInput, ControllerSetup, checked
+from im_mcs.control.feedback import VelocityEstimator
 from im_mcs.control.friction import FrictionFeedforward, FrictionParameters
-from im_mcs.control.velocity import VelocityEstimator
 
 
 class ImpedanceParameters(ConfigModel):

@@ -4,18 +4,16 @@ import itertools
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.robot import Cell
 from im_core import clock, names
 from im_core.errors import ConfigError, LinkError
-from im_core.robot import Cell
+from im_core.process import ChildProcess
 from im_mcs.control.controller import ControlInput
 from im_mcs.control.guard import ControlLawError
 from im_mcs.control.link import LawLink
@@ -47,17 +45,9 @@ class LawProcess:
         name = f"{names.instance()}_law_{os.getpid()}_{next(_NUMBERS)}"
         model = ControlledModel(cell)
         self._link = LawLink.create(name, model.n, len(model.wrists))
-        job = {"link": name, "parent": os.getpid(), "law": law, "cell": cell.model_dump(mode="json")}
+        job: dict[str, object] = {"link": name, "law": law, "cell": cell.model_dump(mode="json")}
         job |= {"model_error": model_error, "groups": list(groups), "priority": priority, "paced": paced}
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "im_mcs.control.law_server"],
-            stdin=subprocess.PIPE,
-            start_new_session=True,
-            text=True,
-        )
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError), self._process.stdin as job_input:  # await_ready tells why it has ended
-            job_input.write(json.dumps(job))
+        self._process = ChildProcess.of_module("im_mcs.control.law_server", stdin=json.dumps(job))
 
     @property
     def pid(self) -> int:
@@ -91,8 +81,8 @@ class LawProcess:
         return not self._at_work or self.answer(deadline) is not None
 
     def ask(self, group: int, reset: bool, hold: int, carried: NDArray[np.float64], given: ControlInput) -> None:
-        """Put a question (:meth:`LawLink.put`) to a law that is :meth:`idle`."""
-        self._link.put(group, reset, hold, carried, given)
+        """Put a question (:meth:`LawLink.put_question`) to a law that is :meth:`idle`."""
+        self._link.put_question(group, reset, hold, carried, given)
         self._at_work = True
         self._link.question.post()
 
@@ -123,15 +113,12 @@ class LawProcess:
         if self._process.poll() is None:
             self._link.view["end"][()] = True
             self._link.question.post()
-            try:
-                self._process.wait(_END_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-        self._process.wait()
+            if not self._process.await_end(_END_S):
+                self._process.stop()
         self._link.close()
 
     def _ending(self) -> str:
-        code = self._process.returncode
+        code = self._process.poll() or 0
         how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
         return f"the process of control law '{self.law}' (pid {self.pid}) {how}"
 

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from im_cell.robot import Cell
 from im_core import scheduling
 from im_core.errors import ImError
-from im_core.robot import Cell
 from im_mcs.control.controller import Controller, ControllerSetup
-from im_mcs.control.guard import ControlLawError
+from im_mcs.control.guard import ControlLawError, load_controller
 from im_mcs.control.link import LawLink
-from im_mcs.control.loading import load_controller
 from im_mcs.model import ControlledModel
 
 _ATTACH_S = 5.0
@@ -22,7 +21,6 @@ _LOOK_S = 0.5
 def main() -> int:
     """Serve a law until the servo ends it or is gone; 1 if the law cannot be made, and the link says why."""
     job: dict[str, Any] = json.load(sys.stdin)
-    scheduling.end_with(job["parent"])
     model = ControlledModel(Cell.model_validate(job["cell"]), job["model_error"])
     link = LawLink.attach(job["link"], model.n, len(model.wrists), _ATTACH_S)
     try:

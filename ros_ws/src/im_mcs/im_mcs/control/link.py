@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from im_core.shm import Semaphore, SharedBlock
 from im_mcs.control.controller import ControlInput
-from im_mcs.planning.setpoint import Setpoint
+from im_mcs.planning.trajectory import Setpoint
 
 _FAULT_BYTES = 600
 _PARTS = ("q", "v", "a")
@@ -74,7 +74,9 @@ class LawLink:
         question = Semaphore.attach(f"{name}_question", timeout_s)
         return cls(block, layout(n_joints, n_wrists), question, Semaphore.attach(f"{name}_answer", timeout_s))
 
-    def put(self, group: int, reset: bool, hold: int, carried: NDArray[np.float64], given: ControlInput) -> None:
+    def put_question(
+        self, group: int, reset: bool, hold: int, carried: NDArray[np.float64], given: ControlInput
+    ) -> None:
         """Write a question.
 
         Args:

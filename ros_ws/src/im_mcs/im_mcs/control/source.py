@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
-from im_mcs.config import McsConfig
 from im_mcs.control.controller import Controller, ControllerSetup
+from im_mcs.control.guard import load_controller
 from im_mcs.control.law_process import LawProcess, RemoteLaw
 from im_mcs.control.laws import ControlLaws
-from im_mcs.control.loading import load_controller
+from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import ControlledModel
 
 _UNPACED_PATIENCE_S = 0.1

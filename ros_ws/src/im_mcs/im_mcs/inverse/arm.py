@@ -7,7 +7,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_core.errors import StateError
-from im_mcs.model import Model
+from im_mcs.model import CellModel
 
 _ARM_JOINTS = 6
 SINGULARITIES = ("shoulder", "elbow", "wrist")
@@ -30,7 +30,7 @@ class Arm:
         frame: Frame that the arm carries.
     """
 
-    def __init__(self, model: Model, frame: str) -> None:
+    def __init__(self, model: CellModel, frame: str) -> None:
         self._model = model
         chain = [int(model.pin.frames[model.frame_id(frame)].parentJoint)]
         while chain[-1] != 0:

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.inverse.arm import Arm
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
 
 # Share of its range within which a joint is pushed off a limit, and how hard: more than towards the preferred place.
 _ZONE = 0.12
@@ -31,7 +31,7 @@ class Redundancy:
 
     def __init__(
         self,
-        model: Model,
+        model: CellModel,
         limits: JointLimits,
         index: NDArray[np.intp],
         frame: str,

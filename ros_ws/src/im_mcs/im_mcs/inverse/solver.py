@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker
 from im_mcs.inverse.redundancy import Redundancy
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
 
 _ITERATIONS = 80
 # Solutions keep clear of the limits, so that a measured position is never beyond them [rad or m].
@@ -60,7 +60,7 @@ class InverseKinematics:
         frame: Its wrist frame.
     """
 
-    def __init__(self, model: Model, limits: JointLimits, index: NDArray[np.intp], frame: str) -> None:
+    def __init__(self, model: CellModel, limits: JointLimits, index: NDArray[np.intp], frame: str) -> None:
         self._model = model
         self._index = index
         self._frame = frame

@@ -7,7 +7,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_mcs.inverse.arm import Arm
-from im_mcs.model import Model
+from im_mcs.model import CellModel
 
 _ITERATIONS = 8
 _PRECISION = 1e-11
@@ -42,7 +42,7 @@ class ArmTracker:
         frame: The wrist.
     """
 
-    def __init__(self, model: Model, arm: Arm, frame: str) -> None:
+    def __init__(self, model: CellModel, arm: Arm, frame: str) -> None:
         self._pin = model.pin
         self._data = model.pin.createData()
         self._frame = model.frame_id(frame)

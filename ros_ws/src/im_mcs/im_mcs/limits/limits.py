@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.robot import Cell
 from im_core.errors import DataError, LimitError
-from im_mcs.config import Limits as LimitShares
-from im_mcs.model import Model
-from im_mcs.planning.motion_limits import MotionLimits
-from im_mcs.testbed.declaration import Slot, SlotLimits
+from im_mcs.limits.configuration import LimitShares
+from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.limits.slots import Slot, SlotLimits
 
 _OVERSPEED = 1.5
 _NONE = SlotLimits()
@@ -28,16 +28,15 @@ class JointLimits:
         following_error: Bounds of the following error, shape (n,) [rad or m].
 
     Args:
-        model: Joints and the cell's limits.
+        cell: Joints and the cell's limits.
         shares: Shares of them that MCS allows itself.
         slots: Slots with limits of their own; the narrower limit holds.
     """
 
-    def __init__(self, model: Model, shares: LimitShares, slots: Sequence[Slot] = ()) -> None:
-        cell = model.cell
+    def __init__(self, cell: Cell, shares: LimitShares, slots: Sequence[Slot] = ()) -> None:
         own = {slot.name: slot.limits for slot in slots if slot.limits is not None}
-        narrow = [own.get(name, _NONE) for name in model.names]
-        self.names = model.names
+        narrow = [own.get(name, _NONE) for name in cell.joint_names]
+        self.names = cell.joint_names
         self.units = tuple("m" if joint.kind == "prismatic" else "rad" for joint in cell.joints)
         lower = np.maximum(cell.per_joint("limits.lower"), [-np.inf if s.lower is None else s.lower for s in narrow])
         upper = np.minimum(cell.per_joint("limits.upper"), [np.inf if s.upper is None else s.upper for s in narrow])

@@ -31,10 +31,6 @@ class MotionLimits:
     acceleration: NDArray[np.float64]
     jerk: NDArray[np.float64]
 
-    def scaled(self, scale: float) -> Self:
-        """All three multiplied by ``scale``."""
-        return type(self)(self.velocity * scale, self.acceleration * scale, self.jerk * scale)
-
     def of(self, index: NDArray[np.intp]) -> Self:
         """Those of the joints ``index``."""
         return type(self)(self.velocity[index], self.acceleration[index], self.jerk[index])

@@ -22,8 +22,3 @@ class Saturations:
     def add(self, kind: str, cut: NDArray[np.bool_]) -> None:
         """Count a tick for the joints that were cut, shape (n,)."""
         self.counts[KINDS.index(kind)] += cut
-
-    @property
-    def total(self) -> int:
-        """Of all joints and kinds."""
-        return int(self.counts.sum())

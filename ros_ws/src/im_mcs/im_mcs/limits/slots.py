@@ -1,14 +1,20 @@
-"""What ``mcs.yaml`` says of drivers and slots."""
+"""What ``mcs.yaml`` says of channel drivers and slots."""
 
+import inspect
+from collections.abc import Callable, Mapping
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from im_core import plugins
 from im_core.config import FieldError, Model
 from im_core.errors import ConfigError
-from im_mcs.testbed.driver import check_settings
 
 Kind = Literal["joint", "gripper", "wrench"]
+
+
+OFFERED = ("instance", "timeout_s")
+"""Parameters of a driver's constructor that MCS fills in."""
 
 
 class Driver(Model):
@@ -45,7 +51,7 @@ class Testbed(Model):
 class SlotLimits(Model):
     """Limits of one slot, narrower than the cell's; what is not given is the cell's.
 
-    ``im_mcs.limits.JointLimits`` takes, for every joint slot, the narrower of these and of its share of the cell's.
+    ``JointLimits`` takes, for every joint slot, the narrower of these and of its share of the cell's.
     """
 
     lower: float | None = Field(default=None, description="[rad or m]")
@@ -100,3 +106,32 @@ def check_slots(testbed: Testbed, slots: tuple[Slot, ...]) -> None:
                 f" slot '{served[channel]}'",
             )
         served[channel] = slot.name
+
+
+def check_settings(name: str, settings: Mapping[str, object]) -> None:
+    """Whether there is a driver ``module:Class`` with these settings.
+
+    Raises:
+        ConfigError: There is none, or it does not take them; says what it takes.
+    """
+    signature = inspect.signature(find_driver(name))
+    parameters = {key: given for key, given in signature.parameters.items() if key not in OFFERED}
+    takes = f"channel driver '{name}' takes {', '.join(parameters) or 'no settings'}"
+    for key in settings:
+        if key not in parameters:
+            raise ConfigError(f"there is no setting '{key}'; {takes}", driver=name, setting=key)
+    for key, parameter in parameters.items():
+        if parameter.default is inspect.Parameter.empty and key not in settings:
+            raise ConfigError(f"the setting '{key}' is missing; {takes}", driver=name, setting=key)
+
+
+def find_driver(name: str) -> Callable[..., object]:
+    """The class of a channel driver by its name ``module:Class``.
+
+    Raises:
+        ConfigError: There is no such module or class.
+    """
+    found = plugins.load(name, None, "channel driver")
+    if not callable(found):
+        raise ConfigError(f"channel driver '{name}' is no class", driver=name)
+    return found

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.robot import SIDES, Cell, load_cell
 from im_core.errors import ImError
-from im_core.robot import Cell, load_cell
-from im_core.robot.cell import SIDES
-from im_mcs.config import load_config
+from im_mcs.limits.configuration import load_config
 from im_mcs.model.part import Part, PartModel, parse_positions, part_of
 
 _EXAMPLE = "[0,0.785,3.14,0,0.785,0]"

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.robot import SIDES, Cell
 from im_core.errors import DataError, LimitError, NotFoundError
-from im_core.robot import Cell
-from im_core.robot.cell import SIDES
-from im_mcs.config import Group, McsConfig
-from im_mcs.model.dynamics import Model
+from im_mcs.limits.configuration import Group, McsConfig
+from im_mcs.model.dynamics import CellModel
 
 _ARM_JOINTS = 6
 _LARGEST = 1e6
@@ -102,7 +101,7 @@ class PartModel:
 
     def __init__(self, part: Part, cell: Cell) -> None:
         self.part = part
-        self._model = Model(cell)
+        self._model = CellModel(cell)
         self.index = np.array([self._model.index(joint) for joint in part.joints], dtype=np.intp)
         self.home = cell.home[self.index]
         self.units = tuple("m" if cell.joints[i].kind == "prismatic" else "rad" for i in self.index)

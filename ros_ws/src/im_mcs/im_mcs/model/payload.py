@@ -8,10 +8,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from im_cell.robot import SIDES, Cell
 from im_core.errors import DataError, LimitError, NotFoundError
-from im_core.robot import Cell
-from im_core.robot.cell import SIDES
-from im_mcs.model.dynamics import Model
+from im_mcs.model.dynamics import CellModel
 
 _MOMENTS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _ROUNDING = 1e-9
@@ -91,7 +90,7 @@ def _check_inertia(payload: Payload, reach_m: float) -> None:
         raise LimitError(joint="payload", value=float(largest), limit=bound, unit="kg m2", what="principal moment")
 
 
-class ControlledModel(Model):
+class ControlledModel(CellModel):
     """The dynamics in the eyes of the control laws: perhaps wrong by intent, and with what the arms carry.
 
     A new payload enters along half a cosine, tick by tick (:meth:`advance`): mass, first moment and inertia about the

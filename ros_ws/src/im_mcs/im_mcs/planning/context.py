@@ -1,19 +1,15 @@
-"""What a motion is planned with, and what prepares one in bounded slices."""
+"""What a motion is planned with."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.setpoint import Setpoint
-from im_mcs.planning.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from im_mcs.config import McsConfig
-    from im_mcs.limits import JointLimits
-    from im_mcs.model import Model
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
+from im_mcs.planning.trajectory import Setpoint
 
 Start = Callable[[], Setpoint]
 """Gives the state that a motion begins with if it begins at the next knot."""
@@ -33,25 +29,10 @@ class PlanContext:
         config: Configuration.
     """
 
-    model: "Model"
-    limits: "JointLimits"
+    model: CellModel
+    limits: JointLimits
     index: NDArray[np.intp]
     frame: str | None
     q_all: Callable[[], NDArray[np.float64]]
     period_s: float
-    config: "McsConfig"
-
-
-class Preparation(Protocol):
-    """A motion being prepared; nothing moves meanwhile because of it."""
-
-    def step(self) -> Trajectory | None:
-        """Do one slice of the work, of about 0.3 ms, counted in steps and never in time, so that it can be repeated.
-
-        Returns:
-            The trajectory (a :class:`~im_mcs.planning.polynomial.PiecewisePolynomial`), or None: call again next tick.
-
-        Raises:
-            ImError: The motion is refused.
-        """
-        ...
+    config: McsConfig

@@ -6,12 +6,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.braking import brake_straight, is_straight
-from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.polynomial import PiecewisePolynomial
 from im_mcs.planning.scaling import Clock, RateGovernor, scaled
-from im_mcs.planning.setpoint import Setpoint
-from im_mcs.planning.trajectory import Trajectory
+from im_mcs.planning.straight_stop import brake_straight, is_straight
+from im_mcs.planning.trajectory import Setpoint, Trajectory
 
 _LEAST = 1e-6
 # Path ahead whose direction is judged at once, anew when half of it has passed: stops end within the other half [s].
@@ -61,7 +60,7 @@ class PathFollower:
         return self.finished or (self.rate == 0.0 and self.rate_change == 0.0)
 
     @property
-    def end(self) -> Setpoint:
+    def end_setpoint(self) -> Setpoint:
         """Where it comes to rest, unless it is interrupted."""
         return self.trajectory.at(self.trajectory.duration)
 
@@ -147,8 +146,8 @@ class Standing:
     ahead = None
 
     def __init__(self, q: NDArray[np.float64]) -> None:
-        self.end = Setpoint.at_rest(q)
+        self.end_setpoint = Setpoint.at_rest(q)
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
         """The same setpoint, whatever the rate."""
-        return self.end, 1
+        return self.end_setpoint, 1

@@ -2,16 +2,12 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from im_core.errors import ImError
-from im_mcs.planning.arguments import Move, Policy
-from im_mcs.planning.context import PlanContext, Preparation
-from im_mcs.planning.stream import Lease, StreamFollower
-from im_mcs.planning.tolerance import Tolerances
+from im_mcs.planning.preparation import Preparation
+from im_mcs.planning.stream import StreamFollower, StreamLease
+from im_mcs.planning.tolerances import TrajectoryTolerances
 from im_mcs.planning.trajectory import Trajectory
-from im_mcs.planning.trajectory_arguments import TrajectoryMove
+from im_mcs.protocol.requests import Move, Policy
 
 
 @dataclass
@@ -38,6 +34,7 @@ class Queued:
         move: What is asked for.
         policy: What becomes of motions before it.
         share: Speed scale of this motion alone.
+        tolerances: Of a trajectory.
         preparation: Its preparation, once begun.
         trajectory: Once prepared.
     """
@@ -46,6 +43,7 @@ class Queued:
     move: Move
     policy: Policy
     share: float
+    tolerances: TrajectoryTolerances | None
     preparation: Preparation | None = None
     trajectory: Trajectory | None = None
 
@@ -67,9 +65,9 @@ class Current:
 
     goal: Goal
     share: float = 1.0
-    tolerances: Tolerances | None = None
+    tolerances: TrajectoryTolerances | None = None
     stream: StreamFollower | None = None
-    lease: Lease | None = None
+    lease: StreamLease | None = None
     ticks: int = 0
     late_ticks: int = 0
     at_once: bool = False
@@ -103,22 +101,3 @@ class Rates:
         if share is None:
             share = 1.0 if current is None else current.share
         return min(self.override * share, self.ceiling)
-
-
-def tolerances_of(context: PlanContext, move: Move) -> Tolerances | None:
-    """Tolerances of a motion, if it is a trajectory; 0 is the bound of the following error, below 0 none."""
-    if not isinstance(move, TrajectoryMove):
-        return None
-    limits, index = context.limits, context.index
-    path = _bounds(move.path_tolerance, move.path_velocity_tolerance, limits.following_error[index])
-    goal = _bounds(move.goal_tolerance, move.goal_velocity_tolerance, np.inf)
-    names, units = [limits.names[i] for i in index], [limits.units[i] for i in index]
-    return Tolerances(names, units, path, goal, move.goal_time_s)
-
-
-def _bounds(
-    q: NDArray[np.float64], v: NDArray[np.float64], default: NDArray[np.float64] | float
-) -> NDArray[np.float64]:
-    """Bounds of positions and velocities, shape (2, n); there is no default for velocities."""
-    bounds = np.array([np.where(q == 0.0, default, q), np.where(v == 0.0, np.inf, v)])
-    return np.where(bounds < 0.0, np.inf, bounds)

@@ -5,12 +5,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.follower import Ahead, PathFollower, Standing
-from im_mcs.planning.motion_limits import MotionLimits
 from im_mcs.planning.polynomial import powers, quintic
 from im_mcs.planning.scaling import least_rate
-from im_mcs.planning.setpoint import Setpoint
-from im_mcs.planning.trajectory import Trajectory
+from im_mcs.planning.trajectory import Setpoint, Trajectory
 
 
 class Follower(Protocol):
@@ -32,7 +31,7 @@ class Follower(Protocol):
         ...
 
     @property
-    def end(self) -> Setpoint:
+    def end_setpoint(self) -> Setpoint:
         """Where it comes to rest, unless it is interrupted."""
         ...
 

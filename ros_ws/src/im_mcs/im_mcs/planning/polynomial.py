@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.setpoint import Setpoint
+from im_mcs.planning.trajectory import Setpoint
 
 _DEGREE = 5
 _POWERS = np.arange(_DEGREE + 1)
@@ -75,7 +75,7 @@ class PiecewisePolynomial:
         return cls(h.tolist(), quintic(h, q, v, a), points)
 
     @property
-    def end(self) -> Setpoint:
+    def end_setpoint(self) -> Setpoint:
         """Where it ends, at rest."""
         return self._end
 
@@ -107,6 +107,11 @@ class PiecewisePolynomial:
     def point(self, t: float) -> int:
         """Index of the point of the path that the motion is on its way to."""
         return self.points[min(max(bisect.bisect_right(self._starts, t) - 1, 0), len(self.points) - 1)]
+
+    def slower(self, factor: float) -> "PiecewisePolynomial":
+        """The same path in ``factor`` times the time."""
+        scale = (1.0 / factor) ** _POWERS
+        return PiecewisePolynomial((self.lengths * factor).tolist(), self.coefficients * scale[:, None], self.points)
 
     def followed_by(self, others: Sequence["PiecewisePolynomial"]) -> "PiecewisePolynomial":
         """This one and then ``others``, each of which begins where the one before ends."""

@@ -1,10 +1,28 @@
 """Preparation of a motion in bounded slices, so that a long path never costs the loop its deadline."""
 
-from im_mcs.planning.arguments import JointMove, LineMove, Move
-from im_mcs.planning.context import PlanContext, Preparation, Start
-from im_mcs.planning.joint_preparation import JointPreparation
-from im_mcs.planning.line import LinePreparation
+from typing import Protocol
+
+from im_mcs.planning.context import PlanContext, Start
+from im_mcs.planning.joint import JointPreparation
+from im_mcs.planning.line.line import LinePreparation
 from im_mcs.planning.spline import SplinePreparation
+from im_mcs.planning.trajectory import Trajectory
+from im_mcs.protocol.requests import JointMove, LineMove, Move
+
+
+class Preparation(Protocol):
+    """A motion being prepared; nothing moves meanwhile because of it."""
+
+    def step(self) -> Trajectory | None:
+        """Do one slice of the work, of about 0.3 ms, counted in steps and never in time, so that it can be repeated.
+
+        Returns:
+            The trajectory (a :class:`~im_mcs.planning.polynomial.PiecewisePolynomial`), or None: call again next tick.
+
+        Raises:
+            ImError: The motion is refused.
+        """
+        ...
 
 
 def prepare(context: PlanContext, move: Move, start: Start) -> Preparation:

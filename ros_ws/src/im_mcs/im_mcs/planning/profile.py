@@ -12,9 +12,9 @@ from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError
 from ruckig import Trajectory as RuckigTrajectory
 
 from im_core.errors import DataError
-from im_mcs.planning.motion_limits import MotionLimits, Synchrony
+from im_mcs.limits.motion_limits import MotionLimits, Synchrony
 from im_mcs.planning.polynomial import PiecewisePolynomial
-from im_mcs.planning.setpoint import Setpoint
+from im_mcs.planning.trajectory import Setpoint
 
 _RUCKIG = {Synchrony.PHASE: Synchronization.Phase, Synchrony.TIME: Synchronization.Time}
 _SHORTEST_S = 1e-9

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.polynomial import PiecewisePolynomial
 from im_mcs.planning.profile import ramp
-from im_mcs.planning.setpoint import Setpoint
-from im_mcs.planning.trajectory import Trajectory
+from im_mcs.planning.trajectory import Setpoint, Trajectory
 
 # Ramps that are tried: change of rate and its change, as shares of what limits allow on a straight path at constant
 # speed. Where one of the two limits is used up by the trajectory itself, the other need not be low.
@@ -61,7 +60,7 @@ class Clock:
         if self.change is None:
             return self.start + self.rate * t, self.rate, 0.0
         if t >= self.change.duration:
-            return float(self.change.end.q[0]) + self.rate * (t - self.change.duration), self.rate, 0.0
+            return float(self.change.end_setpoint.q[0]) + self.rate * (t - self.change.duration), self.rate, 0.0
         s = self.change.at(t)
         return float(s.q[0]), float(s.v[0]), float(s.a[0])
 

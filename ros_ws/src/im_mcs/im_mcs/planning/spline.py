@@ -14,21 +14,17 @@ the limits, its jerk cannot be.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
 from im_core.errors import LimitError
+from im_mcs.planning.context import PlanContext
 from im_mcs.planning.envelope import check_envelope
 from im_mcs.planning.polynomial import PiecewisePolynomial, cubic, quintic
-from im_mcs.planning.setpoint import Setpoint
-from im_mcs.planning.trajectory import Trajectory
-from im_mcs.planning.trajectory_arguments import TrajectoryMove
-
-if TYPE_CHECKING:
-    from im_mcs.planning.context import PlanContext
+from im_mcs.planning.trajectory import Setpoint, Trajectory
+from im_mcs.protocol.requests import TimedPoints, TrajectoryMove
 
 _PIECES_A_SLICE = 12
 
@@ -42,8 +38,8 @@ class SplinePreparation:
         start: Gives the state it begins with.
     """
 
-    def __init__(self, context: "PlanContext", move: TrajectoryMove, start: Callable[[], Setpoint]) -> None:
-        self._context, self._move, self._start = context, move, start
+    def __init__(self, context: PlanContext, move: TrajectoryMove, start: Callable[[], Setpoint]) -> None:
+        self._context, self._points, self._start = context, move.points, start
         self._checked = 0
 
     def step(self) -> Trajectory | None:
@@ -53,7 +49,7 @@ class SplinePreparation:
             LimitError: The spline goes beyond a limit, or the first point is at time 0 and elsewhere.
         """
         start = self._start()
-        spline = _spline(*self._with_start(start), move=self._move)
+        spline = _spline(*self._with_start(start), given=self._points)
         if self._checked < len(spline.lengths):
             # from the end: what depends on the state at which it takes over comes last
             last = len(spline.lengths) - self._checked
@@ -67,21 +63,21 @@ class SplinePreparation:
         self, start: Setpoint
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], list[int]]:
         """Times, positions, velocities and accelerations (NaN where not given), and where the points' pieces lead."""
-        move = self._move
-        missing = np.full_like(move.q, np.nan)
-        v = missing if move.v is None else move.v
-        a = missing.copy() if move.a is None else move.a.copy()
+        given = self._points
+        missing = np.full_like(given.q, np.nan)
+        v = missing if given.v is None else given.v
+        a = missing.copy() if given.a is None else given.a.copy()
         a[-1] = 0.0
-        first = 0 if move.times[0] > 0.0 else 1
+        first = 0 if given.times[0] > 0.0 else 1
         if first == 1:
             self._check_start(start)
-        times = np.concatenate([[0.0], move.times[first:]])
-        points = list(range(first, len(move.times)))
-        if first == 1 and len(move.times) == 1:
+        times = np.concatenate([[0.0], given.times[first:]])
+        points = list(range(first, len(given.times)))
+        if first == 1 and len(given.times) == 1:
             times, points, first = np.array([0.0, self._context.period_s]), [0], 0
         return (
             times,
-            np.vstack([start.q, move.q[first:]]),
+            np.vstack([start.q, given.q[first:]]),
             np.vstack([start.v, v[first:]]),
             np.vstack([start.a, a[first:]]),
             points,
@@ -90,7 +86,7 @@ class SplinePreparation:
     def _check_start(self, start: Setpoint) -> None:
         """A first point at time 0 is where the arm is, but for what it may be off its setpoint."""
         limits, index = self._context.limits, self._context.index
-        off = np.abs(self._move.q[0] - start.q)
+        off = np.abs(self._points.q[0] - start.q)
         beyond = off > limits.following_error[index]
         if beyond.any():
             k = int(np.argmax(beyond))
@@ -110,13 +106,13 @@ def _spline(
     v: NDArray[np.float64],
     a: NDArray[np.float64],
     points: list[int],
-    move: TrajectoryMove,
+    given: TimedPoints,
 ) -> PiecewisePolynomial:
     h = np.diff(times)
-    if move.v is None:
+    if given.v is None:
         v, a = smooth(h, q, v[0], a[0])
         coefficients = quintic(h, q, v, a)
-    elif move.a is None:
+    elif given.a is None:
         coefficients = cubic(h, q, v)
     else:
         coefficients = quintic(h, q, v, a)

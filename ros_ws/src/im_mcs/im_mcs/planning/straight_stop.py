@@ -9,11 +9,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.polynomial import PiecewisePolynomial
 from im_mcs.planning.profile import ramp
-from im_mcs.planning.setpoint import Setpoint
-from im_mcs.planning.trajectory import Trajectory
+from im_mcs.planning.trajectory import Setpoint, Trajectory
 
 _SAMPLES = 24
 _SHARES = np.array([0.0, 0.25, 0.5, 0.75])
@@ -63,13 +62,13 @@ def brake_straight(
     if (np.abs(now.a - way * now.a[k]) > _ALIGNED * limits.acceleration).any():
         return None
     stop = _along(way, k, now, limits)
-    goal = float(stop.end.q[k])
+    goal = float(stop.end_setpoint.q[k])
     end = _reached(trajectory, sigma, k, goal, bool(now.v[k] > 0.0), stop.duration)
     if end is None:
         return None
     stretch = trajectory.span(np.linspace(sigma, end, _SAMPLES)).q
     off = stretch - now.q - (stretch[:, k] - now.q[k])[:, None] * way
-    if np.abs(off).max() > _ON_PATH or np.abs(trajectory.at(end).q - stop.end.q).max() > _ON_PATH:
+    if np.abs(off).max() > _ON_PATH or np.abs(trajectory.at(end).q - stop.end_setpoint.q).max() > _ON_PATH:
         return None
     return stop, end
 

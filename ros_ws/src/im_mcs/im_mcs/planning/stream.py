@@ -4,15 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
-from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.polynomial import PiecewisePolynomial
 from im_mcs.planning.profile import Chase, to_rest
-from im_mcs.planning.setpoint import Setpoint
+from im_mcs.planning.trajectory import Setpoint
 
 _MEETINGS = 5
 
 
-class Lease:
+class StreamLease:
     """Time until which a sender must be heard of again, in testbed time from receipt.
 
     Args:
@@ -83,7 +83,7 @@ class StreamFollower:
         self._chase = None
 
     @property
-    def end(self) -> Setpoint:
+    def end_setpoint(self) -> Setpoint:
         """Where it is; where it will end nobody knows."""
         return self._state
 

@@ -6,9 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
+from im_mcs.planning.admission import per_joint
+from im_mcs.planning.context import PlanContext
+from im_mcs.protocol.requests import Move, TrajectoryMove
 
 
-class Tolerances:
+class TrajectoryTolerances:
     """Bounds of the errors of position and velocity, on the way and at the end.
 
     An error has shape (2, n): position [rad or m], and velocity [rad/s or m/s], which is measured as the filtered
@@ -76,3 +79,30 @@ class Tolerances:
             unit=unit,
             tick=tick,
         )
+
+
+def tolerances_of(context: PlanContext, move: Move) -> TrajectoryTolerances | None:
+    """Tolerances of a motion, if it is a trajectory; 0 is the bound of the following error, below 0 none.
+
+    Raises:
+        DataError: Not as many bounds as joints, or one is not finite.
+    """
+    if not isinstance(move, TrajectoryMove):
+        return None
+    limits, index = context.limits, context.index
+    unset, given = np.zeros(len(index)), []
+    for name in ("path_tolerance", "path_velocity_tolerance", "goal_tolerance", "goal_velocity_tolerance"):
+        bounds = per_joint(context, getattr(move, name), name)
+        given.append(unset if bounds is None else bounds)
+    path = _bounds(given[0], given[1], limits.following_error[index])
+    goal = _bounds(given[2], given[3], np.inf)
+    names, units = [limits.names[i] for i in index], [limits.units[i] for i in index]
+    return TrajectoryTolerances(names, units, path, goal, move.goal_time_tolerance)
+
+
+def _bounds(
+    q: NDArray[np.float64], v: NDArray[np.float64], default: NDArray[np.float64] | float
+) -> NDArray[np.float64]:
+    """Bounds of positions and velocities, shape (2, n); there is no default for velocities."""
+    bounds = np.array([np.where(q == 0.0, default, q), np.where(v == 0.0, np.inf, v)])
+    return np.where(bounds < 0.0, np.inf, bounds)

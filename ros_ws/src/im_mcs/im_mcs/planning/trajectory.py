@@ -1,11 +1,30 @@
-"""Contract of every trajectory."""
+"""What the planning layer hands to the control layer, once a servo tick, and the contract of every trajectory."""
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.setpoint import Setpoint
+
+@dataclass(frozen=True)
+class Setpoint:
+    """Wanted motion of some joints at one instant.
+
+    Attributes:
+        q: Positions, shape (n,) [rad or m].
+        v: Velocities, shape (n,) [rad/s or m/s].
+        a: Accelerations, shape (n,) [rad/s2 or m/s2].
+    """
+
+    q: NDArray[np.float64]
+    v: NDArray[np.float64]
+    a: NDArray[np.float64]
+
+    @classmethod
+    def at_rest(cls, q: NDArray[np.float64]) -> Self:
+        """Standing still at ``q``, shape (n,)."""
+        return cls(q.copy(), np.zeros_like(q), np.zeros_like(q))
 
 
 class Trajectory(Protocol):

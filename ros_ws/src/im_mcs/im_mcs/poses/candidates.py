@@ -8,7 +8,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from im_core.robot import Cell
+from im_cell.robot import Cell
 from im_mcs.poses.common import CommonView
 from im_mcs.poses.view import View, facing
 

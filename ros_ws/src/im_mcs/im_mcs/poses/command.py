@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from im_cell.robot import load_cell
 from im_core.errors import ImError, NotFoundError, StateError
-from im_core.robot import load_cell
 from im_mcs.collision import CollisionChecker
-from im_mcs.config import Group, McsConfig, load_config
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
+from im_mcs.limits.configuration import Group, McsConfig, load_config
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
 from im_mcs.poses.candidates import Volume
 from im_mcs.poses.selection import PoseSelector, Selection
 from im_mcs.poses.view import rides_on, stand
@@ -92,7 +92,7 @@ def make_selector(config_file: Path | None, group: str | None, cameras: Sequence
         StateError: The group has no wrist, or a camera rides on it.
         DataError: The cameras see no place in common that the light can reach.
     """
-    config, model = load_config(config_file), Model(load_cell())
+    config, model = load_config(config_file), CellModel(load_cell())
     for camera in cameras:
         if camera not in model.cell.cameras:
             raise NotFoundError(kind="camera", name=camera, known=model.cell.cameras)
@@ -104,7 +104,7 @@ def make_selector(config_file: Path | None, group: str | None, cameras: Sequence
         raise StateError(f"group '{group}' has no wrist", group=group)
     selector = PoseSelector(
         model=model,
-        limits=JointLimits(model, config.limits, config.slots),
+        limits=JointLimits(model.cell, config.limits, config.slots),
         checker=CollisionChecker(model, config.collision.clearance_m),
         index=np.array([model.index(joint) for joint in description.joints], dtype=np.intp),
         frame=description.wrist,
@@ -113,7 +113,7 @@ def make_selector(config_file: Path | None, group: str | None, cameras: Sequence
     return selector, group
 
 
-def _group_for(config: McsConfig, model: Model, cameras: Sequence[str]) -> str:
+def _group_for(config: McsConfig, model: CellModel, cameras: Sequence[str]) -> str:
     """The first group that has a wrist and carries none of the cameras."""
     mounts = {model.cell.cameras[camera].parent for camera in cameras} - {"world"}
 

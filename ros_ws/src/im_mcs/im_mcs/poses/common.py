@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from im_core.errors import DataError
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
 from im_mcs.poses.view import View
 
 _SAMPLES = 12000
@@ -39,7 +39,7 @@ class CommonView:
     """
 
     def __init__(
-        self, model: Model, limits: JointLimits, index: NDArray[np.intp], frame: str, views: Sequence[View]
+        self, model: CellModel, limits: JointLimits, index: NDArray[np.intp], frame: str, views: Sequence[View]
     ) -> None:
         draw = np.random.Generator(np.random.Philox(key=_SEED_KEY)).uniform(size=(_SAMPLES, len(index)))
         sampled = limits.lower[index] + draw * (limits.upper - limits.lower)[index]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker
 from im_mcs.inverse import InverseKinematics
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
-from im_mcs.planning.joint_path import JointPath
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
+from im_mcs.planning.joint import JointPath
 from im_mcs.poses.candidates import Candidate, Volume, candidates
 from im_mcs.poses.common import CommonView
 from im_mcs.poses.spread import Spread, farthest_first, spread_of
@@ -26,7 +26,7 @@ _MAX_DRAWS_PER_POSE = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedPose:
     """A candidate with joint positions that reach it.
 
     Attributes:
@@ -42,7 +42,7 @@ class Placed:
 class Selection:
     """Poses in the order in which they are to be visited, and how well they fill what the cameras see."""
 
-    poses: tuple[Placed, ...]
+    poses: tuple[PlacedPose, ...]
     spread: Spread
 
 
@@ -63,7 +63,7 @@ class PoseSelector:
 
     def __init__(
         self,
-        model: Model,
+        model: CellModel,
         limits: JointLimits,
         checker: CollisionChecker,
         index: NDArray[np.intp],
@@ -112,15 +112,15 @@ class PoseSelector:
         chosen = np.array([placed.candidate.light for placed in ordered])
         return Selection(tuple(ordered), spread_of(chosen, wrists, lights))
 
-    def _pool(self, count: int, volume: Volume, max_tilt_rad: float, seed: int) -> list[Placed]:
+    def _pool(self, count: int, volume: Volume, max_tilt_rad: float, seed: int) -> list[PlacedPose]:
         """Reachable, free and visible candidates."""
-        pool, lacks = list[Placed](), Counter[str]()
+        pool, lacks = list[PlacedPose](), Counter[str]()
         stream = candidates(
             self._model.cell, volume, self._common, self._views, max_tilt_rad, seed, _MAX_DRAWS_PER_POSE * count
         )
         for tries, candidate in enumerate(stream, start=1):
             found = self._try(candidate)
-            if isinstance(found, Placed):
+            if isinstance(found, PlacedPose):
                 pool.append(found)
             else:
                 lacks[found] += 1
@@ -131,7 +131,7 @@ class PoseSelector:
             raise DataError(f"only {len(pool)} poses of {count} can be used; of the others tried: {named}")
         return pool
 
-    def _try(self, candidate: Candidate) -> Placed | str:
+    def _try(self, candidate: Candidate) -> PlacedPose | str:
         """A candidate with joint positions, or why it cannot be used."""
         lack = "are out of reach"
         for start in (self._common.start(candidate.light), self._home[self._index]):
@@ -145,7 +145,7 @@ class PoseSelector:
                 continue
             blocked = self._blocked(candidate, attempt.q)
             if blocked is None:
-                return Placed(candidate, attempt.q)
+                return PlacedPose(candidate, attempt.q)
             lack = f"are hidden from {blocked}"
         return lack
 
@@ -159,9 +159,9 @@ class PoseSelector:
                 return view.name
         return None
 
-    def _order(self, pool: Sequence[Placed], wanted: Sequence[int]) -> tuple[list[Placed], list[int]]:
+    def _order(self, pool: Sequence[PlacedPose], wanted: Sequence[int]) -> tuple[list[PlacedPose], list[int]]:
         """From home always to the next pose that is reached soon on a free, direct way; and those without any."""
-        here, left, ordered = self._home[self._index], list(wanted), list[Placed]()
+        here, left, ordered = self._home[self._index], list(wanted), list[PlacedPose]()
         while left:
             for k in sorted(left, key=lambda k: (self._duration(here, pool[k].q), k)):
                 placed = self._place(pool[k].candidate, here)
@@ -174,13 +174,13 @@ class PoseSelector:
                 return ordered, left
         return ordered, []
 
-    def _place(self, candidate: Candidate, here: NDArray[np.float64]) -> Placed | None:
+    def _place(self, candidate: Candidate, here: NDArray[np.float64]) -> PlacedPose | None:
         """The configuration that path planning will choose from where the group is."""
         try:
             q = self._solver.solve(candidate.wrist, self._home, here, self._checker)
         except ImError:
             return None
-        return Placed(candidate, q) if self._blocked(candidate, q) is None else None
+        return PlacedPose(candidate, q) if self._blocked(candidate, q) is None else None
 
     def _duration(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
         return JointPath(a, b[None, :], self._limits.motion.of(self._index)).duration

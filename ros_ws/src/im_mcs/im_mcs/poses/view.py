@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from im_cell.robot import Intrinsics
 from im_core.errors import NotFoundError, StateError
-from im_core.robot.parameters import Intrinsics
 from im_mcs.collision.bodies import ancestors
-from im_mcs.model import Model
+from im_mcs.model import CellModel
 
 # What nominal cameras may be off: true ones see a light that nominal ones see with these margins.
 _MARGIN_PX = 20.0
@@ -48,7 +48,7 @@ class View:
         return np.asarray(ahead & across & down & far)
 
 
-def stand(model: Model, names: Sequence[str], group: str, joints: Sequence[str]) -> list[View]:
+def stand(model: CellModel, names: Sequence[str], group: str, joints: Sequence[str]) -> list[View]:
     """Cameras where they are while a group moves and all other joints are at home.
 
     Args:
@@ -80,7 +80,7 @@ def stand(model: Model, names: Sequence[str], group: str, joints: Sequence[str])
     return views
 
 
-def rides_on(model: Model, frame: str, joints: Sequence[str]) -> bool:
+def rides_on(model: CellModel, frame: str, joints: Sequence[str]) -> bool:
     """Whether any of the joints moves a frame."""
     carriers = ancestors(model, int(model.pin.frames[model.frame_id(frame)].parentJoint))
     return any(model.index(joint) + 1 in carriers for joint in joints)

@@ -6,14 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot
-from im_mcs.config import McsConfig
-from im_mcs.safety.saturation import KINDS
-from im_mcs.servo.heartbeat import Heartbeat
-from im_mcs.servo.recorder import RecordLayout
-from im_mcs.servo.samples import SampleRing, sample_type
-from im_mcs.state import State
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.saturation import KINDS
+from im_mcs.protocol.evidence import RecordLayout
+from im_mcs.protocol.heartbeat import ServoHeartbeat
+from im_mcs.protocol.samples import SampleRing, sample_type
 
-STATES: tuple[State, ...] = tuple(State)
 _REQUESTS_BYTES = 1 << 20
 _EVENTS_BYTES = 1 << 18
 _TEXT, _LONG_TEXT = "S64", "S240"
@@ -101,7 +99,7 @@ class ServoChannel:
         snapshot: Newest state; the servo writes.
         bell: Rung by the servo when there are events.
         heartbeat: Signs of life, both ways.
-        evidence: Records of aborts, for :class:`~im_mcs.servo.recorder.Recorder` and ``Records``.
+        evidence: Records of aborts, for :class:`~im_mcs.protocol.evidence.Recorder` and ``Records``.
     """
 
     def __init__(
@@ -111,7 +109,7 @@ class ServoChannel:
         samples: SampleRing,
         snapshot: Snapshot,
         bell: Semaphore,
-        heartbeat: Heartbeat,
+        heartbeat: ServoHeartbeat,
         records: SharedBlock,
         layout: RecordLayout,
     ) -> None:
@@ -138,7 +136,7 @@ class ServoChannel:
             SampleRing.create(f"{prefix}_samples", _sample_type(config)),
             Snapshot.create(f"{prefix}_snapshot", snapshot_type(config)),
             Semaphore.create(f"{prefix}_bell"),
-            Heartbeat.create(f"{prefix}_heartbeat"),
+            ServoHeartbeat.create(f"{prefix}_heartbeat"),
             records,
             layout,
         )
@@ -157,7 +155,7 @@ class ServoChannel:
             SampleRing.attach(f"{prefix}_samples", _sample_type(config), timeout_s),
             Snapshot.attach(f"{prefix}_snapshot", snapshot_type(config), timeout_s),
             Semaphore.attach(f"{prefix}_bell", timeout_s),
-            Heartbeat.attach(f"{prefix}_heartbeat", timeout_s),
+            ServoHeartbeat.attach(f"{prefix}_heartbeat", timeout_s),
             SharedBlock.attach(f"{prefix}_evidence", timeout_s),
             record_layout(config),
         )

@@ -75,7 +75,7 @@ class Recorder:
         self._wanted = False
         self.newest = 0
 
-    def put(
+    def put_row(
         self,
         tick: int,
         stamp_ns: int,

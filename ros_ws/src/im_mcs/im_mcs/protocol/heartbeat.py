@@ -8,7 +8,7 @@ from im_core.shm import SharedBlock
 OWNER, SERVO = 0, 1
 
 
-class Heartbeat:
+class ServoHeartbeat:
     """A counter for each side; who sees the other's stand still knows for how long.
 
     Args:

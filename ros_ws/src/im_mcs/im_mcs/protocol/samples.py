@@ -64,15 +64,15 @@ class SampleRing:
         """
         return cls(SharedBlock.attach(name, timeout_s), dtype)
 
-    def next(self) -> NDArray[np.void]:
-        """The record to fill next, shape (); :meth:`push` makes it readable."""
+    def next_record(self) -> NDArray[np.void]:
+        """The record to fill next, shape (); :meth:`push_record` makes it readable."""
         return self._records[int(self._head[0]) % _KEPT : int(self._head[0]) % _KEPT + 1].reshape(())
 
-    def push(self) -> None:
-        """The record of :meth:`next` is complete."""
+    def push_record(self) -> None:
+        """The record of :meth:`next_record` is complete."""
         self._head[0] += np.uint64(1)
 
-    def take(self) -> list[dict[str, Any]]:
+    def take_samples(self) -> list[dict[str, Any]]:
         """Samples since the last call, oldest first, each by its fields; arrays as lists."""
         head = int(self._head[0])
         first = max(self._taken, head - _KEPT + 1)

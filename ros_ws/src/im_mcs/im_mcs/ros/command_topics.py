@@ -2,51 +2,50 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from im_core.errors import ImError
 from im_core.ros import qos
 from im_mcs.client.points import joint_order, ordered
-from im_mcs.client.servo_client import Reply
+from im_mcs.client.servo_client import ServoReply
 from im_mcs.ros import messages
+from im_mcs.ros.access import McsAccess
 from im_mcs.state import Event
 from im_msgs.msg import SetpointCommand, TorqueCommand
-
-if TYPE_CHECKING:
-    from im_mcs.ros.node import McsNode
 
 
 class CommandTopics:
     """``/<group>/command/setpoints`` and ``/<group>/command/torques`` of every group of every preset.
 
     Args:
-        node: The node that listens.
+        access: MCS.
     """
 
-    def __init__(self, node: "McsNode") -> None:
-        self._node = node
-        for group in node.group_names:
+    def __init__(self, access: McsAccess) -> None:
+        self._mcs = access
+        for group in access.group_names:
             self._listen(SetpointCommand, group, "setpoints", self._setpoint)
             self._listen(TorqueCommand, group, "torques", self._torque)
 
     def _listen(self, message_type: type, group: str, name: str, translate: Callable[..., dict[str, Any]]) -> None:
         topic = f"/{group}/command/{name}"
-        self._node.create_subscription(message_type, topic, partial(self._take, group, topic, translate), qos.EVENTS)
+        take = partial(self._take, group, topic, translate)
+        self._mcs.node.create_subscription(message_type, topic, take, qos.EVENTS)
 
     def _take(self, group: str, topic: str, translate: Callable[..., dict[str, Any]], message: Any) -> None:
-        def answer(reply: Reply) -> None:
+        def answer(reply: ServoReply) -> None:
             if reply.error is not None:
-                self._node.refusals.add(topic, reply.error)
+                self._mcs.refusals.add(topic, reply.error)
 
         try:
-            joints = self._node.group(group).joints
+            joints = self._mcs.group(group).joints
             messages.check_finite(lease=message.lease)
             order = joint_order(group, joints, list(message.joints))
             arguments = {"group": group, "owner": message.owner, "lease_s": message.lease}
             arguments.update(translate(message, order, joints))
-            self._node.client().send(Event.STREAM, arguments, answer)
+            self._mcs.client().send(Event.STREAM, arguments, answer)
         except ImError as error:
-            self._node.refusals.add(topic, error)
+            self._mcs.refusals.add(topic, error)
 
     @staticmethod
     def _setpoint(message: SetpointCommand, order: list[int], joints: tuple[str, ...]) -> dict[str, Any]:

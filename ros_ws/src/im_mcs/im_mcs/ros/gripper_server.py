@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from control_msgs.action import GripperCommand
@@ -11,11 +10,9 @@ from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
 from im_mcs.ros import messages
-from im_mcs.ros.goals import Goals, fail
+from im_mcs.ros.access import McsAccess
+from im_mcs.ros.motions import Goals, fail
 from im_mcs.state import Event
-
-if TYPE_CHECKING:
-    from im_mcs.ros.node import McsNode
 
 
 class GripperServer:
@@ -26,14 +23,14 @@ class GripperServer:
     in the log and counted in ``/diagnostics``.
 
     Args:
-        node: The node that offers them.
+        access: MCS.
     """
 
-    def __init__(self, node: "McsNode") -> None:
-        self._node = node
-        self._names = [slot.name for slot in node.config.gripper_slots]
+    def __init__(self, access: McsAccess) -> None:
+        self._mcs = access
+        self._names = [slot.name for slot in access.config.gripper_slots]
         self._moving: dict[str, ServerGoalHandle] = {}
-        self._goals = Goals(node)
+        self._goals = Goals(access)
         for gripper in self._names:
             self._goals.serve(GripperCommand, f"/{gripper}/gripper_cmd", partial(self._execute, gripper))
 
@@ -47,13 +44,13 @@ class GripperServer:
         command = handle.request.command
         result = GripperCommand.Result()
         try:
-            self._node.client()
+            self._mcs.client()
             messages.check_finite(position=command.position, max_effort=command.max_effort)
             arguments = {"gripper": gripper, "opening": command.position, "force": command.max_effort}
-            results = await self._node.request(Event.SET_GRIPPER, arguments, partial(self._begin, gripper, handle))
+            results = await self._mcs.request(Event.SET_GRIPPER, arguments, partial(self._begin, gripper, handle))
         except ImError as error:
             if error.code != "cancelled":
-                self._node.refusals.add(f"/{gripper}/gripper_cmd", error)
+                self._mcs.refusals.add(f"/{gripper}/gripper_cmd", error)
             self._fill(gripper, result)
             fail(handle, error)
         else:
@@ -62,19 +59,19 @@ class GripperServer:
             result.stalled = not result.reached_goal
             handle.succeed()
         finally:
-            self._goals.end(handle)
+            self._goals.end_goal(handle)
             if self._moving.get(gripper) is handle:
                 del self._moving[gripper]
         return result
 
     def _begin(self, gripper: str, handle: ServerGoalHandle, number: int) -> None:
         self._moving.setdefault(gripper, handle)
-        self._goals.begin(handle, number)
+        self._goals.begin_goal(handle, number)
 
     def _fill(self, gripper: str, result: GripperCommand.Result) -> None:
         """Where the jaws are and how hard they press, if there is anyone who knows."""
         with suppress(ImError):
-            result.position, result.effort = self._measured(gripper, self._node.client().snapshot())
+            result.position, result.effort = self._measured(gripper, self._mcs.client().snapshot())
 
     def _measured(self, gripper: str, snapshot: NDArray[np.void]) -> tuple[float, float]:
         """Opening [m] and force [N], NaN where there is no sensor."""

@@ -1,17 +1,15 @@
 """Topics that show each layer; what nobody listens to is not published."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from geometry_msgs.msg import Wrench, WrenchStamped
 from rclpy.publisher import Publisher
 
 from im_core.ros import qos
 from im_mcs.ros import messages
+from im_mcs.ros.access import McsAccess
 from im_msgs.msg import GroupSetpoints, GroupTorques, SlotStates
-
-if TYPE_CHECKING:
-    from im_mcs.ros.node import McsNode
 
 Sample = dict[str, Any]
 
@@ -20,18 +18,18 @@ class Layers:
     """``/mcs/slots``, ``/<wrist>/wrench``, ``/<group>/setpoints`` and ``/<group>/torques``.
 
     Args:
-        node: The node that publishes.
+        access: MCS.
     """
 
-    def __init__(self, node: "McsNode") -> None:
-        self._node = node
-        self._names = list(node.model.names)
-        self._drivers = [node.config.testbed.drivers[slot.driver].driver for slot in node.config.joint_slots]
-        self._grippers = [slot.name for slot in node.config.gripper_slots]
-        self._wrists = [_wrist(slot.name) for slot in node.config.wrench_slots]
-        self._slots = node.create_publisher(SlotStates, "/mcs/slots", qos.EVENTS)
+    def __init__(self, access: McsAccess) -> None:
+        self._mcs = access
+        self._names = list(access.model.names)
+        self._drivers = [access.config.testbed.drivers[slot.driver].driver for slot in access.config.joint_slots]
+        self._grippers = [slot.name for slot in access.config.gripper_slots]
+        self._wrists = [_wrist(slot.name) for slot in access.config.wrench_slots]
+        self._slots = access.node.create_publisher(SlotStates, "/mcs/slots", qos.EVENTS)
         self._wrenches = [
-            node.create_publisher(WrenchStamped, f"/{wrist}/wrench", qos.EVENTS) for wrist in self._wrists
+            access.node.create_publisher(WrenchStamped, f"/{wrist}/wrench", qos.EVENTS) for wrist in self._wrists
         ]
         self._torques = self._per_group(GroupTorques, "torques")
         self._setpoints = self._per_group(GroupSetpoints, "setpoints")
@@ -51,19 +49,19 @@ class Layers:
             if publisher.get_subscription_count():
                 for sample in samples:
                     publisher.publish(self._wrench(rank, sample))
-        listened = [g for g in self._node.config.groups if self._torques[g].get_subscription_count()]
+        listened = [g for g in self._mcs.config.groups if self._torques[g].get_subscription_count()]
         in_force = laws() if listened else {}
         for group in listened:
             for sample in samples:
                 self._torques[group].publish(self._group_torques(group, sample, in_force[group]))
-        for group in self._node.config.groups:
+        for group in self._mcs.config.groups:
             if self._setpoints[group].get_subscription_count():
                 for sample in samples:
                     self._setpoints[group].publish(self._group_setpoints(group, sample))
 
     def _per_group(self, message_type: type, name: str) -> dict[str, Publisher]:
-        node = self._node
-        return {g: node.create_publisher(message_type, f"/{g}/{name}", qos.EVENTS) for g in node.group_names}
+        mcs = self._mcs
+        return {g: mcs.node.create_publisher(message_type, f"/{g}/{name}", qos.EVENTS) for g in mcs.group_names}
 
     def _slot_states(self, sample: Sample) -> SlotStates:
         return SlotStates(
@@ -102,8 +100,8 @@ class Layers:
         )
 
     def _joints(self, group: str) -> tuple[list[str], list[int]]:
-        description = self._node.config.groups[group]
-        return list(description.joints), self._node.index(description).tolist()
+        description = self._mcs.config.groups[group]
+        return list(description.joints), self._mcs.index(description).tolist()
 
 
 def _wrist(slot: str) -> str:

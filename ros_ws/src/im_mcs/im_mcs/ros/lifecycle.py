@@ -2,11 +2,10 @@
 
 import inspect
 from collections.abc import Awaitable, Callable, Mapping
-from functools import partial
 from typing import Any
 
-import lifecycle_msgs.srv
 from lifecycle_msgs.msg import State, Transition, TransitionDescription
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
@@ -34,21 +33,15 @@ class Lifecycle:
     def __init__(self, node: Node, work: Mapping[str, Work]) -> None:
         self._node = node
         self._work = work
-        types = (
-            lifecycle_msgs.srv.ChangeState,
-            lifecycle_msgs.srv.GetState,
-            lifecycle_msgs.srv.GetAvailableStates,
-            lifecycle_msgs.srv.GetAvailableTransitions,
-        )
-        for service_type in types:
+        for service_type in (ChangeState, GetState, GetAvailableStates, GetAvailableTransitions):
             check_is_valid_srv_type(service_type)  # loads the type support that the machine needs
         with node.handle:
             self._machine = _rclpy.LifecycleStateMachine(node.handle, True)
-        self._serve(self._machine.service_change_state, types[0], self._change_state)
-        self._serve(self._machine.service_get_state, types[1], self._get_state)
-        self._serve(self._machine.service_get_available_states, types[2], self._get_states)
-        self._serve(self._machine.service_get_available_transitions, types[3], self._get_transitions)
-        self._serve(self._machine.service_get_transition_graph, types[3], self._get_graph)
+        self._serve(self._machine.service_change_state, ChangeState, self._change_state)
+        self._serve(self._machine.service_get_state, GetState, self._get_state)
+        self._serve(self._machine.service_get_available_states, GetAvailableStates, self._get_states)
+        self._serve(self._machine.service_get_available_transitions, GetAvailableTransitions, self._get_transitions)
+        self._serve(self._machine.service_get_transition_graph, GetAvailableTransitions, self._get_graph)
 
     @property
     def state(self) -> str:
@@ -95,23 +88,14 @@ class Lifecycle:
             )
         return int(known[transition])
 
-    def _serve(self, implementation: Any, service_type: type, callback: Callable[..., object]) -> None:
-        group = self._node.default_callback_group
-        profile = QoSProfile(**implementation.qos)
-        service = Service(implementation, service_type, implementation.name, callback, group, profile)
-        service.send_response = partial(self._send_when_done, service.send_response)
-        group.add_entity(service)
+    def _serve(self, implementation: Any, service_type: type, callback: Callable[[Any, Any], object]) -> None:
+        service = _LifecycleService(self._node, implementation, service_type, callback)
+        self._node.default_callback_group.add_entity(service)
         self._node._services.append(service)  # as rclpy's own lifecycle node does: the executor finds it there
 
-    def _send_when_done(self, send: Callable[..., None], response: object, header: object) -> None:
-        """Send a response; that of a coroutine when it has ended (the events executor does not wait for it)."""
-        if inspect.iscoroutine(response):
-            task = self._node.executor.create_task(response)
-            task.add_done_callback(lambda done: send(done.result(), header))
-        else:
-            send(response, header)
-
-    async def _change_state(self, request: object, response: object) -> object:
+    async def _change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
         labels = {number: label for number, label, *_ in self._machine.available_transitions}
         label = request.transition.label or labels.get(request.transition.id) or _LABELS.get(request.transition.id, "")
         try:
@@ -122,21 +106,46 @@ class Lifecycle:
             response.success = False
         return response
 
-    def _get_state(self, _: object, response: object) -> object:
+    def _get_state(self, _: object, response: GetState.Response) -> GetState.Response:
         response.current_state.id, response.current_state.label = self._machine.current_state
         return response
 
-    def _get_states(self, _: object, response: object) -> object:
+    def _get_states(self, _: object, response: GetAvailableStates.Response) -> GetAvailableStates.Response:
         response.available_states = [State(id=n, label=label) for n, label in self._machine.available_states]
         return response
 
-    def _get_transitions(self, _: object, response: object) -> object:
+    def _get_transitions(
+        self, _: object, response: GetAvailableTransitions.Response
+    ) -> GetAvailableTransitions.Response:
         response.available_transitions = [_description(t) for t in self._machine.available_transitions]
         return response
 
-    def _get_graph(self, _: object, response: object) -> object:
+    def _get_graph(self, _: object, response: GetAvailableTransitions.Response) -> GetAvailableTransitions.Response:
         response.available_transitions = [_description(t) for t in self._machine.transition_graph]
         return response
+
+
+class _LifecycleService(Service):
+    """A service of rcl's state machine whose callback may be a coroutine: the events executor does not wait for it."""
+
+    def __init__(
+        self, node: Node, implementation: Any, service_type: type, callback: Callable[[Any, Any], object]
+    ) -> None:
+        profile = QoSProfile(**implementation.qos)
+        super().__init__(
+            implementation, service_type, implementation.name, callback, node.default_callback_group, profile
+        )
+        self._node = node
+
+    def send_response(self, response: Any, header: Any) -> None:
+        """Send a response; that of a coroutine when it has ended."""
+        if not inspect.iscoroutine(response):
+            super().send_response(response, header)
+            return
+        executor = self._node.executor
+        assert executor is not None, "only an executor calls callbacks"
+        send = super().send_response
+        executor.create_task(response).add_done_callback(lambda done: send(done.result(), header))
 
 
 _LABELS = {

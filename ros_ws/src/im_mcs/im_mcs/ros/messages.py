@@ -14,9 +14,9 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_core.errors import DataError
-from im_mcs.client.group_state import GroupState
-from im_mcs.config import McsConfig
-from im_mcs.safety.saturation import KINDS
+from im_mcs.client.groups import GroupState
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.saturation import KINDS
 from im_mcs.state import State
 from im_msgs.msg import GroupPath, GroupStatus, McsState
 from im_msgs.msg import GroupState as GroupStateMessage
@@ -85,10 +85,11 @@ def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> Gr
     message = GroupPath(stamp=time(stamp_ns), kind=path["kind"], blend=float(path.get("blend", 0.0)))
     if path["kind"] == "line":
         for values in path["poses"]:
-            item = Pose()
-            item.position.x, item.position.y, item.position.z = values[:3]
-            item.orientation.x, item.orientation.y, item.orientation.z, item.orientation.w = values[3:]
-            message.line.append(item)
+            passed = Pose()
+            passed.position.x, passed.position.y, passed.position.z = values[:3]
+            o = passed.orientation
+            o.x, o.y, o.z, o.w = values[3:]
+            message.line.append(passed)
         return message
     message.path.joint_names = list(joints)
     for point in path["points"]:

@@ -1,35 +1,36 @@
-"""Motions of groups on their way through the servo."""
+"""Motions of groups on their way through the servo, and the goals of actions that stand for them."""
 
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
 from im_core.ros import qos
 from im_mcs.client.servo_client import OnProgress
 from im_mcs.ros import messages
+from im_mcs.ros.access import McsAccess, Started
 from im_mcs.state import Event
 from im_msgs.msg import GroupPath
-
-if TYPE_CHECKING:
-    from im_mcs.ros.node import McsNode, Started
 
 
 class Motions:
     """Sends MOVE requests, shows the path that is followed, and stops what is under way.
 
     Args:
-        node: The node that offers motions.
+        access: MCS.
     """
 
-    def __init__(self, node: "McsNode") -> None:
-        self._node = node
+    def __init__(self, access: McsAccess) -> None:
+        self._mcs = access
         self._under_way: dict[int, str] = {}
-        self._paths = {
-            group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in node.group_names
-        }
+        groups, node = access.group_names, access.node
+        self._paths = {group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in groups}
 
     async def run(
-        self, arguments: dict[str, Any], started: "Started | None" = None, on_progress: OnProgress | None = None
+        self, arguments: dict[str, Any], started: Started | None = None, on_progress: OnProgress | None = None
     ) -> dict[str, Any]:
         """Move a group and await the end.
 
@@ -60,7 +61,7 @@ class Motions:
                     on_progress(*told)
 
         try:
-            return await self._node.request(Event.MOVE, arguments, begin, progress)
+            return await self._mcs.request(Event.MOVE, arguments, begin, progress)
         finally:
             for number in numbers:
                 self._under_way.pop(number, None)
@@ -76,11 +77,64 @@ class Motions:
         numbers = [number for number, name in self._under_way.items() if name == group]
         for number in reversed(numbers):  # what waits first: it shall not begin
             try:
-                await self._node.request(Event.CANCEL, {"goal": number})
+                await self._mcs.request(Event.CANCEL, {"goal": number})
             except ImError:
                 if number in self._under_way:  # else it ended by itself meanwhile
                     raise
 
     def _show(self, group: str, path: dict[str, Any]) -> None:
-        stamp_ns = int(self._node.client().snapshot()["stamp_ns"])
-        self._paths[group].publish(messages.group_path(self._node.config.groups[group].joints, path, stamp_ns))
+        stamp_ns = int(self._mcs.client().snapshot()["stamp_ns"])
+        self._paths[group].publish(messages.group_path(self._mcs.config.groups[group].joints, path, stamp_ns))
+
+
+class Goals:
+    """Actions, and the numbers of requests by goal, so that a cancelled goal decelerates.
+
+    Args:
+        access: MCS.
+    """
+
+    def __init__(self, access: McsAccess) -> None:
+        self._mcs = access
+        self._numbers: dict[bytes, int] = {}
+        self._servers: list[ActionServer] = []
+
+    def serve(self, action: type, name: str, execute: Callable[[ServerGoalHandle], Awaitable[Any]]) -> None:
+        """Offer an action whose goals are all accepted: what cannot be done ends at once, and its result says why."""
+        server = ActionServer(
+            self._mcs.node,
+            action,
+            name,
+            execute_callback=execute,
+            goal_callback=lambda _: GoalResponse.ACCEPT,
+            cancel_callback=self._cancel,
+        )
+        self._servers.append(server)
+
+    def begin_goal(self, handle: ServerGoalHandle, number: int) -> None:
+        """The servo knows the goal by ``number``."""
+        self._numbers[bytes(handle.goal_id.uuid)] = number
+
+    def end_goal(self, handle: ServerGoalHandle) -> None:
+        """The goal has ended."""
+        self._numbers.pop(bytes(handle.goal_id.uuid), None)
+
+    def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        """Callback of an action server: the motion decelerates on its path and ends as cancelled."""
+        number = self._numbers.get(bytes(handle.goal_id.uuid))
+        if number is None:
+            return CancelResponse.REJECT
+        try:
+            self._mcs.client().send(Event.CANCEL, {"goal": number})
+        except ImError as error:
+            self._mcs.node.get_logger().warning(error.message)
+            return CancelResponse.REJECT
+        return CancelResponse.ACCEPT
+
+
+def fail(handle: ServerGoalHandle, error: ImError) -> None:
+    """End a goal that did not succeed: cancelled where that was asked for, else aborted."""
+    if error.code == "cancelled" and handle.is_cancel_requested:
+        handle.canceled()
+    else:
+        handle.abort()

@@ -1,22 +1,20 @@
 """``/<group>/move``: joint-interpolated and straight-line motion."""
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from geometry_msgs.msg import Pose
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import DataError, ImError
 from im_core.ros.status import ok_status, to_status
-from im_mcs.client.group_state import group_state
+from im_mcs.client.groups import group_state
 from im_mcs.client.kinematics import wrist_pose
 from im_mcs.client.points import ordered_points
 from im_mcs.ros import messages
-from im_mcs.ros.goals import Goals, fail
+from im_mcs.ros.access import McsAccess
+from im_mcs.ros.motions import Goals, Motions, fail
 from im_msgs.action import Move
-
-if TYPE_CHECKING:
-    from im_mcs.ros.node import McsNode
 
 _POLICIES = {Move.Goal.REFUSE: "refuse", Move.Goal.APPEND: "append", Move.Goal.REPLACE: "replace"}
 
@@ -25,21 +23,22 @@ class MoveServer:
     """``/<group>/move`` of every group of every preset.
 
     Args:
-        node: The node that offers them.
+        access: MCS.
+        motions: Move groups.
     """
 
-    def __init__(self, node: "McsNode") -> None:
-        self._node = node
-        self._goals = Goals(node)
-        for group in node.group_names:
+    def __init__(self, access: McsAccess, motions: Motions) -> None:
+        self._mcs, self._motions = access, motions
+        self._goals = Goals(access)
+        for group in access.group_names:
             self._goals.serve(Move, f"/{group}/move", partial(self._execute, group))
 
     async def _execute(self, group: str, handle: ServerGoalHandle) -> Move.Result:
         result = Move.Result()
         try:
-            results = await self._node.motions.run(
+            results = await self._motions.run(
                 self._arguments(group, handle.request),
-                started=partial(self._goals.begin, handle),
+                started=partial(self._goals.begin_goal, handle),
                 on_progress=partial(self._feedback, handle),
             )
         except ImError as error:
@@ -50,13 +49,13 @@ class MoveServer:
             result.duration = float(results["duration"])
             handle.succeed()
         finally:
-            self._goals.end(handle)
+            self._goals.end_goal(handle)
         self._add_state(group, result)
         return result
 
     def _arguments(self, group: str, goal: Move.Goal) -> dict[str, Any]:
         """Arguments of the request; what is not finite does not travel."""
-        joints = self._node.group(group).joints
+        joints = self._mcs.group(group).joints
         if goal.policy not in _POLICIES:
             raise DataError(f"policy {goal.policy} is not one of 0 (refuse), 1 (append), 2 (replace)")
         messages.check_finite(speed_scale=goal.speed_scale, blend=goal.blend, line_speed=goal.line_speed)
@@ -78,18 +77,18 @@ class MoveServer:
         return {"group": group, "path": path, "policy": _POLICIES[goal.policy], "speed_scale": goal.speed_scale}
 
     def _add_state(self, group: str, result: Move.Result) -> None:
-        node = self._node
+        mcs = self._mcs
         try:
-            description = node.group(group)
-            snapshot = node.client().snapshot()
+            description = mcs.group(group)
+            snapshot = mcs.client().snapshot()
         except ImError:
             return  # unconfigured, or not a group of the preset: the result's status says so
-        state = group_state(group, description, node.model, snapshot, node.config.servo.period_s)
+        state = group_state(group, description, mcs.model, snapshot, mcs.config.servo.period_s)
         result.state = messages.group_state(state)
 
     def _feedback(self, handle: ServerGoalHandle, progress: float, point: int) -> None:
         message = Move.Feedback(progress=progress, point=point)
-        message.stamp = messages.time(int(self._node.client().snapshot()["stamp_ns"]))
+        message.stamp = messages.time(int(self._mcs.client().snapshot()["stamp_ns"]))
         handle.publish_feedback(message)
 
 

@@ -3,20 +3,21 @@
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from im_core.robot import urdf
+from im_cell.robot import Cell, urdf
 from im_core.ros import qos
-from im_mcs.config import McsConfig
-from im_mcs.model import Model
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.model import CellModel
 from im_mcs.ros import messages
-from im_mcs.ros.frames import Frames
-from im_mcs.ros.refusals import Refusals
+from im_mcs.ros.access import Refusals
 from im_mcs.state import State
 from im_msgs.msg import McsState
 
@@ -29,7 +30,7 @@ class Publishers:
         model: Kinematics; used by this object alone.
     """
 
-    def __init__(self, node: Node, model: Model) -> None:
+    def __init__(self, node: Node, model: CellModel) -> None:
         self._names = model.names
         self._frames = Frames(model.cell, model)
         self._state = node.create_publisher(McsState, "/mcs/state", qos.LATCHED)
@@ -56,3 +57,51 @@ class Publishers:
     def diagnostics(self, state: State, snapshot: NDArray[np.void], silence_s: float, refusals: Refusals) -> None:
         """``/diagnostics``; ``silence_s``: since the servo's last sign of life [s]."""
         self._diagnostics.publish(messages.diagnostics(state, snapshot, silence_s, refusals.counts()))
+
+
+class Frames:
+    """Transforms of the cell's links.
+
+    Args:
+        cell: Joints, links and fixed frames.
+        model: Kinematics; used by this object alone.
+    """
+
+    def __init__(self, cell: Cell, model: CellModel) -> None:
+        self._model = model
+        self._moving = [(joint.parent, joint.child) for joint in cell.joints]
+        names = {parent for parent, _ in self._moving} | {child for _, child in self._moving}
+        self._fixed = [(_parent_frame(model, name), name) for name in model.poses(cell.home) if name not in names]
+        self._home = cell.home
+
+    def moving(self, q: NDArray[np.float64], stamp_ns: int) -> list[TransformStamped]:
+        """Transforms over the joints at ``q``, shape (18,)."""
+        return self._transforms(self._moving, q, stamp_ns)
+
+    def fixed(self) -> list[TransformStamped]:
+        """Transforms of frames that are fixed to a link."""
+        return self._transforms(self._fixed, self._home, 0)
+
+    def _transforms(
+        self, pairs: list[tuple[str, str]], q: NDArray[np.float64], stamp_ns: int
+    ) -> list[TransformStamped]:
+        poses = self._model.poses(q)
+        poses.setdefault("world", pin.SE3.Identity())
+        stamp = messages.time(stamp_ns)
+        transforms = []
+        for parent, child in pairs:
+            message = TransformStamped(child_frame_id=child)
+            message.header.frame_id, message.header.stamp = parent, stamp
+            placement = poses[parent].actInv(poses[child])
+            messages.fill_placement(message.transform.translation, message.transform.rotation, placement)
+            transforms.append(message)
+        return transforms
+
+
+def _parent_frame(model: CellModel, name: str) -> str:
+    """Nearest body that a fixed frame hangs on."""
+    frame = model.pin.frames[model.frame_id(name)]
+    parent = model.pin.frames[frame.parentFrame]
+    while parent.type != pin.FrameType.BODY and parent.name != "universe":
+        parent = model.pin.frames[parent.parentFrame]
+    return "world" if parent.name == "universe" else str(parent.name)

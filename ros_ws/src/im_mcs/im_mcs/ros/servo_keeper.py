@@ -1,21 +1,79 @@
-"""Looks after the servo process for the node: start, signs of life, end, and what changes there."""
+"""The servo process in the life of the node: start, signs of life, end, and what changes there."""
 
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from im_core import clock
+from im_cell.link import ClockEnd
+from im_core import clock, names
 from im_core.errors import ImError, LinkError, StateError
+from im_core.process import ChildProcess
 from im_core.ros.coroutines import Promise
-from im_mcs.client.servo_client import ServoClient
-from im_mcs.ros.servo_owner import ServoOwner
+from im_core.ros.node import ManagedNode
+from im_mcs.client.servo_client import OnState, ServoClient
+from im_mcs.client.time_source import FlowingTime, TestbedTime
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.protocol.channel import ServoChannel
+from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.state import UNCONFIGURED_MESSAGE, State, lifecycle_of
-
-if TYPE_CHECKING:
-    from im_mcs.ros.node import McsNode
+from im_mcs.testbed.driver import asks_for_time
 
 POLL_S = 0.02
+"""How often the node looks after it [s]."""
+
+
+class ServoOwner:
+    """A running servo process and the way to talk to it.
+
+    Must be made in a thread that lives as long as the node: the process dies with the thread that started it.
+
+    Args:
+        config: Configuration.
+        config_file: Where it came from; None: the one of the package.
+        on_state: Told of every change of state, in another thread.
+    """
+
+    def __init__(self, config: McsConfig, config_file: Path | None, on_state: OnState) -> None:
+        instance = names.instance()
+        self._on_state = on_state
+        self._timeout_s = 2.0 * config.testbed.attach_timeout_s
+        self._on_demand = asks_for_time(config.testbed.drivers[config.testbed.clock].driver)
+        self._deadline = clock.monotonic() + self._timeout_s
+        self._channel = ServoChannel.create(instance, config)
+        arguments = [instance, str(config_file or ""), config.preset, repr(config.servo.period_s)]
+        self.process = ChildProcess.of_module("im_mcs.servo", arguments, log=names.run_dir() / "servo.log")
+        self._client: ServoClient | None = None
+
+    @property
+    def client(self) -> ServoClient:
+        """The way to talk to the servo, once it is ready."""
+        if self._client is None:
+            raise StateError("the servo process is not ready yet")
+        return self._client
+
+    def ready(self) -> bool:
+        """Whether the servo runs and holds the testbed; to be asked until it does.
+
+        Raises:
+            LinkError: It ended, or was not ready in time; the message says why.
+        """
+        if self._client is not None:
+            return True
+        if self._channel.snapshot.sequence == 0:
+            self.process.check()
+            if clock.monotonic() > self._deadline:
+                raise LinkError(f"the servo process was not ready within {self._timeout_s:g} s")
+            return False
+        time = TestbedTime(ClockEnd.attach(names.instance(), 1.0)) if self._on_demand else FlowingTime()
+        self._client = ServoClient(self._channel, time, self._on_state)
+        return True
+
+    def close(self) -> None:
+        """End the process; the testbed brakes. Nothing is left behind."""
+        if self._client is not None:
+            self._client.close()
+        self.process.stop()
+        self._channel.close()
 
 
 class ServoKeeper:
@@ -23,12 +81,22 @@ class ServoKeeper:
 
     Args:
         node: The node.
+        lifecycle: Of the node; follows what happens in the servo.
         config_file: Configuration of the servo; None: that of the package.
+        silence_s: Wall time without a sign of life of the servo, after which requests are refused [s].
         changed: Called in the node's loop after every change of state.
     """
 
-    def __init__(self, node: "McsNode", config_file: Path | None, changed: Callable[[], None]) -> None:
-        self._node = node
+    def __init__(
+        self,
+        node: ManagedNode,
+        lifecycle: Lifecycle,
+        config_file: Path | None,
+        silence_s: float,
+        changed: Callable[[], None],
+    ) -> None:
+        self._node, self._lifecycle = node, lifecycle
+        self._silence_s = silence_s
         self._reason = ""
         self._hang: LinkError | None = None
         self._config_file = config_file
@@ -63,13 +131,13 @@ class ServoKeeper:
             raise StateError(UNCONFIGURED_MESSAGE + reason, state=State.UNCONFIGURED.value)
         return self._owner.client
 
-    def start_blocking(self) -> None:
+    def start_blocking(self, config: McsConfig) -> None:
         """Start the servo process and wait until it holds the testbed.
 
         Raises:
             ImError: It cannot be started, or the testbed does not answer.
         """
-        owner = self._new_owner()
+        owner = self._new_owner(config)
         try:
             while not owner.ready():
                 clock.sleep(POLL_S)
@@ -78,13 +146,13 @@ class ServoKeeper:
             raise
         self._owner = owner
 
-    async def start(self) -> None:
+    async def start(self, config: McsConfig) -> None:
         """As :meth:`start_blocking`, while the node goes on.
 
         Raises:
             ImError: It cannot be started, or the testbed does not answer.
         """
-        owner = self._new_owner()
+        owner = self._new_owner(config)
         self._starting = owner, self._node.promise()
         try:
             await self._starting[1]
@@ -126,7 +194,7 @@ class ServoKeeper:
 
     def follow(self) -> None:
         """Let the lifecycle and ``/mcs/state`` follow what has happened in the servo."""
-        lifecycle = self._node.lifecycle
+        lifecycle = self._lifecycle
         wanted = lifecycle_of(self.state)
         if lifecycle.state == "active" and wanted != "active":
             lifecycle.follow("deactivate")
@@ -139,13 +207,13 @@ class ServoKeeper:
             logger.warning(text) if self._reason else logger.info(text)
             self._changed()
 
-    def _new_owner(self) -> ServoOwner:
+    def _new_owner(self, config: McsConfig) -> ServoOwner:
         self._reason = ""
-        return ServoOwner(self._node.config, self._config_file, self._take_state)
+        return ServoOwner(config, self._config_file, self._take_state)
 
     def _listen_to(self, client: ServoClient) -> None:
         """Refuse requests while the servo process runs but gives no sign of life; nobody waits for it."""
-        bound_s = self._node.config.safety.servo_silence_s
+        bound_s = self._silence_s
         if client.silence_s() <= bound_s:
             if self._hang is not None:
                 self._hang = None

@@ -68,7 +68,8 @@ class TopicChannels(Node):
             if not self._link.bell.wait(_BELL_S):
                 if not self._link.command.owner_alive():
                     self._running = False
-                    self.executor.shutdown()
+                    if self.executor is not None:
+                        self.executor.shutdown()
                 continue
             self._link.bell.drain()
             command = self._link.command.read()

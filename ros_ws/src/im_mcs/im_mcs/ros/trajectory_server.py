@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -14,12 +14,10 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core.errors import DataError, ImError
 from im_core.ros import qos
-from im_mcs.client.trajectory import TimedTrajectory, Tolerance, Tolerances, Waypoint, trajectory_path
+from im_mcs.client.trajectory import GoalTolerances, TimedTrajectory, Tolerance, Waypoint, trajectory_path
 from im_mcs.ros import messages
-from im_mcs.ros.goals import Goals, fail
-
-if TYPE_CHECKING:
-    from im_mcs.ros.node import McsNode
+from im_mcs.ros.access import McsAccess
+from im_mcs.ros.motions import Goals, Motions, fail
 
 _Result = FollowJointTrajectory.Result
 _ERROR_CODES = {
@@ -34,23 +32,24 @@ class TrajectoryServer:
     """The action and the topic of every group of every preset; what is new replaces what is under way.
 
     Args:
-        node: The node that offers them.
+        access: MCS.
+        motions: Move groups.
     """
 
-    def __init__(self, node: "McsNode") -> None:
-        self._node = node
-        self._goals = Goals(node)
-        for group in node.group_names:
+    def __init__(self, access: McsAccess, motions: Motions) -> None:
+        self._mcs, self._motions = access, motions
+        self._goals = Goals(access)
+        for group in access.group_names:
             self._goals.serve(FollowJointTrajectory, f"/{group}/follow_joint_trajectory", partial(self._execute, group))
             topic = f"/{group}/joint_trajectory"
-            node.create_subscription(JointTrajectory, topic, partial(self._take, group, topic), qos.EVENTS)
+            access.node.create_subscription(JointTrajectory, topic, partial(self._take, group, topic), qos.EVENTS)
 
     async def _execute(self, group: str, handle: ServerGoalHandle) -> _Result:
         result = _Result()
         try:
-            await self._node.motions.run(
+            await self._motions.run(
                 self._arguments(group, _of_goal(handle.request)),
-                started=partial(self._goals.begin, handle),
+                started=partial(self._goals.begin_goal, handle),
                 on_progress=partial(self._feedback, group, handle),
             )
         except ImError as error:
@@ -61,36 +60,36 @@ class TrajectoryServer:
             result.error_code = _Result.SUCCESSFUL
             handle.succeed()
         finally:
-            self._goals.end(handle)
+            self._goals.end_goal(handle)
         return result
 
     def _take(self, group: str, topic: str, message: JointTrajectory) -> None:
-        self._node.spawn(self._follow(group, topic, message))
+        self._mcs.node.spawn(self._follow(group, topic, message))
 
     async def _follow(self, group: str, topic: str, message: JointTrajectory) -> None:
         try:
             if message.points:
-                await self._node.motions.run(self._arguments(group, _of_message(message)))
+                await self._motions.run(self._arguments(group, _of_message(message)))
             else:
-                self._node.group(group)
-                await self._node.motions.stop(group)
+                self._mcs.group(group)
+                await self._motions.stop(group)
         except ImError as error:
             if error.code not in ("cancelled", "replaced"):
-                self._node.refusals.add(topic, error)
+                self._mcs.refusals.add(topic, error)
 
     def _arguments(self, group: str, trajectory: TimedTrajectory) -> dict[str, Any]:
-        description = self._node.group(group)
-        snapshot = self._node.client().snapshot()
-        index = self._node.index(description)
+        description = self._mcs.group(group)
+        snapshot = self._mcs.client().snapshot()
+        index = self._mcs.index(description)
         at_rest = snapshot["setpoint"][index].tolist() if snapshot["at_rest"][index].all() else None
         now_s = int(snapshot["stamp_ns"]) * 1e-9
         path = trajectory_path(group, description.joints, trajectory, now_s, at_rest)
         return {"group": group, "path": path, "policy": "replace", "speed_scale": 0.0}
 
     def _feedback(self, group: str, handle: ServerGoalHandle, *_: object) -> None:
-        snapshot = self._node.client().snapshot()
-        description = self._node.group(group)
-        index = self._node.index(description)
+        snapshot = self._mcs.client().snapshot()
+        description = self._mcs.group(group)
+        index = self._mcs.index(description)
         message = FollowJointTrajectory.Feedback(joint_names=list(description.joints))
         message.header.stamp = messages.time(int(snapshot["stamp_ns"]))
         names = ("setpoint", "setpoint_v", "setpoint_a")
@@ -104,7 +103,10 @@ class TrajectoryServer:
 
 def _point(values: Sequence[np.ndarray]) -> JointTrajectoryPoint:
     """A point of positions, velocities and, where there are any, accelerations."""
-    return JointTrajectoryPoint(**dict(zip(("positions", "velocities", "accelerations"), values, strict=False)))
+    point = JointTrajectoryPoint()
+    for name, value in zip(("positions", "velocities", "accelerations"), values, strict=False):
+        setattr(point, name, value)
+    return point
 
 
 def _of_goal(goal: FollowJointTrajectory.Goal) -> TimedTrajectory:
@@ -114,7 +116,7 @@ def _of_goal(goal: FollowJointTrajectory.Goal) -> TimedTrajectory:
     for name in ("component_path_tolerance", "component_goal_tolerance"):
         if getattr(goal, name):
             raise DataError(f"{name} is not empty; the joints here have one degree of freedom each")
-    tolerances = Tolerances(
+    tolerances = GoalTolerances(
         [_tolerance(t) for t in goal.path_tolerance],
         [_tolerance(t) for t in goal.goal_tolerance],
         _seconds(goal.goal_time_tolerance),
@@ -122,13 +124,13 @@ def _of_goal(goal: FollowJointTrajectory.Goal) -> TimedTrajectory:
     return _of_message(goal.trajectory, tolerances)
 
 
-def _of_message(message: JointTrajectory, tolerances: Tolerances | None = None) -> TimedTrajectory:
+def _of_message(message: JointTrajectory, tolerances: GoalTolerances | None = None) -> TimedTrajectory:
     points = [
         Waypoint(_seconds(p.time_from_start), p.positions, p.velocities, p.accelerations, p.effort)
         for p in message.points
     ]
     return TimedTrajectory(
-        list(message.joint_names), points, _seconds(message.header.stamp), tolerances or Tolerances()
+        list(message.joint_names), points, _seconds(message.header.stamp), tolerances or GoalTolerances()
     )
 
 

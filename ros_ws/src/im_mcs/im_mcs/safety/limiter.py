@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 from ruckig import InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
 
 from im_core.errors import DataError, ImError
-from im_mcs.limits import JointLimits
-from im_mcs.safety.braking import Reach, stopping_place
-from im_mcs.safety.saturation import Saturations
+from im_mcs.limits.limits import JointLimits
+from im_mcs.limits.saturation import Saturations
+from im_mcs.safety.stopping_position import Reach, stopping_place
 
 _ROUNDING = 1e-6
 

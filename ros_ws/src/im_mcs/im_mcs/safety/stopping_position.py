@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.motion_limits import MotionLimits
+from im_mcs.limits.motion_limits import MotionLimits
 
 Array = NDArray[np.float64]
 

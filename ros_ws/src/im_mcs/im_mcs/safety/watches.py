@@ -1,21 +1,120 @@
-"""Watches of the testbed interface layer: what the slots say, and whether they say anything."""
+"""Watches: each looks, in every tick with power on, at one thing that may go wrong; the supervisor asks them all."""
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from im_core.errors import LinkError
-from im_mcs.limits import JointLimits
-from im_mcs.safety.watch import Finding, Reaction, Situation
+from im_core.errors import ImError, LinkError, StateError
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model.dynamics import Place
+from im_mcs.state.reservation import Reservations
+from im_mcs.testbed.driver import Measured
+
+# of the bound of the following error that is an e-stop
+_ESTOP_FACTOR = 2.0
+
+
+class Reaction(Enum):
+    """What a finding leads to."""
+
+    END = "end"
+    """Decelerate on the path and hold; the goals end with the fault."""
+    PROTECTIVE_STOP = "protective stop"
+    """Decelerate on the path and hold; the goals are suspended until ``resume``."""
+    ESTOP = "emergency stop"
+    """In the same tick: no setpoint, no torque, brakes on, power off."""
+
+
+@dataclass(frozen=True)
+class SafetyFinding:
+    """What a watch has found.
+
+    Attributes:
+        reaction: What to do.
+        fault: Why.
+        groups: Which groups it concerns; None: all.
+    """
+
+    reaction: Reaction
+    fault: ImError
+    groups: tuple[str, ...] | None = None
+
+
+class WatchedGroup(Protocol):
+    """What watches see of a group."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def engaged(self) -> bool:
+        """Whether it has setpoints and torques."""
+        ...
+
+    @property
+    def index(self) -> NDArray[np.intp]:
+        """Its joints among all, shape (n,)."""
+        ...
+
+    @property
+    def place(self) -> Place:
+        """The same, quicker to read from."""
+        ...
+
+    def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Setpoint less measured position, shape (n,); ``q`` of all joints."""
+        ...
+
+
+@dataclass
+class Situation:
+    """A tick in the eyes of the watches; filled anew in every tick.
+
+    Attributes:
+        measured: What the slots say.
+        v: Estimated velocities, shape (n,) [rad/s or m/s].
+        power: Whether power is commanded.
+        brakes: Which brakes are commanded to hold, shape (n,).
+        groups: Groups of the preset in force.
+        owner_silence_s: For how long the owner process has given no sign of life, wall time [s].
+        overruns: Servo deadlines missed in a row.
+    """
+
+    measured: Measured
+    v: NDArray[np.float64]
+    groups: Mapping[str, WatchedGroup]
+    brakes: NDArray[np.bool_]
+    power: bool = False
+    owner_silence_s: float = 0.0
+    overruns: int = 0
+
+
+class Watch(Protocol):
+    """Looks at one thing that may go wrong, in every tick with power on."""
+
+    def check(self, now: Situation) -> SafetyFinding | None:
+        """What is wrong, if anything."""
+        ...
+
+
+# what the slots say, and whether they say anything
 
 
 class PowerWatch:
     """The testbed cuts the power by itself."""
 
-    def check(self, now: Situation) -> Finding | None:
+    def check(self, now: Situation) -> SafetyFinding | None:
         """An e-stop of the hardware is one of MCS."""
         if now.power and not now.measured.power:
-            return Finding(Reaction.ESTOP, LinkError(f"the testbed cut the power at tick {now.measured.tick}"))
+            return SafetyFinding(Reaction.ESTOP, LinkError(f"the testbed cut the power at tick {now.measured.tick}"))
         return None
 
 
@@ -42,7 +141,7 @@ class BrakeWatch:
         self._told = np.ones(len(self._names), dtype=np.bool_)
         self._agreed = b""
 
-    def check(self, now: Situation) -> Finding | None:
+    def check(self, now: Situation) -> SafetyFinding | None:
         """The first joint whose brake has contradicted its command for too long."""
         told, said = now.brakes, now.measured.brakes
         if said.tobytes() == self._agreed == told.tobytes():  # comparing bytes is quick, and this is nearly every tick
@@ -65,7 +164,7 @@ class BrakeWatch:
             unit="s",
             tick=tick,
         )
-        return Finding(Reaction.ESTOP, fault)
+        return SafetyFinding(Reaction.ESTOP, fault)
 
 
 class ReadingWatch:
@@ -78,14 +177,14 @@ class ReadingWatch:
     def __init__(self, limits: JointLimits) -> None:
         self._names = limits.names
 
-    def check(self, now: Situation) -> Finding | None:
+    def check(self, now: Situation) -> SafetyFinding | None:
         """Without a reading nothing can be controlled, and no distance be judged."""
         q = now.measured.q
         if math.isfinite(q.dot(q)) or np.isfinite(q).all():  # the first is sufficient, and quick
             return None
         joint = self._names[int(np.argmin(np.isfinite(q)))]
         fault = LinkError(f"{joint} gave no reading at tick {now.measured.tick}", joint=joint, tick=now.measured.tick)
-        return Finding(Reaction.ESTOP, fault)
+        return SafetyFinding(Reaction.ESTOP, fault)
 
 
 class AgeWatch:
@@ -102,7 +201,7 @@ class AgeWatch:
         self._bound_s, self._estop_s = bound_s, estop_s
         self._bounds_s = np.full(len(self._names), bound_s)
 
-    def check(self, now: Situation) -> Finding | None:
+    def check(self, now: Situation) -> SafetyFinding | None:
         """Protective stop, then e-stop."""
         if 1 not in (now.measured.age_s > self._bounds_s).tobytes():
             return None
@@ -118,4 +217,159 @@ class AgeWatch:
             unit="s",
             tick=now.measured.tick,
         )
-        return Finding(Reaction.ESTOP if estop else Reaction.PROTECTIVE_STOP, fault)
+        return SafetyFinding(Reaction.ESTOP if estop else Reaction.PROTECTIVE_STOP, fault)
+
+
+# the motion
+
+
+class SpeedWatch:
+    """A joint is faster than any motion commands.
+
+    Args:
+        limits: Limits of all joints.
+    """
+
+    def __init__(self, limits: JointLimits) -> None:
+        self._limits = limits
+
+    def check(self, now: Situation) -> SafetyFinding | None:
+        """What no controller can mend is an e-stop."""
+        fault = self._limits.overspeed(now.v)
+        return None if fault is None else SafetyFinding(Reaction.ESTOP, fault)
+
+
+class FollowingWatch:
+    """A joint is too far off its setpoint: a protective stop; twice as far: an e-stop.
+
+    Args:
+        limits: Bounds of the following error.
+    """
+
+    def __init__(self, limits: JointLimits) -> None:
+        self._limits = limits
+
+    def check(self, now: Situation) -> SafetyFinding | None:
+        """The joint that is furthest beyond its bound, in the first group that has one."""
+        for group in now.groups.values():
+            if not group.engaged:
+                continue
+            error = group.following_error(now.measured.q)
+            if 1 not in (np.abs(error) > self._limits.following_error[group.place]).tobytes():
+                continue
+            tick = now.measured.tick
+            beyond = self._limits.following(group.index, error, _ESTOP_FACTOR, tick)
+            if beyond is not None:
+                return SafetyFinding(Reaction.ESTOP, beyond)
+            fault = self._limits.following(group.index, error, 1.0, tick)
+            if fault is not None:
+                return SafetyFinding(Reaction.PROTECTIVE_STOP, fault, (group.name,))
+        return None
+
+
+# those who take part: the servo's own deadlines, the owner process, the clients with a lease
+
+
+class OverrunWatch:
+    """Servo deadlines were missed in a row.
+
+    Args:
+        bound: How many are too many.
+    """
+
+    def __init__(self, bound: int) -> None:
+        self._bound = bound
+
+    def check(self, now: Situation) -> SafetyFinding | None:
+        """A single overrun is skipped and counted; several in a row are a protective stop."""
+        if now.overruns < self._bound:
+            return None
+        fault = ImError(f"{now.overruns} servo deadlines in a row were missed", code="overrun", missed=now.overruns)
+        return SafetyFinding(Reaction.PROTECTIVE_STOP, fault)
+
+
+class OwnerWatch:
+    """The process that owns the servo (the ``mcs`` node) gives no sign of life.
+
+    Args:
+        bound_s: Wall time without one [s].
+    """
+
+    def __init__(self, bound_s: float) -> None:
+        self._bound_s = bound_s
+
+    def check(self, now: Situation) -> SafetyFinding | None:
+        """Nobody could command a stop any more: the goals end; the core then switches power off."""
+        if now.owner_silence_s <= self._bound_s:
+            return None
+        silent = "is gone"
+        if math.isfinite(now.owner_silence_s):
+            silent = f"gave no sign of life for {now.owner_silence_s:.2g} s, {self._bound_s:g} s are allowed"
+        return SafetyFinding(Reaction.END, LinkError(f"the process that owns the servo {silent}"))
+
+
+class LeaseWatch:
+    """A client that reserved a group with a lease has not renewed it.
+
+    Args:
+        reservations: Owners and leases.
+    """
+
+    def __init__(self, reservations: Reservations) -> None:
+        self._reservations = reservations
+
+    def check(self, now: Situation) -> SafetyFinding | None:
+        """The groups of the client decelerate and hold; their goals end."""
+        lapsed = self._reservations.lapse(now.measured.stamp_ns)
+        if not lapsed:
+            return None
+        first = lapsed[0]
+        groups = tuple(r.group for r in lapsed if r.owner == first.owner)
+        named = ", ".join(f"'{group}'" for group in groups)
+        fault = StateError(
+            f"the lease of owner '{first.owner}' on {named} lapsed: it was not renewed for {first.lease_s:g} s",
+            owner=first.owner,
+            groups=list(groups),
+        )
+        fault.code = "lease"
+        return SafetyFinding(Reaction.END, fault, groups)
+
+
+class Supervisor:
+    """All watches, those that lead to an e-stop first.
+
+    Args:
+        watches: In the order in which they are asked.
+    """
+
+    def __init__(self, watches: Sequence[Watch]) -> None:
+        self._watches = tuple(watches)
+
+    @classmethod
+    def make(cls, config: McsConfig, limits: JointLimits, reservations: Reservations) -> "Supervisor":
+        """The watches of a configuration."""
+        safety, servo = config.safety, config.servo
+        return cls(
+            (
+                PowerWatch(),
+                BrakeWatch(limits, servo.period_s, servo.answer_timeout_s, safety.brake_s),
+                ReadingWatch(limits),
+                SpeedWatch(limits),
+                AgeWatch(limits, safety.driver_age_s, safety.driver_age_estop_s),
+                FollowingWatch(limits),
+                LeaseWatch(reservations),
+                OwnerWatch(safety.owner_silence_s),
+                OverrunWatch(servo.max_overruns),
+            )
+        )
+
+    def check(self, now: Situation) -> list[SafetyFinding]:
+        """What is wrong in this tick; nothing after an e-stop, which takes all with it."""
+        findings = []
+        for watch in self._watches:
+            finding = watch.check(now)
+            if finding is not None:
+                findings.append(finding)
+                if finding.reaction is Reaction.ESTOP:
+                    break
+        return findings

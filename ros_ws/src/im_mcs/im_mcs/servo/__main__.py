@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from im_core.errors import ImError
-from im_mcs.config import load_config
+from im_mcs.limits.configuration import load_config
 from im_mcs.servo.process import run
 
 

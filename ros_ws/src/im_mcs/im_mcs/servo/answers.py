@@ -5,8 +5,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from im_core.errors import ImError
-from im_mcs.servo.group import ControlledGroup, Goal
-from im_mcs.servo.recorder import Recorder
+from im_mcs.planning.goals import Goal
+from im_mcs.protocol.evidence import Recorder
+from im_mcs.servo.group import ControlledGroup
 
 Emit = Callable[[dict[str, Any]], None]
 _PROGRESS_S = 0.1
@@ -38,7 +39,7 @@ class Answers:
         """Keep the last seconds as evidence of a fault; its facts name the record."""
         fault.facts.setdefault("evidence", self._recorder.freeze())
 
-    def end(self, goal: Goal, fault: ImError | None, results: Mapping[str, Any]) -> None:
+    def end_goal(self, goal: Goal, fault: ImError | None, results: Mapping[str, Any]) -> None:
         """Tell the result of a goal; an abort of a motion names its evidence."""
         told = dict(results)
         if fault is not None and fault.code not in ("cancelled", "replaced"):
@@ -48,14 +49,14 @@ class Answers:
                 told["evidence"] = fault.facts["evidence"]
         self.reply(goal.id, fault, told)
 
-    def drop(self, goal: Goal, fault: ImError, tick: int) -> None:
+    def drop_goal(self, goal: Goal, fault: ImError, tick: int) -> None:
         """Tell that a goal ended at once."""
-        self.end(goal, fault, {"duration": (tick - goal.since_tick) * self._period_s})
+        self.end_goal(goal, fault, {"duration": (tick - goal.since_tick) * self._period_s})
 
-    def finish(self, group: ControlledGroup, tick: int) -> None:
+    def finish_goals(self, group: ControlledGroup, tick: int) -> None:
         """Tell results and progress of a group's goals."""
         for goal, fault, results in group.ended():
-            self.end(goal, fault, results)
+            self.end_goal(goal, fault, results)
         if tick % self._progress_ticks == 0 and (progress := group.progress()) is not None:
             self._emit({"event": "progress", **progress})
 

@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.collision import CollisionMonitor, Proximity
-from im_mcs.config import McsConfig
-from im_mcs.limits import JointLimits
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.limits import JointLimits
+from im_mcs.limits.saturation import Saturations
 from im_mcs.model import ControlledModel
 from im_mcs.planning import Setpoint
-from im_mcs.safety import Finding, Reaction, Saturations, SetpointLimiter
-from im_mcs.servo.driving import Ended, TorqueDriving
+from im_mcs.safety import Reaction, SafetyFinding, SetpointLimiter
 from im_mcs.servo.group import ControlledGroup
+from im_mcs.servo.torque_stream import Ended, TorqueStreams
 from im_mcs.testbed import Measured
 
 
@@ -22,7 +23,7 @@ class ControlLoop:
 
     Attributes:
         engaged: Groups under control.
-        driving: Groups whose torques come from a client.
+        torque_streams: Groups whose torques come from a client.
         ended: Goals of such groups that ended in this tick.
         model: Dynamics in the eyes of the control laws.
         setpoint: Positions, velocities, accelerations that are followed, shape (3, n).
@@ -48,7 +49,7 @@ class ControlLoop:
         period_s = config.servo.period_s
         plan_s = period_s * config.servo.planning_divisor
         self.engaged: list[ControlledGroup] = []
-        self.driving = TorqueDriving(limits, period_s)
+        self.torque_streams = TorqueStreams(limits, period_s)
         self.ended: list[Ended] = []
         self.model = model
         self.setpoint = _standing(q)
@@ -61,11 +62,11 @@ class ControlLoop:
     @property
     def wants_time(self) -> bool:
         """Whether something moves or settles."""
-        return bool(self.driving) or any(group.wants_time for group in self.engaged)
+        return bool(self.torque_streams) or any(group.wants_time for group in self.engaged)
 
     def moving(self) -> str | None:
         """A group that has a goal."""
-        return next((g.name for g in self.engaged if g.goals or self.driving.goal(g.name) is not None), None)
+        return next((g.name for g in self.engaged if g.goals or self.torque_streams.goal(g.name) is not None), None)
 
     def engage(self, groups: Iterable[ControlledGroup], q: NDArray[np.float64]) -> None:
         """Let groups hold where they are measured to be, ``q`` of all joints."""
@@ -84,7 +85,7 @@ class ControlLoop:
         self.tau = np.zeros_like(self.tau)
         self.proximity = None
 
-    def run(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[Finding]:
+    def run(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[SafetyFinding]:
         """One tick; what was found on the way.
 
         Args:
@@ -104,16 +105,16 @@ class ControlLoop:
         except ImError as fault:  # of a control law, or of a setpoint that is none
             told = ImError(f"{fault.message}, at tick {m.tick}", code=fault.code)
             told.facts.update(fault.facts)
-            findings = [Finding(Reaction.ESTOP, told)]
+            findings = [SafetyFinding(Reaction.ESTOP, told)]
         return findings
 
     def _plan(self, wanted: NDArray[np.float64], m: Measured, v: NDArray[np.float64]) -> None:
-        if self.driving:
-            self.ended += (ended := self.driving.tick(m.q, v, m.tick))
+        if self.torque_streams:
+            self.ended += (ended := self.torque_streams.tick(m.q, v, m.tick))
             self.engage((group for group, _, _ in ended), m.q)
         for group in self.engaged:
             index = group.index
-            if self.driving.torque(group.name) is None:
+            if self.torque_streams.torque(group.name) is None:
                 group.plan()
                 setpoint = group.advance()
                 place = group.place
@@ -128,17 +129,17 @@ class ControlLoop:
 
     def _look_around(
         self, m: Measured, v: NDArray[np.float64], wanted: NDArray[np.float64], collision: CollisionMonitor
-    ) -> list[Finding]:
+    ) -> list[SafetyFinding]:
         velocity = wanted[1]
-        if self.driving:
+        if self.torque_streams:
             velocity = velocity.copy()
             for group in self.engaged:
-                if self.driving.torque(group.name) is not None:
+                if self.torque_streams.torque(group.name) is not None:
                     velocity[group.index] = v[group.index]
         curves = {
             int(group.index[0]): ahead
             for group in self.engaged
-            if (ahead := group.planner.ahead) is not None and self.driving.torque(group.name) is None
+            if (ahead := group.planner.ahead) is not None and self.torque_streams.torque(group.name) is None
         }
         near = self.proximity = collision.update(m.q, velocity, wanted[2], curves)
         for group in self.engaged:
@@ -154,13 +155,13 @@ class ControlLoop:
             distance=near.distance,
             tick=m.tick,
         )
-        return [Finding(Reaction.PROTECTIVE_STOP, fault)]
+        return [SafetyFinding(Reaction.PROTECTIVE_STOP, fault)]
 
     def _control(self, m: Measured, v: NDArray[np.float64], setpoint: Setpoint) -> None:
         tau = np.zeros(len(m.q))
         gravity = self.model.gravity(m.q)
         for group in self.engaged:
-            driven = self.driving.torque(group.name)
+            driven = self.torque_streams.torque(group.name)
             own = group.torque(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
             tau[group.place] = own
         limit = self._limits.torque

@@ -7,21 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, LinkError
-from im_mcs.client.requests import request_id
-from im_mcs.config import McsConfig
 from im_mcs.control import LawSource
-from im_mcs.control.velocity import VelocityEstimator
-from im_mcs.limits import JointLimits
-from im_mcs.model import ControlledModel, Model
-from im_mcs.safety import Finding, Reaction, Saturations, Situation, Supervisor
+from im_mcs.control.feedback import VelocityEstimator
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.limits import JointLimits
+from im_mcs.limits.saturation import Saturations
+from im_mcs.model import CellModel, ControlledModel
+from im_mcs.protocol.evidence import Recorder
+from im_mcs.protocol.requests import request_id
+from im_mcs.safety import Reaction, SafetyFinding, Situation, Supervisor
 from im_mcs.servo.answers import Answers, Emit
 from im_mcs.servo.control_loop import ControlLoop
-from im_mcs.servo.driving import Ended
+from im_mcs.servo.dispatch import Dispatch
 from im_mcs.servo.gripper import Grippers
 from im_mcs.servo.hardware import GuardedTestbed
-from im_mcs.servo.obeying import Obeying
 from im_mcs.servo.partition import Partitions
-from im_mcs.servo.recorder import Recorder
+from im_mcs.servo.torque_stream import Ended
 from im_mcs.state import State
 from im_mcs.state.manager import StateManager
 from im_mcs.testbed import Drive, TestbedInterface
@@ -59,21 +60,21 @@ class Mcs:
     """
 
     def __init__(
-        self, config: McsConfig, model: Model, testbed: TestbedInterface, emit: Emit, recorder: Recorder
+        self, config: McsConfig, model: CellModel, testbed: TestbedInterface, emit: Emit, recorder: Recorder
     ) -> None:
         self.config, self.model, self.recorder = config, model, recorder
         self._testbed = GuardedTestbed(testbed)
         self.measured = self._testbed.read()
         self.v = np.zeros(model.n)
         self.wants_time = False
-        self.limits = JointLimits(model, config.limits, config.slots)
+        self.limits = JointLimits(model.cell, config.limits, config.slots)
         self.saturations = Saturations(model.n)
         self.control_model = ControlledModel(model.cell, config.model_error)
         self.answers = Answers(emit, recorder, config.servo.period_s)
         self.loop = ControlLoop(config, self.limits, self.control_model, self.saturations, self.measured.q)
         self._velocity = VelocityEstimator(model.n, config.servo.period_s, config.servo.velocity_bandwidth_rad_s)
         self._laws = LawSource(config, self.control_model, self.limits.torque, testbed.wall_period_s)
-        self._partitions = Partitions(self, self._laws)
+        self._partitions = Partitions(config, model, self.limits, self._laws, lambda: self.measured.q)
         self.groups, self._collision = self._partitions.enter(config.preset)
         self.manager = StateManager(
             joints=model.names,
@@ -88,7 +89,7 @@ class Mcs:
         gripper = model.cell.gripper
         names = tuple(slot.name for slot in config.gripper_slots)
         self.grippers = Grippers(names, gripper.stroke, gripper.force, self.measured.gripper, self.answers)
-        self._obeying = Obeying(self)
+        self._dispatch = Dispatch(self)
 
     @property
     def setpoint(self) -> NDArray[np.float64]:
@@ -112,7 +113,7 @@ class Mcs:
         m = self.measured = self.manager.measured = self._testbed.read()
         self.v = self._velocity.update(m.q)
         for message in messages:
-            self._obeying.obey(message)
+            self._dispatch.run(message)
         self.manager.tick()
         abandoned = self.manager.state in _POWERED and self._watch()
         for finding in self.loop.run(m, self.v, self._collision):
@@ -120,7 +121,7 @@ class Mcs:
         self._finish()
         loop, manager, grippers = self.loop, self.manager, self.grippers
         self.wants_time = manager.wants_time or grippers.moving or loop.wants_time or abandoned
-        self.recorder.put(m.tick, m.stamp_ns, (m.q, self.v, loop.tau), loop.setpoint, m.wrench)
+        self.recorder.put_row(m.tick, m.stamp_ns, (m.q, self.v, loop.tau), loop.setpoint, m.wrench)
         self._testbed.write(
             Drive(loop.tau, manager.power, manager.brakes, grippers.opening, self.wants_time, grippers.force)
         )
@@ -131,17 +132,17 @@ class Mcs:
 
     def protective_stop(self, fault: ImError, groups: Sequence[str] | None = None) -> None:
         """Let groups decelerate on their paths and hold, until they are resumed; all groups if none are named."""
-        self.end_driving(self.loop.driving.end(fault, groups))
+        self.end_torque_streams(self.loop.torque_streams.end_streams(fault, groups))
         for group in self.loop.engaged:
             if group.goals and group.protective is None and (groups is None or group.name in groups):
                 self.answers.accuse(fault)
                 group.protective_stop(fault)
 
-    def end_driving(self, ended: Iterable[Ended]) -> None:
+    def end_torque_streams(self, ended: Iterable[Ended]) -> None:
         """The laws of groups that a client has driven by torques take over where these are."""
         for group, goal, fault in ended:
             self.loop.engage((group,), self.measured.q)
-            self.answers.drop(goal, fault, self.measured.tick)
+            self.answers.drop_goal(goal, fault, self.measured.tick)
 
     def estop(self, fault: ImError) -> None:
         """Stop at once, by the ways of the state manager.
@@ -182,7 +183,7 @@ class Mcs:
         """End what the control laws have started."""
         self._laws.close()
 
-    # what the state manager asks for (im_mcs.state.sequence.Arms)
+    # what the state manager asks for (im_mcs.state.manager.Arms)
 
     def engage(self, groups: Sequence[str]) -> None:
         """Let groups hold where they are measured to be."""
@@ -192,14 +193,14 @@ class Mcs:
         """No setpoints and no torques any more."""
         self.loop.disengage()
 
-    def drop(self, reason: ImError) -> None:
+    def drop_goals(self, reason: ImError) -> None:
         """End every goal with ``reason``, at once."""
         self.answers.accuse(reason)
-        driven = self.loop.driving.end(reason)
-        goals = [goal for group in self.groups.values() for goal in group.drop()]
+        driven = self.loop.torque_streams.end_streams(reason)
+        goals = [goal for group in self.groups.values() for goal in group.drop_goals()]
         for goal in [*goals, *(goal for _, goal, _ in driven)]:
-            self.answers.drop(goal, reason, self.measured.tick)
-        self.grippers.drop(reason, self.measured.gripper)
+            self.answers.drop_goal(goal, reason, self.measured.tick)
+        self.grippers.drop_goals(reason, self.measured.gripper)
         self.disengage()
 
     def moving(self) -> str | None:
@@ -222,14 +223,14 @@ class Mcs:
             self.manager.shut_down(f"the process that owns the servo gave no sign of life for {bound_s:g} s")
         return abandoned
 
-    def _react(self, finding: Finding) -> None:
+    def _react(self, finding: SafetyFinding) -> None:
         match finding.reaction:
             case Reaction.ESTOP:
                 self._protect(finding.fault)
             case Reaction.PROTECTIVE_STOP:
                 self.protective_stop(finding.fault, finding.groups)
             case Reaction.END:
-                self.end_driving(self.loop.driving.end(finding.fault, finding.groups))
+                self.end_torque_streams(self.loop.torque_streams.end_streams(finding.fault, finding.groups))
                 for group in self.loop.engaged:
                     if group.goals and (finding.groups is None or group.name in finding.groups):
                         self.answers.accuse(finding.fault)
@@ -245,9 +246,9 @@ class Mcs:
         if self.loop.ended:
             ended, self.loop.ended = self.loop.ended, []
             for _, goal, fault in ended:
-                self.answers.drop(goal, fault, m.tick)
+                self.answers.drop_goal(goal, fault, m.tick)
         for group in self.groups.values():
-            self.answers.finish(group, m.tick)
+            self.answers.finish_goals(group, m.tick)
             if not group.engaged:
                 group.monitor.update(m.tick, m.q[group.index], None)
         self.grippers.update(m)

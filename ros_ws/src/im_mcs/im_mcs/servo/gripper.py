@@ -142,7 +142,7 @@ class Grippers:
                 results["force"] = force
             self._answers.reply(motion.id, motion.fault, results)
 
-    def drop(self, reason: ImError, measured: NDArray[np.float64]) -> None:
+    def drop_goals(self, reason: ImError, measured: NDArray[np.float64]) -> None:
         """End every motion with ``reason``, at once."""
         self.hold(measured)
         for motion in self._moving.values():

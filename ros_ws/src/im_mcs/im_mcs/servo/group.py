@@ -1,35 +1,44 @@
-"""One group under control: from setpoints to torques, and from a goal to its result."""
+"""One group under control: from a goal to its result, and from setpoints to torques.
 
-from typing import TYPE_CHECKING, Any
+Motions are prepared in slices while others move, begun at a knot, and ended one by one.
+"""
+
+from collections import deque
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError
-from im_mcs.config import McsConfig
-from im_mcs.control import ControlInput, ControlLaws, LawSource
-from im_mcs.model.places import place_of
+from im_core.errors import ImError, StateError
+from im_mcs.control import ControlInput, ControlLaws
+from im_mcs.model.dynamics import place_of
+from im_mcs.planning.admission import check_move, check_stream
 from im_mcs.planning.context import PlanContext
-from im_mcs.planning.goals import Goal
-from im_mcs.planning.motions import GroupMotions
+from im_mcs.planning.goals import Current, Goal, Queued, Rates
 from im_mcs.planning.planner import GroupPlanner
-from im_mcs.planning.queue import Ended
-from im_mcs.planning.setpoint import Setpoint
+from im_mcs.planning.preparation import prepare
+from im_mcs.planning.stream import StreamFollower, StreamLease
+from im_mcs.planning.tolerances import tolerances_of
+from im_mcs.planning.trajectory import Setpoint
+from im_mcs.protocol.requests import LineMove, MoveRequest, Policy, StreamRequest
 from im_mcs.servo.rest import RestMonitor, RestPhase
 
-if TYPE_CHECKING:
-    from im_mcs.servo.core import Mcs
+EndedGoal = tuple[Goal, ImError | None, dict[str, Any]]
+"""A goal, why it ended badly if it did, and results (``duration`` [s] of its motion)."""
 
-__all__ = ["ControlledGroup", "Goal", "make_group"]
+_CEILING_STEPS = 20
 
 
-class ControlledGroup(GroupMotions):
+class ControlledGroup:
     """Motions, control law and rest monitor of the joints of one group.
 
     In every tick: :meth:`plan`, :meth:`advance`, :meth:`torque`, :meth:`ended`. Tolerances of trajectories are judged
     within :meth:`torque`.
 
     Attributes:
+        name: Name of the group.
+        planner: Setpoints.
+        context: What motions are planned with.
         index: Its joints among all, shape (n,).
         place: The same, quicker to write to.
         controller: Motion control layer; a law in force of several.
@@ -52,12 +61,45 @@ class ControlledGroup(GroupMotions):
         controller: ControlLaws,
         monitor: RestMonitor,
     ) -> None:
-        super().__init__(name, planner, context)
+        self.name, self.planner, self.context = name, planner, context
         self.index, self.place = context.index, place_of(context.index)
         self.controller = controller
         self.monitor = monitor
         self.engaged = False
         self._position, self._velocity = planner.setpoint.q, planner.setpoint.v
+        self._rates = Rates()
+        self._current: Current | None = None
+        self._queue: deque[Queued] = deque()
+        self._ended: list[EndedGoal] = []
+        self._patience_ticks = 0
+
+    @property
+    def goal(self) -> Goal | None:
+        """The goal under way, or the first that is still being prepared."""
+        if self._current is not None:
+            return self._current.goal
+        return self._queue[0].goal if self._queue else None
+
+    @property
+    def goals(self) -> tuple[Goal, ...]:
+        """Every goal: the one under way, then those that wait."""
+        first = () if self._current is None else (self._current.goal,)
+        return first + tuple(queued.goal for queued in self._queue)
+
+    @property
+    def paused(self) -> bool:
+        """Whether the client has paused it."""
+        return self._rates.paused
+
+    @property
+    def protective(self) -> ImError | None:
+        """The fault of the protective stop that holds its goals suspended, if there is one."""
+        return self._rates.protective
+
+    @property
+    def speed(self) -> float:
+        """Rate in force now: 1 as planned, 0 halted."""
+        return self.planner.follower.rate
 
     @property
     def settled(self) -> bool:
@@ -68,6 +110,24 @@ class ControlledGroup(GroupMotions):
     def wants_time(self) -> bool:
         """Whether it moves, prepares a motion or settles, or a suspended goal's patience or a sender's lease runs."""
         return self.engaged and (self.moving or not self.settled)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the setpoint moves, a motion is being prepared, or a lease, a patience or a goal tolerance runs."""
+        current = self._current
+        if self._rates.protective is not None:
+            return True
+        if any(queued.trajectory is None for queued in self._queue) and self._end_known():
+            return True
+        if current is not None and (current.lease is not None or (self.planner.finished and current.judges_goal)):
+            return True
+        if self._queue and not self._rates.paused and self._end_known():
+            return True
+        return not self.planner.still or (
+            not self.planner.finished and self._rates.of(current) > 0.0 and not self._waits()
+        )
+
+    # what may be asked of it
 
     def engage(self, q: NDArray[np.float64]) -> None:
         """Hold at ``q``, shape (n,): the first setpoint is the measured position."""
@@ -94,6 +154,132 @@ class ControlledGroup(GroupMotions):
             self.controller.reset()
         elif law != before:
             self.monitor.restart()
+
+    def request(self, goal: Goal, request: MoveRequest) -> None:
+        """Take up a motion; it is prepared in the ticks that follow.
+
+        Raises:
+            StateError: Another motion is under way and the policy is to refuse, or a protective stop holds the group.
+            DataError: It has not as many values as the group has joints, or does not end at rest.
+            LimitError: A point is out of a joint's range.
+        """
+        move = request.path
+        self._require_free(request.policy)
+        check_move(self.context, move)
+        queued = Queued(goal, move, request.policy, request.speed_scale, tolerances_of(self.context, move))
+        if request.policy is Policy.REPLACE and isinstance(move, LineMove):
+            # a line begins at rest: stop first
+            self._end_all(self._replaced(goal))
+        self._queue.append(queued)
+
+    def stream(self, goal: Goal, request: StreamRequest) -> bool:
+        """Take the newest streaming setpoint; the first one opens the goal, later ones renew target and lease.
+
+        Returns:
+            Whether it opened the goal.
+
+        Raises:
+            StateError: A motion along a path is under way.
+            DataError: It has not as many values as the group has joints.
+            LimitError: The setpoint is beyond a limit.
+        """
+        current = self._current
+        opened = current is not None and current.stream is not None and current.goal.fault is None
+        if not opened:
+            self._require_free(Policy.REFUSE)
+        q, v = check_stream(self.context, request)
+        lease = StreamLease(request.owner, request.lease_s, self.planner.period_s)
+        if not opened:
+            limits, index, planner = self.context.limits, self.context.index, self.planner
+            follower = StreamFollower(
+                planner.setpoint,
+                planner.limits,
+                limits.lower[index],
+                limits.upper[index],
+                planner.period_s,
+                planner.divisor,
+            )
+            self._current = current = Current(goal, stream=follower)
+            planner.follower = follower
+            self._begun()
+        assert current is not None
+        assert current.stream is not None
+        current.lease = lease
+        current.stream.renew(q, v)
+        return not opened
+
+    def cancel(self, goal_id: int, fault: ImError) -> None:
+        """End a goal early: the motion under way decelerates on its path, one that waits ends at once.
+
+        Motions that wait behind it end too: they were planned from its end.
+
+        Raises:
+            StateError: The goal is not under way.
+        """
+        if self._current is not None and self._current.goal.id == goal_id:
+            self._interrupt(fault)
+            return
+        for rank, queued in enumerate(self._queue):
+            if queued.goal.id == goal_id:
+                self._end_queued(rank, fault)
+                return
+        raise StateError(f"goal {goal_id} is not under way", goal=goal_id)
+
+    def stop(self, fault: ImError) -> None:
+        """End all goals with ``fault``, decelerating on the path."""
+        self._end_all(fault)
+
+    def protective_stop(self, fault: ImError) -> None:
+        """Decelerate on the path and hold; goals are suspended until :meth:`resume`, or until patience is over."""
+        if self._rates.protective is None and self.goal is not None:
+            self._rates.protective = fault
+            self._patience_ticks = round(self.context.config.protective.patience_s / self.planner.period_s)
+
+    def pause(self) -> None:
+        """Halt on the path; goals go on after :meth:`resume`."""
+        self._rates.paused = True
+
+    def resume(self) -> None:
+        """Go on along the path after a pause or a protective stop."""
+        self._rates.paused = False
+        self._rates.protective = None
+
+    def set_speed(self, scale: float) -> None:
+        """Share of the planned speed, above 0 and up to 1, for this motion and those after it."""
+        self._rates.override = scale
+
+    def set_ceiling(self, scale: float) -> None:
+        """Upper bound of the rate, 0 to 1, in steps of 0.05; beside the client's override."""
+        self._rates.ceiling = int(scale * _CEILING_STEPS) / _CEILING_STEPS
+
+    def drop_goals(self) -> list[Goal]:
+        """Forget every goal at once; the goals."""
+        goals = list(self.goals)
+        self._current = None
+        self._queue.clear()
+        self._rates = Rates(override=self._rates.override)
+        return goals
+
+    # in every tick
+
+    def plan(self) -> None:
+        """One slice of preparing the next motion; at a knot, a motion that is ready begins."""
+        for rank, queued in enumerate(self._queue):
+            if queued.trajectory is None:
+                self._prepare(rank, queued)
+                break
+        self._begin_next()
+
+    def advance(self) -> Setpoint:
+        """The setpoint of the next servo tick."""
+        current = self._current
+        if current is not None:
+            current.ticks += 1
+            self._check_lease(current)
+        self.planner.rate = self._rates.of(current)
+        if self._rates.protective is not None:
+            self._suspended(self._rates.protective)
+        return self.planner.advance()
 
     def torque(
         self,
@@ -144,13 +330,136 @@ class ControlledGroup(GroupMotions):
             "actual": {"positions": self._position.tolist()},
         }
 
-    def ended(self) -> list[Ended]:
+    def ended(self) -> list[EndedGoal]:
         """Goals that ended since the last call: goal, fault, and results (``duration`` [s] of its motion)."""
         current = self._current
         if current is not None:
             self._judge_end(current.goal.fault)
         ended, self._ended = self._ended, []
         return ended
+
+    # preparation
+
+    def _prepare(self, rank: int, queued: Queued) -> None:
+        before = self._queue[rank - 1] if rank else None
+        replaces = queued.policy is Policy.REPLACE and not isinstance(queued.move, LineMove)
+        if replaces and not self.planner.at_knot:
+            return  # it takes over in the tick in which it is ready, and that is at a knot
+        if not replaces and before is None and not self._end_known():
+            return
+        try:
+            if queued.preparation is None:
+                queued.preparation = prepare(self.context, queued.move, lambda: self._start(queued))
+            queued.trajectory = queued.preparation.step()
+        except ImError as fault:
+            self._end_queued(rank, fault)
+
+    def _end_known(self) -> bool:
+        """Whether it is known where the next motion begins: what is under way will come to the end of its path."""
+        current = self._current
+        return current is None or (current.goal.fault is None and current.stream is None)
+
+    def _start(self, queued: Queued) -> Setpoint:
+        """The state with which a waiting motion begins, in its own time."""
+        if queued.policy is Policy.REPLACE:
+            return self.planner.start_state(self._start_rate(queued))
+        rank = self._queue.index(queued)
+        before = self._queue[rank - 1].trajectory if rank else None
+        if before is not None:
+            return before.at(before.duration)
+        return self.planner.follower.end_setpoint
+
+    def _start_rate(self, queued: Queued) -> float:
+        return self.planner.start_rate(self._rates.of(None, queued.share))
+
+    def _begin_next(self) -> None:
+        if not self._queue or not self.planner.at_knot:
+            return
+        rank = next((k for k, q in enumerate(self._queue) if q.policy is Policy.REPLACE and q.trajectory), 0)
+        queued = self._queue[rank]
+        if queued.trajectory is None:
+            return
+        current = self._current
+        if queued.policy is Policy.REPLACE:
+            fault = self._replaced(queued.goal)
+            while self._queue[0] is not queued:
+                self._finish(self._queue.popleft().goal, fault, 0)
+            if current is not None:
+                self._end_current(current.goal.fault or fault)
+        elif current is not None:
+            if current.goal.fault is not None or not self.planner.finished or current.judges_goal:
+                return
+            self._end_current(None)
+        self._queue.popleft()
+        self.planner.follow(queued.trajectory, self._start_rate(queued))
+        self._current = Current(queued.goal, queued.share, queued.tolerances)
+        self._begun()
+
+    # ends
+
+    def _replaced(self, goal: Goal) -> ImError:
+        return ImError(
+            f"group '{self.name}': replaced by goal {goal.id}", code="replaced", group=self.name, goal=goal.id
+        )
+
+    def _require_free(self, policy: Policy) -> None:
+        held = self._rates.protective
+        if held is not None:
+            raise StateError(
+                f"group '{self.name}' is held by a protective stop ({held.message}); resume it, or wait until its "
+                f"goals have ended",
+                group=self.name,
+            )
+        goal = self.goal
+        if policy is Policy.REFUSE and goal is not None:
+            raise StateError(
+                f"group '{self.name}' is moving (goal {goal.id}); wait for its end or cancel it", group=self.name
+            )
+
+    def _interrupt(self, fault: ImError) -> None:
+        """The motion under way ends early; those behind it end at once."""
+        current = self._current
+        if current is not None and current.goal.fault is None:
+            current.goal.fault = fault
+            current.at_once = self.planner.still
+        self._end_queued(0, fault)
+
+    def _end_all(self, fault: ImError) -> None:
+        self._interrupt(fault)
+        self._rates.protective = None
+
+    def _end_queued(self, rank: int, fault: ImError) -> None:
+        """End the waiting motion of a rank, and those behind it."""
+        ended = [self._queue.pop() for _ in range(len(self._queue) - rank)]
+        for queued in reversed(ended):
+            self._finish(queued.goal, fault, 0)
+
+    def _end_current(self, fault: ImError | None) -> None:
+        assert self._current is not None
+        self._finish(self._current.goal, fault, self._current.ticks)
+        self._current = None
+        if self.goal is None:
+            self._rates.protective = None
+
+    def _finish(self, goal: Goal, fault: ImError | None, ticks: int) -> None:
+        self._ended.append((goal, fault, {"duration": ticks * self.planner.period_s}))
+
+    def _suspended(self, fault: ImError) -> None:
+        self._patience_ticks -= 1
+        if self._patience_ticks < 0:
+            self._end_all(fault)
+
+    def _check_lease(self, current: Current) -> None:
+        if current.lease is not None and current.goal.fault is None:
+            current.lease.tick()
+            fault = current.lease.lapsed()
+            if fault is not None:
+                self._interrupt(fault)
+                current.at_once = False
+
+    def _waits(self) -> bool:
+        """Whether a stream stands at its target until the next one comes."""
+        return self._current is not None and self._current.stream is not None and self.planner.still
 
     def _judge_end(self, fault: ImError | None) -> None:
         """End the goal under way if it has come to its end, or has stopped early."""
@@ -203,35 +512,3 @@ class ControlledGroup(GroupMotions):
             value=error,
             unit=unit,
         )
-
-
-def make_group(name: str, config: McsConfig, mcs: "Mcs", laws: LawSource) -> ControlledGroup:
-    """A group as the configuration describes it.
-
-    Args:
-        name: Name of the group.
-        config: Configuration, with the group's preset in force.
-        mcs: The machine: model, limits, and where the joints are.
-        laws: Makes its control laws.
-
-    Raises:
-        ConfigError: One of its control laws cannot be loaded.
-    """
-    index = np.array([mcs.model.index(joint) for joint in config.groups[name].joints], dtype=np.intp)
-    servo, cell, limits = config.servo, mcs.model.cell, mcs.limits
-    context = PlanContext(
-        model=mcs.model,
-        limits=limits,
-        index=index,
-        frame=config.groups[name].wrist,
-        q_all=lambda: mcs.measured.q,
-        period_s=servo.period_s * servo.planning_divisor,
-        config=config,
-    )
-    return ControlledGroup(
-        name=name,
-        planner=GroupPlanner(mcs.measured.q[index], servo.period_s, servo.planning_divisor, limits.motion.of(index)),
-        context=context,
-        controller=laws.laws_for(config.preset, name),
-        monitor=RestMonitor(cell.per_joint("resolution")[index], cell.per_joint("noise")[index], servo),
-    )

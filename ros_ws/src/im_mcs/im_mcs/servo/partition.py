@@ -1,36 +1,43 @@
 """The groups of every preset, made when they are first asked for."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.collision import CollisionMonitor
-from im_mcs.config import Group
 from im_mcs.control import LawSource
-from im_mcs.servo.group import ControlledGroup, make_group
-
-if TYPE_CHECKING:
-    from im_mcs.servo.core import Mcs
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
+from im_mcs.planning.context import PlanContext
+from im_mcs.planning.planner import GroupPlanner
+from im_mcs.servo.group import ControlledGroup
+from im_mcs.servo.rest import RestMonitor
 
 
 class Partitions:
     """Makes and keeps the groups of presets, and the collision monitor that knows which joints brake together.
 
     Args:
-        mcs: The machine.
+        config: Configuration.
+        model: Kinematics and dynamics.
+        limits: Limits of all joints.
         laws: Makes control laws.
+        q_all: Gives the positions of all joints now, shape (18,) [rad or m].
     """
 
-    def __init__(self, mcs: "Mcs", laws: LawSource) -> None:
-        self._mcs = mcs
-        self._laws = laws
+    def __init__(
+        self,
+        config: McsConfig,
+        model: CellModel,
+        limits: JointLimits,
+        laws: LawSource,
+        q_all: Callable[[], NDArray[np.float64]],
+    ) -> None:
+        self._config, self._model, self._limits, self._laws, self._q_all = config, model, limits, laws, q_all
         self._groups: dict[tuple[str, ...], ControlledGroup] = {}
         self._monitors: dict[str, CollisionMonitor] = {}
-
-    def index(self, group: Group) -> NDArray[np.intp]:
-        """Ranks of a group's joints."""
-        return np.array([self._mcs.model.index(joint) for joint in group.joints], dtype=np.intp)
 
     def enter(self, preset: str) -> tuple[dict[str, ControlledGroup], CollisionMonitor]:
         """Groups of a preset, and its collision monitor; a group that two presets have in common is one.
@@ -38,18 +45,38 @@ class Partitions:
         Raises:
             ConfigError: A control law cannot be loaded.
         """
-        mcs = self._mcs
-        config = mcs.config.with_preset(preset)
+        config = self._config.with_preset(preset)
         groups = {}
         for name, group in config.groups.items():
             key = (name, *group.joints)
             if key not in self._groups:
-                self._groups[key] = make_group(name, config, mcs, self._laws)
+                self._groups[key] = self._make(name, config)
             groups[name] = self._groups[key]
             groups[name].monitor.restart()
         if preset not in self._monitors:
             joints = [group.index for group in groups.values()]
             self._monitors[preset] = CollisionMonitor(
-                mcs.model, mcs.limits.motion, config.collision, joints, config.servo.period_s
+                self._model, self._limits.motion, config.collision, joints, config.servo.period_s
             )
         return groups, self._monitors[preset]
+
+    def _make(self, name: str, config: McsConfig) -> ControlledGroup:
+        """A group of the preset in force."""
+        index = np.array([self._model.index(joint) for joint in config.groups[name].joints], dtype=np.intp)
+        servo, cell, limits = config.servo, self._model.cell, self._limits
+        context = PlanContext(
+            model=self._model,
+            limits=limits,
+            index=index,
+            frame=config.groups[name].wrist,
+            q_all=self._q_all,
+            period_s=servo.period_s * servo.planning_divisor,
+            config=config,
+        )
+        return ControlledGroup(
+            name=name,
+            planner=GroupPlanner(self._q_all()[index], servo.period_s, servo.planning_divisor, limits.motion.of(index)),
+            context=context,
+            controller=self._laws.laws_for(config.preset, name),
+            monitor=RestMonitor(cell.per_joint("resolution")[index], cell.per_joint("noise")[index], servo),
+        )

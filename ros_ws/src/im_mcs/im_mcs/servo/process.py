@@ -4,16 +4,16 @@ import math
 import signal
 from typing import Any
 
+from im_cell.robot import load_cell
 from im_core import clock, scheduling
 from im_core.errors import LinkError
-from im_core.robot import load_cell
-from im_mcs.config import McsConfig
-from im_mcs.model import Model
-from im_mcs.servo.channel import ServoChannel
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.model import CellModel
+from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.evidence import Recorder
 from im_mcs.servo.core import Mcs
 from im_mcs.servo.hardware import GuardedTestbed
 from im_mcs.servo.realtime import Pacer
-from im_mcs.servo.recorder import Recorder
 from im_mcs.servo.report import Reporter
 from im_mcs.state import State
 from im_mcs.testbed import TestbedInterface
@@ -37,7 +37,7 @@ class ServoProcess:
 
     def __init__(self, instance: str, config: McsConfig) -> None:
         self._config = config
-        model = Model(load_cell())
+        model = CellModel(load_cell())
         testbed = TestbedInterface.load(config.testbed, config.slots, instance)
         self._testbed = GuardedTestbed(testbed)
         if abs(self._testbed.period_s - config.servo.period_s) > 1e-9:

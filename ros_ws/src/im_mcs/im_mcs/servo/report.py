@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from im_mcs.servo.channel import STATES, ServoChannel
+from im_mcs.protocol.channel import ServoChannel
 from im_mcs.servo.core import Mcs
 from im_mcs.servo.realtime import Pacer
+from im_mcs.state.table import STATES
 
 _SAMPLE_PERIOD_NS = 20_000_000
 _SMOOTHING = 0.01
@@ -43,12 +44,12 @@ class Reporter:
         if self._next_sample_ns - _SAMPLE_PERIOD_NS <= m.stamp_ns < self._next_sample_ns:
             return
         self._next_sample_ns = (m.stamp_ns // _SAMPLE_PERIOD_NS + 1) * _SAMPLE_PERIOD_NS
-        r = self._channel.samples.next()
+        r = self._channel.samples.next_record()
         r["stamp_ns"], r["tick"] = m.stamp_ns, m.tick
         r["q"], r["v"], r["tau"], r["age"] = m.q, mcs.v, mcs.tau, m.age_s
         r["setpoint_q"], r["setpoint_v"], r["setpoint_a"] = mcs.loop.setpoint
         r["brakes"], r["gripper"], r["gripper_force"], r["wrench"] = m.brakes, m.gripper, m.gripper_force, m.wrench
-        self._channel.samples.push()
+        self._channel.samples.push_record()
 
     def snapshot(self) -> None:
         """The newest state."""

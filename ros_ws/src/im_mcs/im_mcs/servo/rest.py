@@ -6,7 +6,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.config import Servo
+from im_mcs.limits.configuration import Servo
 
 
 class RestPhase(StrEnum):

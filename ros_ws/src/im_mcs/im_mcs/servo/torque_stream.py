@@ -1,22 +1,23 @@
-"""Torques driven by a client itself: the motion control layer, open to the owner of the slots."""
+"""Streams of torques from a client: the motion control layer, open to the owner of the slots."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, LimitError, StateError
-from im_mcs.limits import JointLimits
-from im_mcs.safety.braking import stopping_position
-from im_mcs.servo.group import ControlledGroup, Goal
+from im_mcs.limits.limits import JointLimits
+from im_mcs.planning.goals import Goal
+from im_mcs.protocol.requests import StreamRequest
+from im_mcs.safety.stopping_position import stopping_position
+from im_mcs.servo.group import ControlledGroup
 
 Ended = tuple[ControlledGroup, Goal, ImError]
 
 
 @dataclass
-class _Drive:
+class _TorqueStream:
     group: ControlledGroup
     goal: Goal
     owner: str
@@ -25,7 +26,7 @@ class _Drive:
     silent_ticks: int = 0
 
 
-class TorqueDriving:
+class TorqueStreams:
     """Groups whose torques come from a client, as long as it renews its lease and the joints can still be stopped.
 
     Args:
@@ -36,21 +37,21 @@ class TorqueDriving:
     def __init__(self, limits: JointLimits, period_s: float) -> None:
         self._limits = limits
         self._period_s = period_s
-        self._drives: dict[str, _Drive] = {}
+        self._streams: dict[str, _TorqueStream] = {}
 
     def __bool__(self) -> bool:
         """Whether any group is driven."""
-        return bool(self._drives)
+        return bool(self._streams)
 
     def torque(self, group: str) -> NDArray[np.float64] | None:
         """Torques wanted of a group, shape (n,) [Nm or N]; None if it is not driven."""
-        drive = self._drives.get(group)
-        return None if drive is None else drive.tau
+        stream = self._streams.get(group)
+        return None if stream is None else stream.tau
 
     def goal(self, group: str) -> Goal | None:
         """The goal of a driven group."""
-        drive = self._drives.get(group)
-        return None if drive is None else drive.goal
+        stream = self._streams.get(group)
+        return None if stream is None else stream.goal
 
     def require_free(self, group: str) -> None:
         """Check that a group is not driven.
@@ -62,7 +63,7 @@ class TorqueDriving:
         if goal is not None:
             raise StateError(f"group '{group}' is driven by torques (goal {goal.id}); cancel that first", group=group)
 
-    def stream(self, group: ControlledGroup, goal: Goal, arguments: Mapping[str, Any]) -> bool:
+    def take_torques(self, group: ControlledGroup, goal: Goal, request: StreamRequest) -> bool:
         """Take the newest torques; the first ones open the goal, later ones renew torques and lease.
 
         Returns:
@@ -72,31 +73,28 @@ class TorqueDriving:
             StateError: The group follows a motion.
             DataError: A wrong size, or a value that is not finite.
         """
-        torques, lease_s = arguments["torques"], float(arguments["lease_s"])
-        self._limits.check_finite(group.index, torques, "stream", "torque")
-        drive = self._drives.get(group.name)
-        if drive is None:
+        tau, lease_s = self._limits.check_finite(group.index, request.torques, "stream", "torque"), request.lease_s
+        stream = self._streams.get(group.name)
+        if stream is None:
             if group.goals:
                 raise StateError(
                     f"group '{group.name}' is moving (goal {group.goals[0].id}); wait for its end or cancel it",
                     group=group.name,
                 )
-            self._drives[group.name] = _Drive(
-                group, goal, arguments["owner"], lease_s, np.array(torques, dtype=np.float64)
-            )
+            self._streams[group.name] = _TorqueStream(group, goal, request.owner, lease_s, tau)
             return True
-        drive.tau, drive.lease_s, drive.silent_ticks = np.array(torques, dtype=np.float64), lease_s, 0
+        stream.tau, stream.lease_s, stream.silent_ticks = tau, lease_s, 0
         return False
 
     def cancel(self, goal_id: int) -> str | None:
-        """The group that the goal drives, if there is one."""
-        return next((name for name, drive in self._drives.items() if drive.goal.id == goal_id), None)
+        """The group that the goal streams, if there is one."""
+        return next((name for name, stream in self._streams.items() if stream.goal.id == goal_id), None)
 
-    def end(self, fault: ImError, groups: Iterable[str] | None = None) -> list[Ended]:
+    def end_streams(self, fault: ImError, groups: Iterable[str] | None = None) -> list[Ended]:
         """Let the laws take over again; all groups if none are named."""
-        names = list(self._drives) if groups is None else [name for name in groups if name in self._drives]
-        drives = [self._drives.pop(name) for name in names]
-        return [(drive.group, drive.goal, fault) for drive in drives]
+        names = list(self._streams) if groups is None else [name for name in groups if name in self._streams]
+        streams = [self._streams.pop(name) for name in names]
+        return [(stream.group, stream.goal, fault) for stream in streams]
 
     def tick(self, q: NDArray[np.float64], v: NDArray[np.float64], tick: int) -> list[Ended]:
         """Judge leases, and whether every driven joint could still be stopped within its range.
@@ -107,18 +105,20 @@ class TorqueDriving:
             tick: Number of the tick.
         """
         ended = []
-        for name, drive in list(self._drives.items()):
-            drive.silent_ticks += 1
-            fault = self._lapsed(drive) or self._beyond(drive.group.index, q, v, tick)
+        for name, stream in list(self._streams.items()):
+            stream.silent_ticks += 1
+            fault = self._lapsed(stream) or self._beyond(stream.group.index, q, v, tick)
             if fault is not None:
-                ended += self.end(fault, (name,))
+                ended += self.end_streams(fault, (name,))
         return ended
 
-    def _lapsed(self, drive: _Drive) -> ImError | None:
-        if drive.silent_ticks * self._period_s <= drive.lease_s:
+    def _lapsed(self, stream: _TorqueStream) -> ImError | None:
+        if stream.silent_ticks * self._period_s <= stream.lease_s:
             return None
-        who = f"'{drive.owner}'" if drive.owner else "the sender"
-        return ImError(f"{who} has sent no torques for {drive.lease_s:g} s, its lease", code="lease", owner=drive.owner)
+        who = f"'{stream.owner}'" if stream.owner else "the sender"
+        return ImError(
+            f"{who} has sent no torques for {stream.lease_s:g} s, its lease", code="lease", owner=stream.owner
+        )
 
     def _beyond(
         self, index: NDArray[np.intp], q: NDArray[np.float64], v: NDArray[np.float64], tick: int

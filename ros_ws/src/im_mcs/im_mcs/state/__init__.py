@@ -1,7 +1,7 @@
 """State manager (paper, section 4 and Figure 7): states, allocation of slots, order of transitions."""
 
 from im_mcs.state.reservation import Reservations
-from im_mcs.state.table import TABLE, UNCONFIGURED_MESSAGE, Event, State, Transition, lifecycle_of, next_state
+from im_mcs.state.table import TABLE, UNCONFIGURED_MESSAGE, Event, State, StateTransition, lifecycle_of, next_state
 
 __all__ = [
     "TABLE",
@@ -9,7 +9,7 @@ __all__ = [
     "Event",
     "Reservations",
     "State",
-    "Transition",
+    "StateTransition",
     "lifecycle_of",
     "next_state",
 ]

@@ -2,26 +2,49 @@
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError, StateError
-from im_mcs.config import Servo
-from im_mcs.state.brakes import require_secured
+from im_core.errors import ImError, StateError, WaitTimeoutError
+from im_mcs.limits.configuration import Servo
 from im_mcs.state.reservation import Reservations
-from im_mcs.state.sequence import Arms, Sequences
 from im_mcs.state.table import ANYTIME, Event, State, next_state
 from im_mcs.testbed.driver import Measured
 
-Reply = Callable[[ImError | None], None]
+OnEnd = Callable[[ImError | None], None]
+
+
+class Arms(Protocol):
+    """What the state manager asks of the layers above the slots."""
+
+    def engage(self, groups: Sequence[str]) -> None:
+        """Let the groups hold where they are measured to be."""
+        ...
+
+    def disengage(self) -> None:
+        """No setpoints and no torques any more."""
+        ...
+
+    def drop_goals(self, reason: ImError) -> None:
+        """End every goal with ``reason`` and :meth:`disengage`."""
+        ...
+
+    def moving(self) -> str | None:
+        """A group that has a goal, if there is one."""
+        ...
+
+    def settled(self) -> bool:
+        """Whether every engaged group is at rest, or has been given up on."""
+        ...
 
 
 @dataclass
 class _Running:
     event: Event
     steps: Generator[None, None, None]
-    reply: Reply
+    reply: OnEnd
 
 
 class StateManager:
@@ -61,7 +84,7 @@ class StateManager:
         self.measured = measured
         self._index = index
         self._arms = arms
-        self._sequences = Sequences(self, arms, settings)
+        self._settings = settings
         self._running: _Running | None = None
         self._answer_ticks = round(settings.answer_timeout_s / settings.period_s)
         self._patience = 0
@@ -163,7 +186,7 @@ class StateManager:
             elif self.state is State.ACTIVE:
                 self.begin(Event.POWER_OFF, lambda error: None)
 
-    def begin(self, event: Event, reply: Reply) -> None:
+    def begin(self, event: Event, reply: OnEnd) -> None:
         """Start a transition that goes on in :meth:`tick`; ``reply`` is called at its end.
 
         Raises:
@@ -176,13 +199,13 @@ class StateManager:
                 group=group,
             )
         if event in (Event.RESET, Event.POWER_ON):
-            require_secured(event, self.measured, self.joints)
+            self._require_secured(event)
         steps = {
-            Event.POWER_ON: self._sequences.power_on,
-            Event.POWER_OFF: self._sequences.power_off,
-            Event.ENABLE_MOTION: self._sequences.enable_motion,
-            Event.DISABLE_MOTION: self._sequences.disable_motion,
-            Event.RESET: self._sequences.reset,
+            Event.POWER_ON: self._power_on,
+            Event.POWER_OFF: self._power_off,
+            Event.ENABLE_MOTION: self._enable_motion,
+            Event.DISABLE_MOTION: self._disable_motion,
+            Event.RESET: self._reset,
         }[event]
         if event is Event.POWER_ON:
             self.cause = ""
@@ -224,17 +247,25 @@ class StateManager:
         self._patience = self._answer_ticks
         self.power = False
         self.brakes = np.ones_like(self.brakes)
-        self._arms.drop(error)
+        self._arms.drop_goals(error)
         if running is not None:
             running.steps.close()
             running.reply(error)
 
-    def fail(self, reason: str) -> None:
-        """An e-stop because of the transition that is under way; its reply says what happened."""
-        self._running = None
-        self.estop(reason)
+    def _require_secured(self, event: Event) -> None:
+        """Check that power is off and every brake holds; joints with an open brake are named."""
+        if self.measured.power:
+            raise StateError(f"{event.value} is refused: the testbed still reports power on", request=event.value)
+        if not self.measured.brakes.all():
+            which = self._named(np.flatnonzero(~self.measured.brakes))
+            sentence = f"{event.value} is refused: the testbed reports the brake open of {which}"
+            raise StateError(sentence, request=event.value, joints=which)
 
-    def reserved_joints(self) -> NDArray[np.intp]:
+    def _named(self, ranks: NDArray[np.intp]) -> str:
+        """Names of the joints with these ranks."""
+        return ", ".join(self.joints[rank] for rank in ranks)
+
+    def _reserved_joints(self) -> NDArray[np.intp]:
         """Ranks of all joints of reserved groups."""
         return np.concatenate([self._index[group] for group in self.reservations.groups])
 
@@ -242,3 +273,109 @@ class StateManager:
         self.reservations.lapse(self.measured.stamp_ns)
         for group in self.reservations.lapsed():
             self.release(group)
+
+    # what a transition does over several ticks: each yields once a tick
+
+    def _fail(self, reason: str) -> None:
+        """An e-stop because of the transition that is under way; its reply says what happened."""
+        self._running = None
+        self.estop(reason)
+
+    def _power_on(self, target: State) -> Generator[None, None, None]:
+        """Power on, brakes on."""
+        self.power = True
+        try:
+            yield from self._until(lambda: self.measured.power, lambda: "the testbed to switch power on")
+        except WaitTimeoutError:
+            self.power = False
+            raise
+        self.state = target
+
+    def _power_off(self, target: State) -> Generator[None, None, None]:
+        """Power off; if it stays on, an e-stop."""
+        self.power = False
+        try:
+            yield from self._until(lambda: not self.measured.power, lambda: "the testbed to switch power off")
+        except WaitTimeoutError as error:
+            self._fail(f"power is not obeyed: {error.message}")
+            raise
+        self.state = target
+
+    def _enable_motion(self, target: State) -> Generator[None, None, None]:
+        """Torque carries the arm before the brakes let go; then until all is at rest."""
+        joints = self._reserved_joints()
+        self._arms.engage(self.reservations.groups)
+        yield from self._ticks(self._settings.brake_lead_ticks)
+        self.brakes[joints] = False
+        try:
+            yield from self._until_moved(joints, engaged=False)
+        except WaitTimeoutError as error:
+            self.brakes[joints] = True
+            yield from self._until_braked(joints, error)
+            self._arms.disengage()
+            raise
+        self.state = target
+        while not self._arms.settled():
+            yield
+
+    def _disable_motion(self, target: State) -> Generator[None, None, None]:
+        """Brakes hold before the torque leaves; if they do not, it goes on carrying the arm."""
+        joints = self._reserved_joints()
+        self.brakes[joints] = True
+        try:
+            yield from self._until_braked(joints)
+        except WaitTimeoutError:
+            self.brakes[joints] = False
+            raise
+        self._arms.disengage()
+        self.state = target
+
+    def _until_braked(
+        self, joints: NDArray[np.intp], cause: WaitTimeoutError | None = None
+    ) -> Generator[None, None, None]:
+        """Brakes hold before the torque leaves.
+
+        Args:
+            joints: Which, as ranks.
+            cause: What failed before; if the brakes fail too, power must go.
+        """
+        try:
+            yield from self._until_moved(joints, engaged=True)
+        except WaitTimeoutError as error:
+            if cause is not None:
+                self._fail(f"brakes are not obeyed: {cause.message}; {error.message}")
+            raise
+        yield from self._ticks(self._settings.brake_lead_ticks)
+
+    def _reset(self, target: State) -> Generator[None, None, None]:
+        """Forget reservations and cause; nothing moves."""
+        self.reservations.release_all()
+        self.cause = ""
+        self.state = target
+        yield from ()
+
+    @staticmethod
+    def _ticks(count: int) -> Generator[None, None, None]:
+        for _ in range(count):
+            yield
+
+    def _until_moved(self, joints: NDArray[np.intp], engaged: bool) -> Generator[None, None, None]:
+        """Until the brakes of ``joints`` report to be as they are told; else the error names those that do not."""
+
+        def not_yet() -> NDArray[np.intp]:
+            moved: NDArray[np.bool_] = self.measured.brakes[joints] == engaged
+            return joints[~moved]
+
+        verb = "engage" if engaged else "release"
+        yield from self._until(
+            lambda: not not_yet().size,
+            lambda: f"the brakes to {verb}, those of {self._named(not_yet())}",
+        )
+
+    def _until(self, holds: Callable[[], bool], what: Callable[[], str]) -> Generator[None, None, None]:
+        timeout_s = self._settings.answer_timeout_s
+        for _ in range(self._answer_ticks):
+            if holds():
+                return
+            yield
+        raise WaitTimeoutError(what=what(), seconds=timeout_s)

@@ -51,12 +51,15 @@ class Event(StrEnum):
     RESET = "reset"
 
 
+STATES: tuple[State, ...] = tuple(State)
+"""Their numbers where there is room for a number only."""
+
 ANYTIME = frozenset({Event.ESTOP, Event.RENEW})
 """Requests that are heard while a transition is under way."""
 
 
 @dataclass(frozen=True)
-class Transition:
+class StateTransition:
     """A row of the table.
 
     Attributes:
@@ -76,46 +79,48 @@ _FREE = "every slot answers, none is owned by another group"
 _RESERVED = "the group is reserved"
 _OWNER = "the group is reserved, and its lease holds"
 _UNDER_WAY = "the goal is under way or waits"
+_SAME = "the reserved groups have the same joints in it"
+_CARRIED = "gravity torque present before the brakes release"
 _LAW = "the group is reserved, and has such a law"
 
-TABLE: tuple[Transition, ...] = (
-    Transition(State.UNCONFIGURED, Event.CONFIGURE, State.COLD, "configuration valid, testbed answers"),
-    Transition(State.COLD, Event.CLEANUP, State.UNCONFIGURED),
-    Transition(State.COLD, Event.RESERVE, State.RESERVED, _FREE),
-    Transition(State.COLD, Event.REPARTITION, State.COLD, "there is such a preset"),
-    Transition(State.RESERVED, Event.RESERVE, State.RESERVED, _FREE),
-    Transition(State.RESERVED, Event.RELEASE, State.RESERVED, _RESERVED),
-    Transition(State.RESERVED, Event.RELEASE_LAST, State.COLD, _RESERVED),
-    Transition(State.RESERVED, Event.RENEW, State.RESERVED, "the owner has reserved a group"),
-    Transition(State.RESERVED, Event.REPARTITION, State.RESERVED, "the reserved groups have the same joints in it"),
-    Transition(State.RESERVED, Event.POWER_ON, State.ACTIVE, "power on, brakes on; measured state valid"),
-    Transition(State.RESERVED, Event.SET_CONTROLLER, State.RESERVED, _LAW),
-    Transition(State.RESERVED, Event.SET_PAYLOAD, State.RESERVED, _RESERVED),
-    Transition(State.RESERVED, Event.SET_SPEED, State.RESERVED, _RESERVED),
-    Transition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
-    Transition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, "gravity torque present before the brakes release"),
-    Transition(State.ACTIVE, Event.POWER_OFF, State.RESERVED),
-    Transition(State.ACTIVE, Event.RENEW, State.ACTIVE, "the owner has reserved a group"),
-    Transition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE),
-    Transition(State.ACTIVE, Event.CANCEL, State.ACTIVE, _UNDER_WAY),
-    Transition(State.ACTIVE, Event.SET_CONTROLLER, State.ACTIVE, _LAW),
-    Transition(State.ACTIVE, Event.SET_PAYLOAD, State.ACTIVE, _RESERVED),
-    Transition(State.ACTIVE, Event.SET_SPEED, State.ACTIVE, _RESERVED),
-    Transition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
-    Transition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, "at rest first"),
-    Transition(State.MOTION, Event.RENEW, State.MOTION, "the owner has reserved a group"),
-    Transition(State.MOTION, Event.MOVE, State.MOTION, _OWNER),
-    Transition(State.MOTION, Event.STREAM, State.MOTION, "by the owner of the group, whose lease holds"),
-    Transition(State.MOTION, Event.CANCEL, State.MOTION, _UNDER_WAY),
-    Transition(State.MOTION, Event.PAUSE, State.MOTION, _RESERVED),
-    Transition(State.MOTION, Event.RESUME, State.MOTION, _OWNER),
-    Transition(State.MOTION, Event.SET_SPEED, State.MOTION, _RESERVED),
-    Transition(State.MOTION, Event.SET_GRIPPER, State.MOTION),
-    Transition(State.MOTION, Event.SET_CONTROLLER, State.MOTION, _LAW),
-    Transition(State.MOTION, Event.SET_PAYLOAD, State.MOTION, _RESERVED),
-    Transition(State.MOTION, Event.PROTECTIVE_STOP, State.MOTION, "decelerates on the path and holds"),
-    Transition(State.MOTION, Event.ESTOP, State.ESTOPPED),
-    Transition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone; nothing moves"),
+TABLE: tuple[StateTransition, ...] = (
+    StateTransition(State.UNCONFIGURED, Event.CONFIGURE, State.COLD, "configuration valid, testbed answers"),
+    StateTransition(State.COLD, Event.CLEANUP, State.UNCONFIGURED),
+    StateTransition(State.COLD, Event.RESERVE, State.RESERVED, _FREE),
+    StateTransition(State.COLD, Event.REPARTITION, State.COLD, "there is such a preset"),
+    StateTransition(State.RESERVED, Event.RESERVE, State.RESERVED, _FREE),
+    StateTransition(State.RESERVED, Event.RELEASE, State.RESERVED, _RESERVED),
+    StateTransition(State.RESERVED, Event.RELEASE_LAST, State.COLD, _RESERVED),
+    StateTransition(State.RESERVED, Event.RENEW, State.RESERVED, "the owner has reserved a group"),
+    StateTransition(State.RESERVED, Event.REPARTITION, State.RESERVED, _SAME),
+    StateTransition(State.RESERVED, Event.POWER_ON, State.ACTIVE, "power on, brakes on; measured state valid"),
+    StateTransition(State.RESERVED, Event.SET_CONTROLLER, State.RESERVED, _LAW),
+    StateTransition(State.RESERVED, Event.SET_PAYLOAD, State.RESERVED, _RESERVED),
+    StateTransition(State.RESERVED, Event.SET_SPEED, State.RESERVED, _RESERVED),
+    StateTransition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
+    StateTransition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, _CARRIED),
+    StateTransition(State.ACTIVE, Event.POWER_OFF, State.RESERVED),
+    StateTransition(State.ACTIVE, Event.RENEW, State.ACTIVE, "the owner has reserved a group"),
+    StateTransition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE),
+    StateTransition(State.ACTIVE, Event.CANCEL, State.ACTIVE, _UNDER_WAY),
+    StateTransition(State.ACTIVE, Event.SET_CONTROLLER, State.ACTIVE, _LAW),
+    StateTransition(State.ACTIVE, Event.SET_PAYLOAD, State.ACTIVE, _RESERVED),
+    StateTransition(State.ACTIVE, Event.SET_SPEED, State.ACTIVE, _RESERVED),
+    StateTransition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
+    StateTransition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, "at rest first"),
+    StateTransition(State.MOTION, Event.RENEW, State.MOTION, "the owner has reserved a group"),
+    StateTransition(State.MOTION, Event.MOVE, State.MOTION, _OWNER),
+    StateTransition(State.MOTION, Event.STREAM, State.MOTION, "by the owner of the group, whose lease holds"),
+    StateTransition(State.MOTION, Event.CANCEL, State.MOTION, _UNDER_WAY),
+    StateTransition(State.MOTION, Event.PAUSE, State.MOTION, _RESERVED),
+    StateTransition(State.MOTION, Event.RESUME, State.MOTION, _OWNER),
+    StateTransition(State.MOTION, Event.SET_SPEED, State.MOTION, _RESERVED),
+    StateTransition(State.MOTION, Event.SET_GRIPPER, State.MOTION),
+    StateTransition(State.MOTION, Event.SET_CONTROLLER, State.MOTION, _LAW),
+    StateTransition(State.MOTION, Event.SET_PAYLOAD, State.MOTION, _RESERVED),
+    StateTransition(State.MOTION, Event.PROTECTIVE_STOP, State.MOTION, "decelerates on the path and holds"),
+    StateTransition(State.MOTION, Event.ESTOP, State.ESTOPPED),
+    StateTransition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone; nothing moves"),
 )
 
 UNCONFIGURED_MESSAGE = "MCS is unconfigured; configure it first (ros2 lifecycle set /mcs configure)"

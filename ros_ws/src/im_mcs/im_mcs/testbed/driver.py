@@ -1,16 +1,13 @@
 """Contract of a channel driver: what MCS needs of hardware, simulated or real."""
 
-import importlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ConfigError
-
-_OFFERED = ("instance", "timeout_s")
+from im_mcs.limits.slots import OFFERED, check_settings, find_driver
 
 
 class Measured(NamedTuple):
@@ -124,8 +121,8 @@ def load_driver(name: str, settings: Mapping[str, object], *, instance: str, tim
         LinkError: The hardware does not answer.
     """
     check_settings(name, settings)
-    factory = _find(name)
-    offered = dict(zip(_OFFERED, (instance, timeout_s), strict=True))
+    factory = find_driver(name)
+    offered = dict(zip(OFFERED, (instance, timeout_s), strict=True))
     taken = {key: value for key, value in offered.items() if key in inspect.signature(factory).parameters}
     return cast(ChannelDriver, factory(**taken, **settings))
 
@@ -136,33 +133,4 @@ def asks_for_time(name: str) -> bool:
     Raises:
         ConfigError: There is no such module or class.
     """
-    return bool(getattr(_find(name), "time_on_demand", False))
-
-
-def check_settings(name: str, settings: Mapping[str, object]) -> None:
-    """Whether there is a driver ``module:Class`` with these settings.
-
-    Raises:
-        ConfigError: As :func:`load_driver`; says what the driver takes.
-    """
-    parameters = {
-        key: parameter
-        for key, parameter in inspect.signature(_find(name)).parameters.items()
-        if key not in _OFFERED
-    }  # fmt: skip
-    takes = f"channel driver '{name}' takes {', '.join(parameters) or 'no settings'}"
-    for key in settings:
-        if key not in parameters:
-            raise ConfigError(f"there is no setting '{key}'; {takes}", driver=name, setting=key)
-    for key, parameter in parameters.items():
-        if parameter.default is inspect.Parameter.empty and key not in settings:
-            raise ConfigError(f"the setting '{key}' is missing; {takes}", driver=name, setting=key)
-
-
-def _find(name: str) -> Callable[..., object]:
-    module_name, _, class_name = name.partition(":")
-    try:
-        factory: Callable[..., object] = getattr(importlib.import_module(module_name), class_name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"channel driver '{name}' cannot be loaded: {error}; it is written module:Class") from None
-    return factory
+    return bool(getattr(find_driver(name), "time_on_demand", False))

@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,12 +9,12 @@ from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import ConfigError, LinkError
+from im_core.process import ChildProcess
 from im_mcs.testbed.driver import Drive, Measured
 from im_mcs.testbed.topic_link import TopicLink
 
 _BRIDGE = "im_mcs.ros.topic_channels"
 _POLL_S = 0.01
-_END_S = 2.0
 
 
 class JointStateDriver:
@@ -67,7 +65,7 @@ class JointStateDriver:
         name = instance + "_topics" + re.sub(r"\W", "_", state_topic)
         self._link = TopicLink.create(name, self.n_joints)
         settings = {"name": name, "joints": self._joints, "state": state_topic, "command": command_topic}
-        self._bridge = subprocess.Popen([sys.executable, "-m", _BRIDGE, json.dumps(settings)], stdin=subprocess.DEVNULL)
+        self._bridge = ChildProcess.of_module(_BRIDGE, [json.dumps(settings)])
         try:
             self._wait_for_all(timeout_s)
         except LinkError:
@@ -114,12 +112,7 @@ class JointStateDriver:
 
     def close(self) -> None:
         """Fall silent: the robot's own time-out holds it."""
-        self._bridge.terminate()
-        try:
-            self._bridge.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self._bridge.kill()
-            self._bridge.wait()
+        self._bridge.stop()
         self._link.close()
 
     def _newest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -148,7 +141,7 @@ class JointStateDriver:
                 return
             self._check_bridge()
             if clock.monotonic() > deadline:
-                named = bytes(received["named"]).decode(errors="replace")
+                named = bytes(received["named"]).rstrip(b"\0").decode(errors="replace")
                 heard = f"it names {named}" if named else "nothing was received"
                 raise LinkError(
                     f"topic '{self._topic}' said nothing of joint {', '.join(missing)} within {timeout_s:g} s; {heard}",

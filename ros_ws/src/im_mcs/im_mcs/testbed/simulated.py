@@ -2,9 +2,9 @@
 
 import os
 
+from im_cell.link import ServoEnd, TickCommand
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.testbed_link import Command, TestbedLink
 from im_mcs.testbed.driver import Drive, Measured
 
 _POLL_S = 20e-6
@@ -12,7 +12,7 @@ _LOOK_S = 0.1
 
 
 class SimulatedDriver:
-    """The servo's end of :class:`im_core.testbed_link.TestbedLink`.
+    """The servo's end of the testbed link.
 
     Args:
         instance: Which machine on this host.
@@ -24,7 +24,7 @@ class SimulatedDriver:
     time_on_demand = True
 
     def __init__(self, instance: str, timeout_s: float) -> None:
-        self._link = TestbedLink.attach(instance, timeout_s)
+        self._link = ServoEnd.attach(instance, timeout_s)
         self.n_joints = self._link.n_joints
         self.period_s = self._link.period_s
         self.wall_period_s = self._link.wall_period_s
@@ -36,7 +36,7 @@ class SimulatedDriver:
             LinkError: There is no testbed, another servo takes part, or the new testbed ticks at another rate.
         """
         if not self._link.physics_alive():
-            link = TestbedLink.attach(self._link.instance, 0.0)
+            link = ServoEnd.attach(self._link.instance, 0.0)
             if link.period_s != self.period_s:
                 link.close()
                 raise LinkError(f"the new testbed ticks every {link.period_s:g} s, the servo every {self.period_s:g} s")
@@ -63,7 +63,7 @@ class SimulatedDriver:
         Raises:
             LinkError: The testbed has declared this servo gone.
         """
-        self._link.write_command(Command(*drive))
+        self._link.write_command(TickCommand(*drive))
 
     def after_tick(self, tick: int) -> None:
         """Wait until physics has completed ``tick``; it takes a fraction of a millisecond on an idle computer.

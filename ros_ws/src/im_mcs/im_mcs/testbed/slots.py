@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
-from im_mcs.testbed.declaration import Kind, Slot, Testbed
+from im_mcs.limits.slots import Kind, Slot, Testbed
 from im_mcs.testbed.driver import ChannelDriver, Drive, Measured, load_driver
 
 _COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}

@@ -8,14 +8,16 @@ import pytest
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
-from im_mcs.config import McsConfig
 from im_mcs.control import ControlInput
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
 from im_mcs.planning.context import PlanContext
+from im_mcs.planning.goals import Goal
 from im_mcs.planning.planner import GroupPlanner
-from im_mcs.planning.setpoint import Setpoint
-from im_mcs.servo.group import ControlledGroup, Goal
+from im_mcs.planning.trajectory import Setpoint
+from im_mcs.protocol.requests import parse_request
+from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.rest import RestMonitor
 
 WAY = np.array([0.3, 0.5, 0.3, 0.8, -0.5, 0.5, 0.9, 0.9, 0.9])
@@ -45,9 +47,9 @@ class Rig:
         velocity_error: The same of the velocity.
     """
 
-    def __init__(self, config: McsConfig, model: Model, name: str, divisor: int) -> None:
+    def __init__(self, config: McsConfig, model: CellModel, name: str, divisor: int) -> None:
         cell, servo = model.cell, config.servo
-        self.all_limits = JointLimits(model, config.limits, config.slots)
+        self.all_limits = JointLimits(model.cell, config.limits, config.slots)
         self.index = np.array([model.index(joint) for joint in config.groups[name].joints], dtype=np.intp)
         self.period, self.limits = servo.period_s, self.all_limits.motion.of(self.index)
         self.home = cell.home[self.index]
@@ -75,9 +77,15 @@ class Rig:
         self._number += 1
         return Goal(self._number, self.tick)
 
+    def parse(self, name: str, **arguments: Any) -> tuple[str, Any]:
+        """Name and arguments of a request to the group, as the servo reads them."""
+        message = {"request": name, "arguments": {"group": self.group.name, **arguments}}
+        return parse_request(message, self.context.config.planning.max_points)
+
     def request(self, path: dict[str, Any], **arguments: Any) -> int:
+        _, request = self.parse("move", path=path, **arguments)
         goal = self.goal()
-        self.group.request(goal, {"group": self.group.name, "path": path, **arguments})
+        self.group.request(goal, request)
         return goal.id
 
     def move(self, *points: NDArray[np.float64], blend: float = 0.0, **arguments: Any) -> int:
@@ -85,7 +93,8 @@ class Rig:
 
     def stream(self, q: NDArray[np.float64], lease_s: float = 10.0, **arguments: Any) -> int:
         goal = self.goal()
-        self.group.stream(goal, {"positions": q.tolist(), "lease_s": lease_s, "owner": "teleop", **arguments})
+        given = {"positions": q.tolist(), "lease_s": lease_s, "owner": "teleop", **arguments}
+        self.group.stream(goal, self.parse("stream", kind="setpoint", **given)[1])
         return goal.id
 
     def ticks(self, count: int) -> None:
@@ -149,7 +158,7 @@ def way() -> NDArray[np.float64]:
 
 
 @pytest.fixture(scope="session")
-def make_rig(config: McsConfig, model: Model) -> Callable[..., Rig]:
+def make_rig(config: McsConfig, model: CellModel) -> Callable[..., Rig]:
     def make(divisor: int = 2, name: str = "left", preset: str = "2x9", **changes: Any) -> Rig:
         return Rig(config.with_preset(preset).model_copy(update=changes), model, name, divisor)
 

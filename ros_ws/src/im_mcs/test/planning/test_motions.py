@@ -132,7 +132,7 @@ def test_progress_names_point_and_motion(rig, way):
 def test_dropping_forgets_everything(rig, way):
     goals = [rig.move(rig.home + s * way, policy="append") for s in (0.5, 0.1)]
     rig.ticks(60)
-    assert [goal.id for goal in rig.group.drop()] == goals
+    assert [goal.id for goal in rig.group.drop_goals()] == goals
     rig.group.disengage()
     assert rig.group.goals == ()
     assert not rig.group.wants_time

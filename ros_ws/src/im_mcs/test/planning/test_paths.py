@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 
 from im_core.errors import DataError
+from im_mcs.limits.motion_limits import Synchrony
 from im_mcs.planning import JointPath, MotionLimits
-from im_mcs.planning.motion_limits import Synchrony
 from im_mcs.planning.profile import to_point
-from im_mcs.planning.setpoint import Setpoint
+from im_mcs.planning.trajectory import Setpoint
 
 LIMITS = MotionLimits(np.array([1.0, 2.0, 0.5]), np.array([2.0, 5.0, 1.0]), np.array([20.0, 30.0, 8.0]))
 positions = st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3).map(np.array)
@@ -79,7 +79,7 @@ def test_corners_stay_within_the_blend_and_within_limits(start, points, blend):
     s = within_limits(path)
     for point in points:
         assert np.abs(s.q - point).max(axis=1).min() <= blend + 1e-9
-    np.testing.assert_allclose(path.end.q, points[-1], atol=1e-12)
+    np.testing.assert_allclose(path.end_setpoint.q, points[-1], atol=1e-12)
     # off the corners it runs along the straight legs
     legs = list(zip([start, *points], points, strict=False))
     for q in s.q[::50]:

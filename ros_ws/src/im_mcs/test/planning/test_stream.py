@@ -73,7 +73,7 @@ def test_a_stream_is_paused_slowed_and_cancelled(rig, way):
 
 def test_only_the_first_opens_a_goal_and_a_path_under_way_is_not_interrupted(rig, way):
     first = rig.goal()
-    asked = {"positions": rig.home.tolist(), "lease_s": 1.0}
+    _, asked = rig.parse("stream", kind="setpoint", positions=rig.home.tolist(), lease_s=1.0)
     assert rig.group.stream(first, asked) is True
     assert rig.group.stream(rig.goal(), asked) is False
     assert rig.group.goals == (first,)

@@ -1,28 +1,375 @@
-"""The exchange of one process: carries tokens, requests and replies between its nets, and to and from others."""
+"""The exchange of one process: carries tokens, requests and replies between its nets, and to and from others.
 
-from collections import Counter
-from collections.abc import Callable
-from typing import Protocol
+It has three parts: the requests that wait for their reply (:class:`RequestBook`), the inboxes of the nets
+(:class:`Inboxes`), which keep for the journal what was delivered and not taken yet (:class:`Deliveries`), and
+:class:`Exchange` itself. It tells its journal what happens to them as one of :data:`ExchangeEntry`, before it is done.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 from im_core.clock import monotonic
-from im_core.errors import ImError, LinkError, StateError
-from im_pnt.action import RequestAction
-from im_pnt.errors import NetError, nearest
-from im_pnt.events import ActionEnded, Observer
-from im_pnt.executive import Executive
-from im_pnt.inboxes import Inboxes
-from im_pnt.jobs import Activity, Command, Request
-from im_pnt.net import RemotePlace
-from im_pnt.record import Entry
-from im_pnt.remote import VOID, Kind, Message, token_message
-from im_pnt.requests import RequestBook, Waiting, cancel_message, cancelled_by, request_message, request_of
+from im_core.errors import ImError, LinkError, StateError, nearest
+from im_pnt.distributed.packets import VOID, Message, MessageKind, token_message
+from im_pnt.errors import NetError
+from im_pnt.execution.events import ActionEnded, RequestArrived, RequestCancelled, TokenArrived
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.jobs import Activity, Command, Request
+from im_pnt.execution.notification import Observer
+from im_pnt.execution.record import ActivityEnded, NetEntry, plain_dict
+from im_pnt.model.action import RequestAction
+from im_pnt.model.expand import input_place
+from im_pnt.model.net import RemotePlace
 
 RETURN_TIMEOUT_S = 30.0
-_TOKEN = Kind.TOKEN
+
+
+# What an exchange tells its journal.
+
+Delivery = TokenArrived | RequestArrived | RequestCancelled | ActivityEnded
+"""An event for a net, as the net that takes it records it: so it is known when it was."""
+
+
+class EventPosted(NamedTuple):
+    """An event was put into the inbox of a net."""
+
+    net: str
+    event: Delivery
+
+
+class RequestAsked(NamedTuple):
+    """A net has asked another one.
+
+    Attributes:
+        request_id: Name of the request.
+        net: Net that asks.
+        number: Number of its activity that waits.
+        asked: Net that is asked.
+        node: Node of that net, empty for one of the same process.
+    """
+
+    request_id: str
+    net: str
+    number: int
+    asked: str
+    node: str
+
+
+class RequestAnswered(NamedTuple):
+    """A request waits for its reply no more."""
+
+    request_id: str
+
+
+class RequestClosed(NamedTuple):
+    """A request is not in work any more."""
+
+    request_id: str
+
+
+class TokenKept(NamedTuple):
+    """A token is kept that no net wants."""
+
+    net: str
+    place: str
+
+
+ExchangeEntry = EventPosted | RequestAsked | RequestAnswered | RequestClosed | TokenKept
+
+
+# Requests under way.
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """A request that waits for its reply.
+
+    Attributes:
+        executor: Net that asked.
+        activity: Its transition in work.
+        net: Net that was asked.
+        node: Node of that net, empty for one of the same process.
+    """
+
+    executor: Executor
+    activity: Activity
+    net: str
+    node: str
+
+
+class RequestBook:
+    """The requests that the nets of one process have asked and not yet got answered.
+
+    Args:
+        node: Name of the process' node, part of every request's name.
+        epoch: Its incarnation, likewise.
+
+    Attributes:
+        prefix: Begins every request's name.
+        count: Requests asked so far.
+    """
+
+    def __init__(self, node: str, epoch: int) -> None:
+        self.prefix = f"{node}-{epoch:x}"
+        self.count = 0
+        self._waiting: dict[str, Waiting] = {}
+        self._name: dict[Activity, str] = {}
+
+    def next_name(self) -> str:
+        """Returns the name of the next request, unique over all processes and their restarts."""
+        return f"{self.prefix}-{self.count + 1}"
+
+    def open(self, request_id: str, waiting: Waiting) -> None:
+        """Enters a request."""
+        self._waiting[request_id] = waiting
+        self._name[waiting.activity] = request_id
+
+    def close(self, request_id: str) -> None:
+        """Takes a request out; a second reply, or one that comes too late, finds none."""
+        waiting = self._waiting.pop(request_id, None)
+        if waiting is not None:
+            del self._name[waiting.activity]
+
+    def of_activity(self, activity: Activity) -> tuple[str, Waiting] | None:
+        """Returns the request of an activity, if it still waits."""
+        name = self._name.get(activity)
+        return None if name is None else (name, self._waiting[name])
+
+    def get(self, request_id: str) -> Waiting | None:
+        """Returns who waits for the reply to a request."""
+        return self._waiting.get(request_id)
+
+    def of_node(self, node: str) -> list[tuple[str, Waiting]]:
+        """Returns the requests that wait for a node."""
+        return [(name, waiting) for name, waiting in self._waiting.items() if waiting.node == node]
+
+    def given_up(self) -> list[tuple[str, Waiting]]:
+        """Returns the requests whose transition does not wait any more (its time was over)."""
+        return [(name, w) for name, w in self._waiting.items() if w.activity not in w.executor.activities]
+
+    def items(self) -> list[tuple[str, Waiting]]:
+        """Returns all requests that wait."""
+        return list(self._waiting.items())
+
+
+def request_message(request: Request) -> Message:
+    """Returns the message that carries a request to another process."""
+    payload: dict[str, object] = {
+        "arguments": request.arguments,
+        "symbol": request.command.symbol,
+        "command_arguments": request.command.arguments,
+    }
+    return Message(
+        MessageKind.REQUEST,
+        request.net,
+        input_place(request.service),
+        request.id,
+        request.caller_net,
+        request.caller_transition,
+        request.command.id,
+        payload=payload,
+    )
+
+
+def request_of(sender: str, message: Message) -> Request:
+    """Returns the request that a message carries."""
+
+    def mapping(key: str) -> dict[str, object]:
+        value = message.payload.get(key)
+        return value if isinstance(value, dict) else {}
+
+    command = Command(message.command_id, str(message.payload.get("symbol", "")), mapping("command_arguments"))
+    return Request(
+        message.request_id,
+        message.net,
+        message.place.removeprefix("I."),
+        sender,
+        message.caller_net,
+        message.caller_transition,
+        command,
+        mapping("arguments"),
+    )
+
+
+def cancel_message(request_id: str, net: str, caller_net: str) -> Message:
+    """Returns the message that tells a process that a request is not wanted any more."""
+    payload: Mapping[str, object] = {"cancel": True}
+    return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload=payload)
+
+
+def cancelled_by(net: str) -> ImError:
+    """Returns why a request ends early that its caller cancelled."""
+    return ImError(f"cancelled by net {net}", code="cancelled", net=net)
+
+
+# Inboxes.
+
+
+class Deliveries:
+    """Events for the nets of one process that were put into their inboxes and not taken yet, in order."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, deque[Delivery]] = {}
+
+    def put_delivery(self, net: str, event: Delivery) -> None:
+        """Notes that an event was put into the inbox of a net."""
+        waiting = self._waiting.get(net)
+        if waiting is None:
+            waiting = self._waiting[net] = deque()
+        waiting.append(event)
+
+    def taken(self, net: str, entry: NetEntry) -> None:
+        """Notes what a net has recorded: perhaps that it has taken one of these events."""
+        waiting = self._waiting.get(net)
+        if not waiting or not isinstance(entry, Delivery):
+            return
+        if waiting[0] is entry:
+            waiting.popleft()
+            return
+        name = _name_of(entry)
+        for number, event in enumerate(waiting):
+            if _name_of(event) == name:
+                del waiting[number]
+                return
+
+    def waiting(self) -> dict[str, list[Delivery]]:
+        """Returns what waits, by net."""
+        return {net: list(events) for net, events in self._waiting.items() if events}
+
+
+def _name_of(event: Delivery) -> tuple[type, object]:
+    """Returns what tells an event from the others of its inbox."""
+    match event:
+        case TokenArrived(place, count):
+            return TokenArrived, (place, count)
+        case RequestArrived(request):
+            return RequestArrived, request.id
+        case RequestCancelled(request_id, _):
+            return RequestCancelled, request_id
+        case ActivityEnded(number, _, _):
+            return ActivityEnded, number
+
+
+class _Door(NamedTuple):
+    """A place of a net through which tokens of other nets have come.
+
+    Attributes:
+        executor: The net in execution.
+        event: A token arrives.
+        posted: What the journal is told.
+    """
+
+    executor: Executor
+    event: TokenArrived
+    posted: EventPosted
+
+
+class Inboxes:
+    """Delivers to the nets of one process; what is delivered is journalled.
+
+    Attributes:
+        nets: The nets, by name.
+        in_work: Requests that were delivered and not answered yet, by name.
+        deliveries: What was delivered and not taken yet; kept if there is a journal.
+        record: Takes an entry for the journal, which is written before anything leaves; None: no journal is kept.
+    """
+
+    def __init__(self) -> None:
+        self.nets: dict[str, Executor] = {}
+        self.in_work: dict[str, Request] = {}
+        self.deliveries = Deliveries()
+        self.record: Callable[[ExchangeEntry], None] | None = None
+        self._doors: dict[tuple[str, str], _Door] = {}
+
+    def post(self, executor: Executor, event: TokenArrived | RequestArrived | RequestCancelled | ActionEnded) -> None:
+        """Delivers an event.
+
+        Raises:
+            NetError: A journal cannot keep it.
+        """
+        if self.record is not None:
+            kept: Delivery
+            if isinstance(event, ActionEnded):
+                where = f"the results for transition {event.activity.transition}"
+                kept = ActivityEnded(event.activity.number, event.error, plain_dict(event.results, where))
+            else:
+                kept = event
+            self.record(EventPosted(executor.net.name, kept))
+            self.deliveries.put_delivery(executor.net.name, kept)
+        executor.post(event)
+
+    def token(self, net: str, name: str) -> str:
+        """Delivers a token to a place of a net; returns why not, empty if it was."""
+        door = self._doors.get((net, name))
+        executor = self.nets[net]
+        if door is not None and door.executor is executor:
+            if self.record is not None:
+                self.record(door.posted)
+                self.deliveries.put_delivery(net, door.event)
+            executor.post(door.event)
+            return ""
+        place = executor.net.places.get(name)
+        if place is None:
+            return f"net {net} has no place {name}{nearest(name, executor.net.places)}"
+        if not place.remote or name.startswith("I."):
+            return f"place {name} of net {net} is not open to other nets (remote: true)"
+        event = TokenArrived(name, 1)
+        self._doors[net, name] = _Door(executor, event, EventPosted(net, event))
+        self.post(executor, event)
+        return ""
+
+    def request(self, request: Request) -> str:
+        """Delivers a request; returns why not, empty if it was.
+
+        Raises:
+            NetError: A journal cannot keep it.
+        """
+        executor = self.nets[request.net]
+        offered = [*executor.net.services, *executor.net.symbols()]
+        if request.service not in offered:
+            return f"net {request.net} offers no service {request.service}{nearest(request.service, offered)}"
+        self.post(executor, RequestArrived(request))
+        self.in_work[request.id] = request
+        return ""
+
+    def cancel(self, request: Request, why: ImError) -> None:
+        """Has a request in work ended early."""
+        self.post(self.nets[request.net], RequestCancelled(request.id, why))
+
+    def close(self, request: Request) -> None:
+        """Takes note that a request is not in work any more."""
+        if self.in_work.pop(request.id, None) is not None and self.record is not None:
+            self.record(RequestClosed(request.id))
+
+    def deliver_again(self) -> None:
+        """Puts the events into the inboxes that had not been taken, when their nets have been brought back.
+
+        Raises:
+            NetError: They do not fit the nets.
+            LookupError: Likewise.
+        """
+        for net, events in self.deliveries.waiting().items():
+            executor = self.nets[net]
+            for event in self.not_late(net, events):
+                if isinstance(event, ActivityEnded):
+                    activity = executor.activity(event.number)
+                    executor.post(ActionEnded(activity, event.error, event.results))
+                else:
+                    executor.post(event)
+
+    def not_late(self, net: str, events: list[Delivery]) -> list[Delivery]:
+        """Leaves out the replies that have come when their transitions had given up waiting."""
+        running = {activity.number for activity in self.nets[net].activities}
+        return [event for event in events if not isinstance(event, ActivityEnded) or event.number in running]
+
+
+# The exchange.
 
 
 class Transport(Protocol):
-    """Carries messages to other processes: a :class:`im_pnt.link.Link`, or what stands before one."""
+    """Carries messages to other processes: a :class:`im_pnt.distributed.link.Link`, or what stands before one."""
 
     def node_of(self, net: str) -> str:
         """Returns the node that runs a net."""
@@ -58,7 +405,6 @@ class Exchange:
         nets: The nets, by name.
         book: Requests that wait for their reply.
         undeliverable: Tokens that no net wanted, by the place that they were sent to: they are kept here.
-        muted: Nets that are brought back repeat what they sent; it is not sent again.
     """
 
     def __init__(
@@ -75,31 +421,28 @@ class Exchange:
         self.nets = self.inboxes.nets
         self.book = RequestBook(node, epoch)
         self.undeliverable: Counter[RemotePlace] = Counter()
-        self.muted = False
         self._transport = transport
         self._observer = observer or Observer()
         self._return_timeout_s, self._clock = return_timeout_s, clock
         self._lost: dict[str, tuple[float, str]] = {}
 
-    def add(self, executive: Executive) -> None:
+    def add(self, executor: Executor) -> None:
         """Enters a net, in the place of one of the same name that is not busy.
 
         Raises:
             StateError: The one of the same name is busy.
         """
-        name = executive.net.name
+        name = executor.net.name
         if name in self.nets and self.nets[name].busy():
             raise StateError(
                 f"net {name} is busy and cannot be replaced now; wait until its command has ended", net=name
             )
-        self.nets[name] = executive
+        self.nets[name] = executor
 
     # What the nets of this process send.
 
     def send_token(self, net: str, target: RemotePlace, count: int) -> None:
         """Sends tokens to a place of another net."""
-        if self.muted:
-            return
         message = token_message(target.net, target.place)
         for _ in range(count):
             if target.net in self.nets:
@@ -109,7 +452,7 @@ class Exchange:
             else:
                 self._kept(message, f"there is no net {target.net}{nearest(target.net, self.nets)}")
 
-    def send_request(self, executive: Executive, activity: Activity, arguments: dict[str, object]) -> None:
+    def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
         """Sends a request; its reply, or why there is none, ends the activity."""
         action = activity.action
         assert isinstance(action, RequestAction)
@@ -121,8 +464,7 @@ class Exchange:
         request = Request(
             request_id, action.net, action.service, "", activity.net, activity.transition, command, arguments
         )
-        self._note(["asked", request_id, activity.net, activity.number, action.net, node])
-        self.watch(request_id, Waiting(executive, activity, action.net, node))
+        self._happens(RequestAsked(request_id, activity.net, activity.number, action.net, node))
         try:
             if local:
                 refusal = self.inboxes.request(request)
@@ -136,10 +478,12 @@ class Exchange:
         except NetError as error:
             self._answer(request_id, error, {})
 
+    def awaits_reply(self, activity: Activity) -> bool:
+        """Whether a request has been sent for an activity, and its reply is still to come."""
+        return self.book.of_activity(activity) is not None
+
     def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
         """Answers a request of whatever process."""
-        if self.muted:
-            return
         self.inboxes.close(request)
         try:
             self._send_reply(request, error, results)
@@ -152,12 +496,14 @@ class Exchange:
                 waiter = f"{request.caller_net}.{request.caller_transition}"
                 self._dropped(f"nobody waits for the reply to {waiter} any more")
         elif self._transport is not None:
-            message = Message(Kind.REPLY, request.caller_net, "", request.id, error=error, payload={"results": results})
+            message = Message(
+                MessageKind.REPLY, request.caller_net, "", request.id, error=error, payload={"results": results}
+            )
             self._transport.send(request.caller_node, message)
 
     def _cancel_request(self, activity: Activity) -> None:
         found = self.book.of_activity(activity)
-        if found is None or self.muted:
+        if found is None:
             return
         request_id, waiting = found
         if request_id in self.inboxes.in_work:
@@ -170,11 +516,11 @@ class Exchange:
     def receive(self, sender: str, message: Message) -> str:
         """Takes a message from another process; returns why it is refused, empty if it is not."""
         kind = message.kind
-        if kind is _TOKEN and message.net in self.nets:
+        if kind is MessageKind.TOKEN and message.net in self.nets:
             return self.inboxes.token(message.net, message.place)
-        if kind is Kind.VOID:
+        if kind is MessageKind.VOID:
             return ""
-        if kind is Kind.REPLY:
+        if kind is MessageKind.REPLY:
             results = message.payload.get("results")
             if not self._answer(message.request_id, message.error, results if isinstance(results, dict) else {}):
                 self._dropped(f"nobody waits for reply {message.request_id} of {sender} any more")
@@ -192,9 +538,9 @@ class Exchange:
 
     def refused(self, message: Message, why: str) -> None:
         """Takes back a message that its receiver refused; a token is kept as undeliverable."""
-        if message.kind is Kind.TOKEN:
+        if message.kind is MessageKind.TOKEN:
             self._kept(message, why)
-        elif message.kind is not Kind.REQUEST or not self._answer(message.request_id, NetError(why), {}):
+        elif message.kind is not MessageKind.REQUEST or not self._answer(message.request_id, NetError(why), {}):
             self._dropped(f"{message} was refused: {why}")
 
     # Processes that die and return.
@@ -248,37 +594,66 @@ class Exchange:
                 del self._lost[node]
                 self._give_up(node, f"{why}; it has not returned in {self._return_timeout_s:g} s")
         for request_id, waiting in self.book.given_up():
-            self.book.close(request_id)
-            self._note(["answered", request_id])
+            self._happens(RequestAnswered(request_id))
             self._dropped(f"net {waiting.net} has not answered request {request_id} in time")
 
     # Requests that wait, and tokens that nobody wants.
 
-    def watch(self, request_id: str, waiting: Waiting) -> None:
-        """Enters a request, and has it cancelled when its activity is."""
-        self.book.open(request_id, waiting)
-        waiting.activity.on_cancel.append(lambda: self._cancel_request(waiting.activity))
+    def watch(self, asked: RequestAsked) -> None:
+        """Enters a request, and has it cancelled when its activity is.
+
+        Raises:
+            NetError: The activity does not run.
+            LookupError: The net is not there.
+        """
+        executor = self.nets[asked.net]
+        activity = executor.activity(asked.number)
+        self.book.open(asked.request_id, Waiting(executor, activity, asked.asked, asked.node))
+        activity.on_cancel.append(lambda: self._cancel_request(activity))
 
     def _answer(self, request_id: str, error: ImError | None, results: dict[str, object]) -> bool:
         """Ends a request with its reply; returns whether anybody waited for it."""
         waiting = self.book.get(request_id)
         if waiting is None:
             return False
-        self.inboxes.post(waiting.executive, ActionEnded(waiting.activity, error, results))
-        self.book.close(request_id)
-        self._note(["answered", request_id])
+        self.inboxes.post(waiting.executor, ActionEnded(waiting.activity, error, results))
+        self._happens(RequestAnswered(request_id))
         return True
 
     def _kept(self, message: Message, why: str) -> None:
         """Keeps a token that nobody wants, where it is seen and counted."""
         if why:
-            self.undeliverable[RemotePlace(message.net, message.place)] += 1
-            self._note(["undeliverable", message.net, message.place])
+            self._happens(TokenKept(message.net, message.place))
             self._dropped(f"{message} is undeliverable and kept: {why}")
 
-    def _note(self, entry: Entry) -> None:
+    # What happens to the exchange, now and when a journal is replayed.
+
+    def _happens(self, entry: ExchangeEntry) -> None:
         if self.inboxes.record is not None:
             self.inboxes.record(entry)
+        self.replay(entry)
+
+    def replay(self, entry: ExchangeEntry) -> None:
+        """Does what an entry tells; nothing is posted or sent.
+
+        Raises:
+            NetError: It speaks of an activity that does not run.
+            LookupError: It speaks of a net or a request that is not there.
+        """
+        match entry:
+            case EventPosted(net, event):
+                self.inboxes.deliveries.put_delivery(net, event)
+                if isinstance(event, RequestArrived):
+                    self.inboxes.in_work[event.request.id] = event.request
+            case RequestAsked():
+                self.book.count += 1
+                self.watch(entry)
+            case RequestAnswered(request_id):
+                self.book.close(request_id)
+            case RequestClosed(request_id):
+                del self.inboxes.in_work[request_id]
+            case TokenKept(net, place):
+                self.undeliverable[RemotePlace(net, place)] += 1
 
     def _dropped(self, why: str) -> None:
         self._observer.troubled("", why)

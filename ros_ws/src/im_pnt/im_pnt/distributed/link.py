@@ -6,25 +6,91 @@ journals: what was taken together with what it caused, before the acknowledgemen
 the firing that sends it. A process that comes back with its journal goes on with its streams. One that has lost its
 journal has a larger *epoch*: its streams begin anew, and the other side says what was in flight.
 
-What they send each other is described in :mod:`im_pnt.packets`.
+What they send each other is described in :mod:`im_pnt.distributed.packets`.
 """
 
 import json
 from collections.abc import Callable
 
 from im_core.clock import monotonic
-from im_pnt.events import Observer
-from im_pnt.express import Express
-from im_pnt.packets import read_packet
-from im_pnt.remote import MOST_NUMBER, Kind, Message, decode_message
-from im_pnt.sending import SendingLink
-from im_pnt.streams import WINDOW, Peer
+from im_pnt.distributed.packets import (
+    MOST_NUMBER,
+    Message,
+    MessageKind,
+    decode_message,
+    encode_message,
+    numbered,
+    read_packet,
+)
+from im_pnt.distributed.streams import (
+    WINDOW,
+    EpochRaised,
+    LifeBegun,
+    LinkEntry,
+    MessageRefused,
+    MessagesAcknowledged,
+    MessageSent,
+    MessageTaken,
+    MessageVoided,
+    NumbersSkipped,
+    Peer,
+    PeerEntry,
+)
+from im_pnt.errors import NetError
+from im_pnt.execution.notification import Observer
 
 MOST_PEERS = 1024
+MOST_PACKET_MESSAGES = 64
+MANY_IN_FLIGHT = 10_000
 OVERTAKE_EVERY_S = 1.0
+MOST_TOKENS = 4096
+_NO_ACKNOWLEDGEMENT = ",0,["
 
 
-class Link(SendingLink):
+class Express:
+    """The express lane of a link: the next token from a process that was heard before is known by its spelling.
+
+    Nearly every packet between running nets is ``[sender, epoch, journal, receiver, known, base, 0, [number, 0, net,
+    place]]``, and only the number differs from the packet before. What comes before and after it is kept here as text
+    when it was read in full, so that it need not be read as JSON again: a tenth of a round trip's CPU time. Every
+    packet that is not spelled so goes the long way.
+    """
+
+    def __init__(self) -> None:
+        self._peers: dict[str, Peer] = {}
+        self._heads: dict[str, str] = {}
+        self._tokens: dict[str, Message] = {}
+
+    def read(self, text: str) -> tuple[Peer, Message] | None:
+        """Reads a packet; returns its sender and the next token of its stream, None if it is any other packet."""
+        head, _, rest = text.partition(_NO_ACKNOWLEDGEMENT)
+        number, _, token = rest.partition(",")
+        peer, message = self._peers.get(head), self._tokens.get(token)
+        if peer is None or message is None:
+            return None
+        incoming = peer.incoming
+        if incoming.early or incoming.refused or number != str(incoming.floor + 1):
+            return None
+        return peer, message
+
+    def keep_head(self, head: str, peer: Peer) -> None:
+        """Keeps how a packet of a process began, up to ``base``, in the present lives of both."""
+        self._peers.pop(self._heads.get(peer.name, ""), None)
+        self._heads[peer.name] = head
+        self._peers[head] = peer
+
+    def keep_token(self, message: Message) -> None:
+        """Keeps how a token is spelled that was not refused."""
+        if message.kind is MessageKind.TOKEN and len(self._tokens) < MOST_TOKENS:
+            self._tokens[f"{encode_message(message)}]]"] = message
+
+    def forget_heads(self) -> None:
+        """Another life has begun, here or there."""
+        self._peers.clear()
+        self._heads.clear()
+
+
+class Link:
     """Streams to and from other processes.
 
     Args:
@@ -35,11 +101,14 @@ class Link(SendingLink):
         reset: Is told of a process that lost its journal: its name, and the messages to it that were in flight.
         heard: Is told of each process that gives a sign of life.
         transmit: Sends a packet to a process; it may get lost.
-        observer: Is told of packets that make no sense.
+        observer: Is told of packets that make no sense, and of streams that wait in vain.
         clock: Present time [s].
 
     Attributes:
         accept: As given; it may be set until something is heard.
+        peers: The other processes, by name.
+        record: Takes an entry for the journal, which is written before anything leaves; None: no journal is kept.
+        held: Whether something is still to be written to the journal; nothing leaves then.
     """
 
     def __init__(
@@ -54,24 +123,118 @@ class Link(SendingLink):
         observer: Observer | None = None,
         clock: Callable[[], float] = monotonic,
     ) -> None:
-        super().__init__(name, epoch, transmit, observer, clock)
+        self.name, self.epoch = name, epoch
         self.accept, self._returned, self._reset, self._heard = accept, returned, reset, heard
+        self.record: Callable[[LinkEntry], None] | None = None
+        self.held: Callable[[], bool] = lambda: False
+        self.peers: dict[str, Peer] = {}
+        self._quoted = json.dumps(name)
+        self._transmit = transmit
+        self._observer, self._clock = observer or Observer(), clock
+        self._stirred: dict[str, Peer] = {}
         self._express = Express()
         self._overtake_at = 0.0
+
+    # Sending, and retransmission.
+
+    def send(self, node: str, message: Message) -> None:
+        """Numbers a message; it leaves with the next :meth:`flush`, and arrives once.
+
+        Raises:
+            NetError: Its payload is not JSON data.
+        """
+        peer = self.peers.get(node)
+        if peer is None:
+            peer = self.peers[node] = Peer(node)
+        outgoing = peer.outgoing
+        number = outgoing.last + 1
+        try:
+            text = numbered(number, message)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise NetError(f"{message} is not JSON data: {error}", net=message.net) from error
+        self._happens(peer, MessageSent(node, number, text))
+        if outgoing.last <= outgoing.floor + WINDOW:
+            peer.fresh.append(outgoing.waiting[number])
+            self._stirred[node] = peer
+        elif len(outgoing.waiting) % MANY_IN_FLIGHT == 0:
+            self._observer.troubled("", f"{len(outgoing.waiting)} messages wait for {node}")
+
+    def forget(self, request_id: str) -> None:
+        """Sends nothing more about a request."""
+        for peer in self.peers.values():
+            self._void(peer, [n for n, message in peer.in_flight() if message.request_id == request_id])
+
+    def flush(self) -> None:
+        """Sends what is new, and the acknowledgements that are due."""
+        if not self._stirred or self.held():
+            return
+        now = self._clock()
+        stirred, self._stirred = self._stirred, {}
+        for node, peer in stirred.items():
+            texts: list[str] = []
+            if peer.fresh:
+                for sent in peer.fresh:
+                    sent.due = now + sent.interval
+                    texts.append(sent.text)
+                peer.fresh.clear()
+            if texts or peer.answer or peer.incoming.owes(now):
+                self._send_packets(node, peer, texts, now)
+
+    def tick(self) -> None:
+        """Sends again what has not been acknowledged in time, and acknowledges; call it every 0.05 s or so."""
+        if self.held():
+            return
+        self.flush()
+        now = self._clock()
+        for node, peer in self.peers.items():
+            texts = peer.outgoing.due(now) if peer.outgoing.waiting else []
+            if texts or peer.incoming.owes(now):
+                self._send_packets(node, peer, texts, now)
+
+    def _send_packets(self, node: str, peer: Peer, texts: list[str], now: float) -> None:
+        incoming = peer.incoming
+        peer.answer = False
+        ack = incoming.acknowledgement() if incoming.ack_at is not None and incoming.owes(now) else "0"
+        journal = 0 if self.record is None else 1
+        life = f"[{self._quoted},{self.epoch},{journal},{peer.quoted},{incoming.epoch}"
+        head = f"{life},{peer.outgoing.floor + 1},{ack}"
+        if len(texts) == 1:
+            self._transmit(node, f"{head},{texts[0]}]")
+            return
+        for first in range(0, len(texts) or 1, MOST_PACKET_MESSAGES):
+            self._transmit(node, ",".join((head, *texts[first : first + MOST_PACKET_MESSAGES])) + "]")
+
+    def _void(self, peer: Peer, numbers: list[int]) -> None:
+        for number in numbers:
+            self._happens(peer, MessageVoided(peer.name, number))
+
+    def in_flight(self) -> dict[str, list[Message]]:
+        """Returns the messages that are not acknowledged, by process."""
+        flights = {node: [message for _, message in peer.in_flight()] for node, peer in self.peers.items()}
+        return {node: messages for node, messages in flights.items() if messages}
+
+    def keeps_journal(self, node: str) -> bool:
+        """Whether a process has said that it keeps a journal."""
+        return node in self.peers and self.peers[node].keeps_journal
+
+    def idle(self) -> bool:
+        """Whether everything is acknowledged, here and there."""
+        return not any(peer.outgoing.waiting or peer.incoming.ack_at is not None for peer in self.peers.values())
 
     # Receiving. Acknowledgements leave with a later `flush` or `tick`, after the journal has been written.
 
     def hear(self, text: str) -> None:
         """Takes a packet; whatever it holds, it does no harm."""
         found = self._express.read(text)
-        if found is not None:
-            peer, message = found
-            sender = peer.name
-            self._stirred[sender] = peer
-            self._heard(sender)
-            self._taken(peer, self.accept(sender, message))
-        else:
+        if found is None:
             self._hear_any(text)
+            return
+        peer, message = found
+        sender = peer.name
+        self._stirred[sender] = peer
+        self._heard(sender)
+        number = peer.incoming.floor + 1
+        self._happens(peer, MessageTaken(sender, number, self.accept(sender, message)))
 
     def _hear_any(self, text: str) -> None:
         packet = read_packet(text, self.name)
@@ -127,14 +290,7 @@ class Link(SendingLink):
                     self._express.keep_token(message)
             except ValueError as error:
                 refusal = str(error)
-            self._taken(peer, refusal)
-
-    def _taken(self, peer: Peer, refusal: str) -> None:
-        incoming = peer.incoming
-        incoming.take(refusal, self._clock)
-        if self.record is not None:
-            why = json.dumps(refusal) if refusal else '""'
-            self.record(f'["in",{peer.quoted},{incoming.floor},{why}]')
+            self._happens(peer, MessageTaken(sender, incoming.floor + 1, refusal))
 
     def _acknowledged(self, sender: str, peer: Peer, ack: object) -> None:
         outgoing = peer.outgoing
@@ -143,12 +299,11 @@ class Link(SendingLink):
                 for entry in refused:
                     match entry:
                         case [int(number), str(why)] if number in outgoing.waiting:
-                            message = outgoing.waiting.pop(number).message()
-                            if self.record is not None:
-                                self.record(f'["refused",{peer.quoted},{number}]')
+                            message = outgoing.waiting[number].message()
+                            self._happens(peer, MessageRefused(sender, number))
                             self._returned(message, why)
-                if outgoing.acknowledge(floor) and self.record is not None:
-                    self.record(f'["acked",{peer.quoted},{floor}]')
+                if floor > outgoing.floor:
+                    self._happens(peer, MessagesAcknowledged(sender, floor))
             case _:
                 text = f"{sender} acknowledged {str(ack)[:200]}, and {outgoing.last} messages were sent to it"
                 self._observer.troubled("", text)
@@ -159,13 +314,11 @@ class Link(SendingLink):
         """Another life of a process: the first that is heard of, or one that has lost its journal."""
         lost = peer.incoming.epoch != 0
         self._express.forget_heads()
-        peer.begin(epoch, journal)
-        if self.record is not None:
-            self.record(f'["begin",{peer.quoted},{epoch},{int(journal)}]')
+        self._happens(peer, LifeBegun(node, epoch, journal))
         if not lost:
             return
         in_flight = peer.in_flight()
-        self._void(peer, [number for number, message in in_flight if message.kind is not Kind.TOKEN])
+        self._void(peer, [number for number, message in in_flight if message.kind is not MessageKind.TOKEN])
         peer.outgoing.hurry()
         self._reset(node, [message for _, message in in_flight])
 
@@ -173,9 +326,7 @@ class Link(SendingLink):
         if peer.incoming.floor:
             count = floor - peer.incoming.floor
             self._observer.troubled("", f"{count} messages of {node} were acknowledged, and the journal lacks them")
-        peer.incoming.move(floor)
-        if self.record is not None:
-            self.record(f'["move",{peer.quoted},{floor}]')
+        self._happens(peer, NumbersSkipped(node, floor))
 
     def _overtake(self, known: int) -> None:
         """A process remembers a later life of this one, whose clock must have gone back: be later still."""
@@ -185,8 +336,27 @@ class Link(SendingLink):
         self._overtake_at = now + OVERTAKE_EVERY_S
         self._express.forget_heads()
         self._observer.troubled("", f"{self.name} was known in a later life than this one (clock gone back, or a twin)")
-        self.epoch = known + 1
+        raised = EpochRaised(known + 1)
         if self.record is not None:
-            self.record(f'["epoch",{self.epoch}]')
+            self.record(raised)
+        self.replay(raised)
         for peer in self.peers.values():
             peer.outgoing.hurry()
+
+    # What happens to the streams, now and when a journal is replayed.
+
+    def _happens(self, peer: Peer, entry: PeerEntry) -> None:
+        if self.record is not None:
+            self.record(entry)
+        peer.apply(entry, self._clock)
+
+    def replay(self, entry: LinkEntry) -> None:
+        """Does again what an entry tells; whatever is owed to a process is due at once.
+
+        Raises:
+            ValueError: It does not fit the streams.
+        """
+        if isinstance(entry, EpochRaised):
+            self.epoch = entry.epoch
+        else:
+            self.peers.setdefault(entry.node, Peer(entry.node)).apply(entry, lambda: 0.0)

@@ -1,4 +1,11 @@
-"""Messages between nets of different processes, and how they are written down."""
+"""Messages between nets of different processes, and the packets that carry them, as lines of JSON.
+
+A packet is ``[sender, epoch, journal, receiver, known, base, ack, message, ...]``: ``journal`` is 1 if the sender keeps
+one; ``known`` the receiver's epoch as the sender knows it (0: never heard); ``base`` the first number that was not
+acknowledged to the sender; ``ack`` is 0 or ``[number, [[refused number, why], ...]]``: everything up to that number was
+taken, but for what was refused. A message is its number and what :func:`encode_message` writes. Nothing is taken from a
+packet for another life of its receiver; it is answered, so that its sender learns.
+"""
 
 import enum
 import functools
@@ -8,15 +15,20 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from im_core.errors import ImError
+from im_pnt.errors import decode_error, encode_error
 
 MOST_NUMBER = 2**62
 """Numbers of messages, commands and epochs are smaller."""
+
+_HEAD = 7
+MOST_NAME = 200
+"""Characters of the name of a process."""
 
 _NOTHING: Mapping[str, object] = MappingProxyType({})
 _encode = json.JSONEncoder(separators=(",", ":")).encode
 
 
-class Kind(enum.IntEnum):
+class MessageKind(enum.IntEnum):
     """What a message is."""
 
     TOKEN = 0
@@ -26,7 +38,7 @@ class Kind(enum.IntEnum):
     """In the place of a message that nobody needs any more."""
 
 
-_TOKEN = Kind.TOKEN
+_TOKEN = MessageKind.TOKEN
 
 
 class Message(NamedTuple):
@@ -44,7 +56,7 @@ class Message(NamedTuple):
         payload: Arguments or results, as plain JSON data.
     """
 
-    kind: Kind
+    kind: MessageKind
     net: str
     place: str
     request_id: str = ""
@@ -55,15 +67,15 @@ class Message(NamedTuple):
     payload: Mapping[str, object] = _NOTHING
 
     def __str__(self) -> str:
-        if self.kind is Kind.TOKEN:
+        if self.kind is MessageKind.TOKEN:
             return f"a token for {self.net}.{self.place}"
-        if self.kind is Kind.REPLY:
+        if self.kind is MessageKind.REPLY:
             return f"the reply to request {self.request_id} of net {self.net}"
         what = "the end of request" if self.payload.get("cancel") is True else "request"
-        return "nothing" if self.kind is Kind.VOID else f"{what} {self.request_id} to net {self.net}"
+        return "nothing" if self.kind is MessageKind.VOID else f"{what} {self.request_id} to net {self.net}"
 
 
-VOID = Message(Kind.VOID, "", "")
+VOID = Message(MessageKind.VOID, "", "")
 
 
 @functools.lru_cache(maxsize=4096)
@@ -84,6 +96,16 @@ def encode_message(message: Message) -> str:
     kind, net, place, request_id, caller_net, caller_transition, command_id, error, payload = message
     names = (net, place, request_id, caller_net, caller_transition)
     return _encode([int(kind), *names, command_id, encode_error(error), dict(payload)])[1:-1]
+
+
+def numbered(number: int, message: Message) -> str:
+    """Writes a message with its number of a stream, as JSON.
+
+    Raises:
+        TypeError: The payload is not JSON data.
+        ValueError: Likewise.
+    """
+    return f"[{number},{encode_message(message)}]"
 
 
 @functools.lru_cache(maxsize=4096)
@@ -108,10 +130,10 @@ def decode_message(fields: list[object]) -> Message:
         case [
             int(kind), str(net), str(place), str(request), str(caller), str(transition), int(command), error, dict(data)
         ]:  # fmt: skip
-            if kind in (Kind.REQUEST, Kind.REPLY) and is_number(command):
+            if kind in (MessageKind.REQUEST, MessageKind.REPLY) and is_number(command):
                 reason = decode_error(error)
-                return Message(Kind(kind), net, place, request, caller, transition, command, reason, data)
-            if kind == Kind.VOID:
+                return Message(MessageKind(kind), net, place, request, caller, transition, command, reason, data)
+            if kind == MessageKind.VOID:
                 return VOID
     raise ValueError(f"{str(fields)[:200]} is no message")
 
@@ -121,23 +143,43 @@ def is_number(value: object) -> bool:
     return type(value) is int and 0 <= value < MOST_NUMBER
 
 
-def encode_error(error: ImError | None) -> list[object] | None:
-    """Writes an error as JSON data; facts that are none are written as text."""
-    if error is None:
-        return None
-    facts: object = json.loads(json.dumps(error.facts, default=str, skipkeys=True))
-    return [error.code, error.message, facts]
+class Packet(NamedTuple):
+    """A packet; what it acknowledges, and the messages, are still to be looked at."""
+
+    sender: str
+    epoch: int
+    journal: bool
+    known: int
+    base: int
+    ack: object
+    messages: list[object]
+
+    def head(self, receiver: str) -> str:
+        """Returns how it begins, up to ``base``, as it is usually written."""
+        return f'["{self.sender}",{self.epoch},{int(self.journal)},"{receiver}",{self.known},{self.base}'
 
 
-def decode_error(content: object) -> ImError | None:
-    """Reads an error.
+def read_packet(text: str, receiver: str) -> Packet | str:
+    """Reads a packet.
 
-    Raises:
-        ValueError: It is none.
+    Args:
+        text: The line.
+        receiver: Name of the process that reads.
+
+    Returns:
+        The packet; or why it is none, empty if it is for another process.
     """
-    match content:
-        case None:
-            return None
-        case [str(code), str(message), dict(facts)]:
-            return ImError.restored(code, message, facts)
-    raise ValueError(f"{str(content)[:200]} is no error")
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        return f"it is not JSON: {error}"
+    if not isinstance(content, list) or len(content) < _HEAD:
+        return f"it makes no sense: {text[:MOST_NAME]}"
+    sender, epoch, journal, to, known, base, ack = content[:_HEAD]
+    if to != receiver:
+        return ""
+    if not (isinstance(sender, str) and sender.isascii() and sender.isidentifier() and len(sender) <= MOST_NAME):
+        return f"{str(sender)[:MOST_NAME]!r} is no name of a process"
+    if not (is_number(epoch) and is_number(known) and is_number(base) and epoch and base):
+        return f"its numbers make no sense: {text[:MOST_NAME]}"
+    return Packet(sender, epoch, journal == 1, known, base, ack, content[_HEAD:])

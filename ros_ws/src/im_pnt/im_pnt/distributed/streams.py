@@ -1,10 +1,15 @@
-"""The two streams between this process and another one: what was sent and is not acknowledged, and what was taken."""
+"""The two streams between this process and another one: what was sent and is not acknowledged, and what was taken.
+
+A link tells its journal what happens to them as one of :data:`LinkEntry`, before it is done; :meth:`Peer.apply` does
+it, now and when a journal is replayed.
+"""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from im_pnt.remote import VOID, Kind, Message, decode_message, encode_message, is_number
+from im_pnt.distributed.packets import VOID, Message, MessageKind, decode_message, numbered
 
 RESEND_AFTER_S = 0.25
 RESEND_AT_MOST_S = 2.0
@@ -17,6 +22,73 @@ MOST_REFUSALS = 64
 """Refusals told in one acknowledgement."""
 MOST_REASON = 500
 """Characters of a refusal."""
+
+
+# What a link tells its journal; ``node`` is the other process.
+
+
+class MessageSent(NamedTuple):
+    """A message gets the next number of the stream to a process; ``text`` is both, as JSON."""
+
+    node: str
+    number: int
+    text: str
+
+
+class MessageTaken(NamedTuple):
+    """The next message of a process was taken, or refused if ``refusal`` says why."""
+
+    node: str
+    number: int
+    refusal: str
+
+
+class MessagesAcknowledged(NamedTuple):
+    """A process has acknowledged all messages up to a number."""
+
+    node: str
+    floor: int
+
+
+class MessageRefused(NamedTuple):
+    """A process has refused a message."""
+
+    node: str
+    number: int
+
+
+class MessageVoided(NamedTuple):
+    """Nobody needs a message any more that was not acknowledged."""
+
+    node: str
+    number: int
+
+
+class LifeBegun(NamedTuple):
+    """A process is in another life, and says whether it keeps a journal."""
+
+    node: str
+    epoch: int
+    journal: bool
+
+
+class NumbersSkipped(NamedTuple):
+    """Nothing up to a number is waited for any more."""
+
+    node: str
+    floor: int
+
+
+class EpochRaised(NamedTuple):
+    """This process is in another life."""
+
+    epoch: int
+
+
+PeerEntry = (
+    MessageSent | MessageTaken | MessagesAcknowledged | MessageRefused | MessageVoided | LifeBegun | NumbersSkipped
+)
+LinkEntry = PeerEntry | EpochRaised
 
 
 @dataclass(slots=True)
@@ -52,24 +124,15 @@ class Outgoing:
     floor: int = 0
     waiting: dict[int, Sent] = field(default_factory=dict)
 
-    def add(self, encoded: str) -> Sent:
-        """Numbers a message."""
-        self.last += 1
-        sent = self.waiting[self.last] = Sent(f"[{self.last},{encoded}]")
-        return sent
-
-    def acknowledge(self, floor: int) -> bool:
-        """Drops all messages up to a number; returns whether there were any."""
-        if floor <= self.floor:
-            return False
+    def acknowledge(self, floor: int) -> None:
+        """Drops all messages up to a number."""
         for number in range(self.floor + 1, floor + 1):
             self.waiting.pop(number, None)
-        self.floor = floor
-        return True
+        self.floor = max(floor, self.floor)
 
     def void(self, number: int) -> None:
         """Puts nothing in the place of a message that nobody needs any more."""
-        self.waiting[number].text = f"[{number},{encode_message(VOID)}]"
+        self.waiting[number].text = numbered(number, VOID)
 
     def due(self, now: float) -> list[str]:
         """Returns the messages to send now, oldest first, and notes when they are sent again."""
@@ -120,7 +183,7 @@ class Incoming:
         self.floor = floor
         self.early = {number: fields for number, fields in self.early.items() if number > floor}
 
-    def take(self, refusal: str, clock: Callable[[], float]) -> None:
+    def take_message(self, refusal: str, clock: Callable[[], float]) -> None:
         """Takes, or refuses, the next number; the sender is told soon."""
         self.floor += 1
         if self.early:
@@ -178,66 +241,41 @@ class Peer:
         self.answer = False
         self.keeps_journal = False
 
-    def begin(self, epoch: int, keeps_journal: bool) -> None:
-        """Begins anew with another life of the process."""
-        self.keeps_journal = keeps_journal
-        self.incoming.begin(epoch)
-
     def in_flight(self) -> list[tuple[int, Message]]:
         """Returns the messages not acknowledged, with their numbers."""
         messages = ((number, sent.message()) for number, sent in self.outgoing.waiting.items())
-        return [(number, message) for number, message in messages if message.kind is not Kind.VOID]
+        return [(number, message) for number, message in messages if message.kind is not MessageKind.VOID]
 
-    def state(self) -> dict[str, object]:
-        """Returns what is to be remembered, as JSON data."""
-        refused = [[number, reason] for number, reason in self.incoming.refused.items()]
-        waiting = [json.loads(sent.text) for sent in self.outgoing.waiting.values()]
-        heard = [self.incoming.epoch, self.incoming.floor, refused]
-        return {"heard": heard, "last": self.outgoing.last, "waiting": waiting, "journal": self.keeps_journal}
+    def apply(self, entry: PeerEntry, clock: Callable[[], float]) -> None:
+        """Does what an entry tells.
 
-    def replay(self, kind: str, rest: list[object]) -> None:
-        """Repeats what an entry of the journal tells.
+        Args:
+            entry: What happens to one of the streams.
+            clock: Present time [s]; what is owed to the process is due soon after it.
 
         Raises:
-            ValueError: It is none, or does not fit.
+            ValueError: It does not fit the streams.
         """
         incoming, outgoing = self.incoming, self.outgoing
-        match [kind, *rest]:
-            case ["out", [int(number), *fields]] if number == outgoing.last + 1:
-                outgoing.add(encode_message(decode_message(fields)))
-            case ["acked", int(floor)] if floor <= outgoing.last:
+        if isinstance(entry, MessageTaken):  # this and the next come with every message: no match for them
+            if entry.number == incoming.floor + 1:
+                incoming.take_message(entry.refusal, clock)
+                return
+        elif isinstance(entry, MessageSent) and entry.number == outgoing.last + 1:
+            outgoing.last = entry.number
+            outgoing.waiting[entry.number] = Sent(entry.text)
+            return
+        match entry:
+            case MessagesAcknowledged(_, floor) if floor <= outgoing.last:
                 outgoing.acknowledge(floor)
-            case ["refused", int(number)] if number in outgoing.waiting:
+            case MessageRefused(_, number) if number in outgoing.waiting:
                 del outgoing.waiting[number]
-            case ["void", int(number)] if number in outgoing.waiting:
+            case MessageVoided(_, number) if number in outgoing.waiting:
                 outgoing.void(number)
-            case ["in", int(number), str(refusal)] if number == incoming.floor + 1:
-                incoming.take(refusal, lambda: 0.0)
-            case ["begin", int(epoch), int(journal)]:
-                self.begin(epoch, journal != 0)
-            case ["move", int(floor)] if floor > incoming.floor:
+            case LifeBegun(_, epoch, journal):
+                self.keeps_journal = journal
+                incoming.begin(epoch)
+            case NumbersSkipped(_, floor) if floor > incoming.floor:
                 incoming.move(floor)
             case _:
-                raise ValueError(f"{kind} {str(rest)[:200]} does not fit the stream")
-
-    @classmethod
-    def restored(cls, name: str, state: Mapping[str, object]) -> "Peer":
-        """Makes one of what was remembered.
-
-        Raises:
-            ValueError: It is none.
-        """
-        match state:
-            case {"heard": [int(epoch), int(floor), list(refused)], "last": int(last), "waiting": list(waiting)}:
-                peer = cls(name)
-                peer.incoming.epoch, peer.incoming.floor = epoch, floor
-                peer.incoming.ack_at = 0.0 if floor else None
-                peer.incoming.refused = {int(number): str(reason) for number, reason in refused}
-                peer.outgoing.last = last
-                peer.keeps_journal = state.get("journal") is True
-                for number, *fields in waiting:
-                    peer.outgoing.waiting[number] = Sent(f"[{number},{encode_message(decode_message(fields))}]")
-                peer.outgoing.floor = next(iter(peer.outgoing.waiting), last + 1) - 1
-                if is_number(last) and is_number(epoch) and is_number(floor):
-                    return peer
-        raise ValueError(f"{str(state)[:200]} is no state of a stream")
+                raise ValueError(f"{entry} does not fit the stream")

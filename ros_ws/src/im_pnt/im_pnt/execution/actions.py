@@ -1,17 +1,213 @@
-"""Has the actions of nets done: registered functions here, requests through the exchange, the rest where it belongs."""
+"""The actions of a net: who does them, how they begin, are called off, asked about, and end."""
 
 import inspect
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Container, Coroutine, Mapping
+from typing import Protocol
 
 from im_core.clock import monotonic
 from im_core.errors import ImError
-from im_pnt.action import Action, FunctionAction, RequestAction
-from im_pnt.doubt import Answer, Verdict
-from im_pnt.exchange import Exchange
-from im_pnt.executive import Executive
-from im_pnt.functions import ActionContext, ActionFunction, Functions
-from im_pnt.jobs import Activity, as_failure
-from im_pnt.record import plain_dict
+from im_pnt.execution.conflicts import ConflictResolution
+from im_pnt.execution.doubt import Inquiry
+from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.functions import ActionContext, ActionFunction, Functions
+from im_pnt.execution.jobs import Activity, ActivityState, Lineage, as_failure
+from im_pnt.execution.record import Record, plain_dict
+from im_pnt.execution.timers import Timers
+from im_pnt.model.action import Action, FunctionAction, RequestAction
+from im_pnt.model.net import Role
+
+CheckObjects = Callable[[tuple[str, ...], Callable[[ImError | None], None]], None]
+
+
+class ActionOwner(Protocol):
+    """The net in execution that actions are done for, as those see it who do them."""
+
+    @property
+    def activities(self) -> Container[Activity]:
+        """The actions that run."""
+
+    @property
+    def record(self) -> Record | None:
+        """Takes what happens before it does; None: no journal."""
+
+    def ended(self, activity: Activity, error: ImError | None, results: dict[str, object] | None = None) -> None:
+        """Says that an action has confirmed, or failed with an error; from any thread."""
+
+    def answered(self, activity: Activity, answer: Answer) -> None:
+        """Says what became of an action that is in doubt; from any thread."""
+
+
+class Requests(Protocol):
+    """Carries requests to other nets."""
+
+    def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
+        """Sends a request; its reply, or why there is none, ends the activity."""
+
+    def awaits_reply(self, activity: Activity) -> bool:
+        """Whether a request has been sent for an activity, and its reply is still to come."""
+
+
+class Runner(Protocol):
+    """Has actions done; calls :meth:`ActionOwner.ended` when they have confirmed or failed."""
+
+    def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
+        """Starts an action; must not block and not raise."""
+
+    def direct(self, action: Action) -> ActionFunction | None:
+        """Returns the function that does an action when it is called, None where the action must be started."""
+
+    def watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
+        """Waits for what a function that was called directly has left to do."""
+
+    def waits(self, activity: Activity) -> bool:
+        """Whether a request has been sent, and its reply is still to come."""
+
+    def ask(
+        self, owner: ActionOwner, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
+    ) -> None:
+        """Asks what became of an action that is in doubt; the answer may come from any thread."""
+
+
+class Actions:
+    """Has the actions of one net done.
+
+    Args:
+        owner: The net in execution.
+        rule: Its marking.
+        conflicts: Is told of jobs that have changed, and of outcomes.
+        runner: Starts actions.
+        timers: Strike.
+        clock: Present time [s].
+        check_objects: Looks whether data objects are valid; None: they are not checked.
+
+    Attributes:
+        inquiry: Watches deadlines, and asks about actions in doubt.
+        functions: For each ``t.start`` whose action is a plain function, that function.
+    """
+
+    def __init__(
+        self,
+        owner: ActionOwner,
+        rule: FiringRule,
+        conflicts: ConflictResolution,
+        runner: Runner,
+        timers: Timers,
+        clock: Callable[[], float],
+        check_objects: CheckObjects | None,
+    ) -> None:
+        self.inquiry = Inquiry(rule, timers, clock, self, owner.answered)
+        self._owner, self._rule, self._conflicts, self._runner = owner, rule, conflicts, runner
+        self._timers, self._clock, self._check_objects = timers, clock, check_objects
+        self.functions: dict[int, ActionFunction] = {}
+        for index, transition in enumerate(rule.transitions):
+            if transition.role is Role.START and transition.action is not None:
+                function = runner.direct(transition.action)
+                if function is not None:
+                    self.functions[index] = function
+
+    def begin(self, index: int, activity: Activity) -> None:
+        """Begins the action of a ``t.start`` that has fired; a plain function is called at once."""
+        timeout = self._rule.transitions[index].timeout
+        if timeout is not None:
+            activity.deadline = activity.began + timeout
+        job = activity.lineage.job
+        if job is not None and job.unwanted and job.last_failure is not None:
+            self.cancel(activity, job.last_failure)
+        context = self._context(activity)
+        if index not in self.functions:
+            self._rule.notifier.flush()
+            self._runner.start(self._owner, activity, context)
+        else:
+            try:
+                outcome = self.functions[index](context)
+            except Exception as error:  # an action is foreign code: whatever it raises is its failure
+                self.finish(activity, as_failure(activity, error), {})
+            else:
+                if outcome is not None and inspect.isawaitable(outcome):
+                    self._runner.watch(self._owner, activity, outcome)
+                else:
+                    self.finish(activity, None, {})
+        self.inquiry.watch(activity)
+
+    def fresh_context(self, index: int) -> ActionContext:
+        """Returns what the function of a ``t.start`` is told where there is no command or request."""
+        rule = self._rule
+        name, progress = rule.transitions[index].origin, rule.notifier.progressed
+        return ActionContext(rule.net.name, name, progress=progress, begun=lambda: rule.called(index))
+
+    def called(self, context: ActionContext, outcome: object, error: BaseException | None) -> None:
+        """Goes on with an action whose function was called, and has raised, or goes on, or was looked at."""
+        activity = self._rule.called() or self._rule.callee
+        assert activity is not None
+        if isinstance(error, Exception):  # an action is foreign code: whatever it raises is its failure
+            self.finish(activity, as_failure(activity, error), {})
+        elif error is not None:
+            raise error
+        elif inspect.isawaitable(outcome):
+            context.bind(activity)
+            self._runner.watch(self._owner, activity, outcome)
+        else:
+            self.finish(activity, None, {})
+
+    def cancel(self, activity: Activity, error: ImError) -> None:
+        """Asks an action to end early, and shows it in the marking while it winds down."""
+        if activity.state is ActivityState.ACTIVE:
+            self._rule.move(activity, ActivityState.CANCELLING, error)
+        self.call_off(activity)
+
+    def call_off(self, activity: Activity) -> None:
+        """Asks an action to end early."""
+        for error in activity.cancel():
+            self._rule.notifier.troubled(f"cancelling {activity.action} broke: {error!r}")
+
+    def ask(self, activity: Activity, answered: Callable[[Answer], None]) -> None:
+        """Asks what became of an action."""
+        self._runner.ask(self._owner, activity, self._context(activity), answered)
+
+    def finish(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
+        """Ends an action; before it counts as a success, its data objects are looked at."""
+        if error is None and activity.objects and self._check_objects is not None and not activity.checked:
+            activity.checked = True
+            self._check_objects(activity.objects, lambda invalid: self._owner.ended(activity, invalid, results))
+            return
+        self._timers.cancel(activity.timer)
+        counts = activity.state is ActivityState.ACTIVE
+        failure = self._rule.end_action(activity, error, results)
+        if counts:
+            self._learn(activity, failure is None)
+        if activity.lineage.job is not None:
+            self._conflicts.wake_job(activity.lineage.job)
+
+    def resume(self) -> None:
+        """Goes on with the actions that ran when the process died."""
+        why = ImError("the process that ran it has died and come back", code="restarted")
+        for activity in list(self._rule.activities.values()):
+            index = self._rule.number[f"{activity.transition}.start"]
+            if activity.reply is not None:
+                self.finish(activity, *activity.reply)
+            elif not isinstance(activity.action, RequestAction) or activity.state is ActivityState.IN_DOUBT:
+                self.inquiry.doubt(activity, why)
+            elif self._runner.waits(activity):
+                timeout = self._rule.transitions[index].timeout
+                activity.deadline = None if timeout is None else self._clock() + timeout
+                self.inquiry.watch(activity)
+            else:
+                self.begin(index, activity)
+
+    def _learn(self, activity: Activity, success: bool) -> None:
+        strategy = self._rule.transitions[self._rule.number[f"{activity.transition}.start"]].strategy
+        if strategy is None:
+            return
+        try:
+            self._conflicts.book.outcome(activity.net, activity.transition, strategy, success)
+        except OSError as error:
+            self._rule.notifier.troubled(f"what was learned about {activity.transition} cannot be saved: {error}")
+
+    def _context(self, activity: Activity) -> ActionContext:
+        lineage: Lineage = activity.lineage
+        return ActionContext(activity.net, activity.transition, lineage, activity, self._rule.notifier.progressed)
+
 
 GRACE_S = 1.0
 """Time that an action which cannot be asked has to end by itself, once it is in doubt [s]."""
@@ -33,7 +229,7 @@ class FunctionRunner:
 
     Args:
         functions: The registered functions.
-        exchange: Carries requests.
+        requests: Carries requests.
         spawn: Runs coroutines in the loop.
         others: For each further class of action what carries it out (service calls, goals, topics).
         asks: For those of them that can be asked about, what finds out what became of one.
@@ -43,42 +239,42 @@ class FunctionRunner:
     def __init__(
         self,
         functions: Functions,
-        exchange: Exchange,
+        requests: Requests,
         spawn: Spawn,
         others: Mapping[type, Perform] | None = None,
         asks: Mapping[type, Ask] | None = None,
         clock: Callable[[], float] = monotonic,
     ) -> None:
         self._functions = functions
-        self._exchange = exchange
+        self._requests = requests
         self._spawn = spawn
         self._others = dict(others or {})
         self._asks = dict(asks or {})
         self._clock = clock
         self._running: set[Activity] = set()
 
-    def start(self, executive: Executive, activity: Activity, context: ActionContext) -> None:
-        """Starts an action; its end is reported to the executive."""
+    def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
+        """Starts an action; its end is reported to the owner."""
         action = activity.action
         try:
             if isinstance(action, FunctionAction):
                 outcome = self._functions.actions[action.function](context)
                 if inspect.isawaitable(outcome):
-                    self.watch(executive, activity, outcome)
+                    self.watch(owner, activity, outcome)
                 else:
-                    executive.ended(activity, None)
+                    owner.ended(activity, None)
             elif isinstance(action, RequestAction):
                 outcome = self._functions.actions[action.build](context) if action.build else {}
                 if not inspect.isawaitable(outcome):
-                    self._request(executive, activity, context, outcome)
+                    self._request(owner, activity, context, outcome)
                     return
-                self._spawn(self._request_later(executive, activity, context, outcome))
+                self._spawn(self._request_later(owner, activity, context, outcome))
             elif type(action) in self._others:
-                self.watch(executive, activity, self._others[type(action)](activity, context))
+                self.watch(owner, activity, self._others[type(action)](activity, context))
             else:
-                executive.ended(activity, ImError(f"{action} cannot be done here: it needs a ROS node", code="runner"))
+                owner.ended(activity, ImError(f"{action} cannot be done here: it needs a ROS node", code="runner"))
         except Exception as error:  # an action is foreign code: whatever it raises is its failure
-            executive.ended(activity, as_failure(activity, error))
+            owner.ended(activity, as_failure(activity, error))
 
     def direct(self, action: Action) -> ActionFunction | None:
         """Returns the function that does an action when it is called."""
@@ -87,17 +283,17 @@ class FunctionRunner:
         function = self._functions.actions[action.function]
         return None if inspect.iscoroutinefunction(function) else function
 
-    def watch(self, executive: Executive, activity: Activity, work: Awaitable[object]) -> None:
+    def watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
         """Waits for what an action has left to do."""
         self._running.add(activity)
-        self._spawn(self._watch(executive, activity, work))
+        self._spawn(self._watch(owner, activity, work))
 
     def waits(self, activity: Activity) -> bool:
         """Whether a request has been sent, and its reply is still to come."""
-        return self._exchange.book.of_activity(activity) is not None
+        return self._requests.awaits_reply(activity)
 
     def ask(
-        self, executive: Executive, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
+        self, owner: ActionOwner, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
     ) -> None:
         """Asks what became of an action: its ask function, the net that was asked, or itself for a while."""
         action = activity.action
@@ -117,14 +313,14 @@ class FunctionRunner:
 
     def _ask_net(self, activity: Activity, action: RequestAction) -> Answer:
         if self.waits(activity):  # its reply is sure to come, or the death of its node to be noticed
-            return Answer(Verdict.RUNNING, asked=f"net {action.net}")
-        return Answer(Verdict.UNKNOWN, asked=f"net {action.net} owes no reply")
+            return Answer(Outcome.RUNNING, asked=f"net {action.net}")
+        return Answer(Outcome.UNKNOWN, asked=f"net {action.net} owes no reply")
 
     def _wait_a_little(self, activity: Activity) -> Answer:
         if activity in self._running and self._clock() - activity.doubted < GRACE_S:
-            return Answer(Verdict.RUNNING, asked="itself")
+            return Answer(Outcome.RUNNING, asked="itself")
         left = f"it had {GRACE_S:g} s to end by itself" if activity in self._running else "it is not running here"
-        return Answer(Verdict.UNKNOWN, asked=f"{activity.action} cannot be asked, and {left}")
+        return Answer(Outcome.UNKNOWN, asked=f"{activity.action} cannot be asked, and {left}")
 
     async def _answer_later(
         self, activity: Activity, asking: Awaitable[Answer], answered: Callable[[Answer], None]
@@ -132,27 +328,27 @@ class FunctionRunner:
         try:
             answered(_as_answer(activity, await asking))
         except Exception as error:  # asking is foreign code too
-            answered(Answer(Verdict.UNKNOWN, asked=f"asking broke: {as_failure(activity, error)}"))
+            answered(Answer(Outcome.UNKNOWN, asked=f"asking broke: {as_failure(activity, error)}"))
 
-    async def _watch(self, executive: Executive, activity: Activity, work: Awaitable[object]) -> None:
+    async def _watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
         try:
             await work
         except Exception as error:  # likewise
-            executive.ended(activity, as_failure(activity, error))
+            owner.ended(activity, as_failure(activity, error))
         else:
-            executive.ended(activity, None)
+            owner.ended(activity, None)
         finally:
             self._running.discard(activity)
 
     async def _request_later(
-        self, executive: Executive, activity: Activity, context: ActionContext, building: Awaitable[object]
+        self, owner: ActionOwner, activity: Activity, context: ActionContext, building: Awaitable[object]
     ) -> None:
         try:
-            self._request(executive, activity, context, await building)
+            self._request(owner, activity, context, await building)
         except Exception as error:  # likewise
-            executive.ended(activity, as_failure(activity, error))
+            owner.ended(activity, as_failure(activity, error))
 
-    def _request(self, executive: Executive, activity: Activity, context: ActionContext, built: object) -> None:
+    def _request(self, owner: ActionOwner, activity: Activity, context: ActionContext, built: object) -> None:
         action = activity.action
         assert isinstance(action, RequestAction)
         if not isinstance(built, dict):
@@ -160,12 +356,12 @@ class FunctionRunner:
         arguments = {**action.fields, **built}
         if not action.build and not action.fields:
             arguments = dict(context.request_arguments)
-        if executive.record is not None:
+        if owner.record is not None:
             arguments = plain_dict(arguments, f"the arguments of {action}")
-        if activity not in executive.activities:
+        if activity not in owner.activities:
             return
         before = len(activity.on_cancel)
-        self._exchange.send_request(executive, activity, arguments)
+        self._requests.send_request(activity, arguments)
         if activity.cancelled:  # while the arguments were made
             for callback in activity.on_cancel[before:]:
                 callback()
@@ -174,4 +370,4 @@ class FunctionRunner:
 def _as_answer(activity: Activity, answer: object) -> Answer:
     if isinstance(answer, Answer):
         return answer
-    return Answer(Verdict.UNKNOWN, asked=f"asked about {activity.action}, its function returned {answer!r:.80}")
+    return Answer(Outcome.UNKNOWN, asked=f"asked about {activity.action}, its function returned {answer!r:.80}")

@@ -1,22 +1,117 @@
-"""Which of several contending transitions fires: priority, then weight and probability of success, with a seed.
+"""Conflict resolution: which of several contending transitions fires.
 
-Contention is local. A transition that has become enabled contends with the enabled transitions that share an input
-place with it, and the winner, in turn, only with those of its own rivals that have a higher priority.
+Priority decides first, then weight and probability of success, with a seed. Contention is local: a transition that has
+become enabled contends with the enabled transitions that share an input place with it, and the winner, in turn, only
+with those of its own rivals that have a higher priority. Delays of transitions without action are a race before that
+(GSPN: race, enabling memory, one server).
+
+Strategies are contending ways to do a thing, chosen by a probability of success that is learned (paper, section 2).
+Each outcome of a transition with a strategy is counted in a Beta distribution whose counts decay, so that old outcomes
+weigh less than new ones. Transitions that contend are taken with probabilities proportional to weight and mean
+success; the entropy of that choice is the uncertainty of the decision in the sense of Saridis' entropy formulation
+[nats].
 """
 
+import json
+import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 from im_core.errors import ImError
+from im_core.files import write_whole
 from im_pnt.errors import NetError
-from im_pnt.firing import FiringRule
-from im_pnt.functions import ActionContext, Functions, clock_period
-from im_pnt.jobs import NO_LINEAGE, Job, Lineage
-from im_pnt.net import Transition
-from im_pnt.strategies import StrategyBook, entropy, probabilities
+from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.functions import ActionContext, Functions, clock_period
+from im_pnt.execution.jobs import NO_LINEAGE, Job, Lineage
+from im_pnt.execution.marking import Enabling
+from im_pnt.execution.timers import Timer, Timers
+from im_pnt.model.net import Strategy, Transition
 
 
-class Chooser:
+class StrategyBook:
+    """What was learned about strategies, by net and transition; kept in a file from run to run.
+
+    Args:
+        path: JSON file; read if it is there, and replaced at each outcome. None: kept in memory only.
+
+    Raises:
+        NetError: The file is not one of these.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path = path
+        self._counts: dict[str, tuple[float, float]] = {}
+        if path is not None and path.exists():
+            self._counts = _load(path)
+
+    def counts(self, net: str, transition: str, strategy: Strategy) -> tuple[float, float]:
+        """Returns the successes and failures counted so far, those before the first run included."""
+        return self._counts.get(f"{net}.{transition}", (strategy.successes, strategy.failures))
+
+    def mean_success(self, net: str, transition: str, strategy: Strategy) -> float:
+        """Returns the expected probability of success, 0.5 where nothing was counted."""
+        successes, failures = self.counts(net, transition, strategy)
+        return successes / (successes + failures) if successes + failures > 0.0 else 0.5
+
+    def outcome(self, net: str, transition: str, strategy: Strategy, success: bool) -> None:
+        """Counts an outcome, and saves the book.
+
+        Raises:
+            OSError: It cannot be saved; the outcome is counted all the same.
+        """
+        successes, failures = (count * strategy.decay for count in self.counts(net, transition, strategy))
+        self._counts[f"{net}.{transition}"] = (successes + success, failures + (not success))
+        if self._path is not None:
+            self.save(self._path)
+
+    def save(self, path: Path) -> None:
+        """Writes the book; the file is replaced whole or not at all.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        content = {name: {"successes": s, "failures": f} for name, (s, f) in sorted(self._counts.items())}
+        write_whole(path, json.dumps({"strategies": content}, indent=1) + "\n")
+
+
+def probabilities(weights: Sequence[float]) -> list[float]:
+    """Returns the probabilities of a choice, equal where all weights are 0.
+
+    Args:
+        weights: Relative frequencies, >= 0.
+    """
+    total = math.fsum(weights)
+    return [weight / total for weight in weights] if total > 0.0 else [1.0 / len(weights)] * len(weights)
+
+
+def entropy(distribution: Sequence[float]) -> float:
+    """Returns the entropy of a distribution [nats]."""
+    return -math.fsum(p * math.log(p) for p in distribution if p > 0.0) + 0.0
+
+
+def _load(path: Path) -> dict[str, tuple[float, float]]:
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise NetError(f"{path}: strategies cannot be read: {error}", file=str(path)) from error
+    table = content.get("strategies") if isinstance(content, dict) else None
+    if not isinstance(table, dict):
+        raise NetError(f"{path}: there is no table 'strategies' in it", file=str(path))
+    return {str(name): _counts(path, name, entry) for name, entry in table.items()}
+
+
+def _counts(path: Path, name: str, entry: object) -> tuple[float, float]:
+    if isinstance(entry, Mapping) and entry.keys() == {"successes", "failures"}:
+        successes, failures = entry["successes"], entry["failures"]
+        if all(type(count) in (int, float) and 0.0 <= count < math.inf for count in (successes, failures)):
+            return float(successes), float(failures)
+    raise NetError(
+        f"{path}: strategy {name} is {str(entry)[:80]}; successes and failures >= 0 are needed", file=str(path)
+    )
+
+
+class ConflictResolution:
     """Decides about the transitions of an expanded net.
 
     Args:
@@ -32,6 +127,7 @@ class Chooser:
         ripe: Those of them that have waited long enough.
         barred: Transitions that may not fire now, whatever their tokens; another one looks after them.
         dice: What is drawn with.
+        guards: Registered guards, by name.
         clocks: Sources of guards that are clocks, with their periods [s].
     """
 
@@ -40,7 +136,8 @@ class Chooser:
         self.ripe: set[int] = set()
         self.barred: frozenset[int] = frozenset()
         self.dice = random.Random()
-        self._rule, self._functions, self._seed = rule, functions, seed
+        self._random = self.dice.random
+        self._rule, self.guards, self._seed = rule, functions.guards, seed
         self._enabling, self._transitions = rule.enabling, rule.transitions
         self.delayed = frozenset(i for i, t in enumerate(self._transitions) if t.delay is not None and t.action is None)
         self._rank = [(i not in self.delayed, t.priority) for i, t in enumerate(self._transitions)]
@@ -53,6 +150,14 @@ class Chooser:
             and index not in self.delayed
             and not self._enabling.contended[index]
         )
+        self._tokens = rule.tokens
+        self._conditions = any(t.guard is not None or t.symbol is not None for t in self._transitions)
+        guards = ((t.symbol, t.guard) for t in self._transitions)
+        self._conditions_of = [
+            (symbol, guard.name, guard.negated, (guard.name, id(None))) if guard else (symbol, None, False, ("", 0))
+            for symbol, guard in guards
+        ]
+        self._strategies = any(t.strategy is not None for t in self._transitions)
         self._even = all(t.weight == 1.0 and t.strategy is None for t in self._transitions)
         self._verdicts: dict[tuple[str, int], bool] = {}
         self._stalled_for: dict[int, set[int]] = {}
@@ -101,11 +206,16 @@ class Chooser:
         rivals = self._enabling.rivals(index)
         if not rivals:
             return index if self.eligible(index) else None
-        rank = self._rank
+        candidates = [index, *rivals]
         may = self.eligible if self.barred or self.delayed else self._lets
-        candidates = list(filter(may, (index, *rivals)))
-        if self._flat and len(candidates) == 1:
-            return candidates[0]
+        if self._conditions or self.barred or self.delayed:
+            candidates = list(filter(may, candidates))
+        if self._flat:
+            winner = candidates[0] if len(candidates) == 1 else self.draw(candidates) if candidates else None
+            if winner is not None and self._strategies:
+                self._tell(candidates, winner)
+            return winner
+        rank = self._rank
         while candidates:
             best = max(rank[i] for i in candidates)
             top = [i for i in candidates if rank[i] == best]
@@ -136,20 +246,25 @@ class Chooser:
         return self._lets(index)
 
     def _lets(self, index: int) -> bool:
-        transition = self._transitions[index]
-        if transition.symbol is not None and not self._rule.ledger.tape.has(transition.symbol):
+        symbol, guard, negated, unowned = self._conditions_of[index]
+        if symbol is not None and not self._rule.ledger.tape.has(symbol):
             return False
-        if transition.guard is None:
+        if guard is None:
             return True
-        tokens = self._rule.tokens
-        lineage = tokens.peek_inputs(index) if tokens.queues or self._rule.ledger.serving else NO_LINEAGE
-        if transition.symbol is not None:
-            lineage = Lineage(self._rule.ledger.tape.first(transition.symbol), lineage.failure)
-        key = (transition.guard.name, id(lineage.job))
+        lineage, key = NO_LINEAGE, unowned
+        if symbol is not None or self._tokens.queues or self._rule.ledger.serving is not None:
+            lineage = self._tokens.peek_inputs(index)
+            if symbol is not None:
+                lineage = Lineage(self._rule.ledger.tape.first(symbol), lineage.failure)
+            key = (guard, id(lineage.job))
         verdict = self._verdicts.get(key)
         if verdict is None:
-            verdict = self._verdicts[key] = self._ask_guard(transition, lineage)
-        if verdict == transition.guard.negated:
+            try:
+                verdict = bool(self.guards[guard](self.context(index, lineage)))
+            except Exception as error:  # a guard is foreign code: whatever it raises must not stop the net
+                verdict = self.guard_broke(index, lineage, error)
+            self._verdicts[key] = verdict
+        if verdict == negated:
             self._enabling.stalled.add(index)
             if lineage.job is not None:
                 self._stalled_for.setdefault(lineage.job.number, set()).add(index)
@@ -159,7 +274,7 @@ class Chooser:
     def draw(self, contending: Sequence[int]) -> int:
         """Takes one of several transitions by weight and probability of success."""
         if self._even:
-            return contending[int(self.dice.random() * len(contending))]
+            return contending[int(self._random() * len(contending))]
         weights = [self._weight(index) for index in contending]
         point = self.dice.random() * sum(weights)
         for index, weight in zip(contending, weights, strict=True):
@@ -180,22 +295,93 @@ class Chooser:
         distribution = probabilities([self._weight(index) for index in top])
         others = [self._transitions[i].inputs for i in top if i != winner]
         taken = self._transitions[winner]
-        self._rule.teller.chose(
+        self._rule.notifier.chose(
             tuple(place for place in taken.inputs if any(place in inputs for inputs in others)),
             {self._transitions[i].origin: p for i, p in zip(top, distribution, strict=True)},
             entropy(distribution),
             taken.origin,
         )
 
-    def _ask_guard(self, transition: Transition, lineage: Lineage) -> bool:
-        assert transition.guard is not None
-        name = transition.guard.name
-        context = ActionContext(self._rule.net.name, transition.origin, lineage, progress=self._rule.teller.progressed)
-        try:
-            return bool(self._functions.guards[name](context))
-        except Exception as error:  # a guard is foreign code: whatever it raises must not stop the net
-            failure = error if isinstance(error, ImError) else NetError(f"guard {name} failed: {error!r}", guard=name)
-            if lineage.job is not None:
-                self._rule.guard_broke(lineage.job, failure)
-            self._rule.teller.troubled(f"guard {name} counts as false: {failure}")
+    def alike(self, contending: Sequence[int]) -> bool:
+        """Whether only weights tell transitions apart: no symbol, strategy or priority does, and their guard is one."""
+        transitions = [self._transitions[index] for index in contending]
+        return (
+            self._flat
+            and len({transition.guard for transition in transitions}) == 1
+            and all(transition.symbol is None and transition.strategy is None for transition in transitions)
+        )
+
+    def guard_broke(self, index: int, lineage: Lineage, error: Exception) -> bool:
+        """Takes note that the guard of a transition broke; returns what it counts as."""
+        guard = self._transitions[index].guard
+        name = guard.name if guard is not None else ""
+        failure = error if isinstance(error, ImError) else NetError(f"guard {name} failed: {error!r}", guard=name)
+        if lineage.job is not None:
+            self._rule.guard_broke(lineage.job, failure)
+        self._rule.notifier.troubled(f"guard {name} counts as false: {failure}")
+        return False
+
+    def context(self, index: int, lineage: Lineage) -> ActionContext:
+        """Returns what the guard of a transition is told."""
+        rule = self._rule
+        return ActionContext(rule.net.name, self._transitions[index].origin, lineage, progress=rule.notifier.progressed)
+
+
+class Delays:
+    """The clocks of the enabled transitions that have a delay.
+
+    Args:
+        transitions: The transitions of the expanded net.
+        enabling: The marking, and what it enables.
+        conflicts: Is told which have waited long enough; has the dice.
+        timers: Strike.
+        clock: Present time [s].
+    """
+
+    def __init__(
+        self,
+        transitions: Sequence[Transition],
+        enabling: Enabling,
+        conflicts: ConflictResolution,
+        timers: Timers,
+        clock: Callable[[], float],
+    ) -> None:
+        self._transitions, self._enabling, self._conflicts = transitions, enabling, conflicts
+        self._timers, self._clock = timers, clock
+        self._running: dict[int, Timer] = {}
+
+    def waits(self, index: int) -> bool:
+        """Whether a transition that is enabled has still to wait; starts its clock where its guard lets it."""
+        if index not in self._conflicts.delayed or index in self._conflicts.ripe:
             return False
+        delay = self._transitions[index].delay
+        if delay is not None and index not in self._running and self._conflicts.holds(index):
+            self._enabling.clocks.add(index)
+            time = self._clock() + delay.sample(self._conflicts.dice)
+            self._running[index] = self._timers.at(time, lambda: self._ripen(index))
+        return True
+
+    def settle(self, fired: int | None = None) -> None:
+        """Stops the clocks of what a firing has disabled, and of the transition that has fired."""
+        crossed, unmet = self._enabling.crossed, self._enabling.unmet
+        for index in crossed:
+            if unmet[index]:
+                self._stop(index)
+        crossed.clear()
+        if fired in self._enabling.clocks:
+            self._stop(fired)
+
+    def give_up(self, index: int) -> None:
+        """Has a transition wait anew that its guard or symbol does not let fire any more."""
+        if index in self._conflicts.ripe:
+            self._stop(index)
+
+    def _stop(self, index: int) -> None:
+        self._timers.cancel(self._running.pop(index, None))
+        self._enabling.clocks.discard(index)
+        self._conflicts.ripe.discard(index)
+
+    def _ripen(self, index: int) -> None:
+        del self._running[index]
+        self._conflicts.ripe.add(index)
+        self._enabling.consider(index)

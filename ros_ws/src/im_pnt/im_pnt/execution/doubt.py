@@ -1,13 +1,13 @@
-"""What becomes of actions whose time is over, or whose process has died: they are in doubt, and asked about."""
+"""Actions in doubt: those whose time is over or whose process has died, and what is answered when asked about them."""
 
 from collections.abc import Callable
 from typing import Protocol
 
 from im_core.errors import ImError, WaitTimeoutError
-from im_pnt.doubt import Answer, Verdict
-from im_pnt.firing import DOUBT_CODE, FiringRule
-from im_pnt.jobs import Activity, ActivityState, as_failure
-from im_pnt.timers import Timers
+from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.firing import DOUBT_CODE, FiringRule
+from im_pnt.execution.jobs import Activity, ActivityState, as_failure
+from im_pnt.execution.timers import Timers
 
 FIRST_PERIOD_S, LAST_PERIOD_S = 0.1, 10.0
 """An action that still runs is asked about again after as long as it is in doubt already, within these limits [s]."""
@@ -36,7 +36,7 @@ class Inquiry:
         timers: Strike.
         clock: Present time [s].
         asker: Asks.
-        answered: Takes answers, from any thread; has :meth:`take` called with them in the loop.
+        answered: Takes answers, from any thread; has :meth:`take_answer` called with them in the loop.
     """
 
     def __init__(
@@ -62,21 +62,21 @@ class Inquiry:
             self._rule.move(activity, ActivityState.IN_DOUBT, why)
         self._ask(activity)
 
-    def take(self, activity: Activity, answer: Answer) -> None:
+    def take_answer(self, activity: Activity, answer: Answer) -> None:
         """Takes an answer; one that comes when the action has ended, or was answered before, changes nothing."""
         if not self._runs(activity) or activity.state is not ActivityState.IN_DOUBT:
             return
-        match answer.verdict:
-            case Verdict.DONE:
+        match answer.outcome:
+            case Outcome.DONE:
                 self._asker.finish(activity, None, answer.results)
-            case Verdict.FAILED:
+            case Outcome.FAILED:
                 what = f"{activity.action} of transition {activity.transition} failed"
                 self._asker.finish(activity, answer.error or ImError(what, code="failed"), {})
-            case Verdict.RUNNING:
+            case Outcome.RUNNING:
                 self._timers.cancel(activity.timer)
                 wait = min(LAST_PERIOD_S, max(FIRST_PERIOD_S, self._clock() - activity.doubted))
                 activity.timer = self._timers.at(self._clock() + wait, lambda: self._ask(activity))
-            case Verdict.UNKNOWN:
+            case Outcome.UNKNOWN:
                 self._asker.finish(activity, self._unknown(activity, answer), {})
 
     def _strike(self, activity: Activity) -> None:
@@ -87,14 +87,14 @@ class Inquiry:
     def _ask(self, activity: Activity) -> None:
         if not self._runs(activity):
             return
-        silent = Answer(Verdict.UNKNOWN, asked=f"no answer came in {ANSWER_LIMIT_S:g} s")
+        silent = Answer(Outcome.UNKNOWN, asked=f"no answer came in {ANSWER_LIMIT_S:g} s")
         self._timers.cancel(activity.timer)
-        activity.timer = self._timers.at(self._clock() + ANSWER_LIMIT_S, lambda: self.take(activity, silent))
+        activity.timer = self._timers.at(self._clock() + ANSWER_LIMIT_S, lambda: self.take_answer(activity, silent))
         try:
             self._asker.ask(activity, lambda answer: self._answered(activity, answer))
         except Exception as error:  # asking is foreign code, like the action
             failure = as_failure(activity, error)
-            self.take(activity, Answer(Verdict.UNKNOWN, asked=f"asking broke: {failure}"))
+            self.take_answer(activity, Answer(Outcome.UNKNOWN, asked=f"asking broke: {failure}"))
 
     def _unknown(self, activity: Activity, answer: Answer) -> ImError:
         now = self._clock()

@@ -1,53 +1,37 @@
-"""What happens to a net, and what a net tells of itself."""
+"""What happens to a net: the events of its inbox."""
 
 import enum
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 from im_core.errors import ImError
-from im_pnt.doubt import Answer
-from im_pnt.jobs import Activity, Job, Lineage, Request
-from im_pnt.modes import Mode
+from im_pnt.execution.jobs import Activity, Job, Request
+from im_pnt.execution.operator import Mode
 
 
-class Phase(enum.IntEnum):
-    """Phase of a firing, numbered as in ``im_msgs/msg/Firing``. Instantaneous transitions have an END only.
+class Outcome(enum.Enum):
+    """What became of an action."""
 
-    CANCEL: an action was asked to end early and winds down. DOUBT: nobody has said yet what became of it.
-    """
-
-    START = 0
-    END = 1
-    FAILED = 2
-    CANCEL = 3
-    DOUBT = 4
+    DONE = "done"
+    FAILED = "failed"
+    RUNNING = "running"
+    UNKNOWN = "unknown"
 
 
-class Firing(NamedTuple):
-    """One firing of the expanded net.
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What became of an action.
 
     Attributes:
-        net: Name of the net.
-        transition: Transition as written, or the one of a coordination structure (``accept.s``, ``t_f.s``, ...).
-        sequence: Counts the firings of the net from 1.
-        phase: What happened.
-        symbol: Symbol read from the tape, or the first one written to it; empty if none.
-        command_id: Command it was done for, 0 if none.
-        message: Why it failed, is cancelled or in doubt.
-        duration: Wall time since START [s], 0 for instantaneous transitions.
-        progress: Progress of the command 0..1, negative where unknown.
+        outcome: In a word.
+        error: Why it failed, where it did.
+        results: Results of a request that is done.
+        asked: Who or what gave the answer, or why nobody could, for people.
     """
 
-    net: str
-    transition: str
-    sequence: int
-    phase: Phase
-    symbol: str
-    command_id: int
-    message: str
-    duration: float
-    progress: float
+    outcome: Outcome
+    error: ImError | None = None
+    results: dict[str, object] = field(default_factory=dict)
+    asked: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,35 +144,3 @@ Event = (
     | StepAsked
     | Confirmed
 )
-
-
-class Observer:
-    """Is told what a net does; does nothing with it. Override what is of interest."""
-
-    def fired(self, firing: Firing) -> None:
-        """Called after each firing, before the action it starts."""
-
-    def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
-        """Called when an action reports progress; from whatever thread it does."""
-
-    def emitted(self, net: str, symbol: str, lineage: Lineage) -> None:
-        """Called for each symbol written to the output tape."""
-
-    def troubled(self, net: str, text: str) -> None:
-        """Called for what should be in a log: refused tokens, late completions, guards that fail."""
-
-    def chose(
-        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
-    ) -> None:
-        """Called for each choice among strategies, before the firing.
-
-        Args:
-            net: Name of the net.
-            places: Input places of the transition taken that others contend for.
-            probabilities: Of each contending transition.
-            entropy: Of the choice [nats].
-            taken: The transition that fires.
-        """
-
-    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
-        """Called when the mode, the pause or the transitions that wait to be confirmed have changed."""

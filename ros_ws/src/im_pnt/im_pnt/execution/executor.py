@@ -1,59 +1,88 @@
 """Execution of a net: two-phase firing driven by events (paper, section 6).
 
-The executive owns the marking. Whatever happens outside reaches it through one queue, from any thread; :meth:`pump`
+The executor owns the marking. Whatever happens outside reaches it through one queue, from any thread; :meth:`pump`
 takes the events in order and fires until nothing is enabled. It never blocks: actions are started by a runner and
-confirm later; :meth:`Executive.next_wakeup` tells when time alone has something happen.
+confirm later; :meth:`Executor.next_wakeup` tells when time alone has something happen.
 """
 
 from collections import deque
-from collections.abc import Awaitable, Callable
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from im_core.clock import monotonic
-from im_core.errors import ImError
-from im_pnt.acting import Actions, CheckObjects
-from im_pnt.action import Action
-from im_pnt.choosing import Chooser
-from im_pnt.doubt import Answer
-from im_pnt.errors import NetError, nearest
-from im_pnt.events import ActionEnded, Answered, CommandWritten, Event, Observer
-from im_pnt.firing import FiringRule
-from im_pnt.functions import ActionContext, ActionFunction, Functions
-from im_pnt.jobs import Activities, Activity, Command, CommandResult, Job
-from im_pnt.modes import Mode
-from im_pnt.net import Net
-from im_pnt.operation import Operation
-from im_pnt.record import Entry, Record, encode_command
-from im_pnt.replaying import replay
-from im_pnt.rest import Rest, rest_of
-from im_pnt.snapshot import restore, snapshot
-from im_pnt.strategies import StrategyBook
-from im_pnt.telling import Outlet
-from im_pnt.timers import Timers
+from im_core.errors import ImError, nearest
+from im_pnt.errors import NetError
+from im_pnt.execution.actions import Actions, CheckObjects, Runner
+from im_pnt.execution.conflicts import ConflictResolution, StrategyBook
+from im_pnt.execution.event_loop import EventLoop
+from im_pnt.execution.events import ActionEnded, Answer, Answered, CommandWritten, Event
+from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.functions import Functions
+from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job, Request
+from im_pnt.execution.notification import Observer, Outlet
+from im_pnt.execution.operator import Mode, Operator
+from im_pnt.execution.record import NetEntry, Record, plain
+from im_pnt.execution.timers import Timers
+from im_pnt.model.net import Net, RemotePlace
 
 
-class Runner(Protocol):
-    """Has actions done; calls :meth:`Executive.ended` when they have confirmed or failed."""
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """Whether a net is at rest; true where nothing keeps it from being so.
 
-    def start(self, executive: "Executive", activity: Activity, context: ActionContext) -> None:
-        """Starts an action; must not block and not raise."""
+    Attributes:
+        reasons: What does.
+    """
 
-    def direct(self, action: Action) -> ActionFunction | None:
-        """Returns the function that does an action when it is called, None where the action must be started."""
+    reasons: tuple[str, ...]
 
-    def watch(self, executive: "Executive", activity: Activity, work: Awaitable[object]) -> None:
-        """Waits for what a function that was called directly has left to do."""
+    def __bool__(self) -> bool:
+        return not self.reasons
 
-    def waits(self, activity: Activity) -> bool:
-        """Whether a request has been sent, and its reply is still to come."""
-
-    def ask(
-        self, executive: "Executive", activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
-    ) -> None:
-        """Asks what became of an action that is in doubt; the answer may come from any thread."""
+    def __str__(self) -> str:
+        return "; ".join(self.reasons) or "at rest"
 
 
-class Executive:
+def rest_of(rule: FiringRule, waiting: int) -> Rest:
+    """Looks what keeps a net from being at rest.
+
+    Args:
+        rule: The net.
+        waiting: Events that it has not taken yet.
+    """
+    reasons = []
+    if waiting:
+        reasons.append(f"{waiting} events wait to be taken")
+    for activity in rule.activities.values():
+        how = activity.state.value.replace("_", " ")
+        reasons.append(f"{activity.action} of transition {activity.transition} is {how}")
+    for job in rule.ledger.jobs():
+        if job.request is not None:
+            reasons.append(f"request {job.request.id} of net {job.request.caller_net} is open")
+        else:
+            reasons.append(f"command {job.symbol} (number {job.command.id}) is open")
+    rest = rule.net.rest_places()
+    hidden = {f"{a.transition}.{a.state}" for a in rule.activities.values()}
+    for place, tokens in rule.tokens.marking().items():
+        if place not in rest and place not in hidden:
+            reasons.append(f"place {place} holds {tokens} token{'s' if tokens > 1 else ''} and is no place of rest")
+    return Rest(tuple(reasons))
+
+
+class _Nowhere:
+    """Takes what a net sends again that is brought back, and sends nothing."""
+
+    def send_token(self, net: str, target: RemotePlace, count: int) -> None:
+        """Sends nothing."""
+
+    def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
+        """Sends nothing."""
+
+
+_NOWHERE = _Nowhere()
+
+
+class Executor:
     """A net in execution.
 
     Args:
@@ -67,10 +96,11 @@ class Executive:
         check_objects: Looks whether data objects are valid and calls back with the error, if any; None: not checked.
         strategies: What was learned about strategies; None: begins anew.
         clock: Present time, monotonic [s].
-        record: Takes what happens before it does, see :mod:`im_pnt.record`; None: no journal.
+        record: Takes what happens before it does, see :mod:`im_pnt.execution.record`; None: no journal.
 
     Attributes:
         written: The net as written.
+        rule: The marking and the jobs; only for whoever keeps the state of the net.
 
     Raises:
         NetFileError: A function that the net names is not registered.
@@ -95,47 +125,53 @@ class Executive:
         self.written = net
         self._wake = wake
         self._inbox: deque[Event] = deque()
-        self._rule = FiringRule(net, outlet, observer or Observer(), clock)
-        self._rule.record = record
-        chooser = Chooser(self._rule, functions, strategies or StrategyBook(), seed)
+        self.rule = FiringRule(net, outlet, observer or Observer(), clock)
+        self.rule.record = record
+        conflicts = ConflictResolution(self.rule, functions, strategies or StrategyBook(), seed)
         self._timers = Timers()
-        actions = Actions(self, self._rule, chooser, runner, self._timers, clock, check_objects)
-        self._operation = Operation(self._rule, chooser, actions, self._timers, self._inbox, clock)
+        actions = Actions(self, self.rule, conflicts, runner, self._timers, clock, check_objects)
+        self._loop = EventLoop(self.rule, conflicts, actions, self._timers, self._inbox, clock)
 
     @property
     def net(self) -> Net:
         """The expanded net."""
-        return self._rule.net
+        return self.rule.net
 
     @property
     def sequence(self) -> int:
         """Number of the last firing."""
-        return self._rule.teller.sequence
+        return self.rule.notifier.sequence
 
     @property
     def activities(self) -> Activities:
         """The actions that run, in the order in which they began."""
-        return Activities(self._rule.activities)
+        self.rule.called()
+        return Activities(self.rule.activities)
 
     @property
     def mode(self) -> Mode:
         """How the net is operated."""
-        return self._operation.operator.mode
+        return self._loop.operator.mode
 
     @property
     def paused(self) -> bool:
         """Whether nothing new is started."""
-        return self._operation.operator.paused
+        return self._loop.operator.paused
 
     @property
     def proposed(self) -> tuple[str, ...]:
         """Transitions that wait to be confirmed."""
-        return self._operation.proposed()
+        return self._loop.proposed()
+
+    @property
+    def operator(self) -> Operator:
+        """How the net is operated; only for whoever keeps the state of the net."""
+        return self._loop.operator
 
     @property
     def record(self) -> Record | None:
         """Takes what happens before it does; None: no journal."""
-        return self._rule.record
+        return self.rule.record
 
     # From any thread.
 
@@ -145,14 +181,14 @@ class Executive:
         Raises:
             NetError: The net never reads that symbol, or a journal cannot keep its arguments.
         """
-        if command.symbol not in self._rule.readers:
+        if command.symbol not in self.rule.readers:
             raise NetError(
                 f"net {self.net.name} does not know the command '{command.symbol}'"
-                f"{nearest(command.symbol, self._rule.readers)}",
+                f"{nearest(command.symbol, self.rule.readers)}",
                 symbol=command.symbol,
             )
         if self.record is not None:
-            encode_command(command)
+            plain(command.arguments, f"the arguments of command {command.symbol}")
         job = Job(command, command.arguments, on_closed=on_closed)
         self.post(CommandWritten(job))
         return job
@@ -179,11 +215,7 @@ class Executive:
         Returns:
             Whether there is more to do at once.
         """
-        return self._operation.pump(limit)
-
-    def expire(self) -> None:
-        """Does what is due by the clock; :meth:`pump` does it too."""
-        self._operation.strike()
+        return self._loop.pump(limit)
 
     def next_wakeup(self) -> float | None:
         """Returns when :meth:`pump` is to be called though no event was posted (monotonic) [s]; None: never."""
@@ -191,24 +223,25 @@ class Executive:
 
     def marking(self) -> dict[str, int]:
         """Returns the marked places by name."""
-        return self._operation.marking()
+        return self.rule.tokens.marking()
 
     @property
     def due(self) -> bool:
         """Whether an event or a decision waits for :meth:`pump`."""
-        return self._operation.due
+        return self._loop.due
 
     def busy(self) -> bool:
         """Whether an action runs or a job is open."""
-        return bool(self.activities or len(self._rule.ledger) or self._operation.calling)
+        return bool(self.activities or len(self.rule.ledger))
 
     def at_rest(self) -> Rest:
         """Returns whether the net may be replaced now, and if not, why: an action, a job, a token on its way."""
-        return rest_of(self._rule, self.marking(), len(self._inbox), self._operation.calling)
+        self.rule.called()
+        return rest_of(self.rule, len(self._inbox))
 
     def jobs(self) -> list[Job]:
         """Returns the open jobs, in the order of their arrival."""
-        return self._rule.ledger.jobs()
+        return self.rule.ledger.jobs()
 
     def activity(self, number: int) -> Activity:
         """Returns an action that runs, by its number.
@@ -216,35 +249,29 @@ class Executive:
         Raises:
             NetError: None of that number runs.
         """
-        found = self._rule.activities.get(number)
+        self.rule.called()
+        found = self.rule.activities.get(number)
         if found is None:
             raise NetError(f"net {self.net.name} has no action of number {number} running", number=number)
         return found
 
-    def state(self) -> dict[str, object]:
-        """Returns what the net is in the middle of, as JSON data; this and what follows is for a journal.
-
-        Raises:
-            NetError: JSON cannot carry it.
-        """
-        return snapshot(self._rule, self._operation.operator)
-
-    def restore(self, state: dict[str, object]) -> None:
-        """Takes a state back, before anything has happened.
-
-        Raises:
-            NetError: It is no state of this net.
-        """
-        restore(self._rule, self._operation.operator, state)
-
-    def replay(self, entry: Entry) -> None:
-        """Does again what an entry tells.
+    def replay(self, entry: NetEntry) -> None:
+        """Does again what an entry tells: as when it happened, but nothing is begun, sent or told.
 
         Raises:
             NetError: It does not fit the net, or what has happened to it.
         """
-        replay(self._rule, self._operation.operator, entry)
+        rule = self.rule
+        effects = rule.record, rule.outlet, rule.notifier.observer
+        rule.record, rule.outlet, rule.notifier.observer = None, _NOWHERE, Observer()
+        try:
+            self._loop.apply(entry)
+        except (LookupError, TypeError, ValueError, AssertionError) as error:
+            text = f"net {self.net.name} cannot do again what a journal tells, {str(entry)[:200]}: {error}"
+            raise NetError(text, net=self.net.name) from error
+        finally:
+            rule.record, rule.outlet, rule.notifier.observer = effects
 
     def resume(self) -> None:
-        """Goes on after :meth:`restore` and :meth:`replay`: what ran has to be asked about."""
-        self._operation.resume()
+        """Goes on after a state was restored and entries were replayed: what ran has to be asked about."""
+        self._loop.resume()

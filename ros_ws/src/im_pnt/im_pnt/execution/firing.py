@@ -4,23 +4,43 @@ What is here is deterministic: it is done again, in the same order, when a journ
 calls foreign code is elsewhere.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
 
 from im_core.errors import ImError
-from im_pnt.action import RequestAction
 from im_pnt.errors import NetError
-from im_pnt.events import Observer, Phase
-from im_pnt.expand import active_place, cancelling_place, doubt_place, input_place
-from im_pnt.jobs import NO_LINEAGE, Activity, ActivityState, Lineage
-from im_pnt.net import Net, RemotePlace, Role
-from im_pnt.netstate import NetState
-from im_pnt.record import Entry, changed_data, restore_data
-from im_pnt.remote import encode_error
-from im_pnt.telling import Outlet, failure_of
+from im_pnt.execution.events import (
+    CommandCancelled,
+    CommandWritten,
+    ModeSet,
+    PauseSet,
+    RequestArrived,
+    RequestCancelled,
+    TokenArrived,
+)
+from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, Ledger, Lineage, Reply, Request, ends
+from im_pnt.execution.marking import Tokens
+from im_pnt.execution.notification import Notifier, Observer, Outlet, Phase, failure_of
+from im_pnt.execution.record import (
+    ActivityEnded,
+    EndFired,
+    GuardBroke,
+    JobForgotten,
+    NetEntry,
+    PhaseFired,
+    Record,
+    TransitionFired,
+    changed_data,
+    restore_data,
+    take_data,
+)
+from im_pnt.model.action import RequestAction
+from im_pnt.model.compiled import compile_net
+from im_pnt.model.expand import active_place, cancelling_place, doubt_place, expand, input_place
+from im_pnt.model.net import Net, Role, Transition
 
 DOUBT_CODE = "in_doubt"
 """Code of the error of an action of which nobody can tell what became."""
+_WAITING_ROLES = (Role.END, Role.FAILED, Role.CANCEL, Role.LOST, Role.GIVEN_UP, Role.WITHDRAWN)
 _PHASE_PLACES = {
     ActivityState.ACTIVE: active_place,
     ActivityState.CANCELLING: cancelling_place,
@@ -28,37 +48,210 @@ _PHASE_PLACES = {
 }
 
 
-class Mover(NamedTuple):
-    """A transition that only moves tokens: no action, no symbol, no part in a coordination structure.
-
-    Attributes:
-        name: Its name.
-        entry: What a journal is told when it fires.
-        inputs: Places that it takes tokens from, with their numbers.
-        outputs: Places that it marks, likewise.
-        remote: Places of other nets, likewise.
-    """
-
-    name: str
-    entry: Entry
-    inputs: tuple[tuple[int, int], ...]
-    outputs: tuple[tuple[int, int], ...]
-    remote: tuple[tuple[RemotePlace, int], ...]
-
-
-class FiringRule(NetState):
-    """What firing does to a net.
+class FiringRule:
+    """The marking and the jobs of a net, and what firing does to them.
 
     Args:
         net: The net, as written.
         outlet: Takes tokens and replies for other nets.
         observer: Is told of firings.
         clock: Present time [s].
+
+    Attributes:
+        net: The expanded net.
+        transitions: Its transitions, by number.
+        number: Number of each transition.
+        activities: Actions that run, by their numbers, in the order in which they began.
+        tokens: The marking.
+        enabling: What it enables.
+        ledger: The jobs.
+        readers: For each symbol the transitions that read it.
+        notifier: Tells of firings.
+        outlet: Takes tokens and replies for other nets.
+        clock: Present time [s].
+        record: Takes what happens, before it does; None: no journal.
+        call: A ``t.start`` whose function is being called, and since when [s]: its token is on ``t.active``, nothing
+            belongs to it, and it is made an activity only where one is needed.
+        callee: The activity that was made so last.
     """
 
     def __init__(self, net: Net, outlet: Outlet, observer: Observer, clock: Callable[[], float]) -> None:
-        super().__init__(net, outlet, observer, clock)
-        self._movers = [self._mover(index) for index in range(len(self.transitions))]
+        self.net = expand(net)
+        self.record: Record | None = None
+        self.outlet, self.clock = outlet, clock
+        compiled = compile_net(self.net)
+        self.transitions = tuple(self.net.transitions.values())
+        self.number = {name: index for index, name in enumerate(compiled.transitions)}
+        self.place = {name: index for index, name in enumerate(compiled.places)}
+        free = [i for i, t in enumerate(self.transitions) if t.role not in _WAITING_ROLES]
+        self.ledger = Ledger()
+        initial = compiled.marking_vector(self.net.initial_marking())
+        self.tokens = Tokens(compiled, free, initial, self.ledger.merge)
+        self.enabling = self.tokens.enabling
+        self.activities: dict[int, Activity] = {}
+        self.notifier = Notifier(net.name, observer)
+        self.readers: dict[str, list[int]] = {}
+        for index in free:
+            symbol = self.transitions[index].symbol
+            if symbol:
+                self.readers.setdefault(symbol, []).append(index)
+        self.call: tuple[int, float] | None = None
+        self.callee: Activity | None = None
+
+    # What a journal is told, and what is done again when it is replayed.
+
+    def happens(self, entry: NetEntry) -> None:
+        """Tells the journal what happens, and does it."""
+        if self.record is not None:
+            self.record(entry)
+        self.apply(entry)
+
+    def apply(self, entry: NetEntry) -> None:
+        """Does what an entry tells.
+
+        Raises:
+            ValueError: It does not fit the net, or what has happened to it.
+            LookupError: Likewise.
+        """
+        match entry:
+            case TransitionFired(name):
+                self.fire(self._enabled(name))
+            case TokenArrived(place, count):
+                self.mark_place(place, count, NO_LINEAGE)
+            case EndFired(number, name, error, data):
+                activity = self._running(number, name)
+                if data is not None and activity.lineage.job is not None:
+                    take_data(activity.lineage.job, data)
+                self._end(activity, name, error, activity.reply.results if activity.reply is not None else {})
+            case PhaseFired(number, name, error):
+                activity = self._running(number, name)
+                activity.cancelled = True
+                doubtful = name.endswith((".lost", ".lost.cancelling"))
+                self.move(activity, ActivityState.IN_DOUBT if doubtful else ActivityState.CANCELLING, error)
+            case ActivityEnded(number, failure, results):
+                if number in self.activities:
+                    self.activities[number].reply = Reply(failure, results)
+            case CommandWritten(job):
+                if job.symbol not in self.readers:
+                    raise ValueError(f"the net does not know the command {job.symbol}")
+                self.write(job)
+            case RequestArrived(request):
+                self.take_request(request)
+            case CommandCancelled(command_id, error):
+                self.cancel(self.ledger.of_command(command_id), error)
+            case RequestCancelled(request_id, error):
+                self.cancel(self.ledger.of_request(request_id), error)
+            case GuardBroke(number, error):
+                self._open_job(number).last_failure = error
+            case JobForgotten(number, error):
+                self.close(self._open_job(number), error)
+            case ModeSet() | PauseSet():
+                raise ValueError("it is for the operator of the net")
+
+    def _enabled(self, name: str) -> int:
+        index = self.number[name]
+        symbol = self.transitions[index].symbol
+        if self.enabling.unmet[index] or (symbol is not None and not self.ledger.tape.has(symbol)):
+            raise ValueError(f"{name} is not enabled")
+        return index
+
+    def _running(self, number: int, name: str) -> Activity:
+        activity, index = self.activities[number], self.number[name]
+        if self.enabling.unmet[index] or self.transitions[index].origin != activity.transition:
+            raise ValueError(f"{name} is not enabled")
+        return activity
+
+    def _open_job(self, number: int) -> Job:
+        job = self.ledger.job(number)
+        if job is None:
+            raise ValueError(f"no job of number {number} is open")
+        return job
+
+    # What comes from outside.
+
+    def mark_place(self, place: str, count: int, lineage: Lineage) -> None:
+        """Puts tokens on a place from outside."""
+        if lineage is NO_LINEAGE and not self.tokens.queues:
+            self.enabling.add_tokens(self.place[place], count)
+        else:
+            self.tokens.put_tokens(self.place[place], count, lineage)
+
+    def write(self, job: Job) -> None:
+        """Puts a job on the input tape."""
+        self.ledger.add(job)
+        self.ledger.tape.write(job)
+        self.consider_readers(job.symbol)
+
+    def take_request(self, request: Request) -> None:
+        """Takes a request: to the place I of its service, or, where it names a symbol, to the input tape."""
+        job = Job(request.command, request.arguments, request)
+        if request.service in self.net.services:
+            self.ledger.add(job)
+            self.mark_place(input_place(request.service), 1, Lineage(job, None))
+        elif request.service in self.readers:
+            self.write(job)
+        else:
+            self.ledger.add(job)
+            text = f"net {self.net.name} offers no service and reads no symbol {request.service}"
+            self.close(job, NetError(text, net=self.net.name, service=request.service))
+
+    def close(self, job: Job, error: ImError | None) -> None:
+        """Ends a job, and answers whoever asked for it."""
+        was_open = self.ledger.is_open(job)
+        self.notifier.flush()
+        self.ledger.close(job, error)
+        if was_open and job.request is not None:
+            self.outlet.send_reply(job.request, error, job.results)
+
+    def _awaits_acceptance(self, job: Job) -> bool:
+        if job.request is None or job.from_tape:
+            return False
+        waiting = self.tokens.queues.get(self.place[input_place(job.request.service)], ())
+        return any(lineage.job is job for lineage in waiting)
+
+    def close_forgotten(self) -> None:
+        """Ends the commands that a net at rest can acknowledge no more, so that no client waits in vain."""
+        if not len(self.ledger) or self.activities or self.enabling.clocks:
+            return
+        begun = self.ledger.begun_commands()
+        if not begun or any(place not in self.net.rest_places() for place in self.tokens.marking()):
+            return
+        for job in begun:
+            text = f"net {self.net.name} came to rest and emitted neither {job.symbol}_done nor {job.symbol}_failed"
+            error = job.last_failure or ImError(text, code="net", symbol=job.symbol)
+            self.happens(JobForgotten(job.number, error))
+
+    def cancel(self, jobs: Iterable[Job], error: ImError) -> None:
+        """Has jobs end early: those on the tape now, the others when what is done for them has ended."""
+        for job in jobs:
+            if self.ledger.tape.withdraw(job):
+                self.close(job, error)
+            else:
+                job.cancelled = True
+                job.unwanted = self._awaits_acceptance(job)
+                job.last_failure = error
+
+    def guard_broke(self, job: Job, error: ImError) -> None:
+        """Keeps why a guard broke, as the last failure of its job."""
+        self.happens(GuardBroke(job.number, error))
+
+    def emit(self, transition: Transition, lineage: Lineage) -> None:
+        """Writes to the output tape what a transition emits; that may end a job."""
+        for emitted in transition.emit:
+            self.notifier.emitted(emitted, lineage)
+            job = self.ledger.ended_by(emitted, lineage.job)
+            if job is not None:
+                done = ends(emitted, job.symbol)
+                self.close(job, None if done else failure_of(job, transition, lineage.failure))
+
+    def consider_readers(self, symbol: str) -> None:
+        """Decides about the transitions that read a symbol, if it is on the tape."""
+        if self.ledger.tape.has(symbol):
+            for index in self.readers[symbol]:
+                if not self.enabling.unmet[index]:
+                    self.enabling.consider(index)
+
+    # Firing.
 
     def withdraw(self, name: str) -> None:
         """Moves the tokens of a data object that has lost its validity."""
@@ -73,23 +266,9 @@ class FiringRule(NetState):
         Returns:
             The action that is now to begin, for ``t.start``.
         """
-        mover = self._movers[index]
-        if mover is not None and not self.tokens.queues and self.ledger.serving is None:
-            moved, entry, inputs, outputs, targets = mover
-            if self.record is not None:
-                self.record(entry)
-            enabling = self.enabling
-            for place, count in inputs:
-                enabling.take(place, count)
-            for place, count in outputs:
-                enabling.add(place, count)
-            for target, count in targets:
-                self.outlet.send_token(self.net.name, target, count)
-            self.teller.fired(moved, Phase.END, NO_LINEAGE)
-            return None
         transition = self.transitions[index]
         if self.record is not None:
-            self.record(["fire", transition.name])
+            self.record(TransitionFired(transition.name))
         if transition.role is Role.ACCEPT:
             self.ledger.serving = self.tokens.first(self.place[input_place(transition.origin)]).job
         lineage = self.tokens.take_inputs(index)
@@ -116,24 +295,31 @@ class FiringRule(NetState):
         self._give(index, NO_LINEAGE if lineage.job is None and passed_on is None else Lineage(lineage.job, passed_on))
         message = str(lineage.failure) if lineage.failure is not None else ""
         symbol = symbol or (transition.emit[0] if transition.emit else "")
-        self.teller.fired(transition.name, Phase.END, lineage, symbol=symbol, message=message)
+        self.notifier.note(transition.name, Phase.END, lineage, symbol=symbol, message=message)
         self.emit(transition, lineage)
         return None
-
-    def _mover(self, index: int) -> Mover | None:
-        transition, compiled = self.transitions[index], self.enabling.compiled
-        if transition.role is not Role.PLAIN or transition.symbol is not None or transition.emit:
-            return None
-        name, remote = transition.name, tuple(transition.remote_outputs.items())
-        return Mover(name, ["fire", name], tuple(compiled.inputs[index]), tuple(compiled.outputs[index]), remote)
 
     def begin(self, index: int, lineage: Lineage, symbol: str) -> Activity:
         """Marks ``t.active`` for tokens that were taken; returns the action that is to begin."""
         transition = self.transitions[index]
-        self.enabling.add(self.place[active_place(transition.origin)], 1)
-        self.teller.fired(transition.origin, Phase.START, lineage, symbol=symbol)
-        activity = self.new_activity(index, self.teller.sequence, lineage)
+        self.enabling.add_tokens(self.place[active_place(transition.origin)], 1)
+        self.notifier.note(transition.origin, Phase.START, lineage, symbol=symbol)
+        activity = self.new_activity(index, self.notifier.sequence, lineage)
         self.activities[activity.number] = activity
+        return activity
+
+    def called(self, index: int | None = None) -> Activity | None:
+        """Makes an activity of the function that is being called; None if none is, or not that of ``index``."""
+        if self.call is None or (index is not None and index != self.call[0]):
+            return None
+        index, began = self.call
+        self.call = None
+        activity = self.new_activity(index, self.notifier.sequence, NO_LINEAGE)
+        activity.began = began
+        place = self.place[active_place(activity.transition)]
+        self.enabling.tokens[place] -= 1  # where it was put without what it enables
+        self.enabling.add_tokens(place, 1)
+        self.callee = self.activities[activity.number] = activity
         return activity
 
     def new_activity(self, index: int, number: int, lineage: Lineage) -> Activity:
@@ -157,19 +343,19 @@ class FiringRule(NetState):
         if activity.state is ActivityState.CANCELLING:
             name = f"{name}.cancelling"
         if self.record is not None:
-            self.record(["phase", activity.number, name, encode_error(error)])
+            self.record(PhaseFired(activity.number, name, error))
         self._leave(activity)
         activity.state = state
         if activity.lineage.job is not None:
             activity.lineage.job.unwanted = False
-        self.enabling.add(self.place[_PHASE_PLACES[state](activity.transition)], 1)
+        self.enabling.add_tokens(self.place[_PHASE_PLACES[state](activity.transition)], 1)
         if state is ActivityState.IN_DOUBT:
             activity.doubt, activity.doubted = error, self.clock()
         phase = Phase.DOUBT if state is ActivityState.IN_DOUBT else Phase.CANCEL
         duration = self.clock() - activity.began
-        self.teller.fired(activity.transition, phase, activity.lineage, duration=duration, message=str(error))
+        self.notifier.note(activity.transition, phase, activity.lineage, duration=duration, message=str(error))
 
-    def end(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> ImError | None:
+    def end_action(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> ImError | None:
         """Fires ``t.end``, ``t.failed`` or ``t.given_up`` of an activity.
 
         Args:
@@ -194,11 +380,11 @@ class FiringRule(NetState):
             given_up = f"{activity.transition}.given_up"
             name = given_up if given_up in self.number else name
         if self.record is not None:
-            self.record(["end", activity.number, name, encode_error(error), data])
-        self.apply_end(activity, name, error, results)
+            self.record(EndFired(activity.number, name, error, data))
+        self._end(activity, name, error, results)
         return error
 
-    def apply_end(self, activity: Activity, name: str, error: ImError | None, results: dict[str, object]) -> None:
+    def _end(self, activity: Activity, name: str, error: ImError | None, results: dict[str, object]) -> None:
         """Fires a transition that ends an activity."""
         del self.activities[activity.number]
         job, index = activity.lineage.job, self.number[name]
@@ -210,7 +396,7 @@ class FiringRule(NetState):
         lineage = NO_LINEAGE if job is None and error is None else Lineage(job, error)
         self._give(index, lineage)
         transition = self.transitions[index]
-        self.teller.fired(
+        self.notifier.note(
             activity.transition,
             Phase.FAILED if error else Phase.END,
             lineage,
@@ -221,7 +407,7 @@ class FiringRule(NetState):
         self.emit(transition, lineage)
 
     def _leave(self, activity: Activity) -> None:
-        self.enabling.take(self.place[_PHASE_PLACES[activity.state](activity.transition)], 1)
+        self.enabling.take_tokens(self.place[_PHASE_PLACES[activity.state](activity.transition)], 1)
 
     def _give(self, index: int, lineage: Lineage) -> None:
         self.tokens.give_outputs(index, lineage)

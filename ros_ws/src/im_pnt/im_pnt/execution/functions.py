@@ -1,14 +1,15 @@
 """Registered actions and guards, and what they are told when called. A net names them; nothing is evaluated."""
 
+import inspect
 import math
 from collections.abc import Awaitable, Callable, Mapping
 
-from im_core.errors import ImError
-from im_pnt.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
-from im_pnt.doubt import Answer
-from im_pnt.errors import NetError, NetFileError, nearest
-from im_pnt.jobs import NO_COMMAND, NO_LINEAGE, Activity, Command, Lineage
-from im_pnt.net import Net, Transition
+from im_core.errors import ImError, nearest
+from im_pnt.errors import NetError, NetFileError
+from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.jobs import NO_COMMAND, NO_LINEAGE, Activity, Command, Lineage
+from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.net import Net, Transition
 
 ProgressSink = Callable[[Lineage, str, float], None]
 
@@ -21,10 +22,10 @@ class ActionContext:
     Attributes:
         net: Name of the net.
         transition: Name of the transition.
-        used: Whether something was left in it that the next call of the function must not find.
+        used: Whether something is in it that the next call of a function must not find.
     """
 
-    __slots__ = ("_activity", "_callbacks", "_lineage", "_own", "_progress", "net", "transition", "used")
+    __slots__ = ("_activity", "_begun", "_lineage", "_own", "_progress", "net", "transition", "used")
 
     def __init__(
         self,
@@ -33,15 +34,16 @@ class ActionContext:
         lineage: Lineage = NO_LINEAGE,
         activity: Activity | None = None,
         progress: ProgressSink | None = None,
+        begun: Callable[[], Activity | None] | None = None,
     ) -> None:
         self.net = net
         self.transition = transition
         self.used = False
         self._lineage = lineage
         self._activity = activity
+        self._begun = begun
         self._progress = progress
         self._own: dict[str, dict[str, object]] = {}
-        self._callbacks: list[Callable[[], None]] = []
 
     @property
     def command(self) -> Command:
@@ -92,11 +94,10 @@ class ActionContext:
 
     def on_cancel(self, callback: Callable[[], None]) -> None:
         """Has a function called when this action is cancelled; at once if it already is."""
+        if self._activity is None and self._begun is not None:
+            self.bind(self._begun())
         if self._activity is not None:
             self._activity.when_cancelled(callback)
-        else:
-            self.used = True
-            self._callbacks.append(callback)
 
     def progress(self, text: str, fraction: float = -1.0) -> None:
         """Tells the client how far the command is.
@@ -108,11 +109,9 @@ class ActionContext:
         if self._progress is not None:
             self._progress(self._lineage, text, fraction)
 
-    def bind(self, activity: Activity) -> None:
-        """Gives it an action that goes on after its function has returned."""
-        self._activity = activity
-        for callback in self._callbacks:
-            activity.when_cancelled(callback)
+    def bind(self, activity: Activity | None) -> None:
+        """Gives it the action that it speaks of."""
+        self.used, self._activity = True, activity
 
     def _private(self, what: str) -> dict[str, object]:
         self.used = True
@@ -121,7 +120,6 @@ class ActionContext:
 
 ActionFunction = Callable[[ActionContext], object | Awaitable[object]]
 GuardFunction = Callable[[ActionContext], bool]
-HandleFunction = Callable[[ActionContext, object], object]
 AskFunction = Callable[[ActionContext], Answer | Awaitable[Answer]]
 
 _SOURCES = ("data", "topic", "clock")
@@ -167,6 +165,21 @@ def clock_period(source: str) -> float | None:
     if not 0.0 < period < math.inf:
         raise NetError(f"'{source}' has no period; a number of seconds > 0 is needed")
     return period
+
+
+def idempotent(function: ActionFunction) -> AskFunction:
+    """Returns what finds out about an action that may be done twice, for its effect is the same: it is done again."""
+
+    async def ask(context: ActionContext) -> Answer:
+        try:
+            outcome = function(context)
+            if inspect.isawaitable(outcome):
+                await outcome
+        except ImError as error:
+            return Answer(Outcome.FAILED, error, asked="it was done again")
+        return Answer(Outcome.DONE, asked="it was done again")
+
+    return ask
 
 
 def cancelled(ctx: ActionContext) -> bool:

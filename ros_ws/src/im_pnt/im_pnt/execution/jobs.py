@@ -1,13 +1,14 @@
 """What a net works for: commands of the tape and requests of other nets; and the actions it has running for them."""
 
 import enum
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from im_core.errors import ImError
-from im_pnt.action import Action
-from im_pnt.timers import Timer
+from im_pnt.execution.timers import Timer
+from im_pnt.model.action import Action
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,14 @@ class CommandResult:
     results: dict[str, object]
 
 
+class JobData(NamedTuple):
+    """What the actions of a job have left in it, as JSON data: memory, results, progress."""
+
+    memory: dict[str, object]
+    results: dict[str, object]
+    progress: float
+
+
 @dataclass(slots=True, eq=False)
 class Job:
     """A command or request in work.
@@ -87,7 +96,7 @@ class Job:
         number: Counts the jobs of its net from 1; 0 before the net has taken it.
         from_tape: Whether it came over the input tape: a command, or a request of another net that is one.
         waiting: Whether it is still on the tape.
-        recorded: Its memory, results and progress as they were written to the journal last, as JSON.
+        recorded: Its data as they were written to the journal last, None: never.
         on_closed: Called once with the result.
     """
 
@@ -105,7 +114,7 @@ class Job:
     number: int = 0
     from_tape: bool = False
     waiting: bool = False
-    recorded: str = "[{},{},-1.0]"
+    recorded: JobData | None = None
     on_closed: Callable[[CommandResult], None] | None = None
 
     @property
@@ -247,3 +256,140 @@ def as_failure(activity: Activity, error: Exception) -> ImError:
         net=activity.net,
         transition=activity.transition,
     )
+
+
+class Ledger:
+    """Open jobs in the order of their arrival.
+
+    Attributes:
+        tape: The input tape.
+        serving: Request that holds the input semaphore SI.
+        count: Jobs entered so far; the number of the last one.
+    """
+
+    def __init__(self) -> None:
+        self.tape = InputTape()
+        self.serving: Job | None = None
+        self.count = 0
+        self._open: dict[int, Job] = {}
+
+    def add(self, job: Job) -> None:
+        """Enters a job and numbers it."""
+        self.count += 1
+        job.number = self.count
+        self._open[job.number] = job
+
+    def reopen(self, job: Job) -> None:
+        """Enters a job under the number that it has."""
+        self._open[job.number] = job
+
+    def close(self, job: Job, error: ImError | None) -> None:
+        """Ends a job and tells whoever waits for it."""
+        self._open.pop(job.number, None)
+        if self.serving is job:
+            self.serving = None
+        job.close(error)
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def is_open(self, job: Job) -> bool:
+        """Whether a job has not ended."""
+        return job.number in self._open
+
+    def jobs(self) -> list[Job]:
+        """Returns the open jobs in the order of their arrival."""
+        return list(self._open.values())
+
+    def job(self, number: int) -> Job | None:
+        """Returns an open job by its number."""
+        return self._open.get(number)
+
+    def of_command(self, command_id: int | None) -> list[Job]:
+        """Returns the open jobs of a command of this net's own tape, or all jobs."""
+        jobs = self._open.values()
+        return [job for job in jobs if command_id is None or (job.request is None and job.command.id == command_id)]
+
+    def of_request(self, request_id: str) -> list[Job]:
+        """Returns the open jobs of a request: one or none."""
+        return [job for job in self._open.values() if job.request is not None and job.request.id == request_id]
+
+    def begun_commands(self) -> list[Job]:
+        """Returns the open jobs that have been read from the tape."""
+        return [job for job in self._open.values() if job.from_tape and not job.waiting]
+
+    def ended_by(self, emitted: str, own: Job | None) -> Job | None:
+        """Returns the job that an output symbol ends: that of the firing, or the oldest begun with its symbol."""
+        if own is not None and own.from_tape and self.is_open(own) and ends(emitted, own.symbol) is not None:
+            return own
+        return next((job for job in self.begun_commands() if ends(emitted, job.symbol) is not None), None)
+
+    def merge(self, lineages: Iterable[Lineage]) -> Lineage:
+        """Makes one lineage of several: the open job that arrived last, and the first failure."""
+        job: Job | None = None
+        failure: ImError | None = None
+        for lineage in lineages:
+            failure = failure or lineage.failure
+            own = lineage.job
+            if own is not None and own.number in self._open and (job is None or own.number > job.number):
+                job = own
+        if job is None:
+            job = self.serving
+        return NO_LINEAGE if job is None and failure is None else Lineage(job, failure)
+
+
+DONE_SUFFIX = "_done"
+FAILED_SUFFIX = "_failed"
+
+
+class InputTape:
+    """Symbols that wait to be read, with the jobs they stand for; a transition reads the oldest of its symbol."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, deque[Job]] = {}
+
+    def write(self, job: Job) -> None:
+        """Puts a job at the end."""
+        job.from_tape = job.waiting = True
+        self._waiting.setdefault(job.symbol, deque()).append(job)
+
+    def has(self, symbol: str) -> bool:
+        """Whether a symbol is on the tape."""
+        return bool(self._waiting.get(symbol))
+
+    def first(self, symbol: str) -> Job:
+        """Returns the oldest job of a symbol, and leaves it on the tape.
+
+        Raises:
+            LookupError: The symbol is not there.
+        """
+        return self._waiting[symbol][0]
+
+    def read(self, symbol: str) -> Job:
+        """Takes the oldest job of a symbol from the tape.
+
+        Raises:
+            LookupError: The symbol is not there.
+        """
+        job = self._waiting[symbol].popleft()
+        job.waiting = False
+        return job
+
+    def withdraw(self, job: Job) -> bool:
+        """Takes a job from the tape, wherever it is; returns whether it was there."""
+        if not job.waiting:
+            return False
+        self._waiting[job.symbol].remove(job)
+        job.waiting = False
+        return True
+
+    def waiting(self) -> list[Job]:
+        """Returns the jobs on the tape, symbol by symbol."""
+        return [job for jobs in self._waiting.values() for job in jobs]
+
+
+def ends(emitted: str, symbol: str) -> bool | None:
+    """Whether an output symbol says that a command is done (True), failed (False), or neither (None)."""
+    if emitted == symbol + DONE_SUFFIX:
+        return True
+    return False if emitted == symbol + FAILED_SUFFIX else None

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 from typing import Protocol
 
-from im_pnt.journal.errors import JournalError
+from im_pnt.errors import JournalError
 
 LOCK = "lock"
 

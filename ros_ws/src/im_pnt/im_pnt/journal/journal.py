@@ -5,26 +5,40 @@ before messages, acknowledgements and answers leave (:meth:`commit`). A batch is
 message caused is never parted from its having been taken, nor a firing from the messages that it sends.
 """
 
+import dataclasses
+import enum
+import functools
+import hashlib
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 
 from im_core.clock import wall
-from im_pnt.errors import NetError
-from im_pnt.events import Observer
-from im_pnt.exchange import Exchange
-from im_pnt.executive import Runner
-from im_pnt.journal.errors import JournalError
-from im_pnt.journal.exchange_record import exchange_state
-from im_pnt.journal.fingerprint import fingerprint
+from im_core.errors import ImError
+from im_pnt.distributed.exchange import Exchange, ExchangeEntry
+from im_pnt.distributed.link import Link
+from im_pnt.distributed.streams import LinkEntry
+from im_pnt.errors import JournalError, NetError
+from im_pnt.execution.actions import ActionOwner, Runner
+from im_pnt.execution.functions import ActionContext, ActionFunction
+from im_pnt.execution.jobs import Activity
+from im_pnt.execution.notification import Observer
+from im_pnt.execution.record import EndFired, NetEntry, Record, TransitionFired
+from im_pnt.journal.codec import (
+    decode_exchange_entry,
+    decode_link_entry,
+    decode_net_entry,
+    encode_exchange_entry,
+    encode_link_entry,
+    net_encoder,
+)
 from im_pnt.journal.folder import Files, Folder
-from im_pnt.journal.guarded_runner import GuardedRunner
-from im_pnt.journal.link_record import link_state
 from im_pnt.journal.log import Log, Recovered, Sync, discard, encode_json
-from im_pnt.journal.recovery import bring_back
-from im_pnt.link import Link
-from im_pnt.net import Net
-from im_pnt.record import Entry, Record
+from im_pnt.journal.state import exchange_state, link_state, net_state, restore_exchange, restore_link, restore_net
+from im_pnt.model.action import Action, RequestAction
+from im_pnt.model.net import Net
 
 COMPACT_BYTES = 8_000_000
+_FIRINGS = frozenset((TransitionFired, EndFired))
 
 
 class Journal:
@@ -59,7 +73,6 @@ class Journal:
         self._exchange: Exchange | None = None
         self._link: Link | None = None
         self._entries: list[str] = []
-        self._tokens: dict[tuple[object, ...], str] = {}
         self._described: dict[str, tuple[Net, dict[str, str]]] = {}
         self._compact_at = compact_bytes
         self.epoch = int(wall() * 1e6)
@@ -77,29 +90,13 @@ class Journal:
     # What the nets, the exchange and the link of the process need to be given.
 
     def recorder(self, net: str) -> Record:
-        """Returns what an executive is given to record its events and firings."""
-        prefix = f'["net",{encode_json(net)},'
-        known: dict[tuple[object, ...], str] = {}
+        """Returns what an executor is given to record its events and firings."""
+        encode, append = net_encoder(net), self._entries.append
 
-        def record(entry: Entry) -> None:
-            if self._exchange is None or self._exchange.muted:
-                return
-            kind = entry[0]
-            if kind == "fire" or (kind == "token" and entry[2] == 1):  # by far the most frequent
-                key = tuple(entry)
-                text = known.get(key)
-                if text is None:
-                    text = known[key] = f"{prefix}{encode_json(entry)}]"
-                self._entries.append(text)
-                if kind == "fire":
-                    return
-            else:
-                try:
-                    self._entries.append(f"{prefix}{encode_json(entry)}]")
-                except (TypeError, ValueError) as error:
-                    text = f"net {net}: what is to be journalled is not JSON data: {error}"
-                    raise NetError(text, net=net) from error
-            self._exchange.inboxes.deliveries.taken(net, entry)
+        def record(entry: NetEntry) -> None:
+            append(encode(entry))
+            if type(entry) not in _FIRINGS and self._exchange is not None:
+                self._exchange.inboxes.deliveries.taken(net, entry)
 
         return record
 
@@ -113,7 +110,7 @@ class Journal:
         """Brings everything back as it was, or begins a journal.
 
         Args:
-            exchange: With its nets, whose executives have their recorders; nothing has happened yet.
+            exchange: With its nets, whose executors have their recorders; nothing has happened yet.
             link: To other processes.
 
         Returns:
@@ -126,16 +123,14 @@ class Journal:
         recovered, self._recovered = self._recovered, None
         if recovered is not None:
             self._compare(recovered)
-            exchange.muted = True
-            bring_back(recovered, exchange, link)
-            exchange.muted = False
+            _bring_back(recovered, exchange, link)
             self.epoch = link.epoch
         exchange.inboxes.record = self._record_exchange
         link.record = self._record_link
         link.held = lambda: bool(self._entries)
         if recovered is not None:
-            for executive in exchange.nets.values():
-                executive.resume()
+            for executor in exchange.nets.values():
+                executor.resume()
         self.compact()
         return recovered is not None
 
@@ -185,9 +180,10 @@ class Journal:
         Raises:
             JournalError: It cannot be written; nothing may leave now, and it may be tried again.
         """
-        if self._entries:
-            self._log.append(f"[{','.join(self._entries)}]")
-            self._entries.clear()
+        entries = self._entries
+        if entries:
+            self._log.append(f"[{','.join(entries)}]")
+            entries.clear()
 
     def commit(self) -> None:
         """Writes what has happened, and lets the messages go that depend on it; call it when the nets have been pumped.
@@ -214,7 +210,7 @@ class Journal:
         """
         assert self._exchange is not None
         assert self._link is not None
-        nets = {name: executive.state() for name, executive in self._exchange.nets.items()}
+        nets = {name: net_state(executor) for name, executor in self._exchange.nets.items()}
         state = {"nets": nets, "exchange": exchange_state(self._exchange), "link": link_state(self._link)}
         self._log.replace(self._header(), state)
         self._entries.clear()  # the snapshot has all that has happened
@@ -243,22 +239,140 @@ class Journal:
 
     def _header(self) -> dict[str, object]:
         assert self._exchange is not None
-        for name, executive in self._exchange.nets.items():
-            net = executive.written
+        for name, executor in self._exchange.nets.items():
+            net = executor.written
             if name not in self._described or self._described[name][0] is not net:
                 self._described[name] = net, {"fingerprint": fingerprint(net), "source": net.source}
         return {"node": self._node, "nets": {name: self._described[name][1] for name in self._exchange.nets}}
 
-    def _record_exchange(self, entry: Entry) -> None:
-        delivery = entry[2] if entry[0] == "posted" else None
-        if not isinstance(delivery, list) or delivery[0] != "token":
-            self._entries.append(f'["exchange",{encode_json(entry)}]')
-            return
-        key = (entry[1], *delivery)
-        text = self._tokens.get(key)
-        if text is None:
-            text = self._tokens[key] = f'["exchange",{encode_json(entry)}]'
-        self._entries.append(text)
+    def _record_exchange(self, entry: ExchangeEntry) -> None:
+        self._entries.append(encode_exchange_entry(entry))
 
-    def _record_link(self, entry: str) -> None:
-        self._entries.append(f'["link",{entry}]')
+    def _record_link(self, entry: LinkEntry) -> None:
+        self._entries.append(encode_link_entry(entry))
+
+
+class GuardedRunner:
+    """Has the journal written, then the action begun.
+
+    A request leaves with the next commit anyway; not to write it apart keeps it in one batch with its firing.
+
+    Args:
+        runner: Does the rest.
+        write: Writes the journal; raises where it cannot.
+    """
+
+    def __init__(self, runner: Runner, write: Callable[[], None]) -> None:
+        self._runner, self._write = runner, write
+        self.watch, self.waits, self.ask = runner.watch, runner.waits, runner.ask
+
+    def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
+        """Starts an action; one that cannot be journalled fails."""
+        if not isinstance(activity.action, RequestAction):
+            try:
+                self._write()
+            except JournalError as error:
+                owner.ended(activity, error)
+                return
+        self._runner.start(owner, activity, context)
+
+    def direct(self, action: Action) -> ActionFunction | None:
+        """Returns the function that does an action when it is called."""
+        function = self._runner.direct(action)
+        if function is None:
+            return None
+
+        def guarded(context: ActionContext) -> object | Awaitable[object]:
+            self._write()
+            return function(context)
+
+        return guarded
+
+
+# Coming back: the snapshot, then batch after batch what has happened since.
+
+
+def _bring_back(recovered: Recovered, exchange: Exchange, link: Link) -> None:
+    """Brings everything back as it was when the last batch was written.
+
+    Raises:
+        JournalError: A record does not fit; names file, offset and number.
+    """
+    number, offset = 2, 0
+    try:
+        _restore(recovered.state, exchange, link)
+        for record, batch in recovered.batches:
+            number, offset = record.number, record.offset
+            for entry in batch:
+                _replay(entry, exchange, link)
+        exchange.inboxes.deliver_again()
+    except (ImError, ValueError, LookupError, TypeError, AttributeError, AssertionError) as error:
+        raise JournalError(
+            f"{recovered.file}: record {number} at byte {offset} does not fit what was before it "
+            f"({type(error).__name__}: {error}); nothing was started. Move the journal aside with Journal.discard and "
+            "begin anew",
+            file=recovered.file,
+            record=number,
+            offset=offset,
+        ) from error
+
+
+def _restore(state: Mapping[str, object], exchange: Exchange, link: Link) -> None:
+    match state:
+        case {"nets": dict(nets), "exchange": dict(exchanged), "link": dict(linked)}:
+            for name, content in nets.items():
+                restore_net(exchange.nets[name], content)
+            restore_exchange(exchange, exchanged)
+            restore_link(link, linked)
+        case _:
+            raise ValueError("the snapshot has no nets, exchange and link")
+
+
+def _replay(entry: object, exchange: Exchange, link: Link) -> None:
+    match entry:
+        case ["net", str(net), list(content)]:
+            happened = decode_net_entry(content)
+            exchange.nets[net].replay(happened)
+            exchange.inboxes.deliveries.taken(net, happened)
+        case ["exchange", list(content)]:
+            exchange.replay(decode_exchange_entry(content))
+        case ["link", list(content)]:
+            link.replay(decode_link_entry(content))
+        case _:
+            raise ValueError(f"{str(entry)[:200]} is no entry")
+
+
+# Whether a journal belongs to a net.
+
+_UNIMPORTANT = ("line", "source", "description")
+
+
+def fingerprint(net: Net) -> str:
+    """Returns 16 hexadecimal digits that differ for nets that behave differently.
+
+    Args:
+        net: The net, as written; where it was written, and its description, do not count.
+    """
+    text = encode_json(_plain(net))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, (str, int, float, type(None))):
+        return value.name if isinstance(value, enum.Enum) else value
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, Mapping):
+        return [[_plain(key), _plain(entry)] for key, entry in value.items()]
+    kind: type = type(value)
+    names = _fields(kind)
+    if names:
+        return [kind.__name__, {name: _plain(getattr(value, name)) for name in names}]
+    return repr(value)
+
+
+@functools.cache
+def _fields(kind: type) -> tuple[str, ...]:
+    if not dataclasses.is_dataclass(kind):
+        return ()
+    return tuple(field.name for field in dataclasses.fields(kind) if field.name not in _UNIMPORTANT)

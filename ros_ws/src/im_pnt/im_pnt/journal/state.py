@@ -1,22 +1,39 @@
-"""The state of a net in execution as JSON data, taken and brought back."""
+"""The state of nets in execution, of an exchange and of a link as JSON data: taken, and brought back."""
 
 import json
 from collections.abc import Mapping
 
-from im_pnt.errors import NetError
-from im_pnt.firing import FiringRule
-from im_pnt.jobs import NO_LINEAGE, Activity, ActivityState, Job, Lineage, Reply
-from im_pnt.modes import Mode, Operator
-from im_pnt.record import data_of, decode_command, decode_request, encode_command, encode_request, plain, take_data
-from im_pnt.remote import decode_error, encode_error
+from im_pnt.distributed.exchange import Exchange, RequestAsked
+from im_pnt.distributed.link import Link
+from im_pnt.distributed.packets import decode_message, is_number, numbered
+from im_pnt.distributed.streams import Peer, Sent
+from im_pnt.errors import NetError, decode_error, encode_error
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, JobData, Lineage, Reply
+from im_pnt.execution.operator import Mode
+from im_pnt.execution.record import data_of, plain, recorded_data, take_data
+from im_pnt.journal.codec import (
+    decode_command,
+    decode_delivery,
+    decode_request,
+    encode_command,
+    encode_delivery,
+    encode_request,
+)
+from im_pnt.model.net import RemotePlace
+
+# Nets.
 
 
-def snapshot(rule: FiringRule, operator: Operator) -> dict[str, object]:
-    """Returns the state of a net as JSON data.
+def net_state(executor: Executor) -> dict[str, object]:
+    """Returns what a net is in the middle of; to be called between two calls of ``pump``.
 
     Raises:
         NetError: A job holds something that JSON cannot carry.
     """
+    rule, operator = executor.rule, executor.operator
+    rule.called()
     jobs = {job.number: job for job in rule.ledger.jobs()}
     for activity in rule.activities.values():
         if activity.lineage.job is not None:
@@ -28,7 +45,7 @@ def snapshot(rule: FiringRule, operator: Operator) -> dict[str, object]:
         places[name] = lineages if any(lineages) else tokens
     serving = rule.ledger.serving
     return {
-        "sequence": rule.teller.sequence,
+        "sequence": rule.notifier.sequence,
         "places": places,
         "entered": rule.ledger.count,
         "jobs": [_job(rule, job) for job in jobs.values()],
@@ -40,19 +57,20 @@ def snapshot(rule: FiringRule, operator: Operator) -> dict[str, object]:
     }
 
 
-def restore(rule: FiringRule, operator: Operator, state: Mapping[str, object]) -> None:
-    """Takes a state back.
+def restore_net(executor: Executor, state: Mapping[str, object]) -> None:
+    """Takes a state back, before anything has happened.
 
     Raises:
         NetError: It is no state of this net.
     """
     try:
-        _restore(rule, operator, state)
+        _restore(executor, state)
     except (LookupError, TypeError, ValueError, AssertionError) as error:
-        raise NetError(f"this is no state of net {rule.net.name}: {error!r}", net=rule.net.name) from error
+        raise NetError(f"this is no state of net {executor.net.name}: {error!r}", net=executor.net.name) from error
 
 
-def _restore(rule: FiringRule, operator: Operator, state: Mapping[str, object]) -> None:
+def _restore(executor: Executor, state: Mapping[str, object]) -> None:
+    rule, operator = executor.rule, executor.operator
     match state:
         case {
             "sequence": int(sequence),
@@ -77,17 +95,17 @@ def _restore(rule: FiringRule, operator: Operator, state: Mapping[str, object]) 
     for number in tape:
         rule.ledger.tape.write(known[number])
     for name, tokens in rule.tokens.marking().items():
-        rule.enabling.take(rule.place[name], tokens)
+        rule.enabling.take_tokens(rule.place[name], tokens)
     for name, content in places.items():
         lineages = [None] * content if isinstance(content, int) else content
         for entry in lineages:
-            rule.put(name, 1, _lineage_of(known, entry))
+            rule.mark_place(name, 1, _lineage_of(known, entry))
     for content in running:
         activity = _activity_of(rule, known, content)
         rule.activities[activity.number] = activity
     rule.ledger.count = entered
     rule.ledger.serving = known[serving] if serving is not None else None
-    rule.teller.sequence = sequence
+    rule.notifier.sequence = sequence
     operator.set_mode(Mode(mode))
     operator.pause(paused)
 
@@ -110,15 +128,15 @@ def _lineage_of(known: Mapping[object, Job], content: object) -> Lineage:
 
 def _job(rule: FiringRule, job: Job) -> list[object]:
     asked = encode_command(job.command) if job.request is None else encode_request(job.request)
-    data = data_of(job) if rule.record is None else json.loads(job.recorded)
+    data = data_of(job) if rule.record is None else recorded_data(job)
     replies = plain(job.replies, "the replies")
     flags = [rule.ledger.is_open(job), job.request is not None, job.from_tape, job.cancelled, job.unwanted]
-    return [job.number, flags, asked, data, replies, encode_error(job.last_failure)]
+    return [job.number, flags, asked, list(data), replies, encode_error(job.last_failure)]
 
 
 def _job_of(content: object) -> tuple[Job, bool]:
     match content:
-        case [int(number), list(flags), asked, data, dict(replies), error]:
+        case [int(number), list(flags), asked, [dict(memory), dict(results), float(progress)], dict(replies), error]:
             is_open, requested, from_tape, cancelled, unwanted = (flag is True for flag in flags)
             request = decode_request(asked) if requested else None
             command = request.command if request is not None else decode_command(asked)
@@ -127,7 +145,7 @@ def _job_of(content: object) -> tuple[Job, bool]:
             job.replies.update(replies)
             job.last_failure = decode_error(error)
             job.closed, job.unwanted = not is_open, unwanted
-            take_data(job, data)
+            take_data(job, JobData(memory, results, progress))
             return job, is_open
     raise ValueError(f"{str(content)[:80]} is no job")
 
@@ -160,3 +178,100 @@ def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object)
                 activity.reply = Reply(decode_error(reply[0]), dict(reply[1]))
             return activity
     raise ValueError(f"{str(content)[:80]} is no action that runs")
+
+
+# The exchange.
+
+
+def exchange_state(exchange: Exchange) -> dict[str, object]:
+    """Returns an exchange as JSON data."""
+    book, inboxes = exchange.book, exchange.inboxes
+    posted = {net: inboxes.not_late(net, events) for net, events in inboxes.deliveries.waiting().items()}
+    return {
+        "requests": [book.prefix, book.count],
+        "asked": [[name, w.executor.net.name, w.activity.number, w.net, w.node] for name, w in book.items()],
+        "in_work": [encode_request(request) for request in inboxes.in_work.values()],
+        "undeliverable": [[net, place, count] for (net, place), count in exchange.undeliverable.items()],
+        "posted": {net: [encode_delivery(event) for event in events] for net, events in posted.items()},
+    }
+
+
+def restore_exchange(exchange: Exchange, state: Mapping[str, object]) -> None:
+    """Brings an exchange back whose nets have been brought back.
+
+    Raises:
+        ValueError: It is no state of an exchange.
+        NetError: It speaks of activities that are not there.
+        LookupError: It speaks of nets that are not there.
+    """
+    match state:
+        case {
+            "requests": [str(prefix), int(count)],
+            "asked": list(asked),
+            "in_work": list(in_work),
+            "undeliverable": list(undeliverable),
+            "posted": dict(posted),
+        }:
+            for fields in asked:
+                match fields:
+                    case [str(request_id), str(net), int(number), str(other), str(node)]:
+                        exchange.watch(RequestAsked(request_id, net, number, other, node))
+                    case _:
+                        raise ValueError(f"{str(fields)[:200]} is no request")
+            exchange.book.prefix, exchange.book.count = prefix, count
+            for request in map(decode_request, in_work):
+                exchange.inboxes.in_work[request.id] = request
+            for net, events in posted.items():
+                for event in events:
+                    exchange.inboxes.deliveries.put_delivery(net, decode_delivery(event))
+            for net, place, tokens in undeliverable:
+                exchange.undeliverable[RemotePlace(net, place)] = tokens
+        case _:
+            raise ValueError(f"{str(state)[:200]} is no state of an exchange")
+
+
+# The link.
+
+
+def link_state(link: Link) -> dict[str, object]:
+    """Returns a link as JSON data."""
+    return {"epoch": link.epoch, "peers": {node: _peer(peer) for node, peer in link.peers.items()}}
+
+
+def restore_link(link: Link, state: Mapping[str, object]) -> None:
+    """Brings the streams of a link back; everything that was not acknowledged is sent again.
+
+    Raises:
+        ValueError: It is no state of a link.
+    """
+    match state:
+        case {"epoch": int(epoch), "peers": dict(peers)}:
+            link.epoch = epoch
+            link.peers = {str(node): _peer_of(node, peer) for node, peer in peers.items()}
+        case _:
+            raise ValueError(f"{str(state)[:200]} is no state of a link")
+
+
+def _peer(peer: Peer) -> dict[str, object]:
+    incoming, outgoing = peer.incoming, peer.outgoing
+    refused = [[number, reason] for number, reason in incoming.refused.items()]
+    waiting = [json.loads(sent.text) for sent in outgoing.waiting.values()]
+    heard = [incoming.epoch, incoming.floor, refused]
+    return {"heard": heard, "last": outgoing.last, "waiting": waiting, "journal": peer.keeps_journal}
+
+
+def _peer_of(name: str, state: Mapping[str, object]) -> Peer:
+    match state:
+        case {"heard": [int(epoch), int(floor), list(refused)], "last": int(last), "waiting": list(waiting)}:
+            peer = Peer(name)
+            peer.incoming.epoch, peer.incoming.floor = epoch, floor
+            peer.incoming.ack_at = 0.0 if floor else None
+            peer.incoming.refused = {int(number): str(reason) for number, reason in refused}
+            peer.outgoing.last = last
+            peer.keeps_journal = state.get("journal") is True
+            for number, *fields in waiting:
+                peer.outgoing.waiting[number] = Sent(numbered(number, decode_message(fields)))
+            peer.outgoing.floor = next(iter(peer.outgoing.waiting), last + 1) - 1
+            if is_number(last) and is_number(epoch) and is_number(floor):
+                return peer
+    raise ValueError(f"{str(state)[:200]} is no state of a stream")

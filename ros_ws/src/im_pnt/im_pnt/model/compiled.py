@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from im_pnt.errors import NetError, nearest
-from im_pnt.net import Arcs, Marking, Net
+from im_core.errors import nearest
+from im_pnt.errors import NetError
+from im_pnt.model.net import Arcs, Marking, Net
 
 IndexedArcs = tuple[tuple[int, int], ...]
 """Pairs of place index and weight."""

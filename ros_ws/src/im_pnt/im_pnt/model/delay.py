@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from random import Random
 from typing import NamedTuple
 
-from im_pnt.errors import NetError, nearest
+from im_core.errors import nearest
+from im_pnt.errors import NetError
 
 
 class _Kind(NamedTuple):

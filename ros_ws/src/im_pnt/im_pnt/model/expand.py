@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from im_pnt.errors import NetError
-from im_pnt.net import Arcs, Net, Place, Role, Service, Transition
+from im_pnt.model.net import Arcs, Net, Place, Role, Service, Transition
 
 INPUT_SEMAPHORE = "SI"
 OUTPUT_SEMAPHORE = "SO"

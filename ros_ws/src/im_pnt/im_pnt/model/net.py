@@ -9,8 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from im_pnt.action import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
-from im_pnt.delay import Delay
+from im_pnt.model.action import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.delay import Delay
+
+LARGEST = 2**31 - 1
+"""Largest number of tokens, weight or priority: analysis packs markings."""
 
 Arcs = Mapping[str, int]
 """Place name to arc weight (>= 1)."""
@@ -163,7 +166,7 @@ class Service:
 
 @dataclass(frozen=True, slots=True)
 class Net:
-    """A net; as written, or as :func:`im_pnt.expand.expand` made it.
+    """A net; as written, or as :func:`im_pnt.model.expand.expand` made it.
 
     Attributes:
         name: Name by which other nets refer to it.

@@ -1,13 +1,20 @@
-"""Net files: YAML or PNML to nets, with complaints that name file, line, column and the nearest right name."""
+"""Net files: YAML or PNML to nets, with complaints that name file, line, column and the nearest right name.
+
+A file is read to values with positions (:mod:`im_core.yamltext`), put together (:mod:`~im_pnt.netfile.templates`),
+checked by the models of :mod:`~im_pnt.netfile.schema`, and made a net by :mod:`~im_pnt.netfile.reader`;
+:mod:`~im_pnt.netfile.writer` writes one.
+"""
 
 from pathlib import Path
 
-from im_pnt.net import Net
-from im_pnt.netfile.assemble import assemble
-from im_pnt.netfile.node import Node
+from im_pnt.model.net import Net
 from im_pnt.netfile.reader import read_net
-from im_pnt.netfile.source import read_text
-from im_pnt.netfile.yamltext import read_yaml
+from im_pnt.netfile.schema import schema_text
+from im_pnt.netfile.templates import assemble
+from im_pnt.netfile.text import read_text, read_values
+from im_pnt.netfile.writer import describe, yaml_text
+
+__all__ = ["PNML_SUFFIXES", "describe", "load_net", "parse_net", "schema_text", "yaml_text"]
 
 PNML_SUFFIXES = (".pnml", ".xml")
 
@@ -29,8 +36,7 @@ def load_net(path: str | Path) -> Net:
         from im_pnt.pnml import load_pnml
 
         return load_pnml(file)
-    root = Node(read_yaml(read_text(file), str(file)))
-    return read_net(assemble(root, file))
+    return read_net(assemble(read_values(read_text(file), str(file)), file))
 
 
 def parse_net(text: str, source: str = "net") -> Net:
@@ -39,4 +45,4 @@ def parse_net(text: str, source: str = "net") -> Net:
     Raises:
         NetFileError: The text is not a net.
     """
-    return read_net(assemble(Node(read_yaml(text, source)), None))
+    return read_net(assemble(read_values(text, source), None))

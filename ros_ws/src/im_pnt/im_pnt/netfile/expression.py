@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 
-from im_pnt.errors import nearest
+from im_core.errors import nearest
 
 Parameter = int | str
 _TOKEN = re.compile(r"\s*(?:([0-9]{1,9})|([A-Za-z_][A-Za-z0-9_]*)|([-+*()]))")

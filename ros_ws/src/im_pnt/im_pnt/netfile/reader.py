@@ -1,17 +1,19 @@
-"""What is written in a file to a :class:`~im_pnt.net.Net`."""
+"""What a file says as a :class:`~im_pnt.model.net.Net`: rules over several parts, and names that must exist."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Iterable, Mapping
 
-from im_pnt.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
-from im_pnt.net import Net, Place, Service
-from im_pnt.netfile import keys
-from im_pnt.netfile.actions import required
-from im_pnt.netfile.names import checked, checked_key, is_name, known_place
-from im_pnt.netfile.node import Node
-from im_pnt.netfile.transitions import read_transition
+from im_core.errors import nearest
+from im_core.yamltext import Kind, Location, Value, find
+from im_pnt.errors import NetError, NetFileError
+from im_pnt.model.action import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.delay import Delay
+from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
+from im_pnt.model.net import Guard, Net, Place, RemotePlace, Service, Strategy, Transition
+from im_pnt.netfile.schema import DelayFile, NetFile, PlaceFile, TransitionFile, is_name, shown_name
+from im_pnt.netfile.text import checked, complaint_at, read_data
 
 
-def read_net(root: Node, *, foreign: bool = False) -> Net:
+def read_net(root: Value, *, foreign: bool = False) -> Net:
     """Reads a net.
 
     Args:
@@ -22,72 +24,165 @@ def read_net(root: Node, *, foreign: bool = False) -> Net:
     Raises:
         NetFileError: It is not a net; names file, line, column and what is allowed.
     """
-    entries = root.items(keys.NET)
-    required(root, entries, "net", "places", "transitions")
-    name = checked(entries["net"])
-    written = entries["places"].items()
-    for key, node in written.items() if not foreign else ():
-        if checked_key(node, key) in (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE):
-            raise node.key_error(f"the name '{key}' belongs to the coordination structure")
-    places = {key: _place(key, node, written) for key, node in written.items()}
-    services = _services(entries["services"], places) if "services" in entries else {}
-    escalate = known_place(entries["escalate"], places) if "escalate" in entries else None
-    rest = None
-    if "rest" in entries:
-        rest = tuple(known_place(element, places) for element in entries["rest"].elements())
-    transitions = {}
-    for key, node in entries["transitions"].items().items():
-        if not foreign:
-            checked_key(node, key)
-        transitions[key] = read_transition(key, node, net=name, places=places, escalate=escalate, foreign=foreign)
-    if not transitions:
-        raise entries["transitions"].error("the net has no transition")
-    description = entries["description"].text() if "description" in entries else ""
-    net = Net(name, places, transitions, services, escalate, rest, description, root.file)
-    if foreign:
-        _require_names(net, entries)
-    return net
+    file = checked(root, read_data(root), NetFile, lambda data: NetFile.model_validate(data, context=foreign))
+    return _Reader(root, file, foreign=foreign).net()
 
 
-def _require_names(net: Net, entries: Mapping[str, Node]) -> None:
-    """Sees to it that no name of another tool is one that expansion makes."""
-    ours = net.services or any(place.on_invalid or place.remote for place in net.places.values())
-    if not ours and not any(t.action or t.remote_outputs for t in net.transitions.values()):
-        return
-    for section in ("places", "transitions"):
-        for name, node in entries[section].items().items():
-            if not is_name(name) or name in (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE):
-                raise node.key_error(f"'{name}' is not a name that a net with actions or services can have")
+class _Reader:
+    """Makes the net of a file whose parts are sound, and knows where each stands."""
+
+    def __init__(self, root: Value, file: NetFile, *, foreign: bool) -> None:
+        self._root, self._file, self._foreign = root, file, foreign
+        keys = (key for section, value in root.pairs if section.text == "transitions" for key, _ in value.pairs)
+        self._lines = {key.text: key.line for key in keys}
+
+    def net(self) -> Net:
+        """Makes the net."""
+        file = self._file
+        for key in ("places", "transitions"):
+            if key not in file.model_fields_set:
+                raise self._error((), f"'{key}' is missing")
+        places = {name: self._place(name, place) for name, place in file.places.items()}
+        services = {}
+        for name, service in file.services.items():
+            ends = {"entry": service.entry, "done": service.done, "failed": service.failed}
+            for key, place in ends.items():
+                self._known(("services", name, key), place)
+            services[name] = Service(name, **ends)
+        if file.escalate is not None:
+            self._known(("escalate",), file.escalate)
+        for rank, name in enumerate(file.rest or ()):
+            self._known(("rest", rank), name)
+        transitions = {name: self._transition(name, each) for name, each in file.transitions.items()}
+        if not transitions:
+            raise self._error(("transitions",), "the net has no transition")
+        net = Net(file.net, places, transitions, services, file.escalate, file.rest, file.description, self._root.file)
+        if self._foreign:
+            self._require_names(net)
+        return net
+
+    def _place(self, name: str, file: PlaceFile) -> Place:
+        for rank, other in enumerate(file.on_invalid):
+            self._known(("places", name, "on_invalid", rank), other)
+        return Place(name, file.tokens, file.capacity, file.data_object, file.on_invalid, file.remote)
+
+    def _transition(self, name: str, file: TransitionFile) -> Transition:
+        here: Location = ("transitions", name)
+        inputs = self._local((*here, "in"), file.inputs)
+        outputs, remote_outputs = self._arcs((*here, "out"), file.outputs)
+        on_failure = self._local((*here, "on_failure"), file.on_failure)
+        inhibitors = self._local((*here, "inhibitors"), file.inhibitors)
+        for target in remote_outputs:
+            if target.net == self._file.net:
+                sentence = f"'{target}' is a place of this very net; write '{target.place}'"
+                raise self._error((*here, "out"), sentence)
+        action = _action(file)
+        if action is not None and not on_failure and self._file.escalate is None:
+            sentence = f"{action} can fail: say where the tokens go with 'on_failure', or give the net 'escalate'"
+            raise self._error(here, sentence)
+        if not self._foreign:
+            if not inputs and file.symbol is None:
+                raise self._error(here, "has neither input places nor a symbol, and would fire without end")
+            for place in inputs.keys() & inhibitors.keys():
+                if inhibitors[place] <= inputs[place]:
+                    sentence = f"'{place}' both enables and disables it; it could never fire"
+                    raise self._error((*here, "inhibitors"), sentence)
+        strategy = file.strategy
+        return Transition(
+            name,
+            inputs,
+            outputs,
+            remote_outputs,
+            inhibitors,
+            _guard(file.guard),
+            file.symbol,
+            file.emit,
+            action,
+            on_failure,
+            self._local((*here, "on_doubt"), file.on_doubt),
+            timeout=file.timeout,
+            delay=None if file.delay is None else self._delay((*here, "delay"), file.delay),
+            success=file.success,
+            weight=file.weight,
+            strategy=None if strategy is None else Strategy(strategy.successes, strategy.failures, strategy.decay),
+            priority=file.priority,
+            origin=name,
+            line=self._lines[name],
+        )
+
+    def _arcs(self, location: Location, arcs: Mapping[str, int]) -> tuple[dict[str, int], dict[RemotePlace, int]]:
+        """Tells places here from those of other nets, whose names have a dot."""
+        local: dict[str, int] = {}
+        remote: dict[RemotePlace, int] = {}
+        for name, weight in arcs.items():
+            if name in self._file.places:
+                local[name] = weight
+                continue
+            net, dot, place = name.partition(".")
+            if not dot or not is_name(net) or not is_name(place):
+                written = find(self._root, location).value
+                rank = next((rank for rank, child in enumerate(written.children) if child.text == name), None)
+                at: Location = (*location, name if rank is None else rank)
+                raise self._error(at, self._no_place(name), key=written.kind is Kind.MAPPING)
+            remote[RemotePlace(net, place)] = weight
+        return local, remote
+
+    def _local(self, location: Location, arcs: Mapping[str, int]) -> dict[str, int]:
+        local, remote = self._arcs(location, arcs)
+        for target in remote:
+            raise self._error(location, f"'{target}' is a place of another net; only 'out' may name one")
+        return local
+
+    def _delay(self, location: Location, file: DelayFile) -> Delay:
+        ((kind, distribution),) = ((key, getattr(file, key)) for key in file.model_fields_set)
+        values = dict(distribution)
+        if kind == "exponential":
+            values = {"rate": values["rate"] if values["mean"] is None else 1.0 / values["mean"]}
+        try:
+            return Delay(kind, tuple(values.values()))
+        except NetError as error:
+            raise self._error((*location, kind), error.message) from error
+
+    def _known(self, location: Location, name: str) -> None:
+        if name not in self._file.places:
+            raise self._error(location, self._no_place(name))
+
+    def _no_place(self, name: str) -> str:
+        return f"there is no place '{shown_name(name)}'{nearest(name, self._file.places)}"
+
+    def _require_names(self, net: Net) -> None:
+        """Sees to it that no name of another tool is one that expansion makes."""
+        ours = net.services or any(place.on_invalid or place.remote for place in net.places.values())
+        if not ours and not any(t.action or t.remote_outputs for t in net.transitions.values()):
+            return
+        sections: Iterable[tuple[str, Iterable[str]]] = (("places", net.places), ("transitions", net.transitions))
+        for section, names in sections:
+            for name in names:
+                if not is_name(name) or name in (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE):
+                    sentence = f"'{name}' is not a name that a net with actions or services can have"
+                    raise self._error((section, name), sentence, key=True)
+
+    def _error(self, location: Location, sentence: str, *, key: bool = False) -> NetFileError:
+        return complaint_at(self._root, location, sentence, key=key)
 
 
-def _place(name: str, node: Node, places: Collection[str]) -> Place:
-    if node.is_null:
-        return Place(name)
-    if not node.is_mapping:
-        return Place(name, tokens=node.integer(0))
-    entries = node.items(keys.PLACE)
-    tokens = entries["tokens"].integer(0) if "tokens" in entries else 0
-    capacity = entries["capacity"].integer(1) if "capacity" in entries else None
-    if capacity is not None and tokens > capacity:
-        raise node.error(f"{tokens} tokens are more than the capacity of {capacity}")
-    data_object = entries["data_object"].text() if "data_object" in entries else None
-    on_invalid: tuple[str, ...] = ()
-    if "on_invalid" in entries:
-        if data_object is None:
-            raise entries["on_invalid"].key_error("needs a data_object whose loss of validity it answers")
-        on_invalid = tuple(known_place(element, places) for element in entries["on_invalid"].elements())
-    remote = entries["remote"].boolean() if "remote" in entries else False
-    return Place(name, tokens, capacity, data_object, on_invalid, remote)
+def _guard(text: str | None) -> Guard | None:
+    if text is None:
+        return None
+    words = text.split()
+    return Guard(words[-1], len(words) > 1)
 
 
-def _services(node: Node, places: Collection[str]) -> dict[str, Service]:
-    services: dict[str, Service] = {}
-    for name, entry in node.items().items():
-        checked_key(entry, name)
-        parts = entry.items(keys.SERVICE)
-        required(entry, parts, *keys.SERVICE)
-        ends = {key: known_place(parts[key], places) for key in keys.SERVICE}
-        if len(set(ends.values())) < len(ends):
-            raise entry.error("entry, done and failed must be three different places")
-        services[name] = Service(name, **ends)
-    return services
+def _action(file: TransitionFile) -> Action | None:
+    if file.action is not None:
+        return FunctionAction(file.action)
+    if (call := file.service) is not None:
+        return ServiceAction(call.name, call.type, call.request, call.build, call.handle, call.task)
+    if (goal := file.goal) is not None:
+        return GoalAction(goal.name, goal.type, goal.goal, goal.build, goal.handle, goal.task)
+    if (topic := file.topic) is not None:
+        return TopicAction(topic.name, topic.type, topic.message, topic.build)
+    if (request := file.request) is not None:
+        net, _, service = request.to.partition(".")
+        return RequestAction(net, service, request.arguments, request.build)
+    return None

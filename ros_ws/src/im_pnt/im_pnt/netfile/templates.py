@@ -1,146 +1,217 @@
-"""Templates: parts of a net that are written once and used many times."""
+"""A net file put together: included files read, templates copied where they are used."""
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
+from pathlib import Path
 
-from im_pnt.errors import nearest
-from im_pnt.netfile import keys
-from im_pnt.netfile.expression import ExpressionError, Parameter, evaluate, substitute
-from im_pnt.netfile.names import checked, checked_key
-from im_pnt.netfile.node import Node
-from im_pnt.netfile.value import Kind, Value, noted
+from im_core.errors import nearest
+from im_core.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, scalar, sequence
+from im_pnt.errors import NetFileError
+from im_pnt.netfile.expression import ExpressionError, evaluate, substitute
+from im_pnt.netfile.schema import FragmentFile, Parameter, TemplateFile, UseFile
+from im_pnt.netfile.text import checked, complaint, complaint_at, read_data, read_text, read_values
 
 MAX_COPIES = 10_000
-_RANGE = re.compile(r"(-?[0-9]{1,9})\.\.(-?[0-9]{1,9})")
+_COUNTED = 10**30
+MAX_INCLUDES = 8
+MAX_FILES = 100
+_MAPPINGS = ("places", "services", "transitions")
+_SECTIONS = (*_MAPPINGS, "rest")
+
+
+def assemble(root: Value, file: Path | None) -> Value:
+    """Reads what a net file includes, and copies the templates that it uses.
+
+    Args:
+        root: The file as written.
+        file: Where it is; None: nowhere, and it can include nothing.
+
+    Returns:
+        The same net without ``include``, ``templates`` and ``use``.
+
+    Raises:
+        NetFileError: A file that cannot be included, includes that go round, or a template that cannot be used.
+    """
+    fragment = FragmentFile.model_fields.keys()
+    if not {key.text for key, _ in root.pairs} & {"include", "templates", "use"}:
+        return root
+    assembly = _Assembly()
+    own = {key: value for key, value in read_data(root).items() if key in fragment}
+    assembly.add(root, own, () if file is None else (file,))
+    assembly.copy()
+    pairs = [(key, value) for key, value in root.pairs if key.text not in fragment]
+    for name, section in assembly.sections.items():
+        near = next((key for key, _ in root.pairs if key.text == name), root)
+        pairs.append((scalar(name, near), mapping(section, near)))
+    if assembly.rest is not None:
+        near = next((key for key, _ in root.pairs if key.text == "rest"), root)
+        pairs.append((scalar("rest", near), sequence(assembly.rest, near)))
+    return mapping(pairs, root)
 
 
 @dataclass(frozen=True, slots=True)
-class Template:
-    """A part of a net with parameters.
+class _Template:
+    """A template and the file that it stands in."""
 
-    Attributes:
-        name: Its name.
-        parameters: What a use must give.
-        sections: Its places, services, rest and transitions.
-        node: Where it is written.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
-    sections: Mapping[str, Node]
-    node: Node
+    file: TemplateFile
+    root: Value
+    location: Location
 
 
-def read_template(name: str, node: Node) -> Template:
-    """Reads a template.
+class _Assembly:
+    """Sections of all files and copies."""
 
-    Raises:
-        NetFileError: It is none.
-    """
-    entries = node.items(keys.TEMPLATE)
-    parameters: list[str] = []
-    for element in entries["parameters"].elements() if "parameters" in entries else ():
-        parameter = checked(element)
-        if parameter in parameters or parameter == "mod":
-            raise element.error(f"'{parameter}' cannot be a parameter here: it is there twice, or an operator")
-        parameters.append(parameter)
-    sections = {key: entry for key, entry in entries.items() if key != "parameters"}
-    return Template(checked_key(node, name), tuple(parameters), sections, node)
+    def __init__(self) -> None:
+        self.sections: dict[str, list[tuple[Value, Value]]] = {}
+        self.rest: list[Value] | None = None
+        self._templates: dict[str, _Template] = {}
+        self._uses: list[tuple[Value, Location, UseFile]] = []
+        self._read: set[Path] = set()
+        self._values = 0
+
+    def add(self, root: Value, data: Mapping[str, object], chain: tuple[Path, ...]) -> None:
+        """Adds a file, those that it includes first."""
+        fragment = checked(root, data, FragmentFile, FragmentFile.model_validate)
+        for rank, name in enumerate(fragment.include):
+            self._include(root, ("include", rank), name, chain)
+        for name, template in fragment.templates.items():
+            location = ("templates", name)
+            if name in self._templates:
+                other = self._templates[name]
+                first = find(other.root, other.location)
+                line = (first.key or first.value).line
+                sentence = f"template '{name}' is there twice; the first is in {other.root.file}:{line}"
+                raise complaint_at(root, location, sentence, key=True)
+            self._templates[name] = _Template(template, root, location)
+        self._uses += [(root, ("use", rank), use) for rank, use in enumerate(fragment.use)]
+        self._add_sections({key.text: value for key, value in root.pairs if key.text in _SECTIONS}, root, ())
+
+    def copy(self) -> None:
+        """Makes the copies of templates; all of them are known now."""
+        for root, location, use in self._uses:
+            if use.template not in self._templates:
+                sentence = f"there is no template '{use.template}'{nearest(use.template, self._templates)}"
+                raise complaint_at(root, (*location, "template"), sentence)
+            template = self._templates[use.template]
+            for sections in _copies(root, location, use, template):
+                self._add_sections(sections, template.root, template.location)
+                self._values += sum(_size(value) for value in sections.values())
+                if self._values > MAX_VALUES:
+                    sentence = f"the copies of templates make more than {MAX_VALUES} values"
+                    raise complaint_at(root, location, sentence)
+
+    def _add_sections(self, sections: Mapping[str, Value], root: Value, location: Location) -> None:
+        for name, value in sections.items():
+            if name == "rest":
+                if value.kind is Kind.MAPPING:
+                    raise complaint_at(root, (*location, name), "a mapping is not a list")
+                children = value.children if value.kind is Kind.LIST else () if value.is_null else (value,)
+                self.rest = [*(self.rest or []), *children]
+                continue
+            section = self.sections.setdefault(name, [])
+            if value.kind is not Kind.MAPPING and not value.is_null:
+                raise complaint_at(root, (*location, name), f"{value.shown()} is not a mapping (key: value)")
+            section.extend(value.pairs)
+
+    def _include(self, root: Value, location: Location, name: str, chain: tuple[Path, ...]) -> None:
+        if not chain:
+            raise complaint_at(root, location, f"'{name}' cannot be included: this net is a text without a file")
+        path = chain[-1].parent / name
+        real = path.resolve() if "\0" not in name and not _loops(path) else path
+        way = [each.resolve() for each in chain]
+        if real in way:
+            names = " -> ".join(str(each) for each in [*chain[way.index(real) :], path])
+            raise complaint_at(root, location, f"includes go round: {names}")
+        if len(chain) > MAX_INCLUDES:
+            names = " -> ".join(str(each) for each in [*chain, path])
+            raise complaint_at(root, location, f"includes are deeper than {MAX_INCLUDES}: {names}")
+        if real in self._read:
+            return
+        self._read.add(real)
+        if len(self._read) > MAX_FILES:
+            raise complaint_at(root, location, f"more than {MAX_FILES} files are included")
+        try:
+            text = read_text(path)
+        except NetFileError as error:
+            raise complaint_at(root, location, f"cannot be included: {error.message}") from error
+        included = read_values(text, str(path))
+        data = read_data(included)
+        if "net" in data:
+            by = find(root, location).value
+            sentence = (
+                f"a file that is included (by {root.file}:{by.line}) is no net of its own; "
+                f"it may have {', '.join(FragmentFile.model_fields)}"
+            )
+            raise complaint_at(included, ("net",), sentence, key=True)
+        self.add(included, data, (*chain, path))
 
 
-def copies(use: Node, templates: Mapping[str, Template]) -> Iterator[dict[str, Node]]:
-    """Makes the copies that an entry of ``use`` asks for.
-
-    Args:
-        use: The entry.
-        templates: Templates by name.
-
-    Yields:
-        For each copy its sections.
-
-    Raises:
-        NetFileError: No such template, a parameter without value, or an expression that cannot be evaluated.
-    """
-    entries = use.items(keys.USE)
-    if "template" not in entries:
-        raise use.error("'template' is missing")
-    name = entries["template"].text()
-    if name not in templates:
-        raise entries["template"].error(f"there is no template '{name}'{nearest(name, templates)}")
-    template = templates[name]
-    ranges = {key: _range(checked_key(node, key), node) for key, node in _items(entries, "for")}
-    given = dict(_items(entries, "with"))
-    for key, node in given.items():
-        if key not in template.parameters:
-            raise node.key_error(f"template {name} has no parameter '{key}'{nearest(key, template.parameters)}")
-    for parameter in template.parameters:
-        if parameter not in ranges and parameter not in given:
-            raise use.error(f"template {name} needs a value for its parameter '{parameter}'")
+def _copies(root: Value, location: Location, use: UseFile, template: _Template) -> Iterator[dict[str, Value]]:
+    """Makes the copies that an entry of ``use`` asks for: for each its sections."""
+    name, parameters = use.template, dict.fromkeys(template.file.parameters)
+    for key in use.given:
+        if key not in parameters:
+            sentence = f"template {name} has no parameter '{key}'{nearest(key, parameters)}"
+            raise complaint_at(root, (*location, "with", key), sentence, key=True)
+    for parameter in parameters:
+        if parameter not in use.ranges and parameter not in use.given:
+            raise complaint_at(root, location, f"template {name} needs a value for its parameter '{parameter}'")
     count = 1
-    for values in ranges.values():
-        count *= len(values)
+    for values in use.ranges.values():
+        count = min(count * len(values), _COUNTED)
     if count > MAX_COPIES:
-        raise use.error(f"asks for {count} copies; {MAX_COPIES} are allowed")
-    for combination in product(*ranges.values()):
-        running: dict[str, Parameter] = dict(zip(ranges, combination, strict=True))
-        bound = running | {key: _given(node, running) for key, node in given.items()}
-        shown = ", ".join(f"{key}={bound[key]}" for key in template.parameters)
+        raise complaint_at(root, location, f"asks for {count} copies; {MAX_COPIES} are allowed")
+    written = find(template.root, template.location).value
+    sections = {key.text: value for key, value in written.pairs if key.text in _SECTIONS}
+    place = find(root, location).value
+    for combination in product(*use.ranges.values()):
+        running: dict[str, Parameter] = dict(zip(use.ranges, combination, strict=True))
+        bound = dict(running)
+        for key, value in use.given.items():
+            try:
+                bound[key] = _value(value, running)
+            except ExpressionError as error:
+                raise complaint_at(root, (*location, "with", key), str(error)) from error
+        shown = ", ".join(f"{key}={bound[key]}" for key in parameters)
         by = f" with {shown}" if shown else ""
-        note = f" (template {name}{by}, used in {use.file}:{use.value.line}:{use.value.column})"
-        sections = template.sections.items()
-        yield {key: replace(node, value=_filled(node, node.value, bound, note)) for key, node in sections}
+        note = f" (template {name}{by}, used in {root.file}:{place.line}:{place.column})"
+        yield {key: _filled((*template.location, key), value, bound, note) for key, value in sections.items()}
 
 
-def _items(entries: Mapping[str, Node], key: str) -> Iterator[tuple[str, Node]]:
-    if key in entries:
-        yield from entries[key].items().items()
+def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
+    """Evaluates what a use gives: a whole expression to a number, one within a text to a text."""
+    if not isinstance(given, str) or "$(" not in given:
+        return given
+    whole = given.startswith("$(") and given.endswith(")") and given.count("$(") == 1
+    return evaluate(given[2:-1], running) if whole else substitute(given, running)
 
 
-def _range(name: str, node: Node) -> list[Parameter]:
-    """Reads ``0..4`` or a list of numbers and texts."""
-    if node.is_scalar:
-        match = _RANGE.fullmatch(node.text().strip())
-        if not match:
-            raise node.error(f"{node.shown()} is neither a range like 0..4 nor a list of values for {name}")
-        first, last = int(match.group(1)), int(match.group(2))
-        if last - first >= MAX_COPIES:
-            raise node.error(f"{node.shown()} has more than {MAX_COPIES} values")
-        if last < first:
-            raise node.error(f"{node.shown()} is empty: it ends before it begins")
-        return list(range(first, last + 1))
-    return [_parameter(element) for element in node.elements()]
-
-
-def _parameter(node: Node) -> Parameter:
-    value = node.plain() if node.is_scalar else None
-    if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 10**9:
-        return value
-    return node.text()
-
-
-def _given(node: Node, running: Mapping[str, Parameter]) -> Parameter:
-    text = node.value.text
-    if not node.is_scalar or "$(" not in text:
-        return _parameter(node)
-    try:
-        whole = text.startswith("$(") and text.endswith(")") and text.count("$(") == 1
-        return evaluate(text[2:-1], running) if whole else substitute(text, running)
-    except ExpressionError as error:
-        raise node.error(str(error)) from error
-
-
-def _filled(section: Node, value: Value, bound: Mapping[str, Parameter], note: str) -> Value:
+def _filled(location: Location, value: Value, bound: Mapping[str, Parameter], note: str) -> Value:
     """Copies a value with its expressions replaced; as deep as the file nests."""
     if value.kind is Kind.SCALAR:
         if "$(" not in value.text:
-            return noted(value, note)
+            return replace(value, note=note)
         try:
             return replace(value, text=substitute(value.text, bound), note=note)
         except ExpressionError as error:
-            raise Node(noted(value, note), section.path).error(str(error)) from error
+            raise complaint(replace(value, note=note), str(error), location) from error
     if value.kind is Kind.LIST:
-        return replace(value, children=tuple(_filled(section, v, bound, note) for v in value.children), note=note)
-    pairs = tuple((_filled(section, k, bound, note), _filled(section, v, bound, note)) for k, v in value.pairs)
+        return replace(value, children=tuple(_filled(location, v, bound, note) for v in value.children), note=note)
+    pairs = tuple((_filled(location, k, bound, note), _filled(location, v, bound, note)) for k, v in value.pairs)
     return replace(value, pairs=pairs, note=note)
+
+
+def _loops(path: Path) -> bool:
+    """Whether links lead back to themselves."""
+    try:
+        path.resolve(strict=True)
+    except (OSError, RuntimeError):
+        return True
+    return False
+
+
+def _size(value: Value) -> int:
+    if value.kind is Kind.SCALAR:
+        return 1
+    return 1 + sum(map(_size, value.children)) + sum(1 + _size(child) for _, child in value.pairs)

@@ -1,14 +1,22 @@
-"""XML to elements that remember their line; without document types and entities, in bounded time and memory."""
+"""XML to elements that remember their line; without document types and entities, in bounded time and memory.
 
+The labels of elements are read as the standard and as tools write them.
+"""
+
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
+from im_core.yamltext import Kind, Value
 from im_pnt.errors import NetFileError
-from im_pnt.netfile.value import Kind, Value
+from im_pnt.model.net import LARGEST
 
 MAX_DEPTH = 100
 MAX_ELEMENTS = 1_000_000
+
+_WHOLE = re.compile(r"\+?0*([0-9]{1,10})")
+_COLOURED = frozenset({"hlinitialMarking", "hlinscription", "declaration", "structure", "condition", "colorType"})
 
 
 @dataclass(slots=True)
@@ -73,6 +81,46 @@ def parse_xml(data: bytes, file: str) -> Element:
         raise NetFileError(file, 1, f"not XML: {error}", 1) from error
     assert builder.root is not None
     return builder.root
+
+
+def label_text(element: Element, label: str) -> str | None:
+    """Returns the text of a label: of ``<text>``, of ``<value>``, of itself, or of an attribute; None without one."""
+    child = element.first(label)
+    if child is None:
+        return element.attributes.get(label)
+    inner = child.first("text") or child.first("value")
+    return (inner.text if inner is not None else child.attributes.get("value", child.text)).strip()
+
+
+def label_integer(element: Element, label: str, default: int, minimum: int) -> int:
+    """Returns the whole number of a label.
+
+    Raises:
+        NetFileError: It is none, or too small or too large.
+    """
+    text = label_text(element, label)
+    if not text:
+        return default
+    match = _WHOLE.fullmatch(text.removeprefix("Default,").strip())
+    value = int(match.group(1)) if match else -1
+    if not minimum <= value <= LARGEST:
+        shown = text if len(text) <= 60 else text[:60] + "..."
+        raise (element.first(label) or element).error(f"'{shown}' is not a whole number from {minimum} to {LARGEST}")
+    return value
+
+
+def check_children(element: Element, namespace: str, known: frozenset[str]) -> None:
+    """Sees to it that an element holds nothing that could change what the net means.
+
+    Raises:
+        NetFileError: It does; names the element and what is allowed.
+    """
+    for child in element.children:
+        if child.namespace not in ("", namespace) or child.tag in known:
+            continue
+        if child.tag in _COLOURED or child.first("structure") is not None:
+            raise child.error(f"is of a coloured net (in {element.tag}); place/transition nets are read")
+        raise child.error(f"is not understood in {element.tag}; allowed are {', '.join(sorted(known))}")
 
 
 class _Builder:

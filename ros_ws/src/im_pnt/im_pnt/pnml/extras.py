@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Mapping
 
-from im_pnt.netfile.value import Kind, Value, mapping, scalar, sequence
+from im_core.yamltext import MAX_DEPTH, Kind, Value, mapping, scalar, sequence
 from im_pnt.pnml.element import Element
 
 TOOL = "im"
@@ -54,24 +54,30 @@ def escape(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\r", "&#13;")
 
 
-def plain_value(data: object, near: Value) -> Value:
-    """Makes the value that a file would have for plain data."""
+def plain_value(data: object, near: Value, depth: int = 0) -> Value:
+    """Makes the value that a file would have for plain data.
+
+    Raises:
+        ValueError: The data nest deeper than a file may.
+    """
+    if depth > MAX_DEPTH:
+        raise ValueError(f"values nest deeper than {MAX_DEPTH}")
     if isinstance(data, dict):
-        return mapping([(scalar(str(key), near), plain_value(child, near)) for key, child in data.items()], near)
+        pairs = [(scalar(str(key), near), plain_value(child, near, depth + 1)) for key, child in data.items()]
+        return mapping(pairs, near)
     if isinstance(data, list):
-        return sequence([plain_value(child, near) for child in data], near)
+        return sequence([plain_value(child, near, depth + 1) for child in data], near)
     if isinstance(data, str):
         return scalar(data, near)
     return scalar(json.dumps(data), near, quoted=False)
 
 
 def _value(entry: Element) -> Value:
+    near = Value(Kind.SCALAR, entry.place.file, entry.place.line, entry.place.column)
     try:
-        data = json.loads(entry.text, object_pairs_hook=_unique)
+        return plain_value(json.loads(entry.text, object_pairs_hook=_unique), near)
     except (ValueError, RecursionError) as error:
         raise entry.error(f"is not JSON: {error}") from error
-    near = Value(Kind.SCALAR, entry.place.file, entry.place.line, entry.place.column)
-    return plain_value(data, near)
 
 
 def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:

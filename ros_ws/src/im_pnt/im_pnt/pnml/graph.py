@@ -3,12 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from im_pnt.errors import nearest
-from im_pnt.netfile.node import LARGEST
-from im_pnt.netfile.value import Value
-from im_pnt.pnml.element import Element
+from im_core.errors import nearest
+from im_core.yamltext import Value
+from im_pnt.model.net import LARGEST
+from im_pnt.pnml.element import Element, check_children, label_integer, label_text
 from im_pnt.pnml.extras import REMOTE, read_extras
-from im_pnt.pnml.labels import check_children, label_integer, label_text
 
 _LONGEST_ID = 1000
 _PASSED_OVER = frozenset({"name", "graphics", "toolspecific", "label", "labels", "description", "tagged"})
@@ -48,7 +47,7 @@ class TransitionElement:
 
 
 @dataclass(slots=True)
-class Graph:
+class PnmlGraph:
     """Places and transitions by id."""
 
     places: dict[str, PlaceElement] = field(default_factory=dict)
@@ -56,7 +55,7 @@ class Graph:
     remote: dict[str, str] = field(default_factory=dict)
 
 
-def read_graph(net: Element, namespace: str, *, ours: bool) -> Graph:
+def read_graph(net: Element, namespace: str, *, ours: bool) -> PnmlGraph:
     """Reads what a net consists of.
 
     Args:
@@ -79,7 +78,7 @@ def read_graph(net: Element, namespace: str, *, ours: bool) -> Graph:
         if identity in by_id:
             raise element.error(f"the id is there twice; the first is in line {by_id[identity].place.line}")
         by_id[identity] = element
-    graph = Graph()
+    graph = PnmlGraph()
     for identity, element in by_id.items():
         _node(graph, identity, element, namespace, ours=ours)
     for arc in arcs:
@@ -103,13 +102,16 @@ def _objects(net: Element, namespace: str) -> Iterator[Element]:
             yield element
 
 
-def _node(graph: Graph, identity: str, element: Element, namespace: str, *, ours: bool) -> None:
+def _node(graph: PnmlGraph, identity: str, element: Element, namespace: str, *, ours: bool) -> None:
     name = label_text(element, "name") or identity if ours else identity
     if element.tag == "place":
         check_children(element, namespace, _PLACE)
         extras = read_extras(element)
         if REMOTE in extras:
-            graph.remote[identity] = extras[REMOTE][1].text
+            entry, value = extras[REMOTE]
+            if not value.text or value.is_null:
+                raise entry.error(f"{value.shown()} is not the name of a place of another net")
+            graph.remote[identity] = value.text
             return
         tokens, capacity = label_integer(element, "initialMarking", 0, 0), label_integer(element, "capacity", 0, 0)
         graph.places[identity] = PlaceElement(element, name, tokens, capacity, extras)
@@ -139,7 +141,7 @@ def _end(by_id: dict[str, Element], arc: Element, attribute: str) -> str:
             raise at.error("'ref' is missing")
 
 
-def _arc(graph: Graph, arc: Element, source: str, target: str) -> None:
+def _arc(graph: PnmlGraph, arc: Element, source: str, target: str) -> None:
     weight = label_integer(arc, "weight", 1, 1) if "weight" in arc.attributes else _inscription(arc)
     kind = _kind(arc)
     if source in graph.transitions and (target in graph.places or target in graph.remote):

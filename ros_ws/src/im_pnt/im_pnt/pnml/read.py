@@ -8,17 +8,15 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from im_pnt.errors import nearest
-from im_pnt.net import Net
-from im_pnt.netfile.names import MAX_LENGTH, as_name
-from im_pnt.netfile.node import Node
+from im_core.errors import nearest
+from im_core.yamltext import Value, as_data, mapping, scalar
+from im_pnt.model.net import Net
 from im_pnt.netfile.reader import read_net
-from im_pnt.netfile.source import read_bytes
-from im_pnt.netfile.value import Value, mapping, scalar
-from im_pnt.pnml.element import Element, parse_xml
+from im_pnt.netfile.schema import ARCS, MAX_NAME, NetFile, as_name, written
+from im_pnt.netfile.text import checked, read_bytes
+from im_pnt.pnml.element import Element, label_text, parse_xml
 from im_pnt.pnml.extras import plain_value, read_extras
-from im_pnt.pnml.graph import Graph, read_graph
-from im_pnt.pnml.labels import label_text
+from im_pnt.pnml.graph import PnmlGraph, read_graph
 
 MAX_SIZE = 32 * 2**20
 """Largest PNML file [bytes]."""
@@ -74,14 +72,14 @@ def _net(net: Element, namespace: str) -> Net:
         pairs["net"] = scalar(as_name(identity or label_text(net, "name") or "net"), place)
         name = (label_text(net, "name") or "").strip()
         if name and name != identity:
-            pairs["description"] = scalar(" ".join(name.split())[:MAX_LENGTH], place)
+            pairs["description"] = scalar(" ".join(name.split())[:MAX_NAME], place)
     pairs["places"] = mapping(_places(graph), place)
     pairs["transitions"] = mapping(_transitions(graph), place)
     root = mapping([(scalar(key, value), value) for key, value in pairs.items()], place)
-    return read_net(Node(root), foreign=True)
+    return read_net(root, foreign=True)
 
 
-def _places(graph: Graph) -> list[tuple[Value, Value]]:
+def _places(graph: PnmlGraph) -> list[tuple[Value, Value]]:
     pairs = []
     for place in graph.places.values():
         value = _mapping(place.element, place.extras, tokens=place.tokens, capacity=place.capacity)
@@ -89,7 +87,7 @@ def _places(graph: Graph) -> list[tuple[Value, Value]]:
     return pairs
 
 
-def _transitions(graph: Graph) -> list[tuple[Value, Value]]:
+def _transitions(graph: PnmlGraph) -> list[tuple[Value, Value]]:
     pairs = []
     for transition in graph.transitions.values():
         arcs: dict[str, object] = {"in": transition.inputs, "out": transition.outputs}
@@ -106,10 +104,9 @@ def _transitions(graph: Graph) -> list[tuple[Value, Value]]:
 def _inhibitors(element: Element, extras: Mapping[str, tuple[Element, Value]]) -> dict[str, int]:
     if "inhibitors" not in extras:
         return {}
-    node = Node(extras["inhibitors"][1], f"{element.attributes['id']}.inhibitors")
-    if node.is_mapping:
-        return {name: value.integer(1) for name, value in node.items().items()}
-    return {child.text(): 1 for child in node.elements()}
+    value = extras["inhibitors"][1]
+    root = mapping([(scalar("inhibitors", value), value)], element.place)
+    return checked(root, as_data(value, written), NetFile, ARCS.validate_python, ("inhibitors",))
 
 
 def _mapping(element: Element, extras: Mapping[str, tuple[Element, Value]], **given: object) -> Value:

@@ -6,8 +6,8 @@ Places of other nets stand on a page of their own, and arcs lead to them through
 import re
 from collections.abc import Iterator
 
-from im_pnt.net import Net, Transition
-from im_pnt.netfile.describe import describe, place_data, transition_data
+from im_pnt.model.net import Net, Transition
+from im_pnt.netfile.writer import describe, place_data, transition_data
 from im_pnt.pnml.extras import REMOTE, escape, extras_text
 
 _NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"

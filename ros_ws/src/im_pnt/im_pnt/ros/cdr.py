@@ -1,6 +1,14 @@
-"""A ``TokenPacket`` as the bytes that travel: CDR of its one string. Nothing else need be made of it on the way."""
+"""Messages that come by thousands, as the bytes that travel (CDR): no object need be made of them on the way.
+
+A ``TokenPacket`` is one string. Of the firings of a transition only stamp, number, duration and progress differ, as
+long as nothing belongs to its tokens: the rest is made once.
+"""
+
+import functools
+import struct
 
 from im_pnt.errors import NetError
+from im_pnt.execution.notification import Firing
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _HEAD = 8
@@ -28,3 +36,40 @@ def decode_packet(data: bytes) -> str:
         return data[_HEAD:end].decode()
     except UnicodeDecodeError as error:
         raise NetError(f"a packet is no text: {error}") from error
+
+
+def encode_firing(firing: Firing, seconds: int, nanoseconds: int) -> bytes:
+    """Writes a ``Firing``.
+
+    Args:
+        firing: The firing.
+        seconds: Its stamp.
+        nanoseconds: Likewise.
+    """
+    net, transition, sequence, phase, symbol, command_id, message, duration, progress = firing
+    names, rest = _unchanging(net, transition, phase, symbol, command_id, message)
+    stamp = _STAMP(seconds, nanoseconds)
+    return b"".join((_LITTLE_ENDIAN, stamp, names, _SEQUENCE(sequence), rest, _FRACTIONS(duration, progress)))
+
+
+_STAMP, _SEQUENCE, _FRACTIONS = struct.Struct("<iI").pack, struct.Struct("<Q").pack, struct.Struct("<dd").pack
+
+
+@functools.lru_cache(maxsize=4096)
+def _unchanging(
+    net: str, transition: str, phase: int, symbol: str, command_id: int, message: str
+) -> tuple[bytes, bytes]:
+    """Returns what a firing has between its stamp and its number, and between that and its duration."""
+    names = _padded(_string(net), 4) + _string(transition)
+    rest = _padded(bytes((phase,)), 4) + _string(symbol)
+    return _padded(names, 8), _padded(_padded(rest, 8) + _SEQUENCE(command_id) + _string(message), 8)
+
+
+def _string(text: str) -> bytes:
+    data = text.encode()
+    return b"%b%b\0" % ((len(data) + 1).to_bytes(4, "little"), data)
+
+
+def _padded(data: bytes, size: int) -> bytes:
+    """Fills up to a multiple of a size; what follows is aligned, for stamp and number are 8 bytes long."""
+    return data + bytes(-len(data) % size)

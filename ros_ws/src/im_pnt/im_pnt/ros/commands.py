@@ -1,6 +1,6 @@
 """The commands of a node's nets: who waits for them, who is told of them, and how the last ones ended."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from im_core.errors import NotFoundError, StateError
@@ -8,9 +8,9 @@ from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import ok_status, to_status
 from im_msgs.msg import Status
-from im_pnt.events import Firing, Phase
-from im_pnt.executive import Executive
-from im_pnt.jobs import Command, CommandResult, Job
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.jobs import Command, CommandResult, Job
+from im_pnt.execution.notification import Firing, Phase
 
 ProgressListener = Callable[[str, str, float], None]
 """Is told the transition that fired or reported, a text, and the progress 0..1 (negative: unknown)."""
@@ -33,7 +33,7 @@ class Commands:
         nets: Its nets by name; looked at anew for each command.
     """
 
-    def __init__(self, node: ManagedNode, nets: Mapping[str, Executive]) -> None:
+    def __init__(self, node: ManagedNode, nets: Mapping[str, Executor]) -> None:
         self._node, self._nets = node, nets
         self._count = 0
         self._open: dict[int, Job] = {}
@@ -43,7 +43,7 @@ class Commands:
 
     def symbols(self) -> list[str]:
         """Returns the symbols that the nets read from their tapes."""
-        return sorted({symbol for executive in self._nets.values() for symbol in executive.net.symbols()})
+        return sorted({symbol for executor in self._nets.values() for symbol in executor.net.symbols()})
 
     def running(self, symbol: str) -> Job | None:
         """Returns the oldest command of a symbol that has not ended, if any."""
@@ -51,8 +51,8 @@ class Commands:
 
     def take_up(self) -> None:
         """Enters the commands that nets have brought back from a journal."""
-        for executive in self._nets.values():
-            for job in executive.jobs():
+        for executor in self._nets.values():
+            for job in executor.jobs():
                 if job.request is None:
                     self._open[job.command.id] = job
                     job.on_closed = self._closing(job.command.id, job.command.symbol)
@@ -64,15 +64,15 @@ class Commands:
         Raises:
             NotFoundError: No net knows the symbol.
         """
-        for executive in self._nets.values():
-            if symbol in executive.net.symbols():
+        for executor in self._nets.values():
+            if symbol in executor.net.symbols():
                 break
         else:
             raise NotFoundError(kind="command", name=symbol, known=self.symbols())
         self._count += 1
         number = self._count
         command = Command(number, symbol, dict(arguments))
-        self._open[number] = executive.command(command, self._closing(number, symbol))
+        self._open[number] = executor.command(command, self._closing(number, symbol))
         return number
 
     async def wait(self, number: int, listener: ProgressListener | None = None) -> CommandOutcome:
@@ -111,11 +111,13 @@ class Commands:
             raise StateError(f"no command {symbol} is running, and none has ended yet", command=symbol)
         return self._ended[symbol]
 
-    def fired(self, firing: Firing) -> None:
-        """Tells listeners of a step of their command."""
-        if firing.phase is Phase.START:
-            for listener in self._listeners.get(firing.command_id, ()):
-                listener(firing.transition, "", firing.progress)
+    def fired(self, firings: Sequence[Firing]) -> None:
+        """Tells listeners of the steps of their commands."""
+        if self._listeners:
+            for firing in firings:
+                if firing.phase is Phase.START:
+                    for listener in self._listeners.get(firing.command_id, ()):
+                        listener(firing.transition, "", firing.progress)
 
     def progressed(self, number: int, text: str, fraction: float) -> None:
         """Tells listeners what an action of their command has reported."""

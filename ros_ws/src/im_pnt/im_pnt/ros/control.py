@@ -6,16 +6,15 @@ from typing import Any
 from im_core.errors import ImError, NotFoundError, StateError
 from im_core.ros.node import ManagedNode
 from im_msgs.srv import ControlNet
-from im_pnt.doubt import Answer, Verdict
-from im_pnt.events import Answered, Confirmed, Event, ModeSet, PauseSet, StepAsked
-from im_pnt.executive import Executive
-from im_pnt.jobs import ActivityState
-from im_pnt.modes import Mode
+from im_pnt.execution.events import Answer, Answered, Confirmed, Event, ModeSet, Outcome, PauseSet, StepAsked
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.jobs import ActivityState
+from im_pnt.execution.operator import Mode
 
 REQUESTS = ("automatic", "supervised", "step", "pause", "resume", "confirm", "resolve")
 
 
-class Operator:
+class ControlService:
     """Passes on what an operator wants of a net.
 
     Args:
@@ -27,7 +26,7 @@ class Operator:
     def __init__(
         self,
         node: ManagedNode,
-        nets: Mapping[str, Executive],
+        nets: Mapping[str, Executor],
         turn: Callable[[], None],
     ) -> None:
         self._nets, self._turn = nets, turn
@@ -35,27 +34,27 @@ class Operator:
 
     def _control(self, request: Any, response: Any) -> Any:
         try:
-            executive = self._net(request.net)
-            event = _event(executive, request.request, request.argument)
+            executor = self._net(request.net)
+            event = _event(executor, request.request, request.argument)
         except ImError as error:
             response.success, response.message = False, error.message
             return response
-        executive.post(event)
+        executor.post(event)
         self._turn()
         response.success = True
         response.message = f"{request.request} {request.argument}".strip()
-        paused = ", paused" if executive.paused else ""
-        marked = ", ".join(f"{place}={count}" for place, count in executive.marking().items())
-        response.state = f"{executive.mode}{paused}: {marked}"
+        paused = ", paused" if executor.paused else ""
+        marked = ", ".join(f"{place}={count}" for place, count in executor.marking().items())
+        response.state = f"{executor.mode}{paused}: {marked}"
         return response
 
-    def _net(self, name: str) -> Executive:
+    def _net(self, name: str) -> Executor:
         if name not in self._nets:
             raise NotFoundError(kind="net", name=name, known=self._nets)
         return self._nets[name]
 
 
-def _event(executive: Executive, request: str, argument: str) -> Event:
+def _event(executor: Executor, request: str, argument: str) -> Event:
     """Returns what a request means for a net.
 
     Raises:
@@ -63,16 +62,16 @@ def _event(executive: Executive, request: str, argument: str) -> Event:
         StateError: Nothing waits for it.
     """
     match request:
-        case "step" if executive.mode is Mode.STEP:
+        case "step" if executor.mode is Mode.STEP:
             return StepAsked()
         case "automatic" | "supervised" | "step":
             return ModeSet(Mode(request))
         case "pause" | "resume":
             return PauseSet(request == "pause")
         case "confirm":
-            return Confirmed(_proposed(executive.net.name, executive.proposed, argument))
+            return Confirmed(_proposed(executor.net.name, executor.proposed, argument))
         case "resolve":
-            return _resolution(executive, argument)
+            return _resolution(executor, argument)
     raise NotFoundError(kind="request to a net", name=request, known=REQUESTS)
 
 
@@ -86,14 +85,14 @@ def _proposed(net: str, waiting: tuple[str, ...], transition: str) -> str:
     return transition or waiting[0]
 
 
-def _resolution(executive: Executive, argument: str) -> Answered:
+def _resolution(executor: Executor, argument: str) -> Answered:
     transition, _, outcome = argument.partition("=")
-    doubtful = {a.transition: a for a in executive.activities if a.state is ActivityState.IN_DOUBT}
+    doubtful = {a.transition: a for a in executor.activities if a.state is ActivityState.IN_DOUBT}
     if transition not in doubtful:
         raise NotFoundError(kind="action in doubt", name=transition, known=doubtful)
     if outcome not in ("done", "failed"):
         raise NotFoundError(kind="outcome of an action", name=outcome, known=("done", "failed"))
     if outcome == "done":
-        return Answered(doubtful[transition], Answer(Verdict.DONE, asked="the operator"))
+        return Answered(doubtful[transition], Answer(Outcome.DONE, asked="the operator"))
     error = ImError(f"the operator says that {doubtful[transition].action} has failed", code="operator")
-    return Answered(doubtful[transition], Answer(Verdict.FAILED, error, asked="the operator"))
+    return Answered(doubtful[transition], Answer(Outcome.FAILED, error, asked="the operator"))

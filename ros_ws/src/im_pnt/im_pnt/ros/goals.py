@@ -17,12 +17,12 @@ from unique_identifier_msgs.msg import UUID
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
 from im_core.ros.calls import pause
-from im_pnt.action import Action, GoalAction
-from im_pnt.doubt import Answer, Verdict
-from im_pnt.functions import ActionContext
-from im_pnt.jobs import Activity
-from im_pnt.ros.actions import Surroundings, failure_of, require_success, time_left
-from im_pnt.ros.fields import fill, interface_class
+from im_core.ros.interfaces import interface_class
+from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Activity
+from im_pnt.model.action import Action, GoalAction
+from im_pnt.ros.actions import Surroundings, failure_of, fill, require_success, time_left
 
 ACCEPT_TIMEOUT_S = 30.0
 GOAL_TIMEOUT_S = 600.0
@@ -100,7 +100,7 @@ class GoalActions:
         around, action = self._surroundings, activity.action
         assert isinstance(action, GoalAction)
         if activity in self._performed:
-            return Answer(Verdict.RUNNING, asked=f"{action.name}: its result is awaited")
+            return Answer(Outcome.RUNNING, asked=f"{action.name}: its result is awaited")
         (client, made), task = self._client(action), around.task(action)
         try:
             await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}", ASK_DISCOVERY_S)
@@ -112,16 +112,16 @@ class GoalActions:
             await around.wait(over, task, ASK_S, f"what became of the goal of {action.name}")
         except ImError as error:
             running = activity in self._results and error.code == "timeout"
-            return Answer(Verdict.RUNNING if running else Verdict.UNKNOWN, asked=error.message)
+            return Answer(Outcome.RUNNING if running else Outcome.UNKNOWN, asked=error.message)
         del self._results[activity]
         answer = result.result()
         if answer.status == GoalStatus.STATUS_UNKNOWN:
-            return Answer(Verdict.UNKNOWN, asked=f"{action.name} does not know the goal")
+            return Answer(Outcome.UNKNOWN, asked=f"{action.name} does not know the goal")
         try:
             await self._conclude(action, context, answer)
         except ImError as error:
-            return Answer(Verdict.FAILED, error, asked=action.name)
-        return Answer(Verdict.DONE, asked=action.name)
+            return Answer(Outcome.FAILED, error, asked=action.name)
+        return Answer(Outcome.DONE, asked=action.name)
 
     def _follow(self, activity: Activity, handle: ClientGoalHandle) -> Any:
         """Begins to wait for a result, and to cancel the goal when the activity is cancelled."""

@@ -1,24 +1,30 @@
-"""The nets that a node runs, those that it knows of, and whether they may run together."""
+"""The nets that a node runs and those that it knows of, whether they may run together, and how one replaces another.
+
+A net that is loaded at run time is verified, alone and together, then takes its place when the present one is at rest.
+"""
 
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from im_core.clock import monotonic
+from im_core.errors import StateError
 from im_core.files import write_whole
 from im_core.ros import qos
+from im_core.ros.calls import pause, run_in_thread
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import NetDescription
-from im_pnt.analysis.reachability import Limits
-from im_pnt.analysis.report import Report
-from im_pnt.analysis.verify import verify
-from im_pnt.errors import NetFileError
-from im_pnt.journal.fingerprint import fingerprint
-from im_pnt.net import Net
-from im_pnt.netfile import load_net, parse_net
-from im_pnt.netfile.writer import yaml_text
+from im_pnt.errors import NetError, NetFileError, VerificationError
+from im_pnt.execution.executor import Executor
+from im_pnt.journal.journal import fingerprint
+from im_pnt.journal.state import net_state
+from im_pnt.model.net import Net
+from im_pnt.netfile import load_net, parse_net, yaml_text
+from im_pnt.ros.publish import PntPublisher
+from im_pnt.verification import Verification, Verifier
 
-LOAD_LIMITS = Limits(states=2_000_000, seconds=20.0)
+REST_CHECK_S = 0.02
 
 
 class Library:
@@ -26,10 +32,11 @@ class Library:
 
     Args:
         files: Net files that the node begins with.
+        verifier: Says whether nets may run together.
     """
 
-    def __init__(self, files: Sequence[Path]) -> None:
-        self._files = list(files)
+    def __init__(self, files: Sequence[Path], verifier: Verifier) -> None:
+        self._files, self._verifier = list(files), verifier
         self._kept: Path | None = None
         self._known: dict[str, Net] = {}
 
@@ -93,16 +100,106 @@ class Library:
                     waiting.append(known[name])
         return list(together.values())
 
-    def verify(self, nets: Sequence[Net]) -> Report:
+    def verify(self, nets: Sequence[Net]) -> Verification:
         """Verifies nets, alone or composed.
 
         Raises:
             NetError: They do not fit together.
         """
-        return verify(nets, LOAD_LIMITS)
+        return self._verifier(nets)
 
     def _learn(self, description: NetDescription) -> None:
         try:
             self._known[description.net] = parse_net(json.loads(description.json)["yaml"], description.node)
-        except (KeyError, TypeError, ValueError, NetFileError):  # another kind of node; its net is then unknown
+        except (KeyError, TypeError, ValueError, RecursionError, NetFileError):  # another kind of node: net unknown
             self._known.pop(description.net, None)
+
+
+class Loader:
+    """Finds out whether a net may run, and waits until it may take its place.
+
+    Args:
+        node: The node.
+        library: Knows the other nets.
+        nets: Those of the node by name; looked at anew for each net.
+        publisher: Shows why a net was refused.
+    """
+
+    def __init__(
+        self, node: ManagedNode, library: Library, nets: Mapping[str, Executor], publisher: PntPublisher
+    ) -> None:
+        self._node, self._library, self._nets, self._publisher = node, library, nets, publisher
+
+    async def prepare(self, net: Net, patience_s: float) -> tuple[Verification, dict[str, object] | None]:
+        """Verifies a net, alone and with those it talks to, and waits until the present one of its name is at rest.
+
+        Args:
+            net: The net.
+            patience_s: Longest wait for that [s].
+
+        Returns:
+            The report, and the state that it takes over, if any; the net is to take its place at once.
+
+        Raises:
+            VerificationError: The net may not run; carries the firing sequence that shows why.
+            NetError: It does not fit to the present marking.
+            StateError: The present net of that name does not come to rest; says what keeps it.
+        """
+        report = await self._verified(net)
+        present = self._nets.get(net.name)
+        if present is None:
+            return report, None
+        await self._until_rest(present, patience_s)
+        carried = carried_over(present, net)
+        if carried is net:
+            return report, None
+        report = await self._verified(carried)
+        await self._until_rest(present, patience_s)
+        if carried_over(present, net) != carried:
+            raise StateError(f"net {net.name} went on while its successor was verified; load it again")
+        return report, net_state(present)
+
+    async def _verified(self, net: Net) -> Verification:
+        own = [executor.written for executor in self._nets.values()]
+        together = [net, *self._library.partners(net, own)]
+        for nets in ([net], together) if len(together) > 1 else ([net],):
+            report = await run_in_thread(self._node, self._library.verify, nets)
+            try:
+                report.require_ok()
+            except VerificationError as error:
+                self._publisher.refused(net.name, error.message, nets, report.refusals)
+                raise
+        return report
+
+    async def _until_rest(self, executor: Executor, patience_s: float) -> None:
+        deadline = monotonic() + patience_s
+        while not (rest := executor.at_rest()):
+            if monotonic() > deadline:
+                name = executor.net.name
+                text = f"net {name} is not at rest and cannot be replaced now: {rest}"
+                raise StateError(text, net=name, reasons=list(rest.reasons))
+            await pause(self._node, REST_CHECK_S)
+
+
+def carried_over(executor: Executor, net: Net) -> Net:
+    """Returns a net with the tokens of the one at rest whose place it takes; as it is, if that one is as it began.
+
+    Raises:
+        NetError: A place that is marked is not in the new net.
+    """
+    marking = executor.marking()
+    if marking == executor.net.initial_marking():
+        return net
+    structure = executor.net.places.keys() - executor.written.places.keys()
+    missing = [f"{place}={count}" for place, count in marking.items() if place not in {*net.places, *structure}]
+    if missing:
+        raise NetError(
+            f"net {net.name} cannot take the place of the present one, which holds {', '.join(missing)}: "
+            "it has no such place",
+            net=net.name,
+        )
+    places = {
+        name: replace(place, tokens=marking.get(name, 0)) if name in executor.net.places else place
+        for name, place in net.places.items()
+    }
+    return replace(net, places=places)

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from rclpy.exceptions import InvalidHandle
 
 from im_core.clock import monotonic
-from im_core.ros.alarms import Alarm
+from im_core.ros.coroutines import Alarm
 from im_core.ros.node import ManagedNode
-from im_pnt.executive import Executive
-from im_pnt.journal.errors import JournalError
+from im_pnt.errors import JournalError
+from im_pnt.execution.executor import Executor
 
 WAKE_DELAY_S = 0.0001
 RETRY_AFTER_S = 1.0
@@ -32,7 +32,7 @@ class NetLoop:
     def __init__(
         self,
         node: ManagedNode,
-        nets: Mapping[str, Executive],
+        nets: Mapping[str, Executor],
         may_turn: Callable[[], bool],
         commit: Callable[[], None],
         told: Callable[[], None],
@@ -56,12 +56,12 @@ class NetLoop:
         """Takes what has arrived and fires until nothing is enabled; in the loop."""
         self._turn(everyone=False)
 
-    def take(self, what: Callable[[str], None], text: str) -> None:
-        """Takes something that arrives for the nets, and then a turn; in the loop."""
+    def take_packet(self, hear: Callable[[str], None], text: str) -> None:
+        """Has a packet for the nets heard, and then takes a turn; in the loop."""
         self._thread = threading.get_ident()
         self._turning = True  # nobody need be woken for what is posted now
         try:
-            what(text)
+            hear(text)
         finally:
             self._turning = False
         self._turn(everyone=False)
@@ -81,9 +81,9 @@ class NetLoop:
         self._thread = threading.get_ident()
         self._turning = True
         try:
-            for executive in tuple(self._nets.values()):
-                if everyone or executive.due:
-                    executive.pump()
+            for executor in tuple(self._nets.values()):
+                if everyone or executor.due:
+                    executor.pump()
             self._commit()
         except JournalError as error:
             self._node.get_logger().error(f"{error.message}; nothing leaves until it can be written")
@@ -93,10 +93,10 @@ class NetLoop:
             self._turning = False
         self._told()
         at: float | None = None
-        for executive in self._nets.values():
-            if executive.due and not self._wakened:
+        for executor in self._nets.values():
+            if executor.due and not self._wakened:
                 self.wake()
-            time = executive.next_wakeup()
+            time = executor.next_wakeup()
             if time is not None and (at is None or time < at):
                 at = time
         self._set_alarm(at)

@@ -4,37 +4,40 @@ import gc
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from rclpy.parameter import Parameter
+
 from im_core.clock import wall
-from im_core.errors import ImError
+from im_core.errors import ImError, NotFoundError
 from im_core.names import results_dir, run_dir
 from im_core.ros import qos
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import ObjectChange
-from im_pnt.action import GoalAction, ServiceAction, TopicAction
-from im_pnt.analysis.report import Report
-from im_pnt.events import CommandCancelled, GuardsChanged, ObjectInvalidated
-from im_pnt.exchange import Exchange
-from im_pnt.executive import Executive
-from im_pnt.functions import AskFunction, Functions, GuardFunction
-from im_pnt.journal.process_journal import Journal
-from im_pnt.net import Net
-from im_pnt.ros.actions import RosAction, Surroundings
+from im_pnt.distributed.exchange import Exchange
+from im_pnt.execution.actions import FunctionRunner
+from im_pnt.execution.conflicts import StrategyBook
+from im_pnt.execution.events import CommandCancelled, GuardsChanged, ObjectInvalidated
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import AskFunction, Functions, GuardFunction
+from im_pnt.journal.journal import Journal
+from im_pnt.journal.log import Sync
+from im_pnt.journal.state import restore_net
+from im_pnt.model.action import GoalAction, ServiceAction, TopicAction
+from im_pnt.model.net import Net
+from im_pnt.ros.actions import RosAction, ServiceActions, Surroundings, TopicActions
 from im_pnt.ros.commands import CommandOutcome, Commands, ProgressListener
-from im_pnt.ros.control import Operator
+from im_pnt.ros.control import ControlService
 from im_pnt.ros.goals import GoalActions
-from im_pnt.ros.library import Library
-from im_pnt.ros.loading import Loader
+from im_pnt.ros.library import Library, Loader
 from im_pnt.ros.loop import NetLoop
 from im_pnt.ros.observer import NodeObserver
 from im_pnt.ros.publish import PntPublisher
-from im_pnt.ros.services import ServiceActions
 from im_pnt.ros.sources import Sources
-from im_pnt.ros.topics import TopicActions
 from im_pnt.ros.transport import DdsTransport
-from im_pnt.runner import FunctionRunner
-from im_pnt.strategies import StrategyBook
+from im_pnt.verification import Verification, Verifier
+
+__all__ = ["CommandOutcome", "PntNode", "ProgressListener"]
 
 TIDY_PERIOD_S = 2.0
 
@@ -43,7 +46,9 @@ class PntNode(ManagedNode):
     """ROS shell of nets in execution.
 
     Parameters: ``seed`` of choices; ``journal_dir``, folder of the journals of nets, from which a node that died goes
-    on (default: in the run folder of the machine; empty, as for a node alone: no journal is kept).
+    on (default: in the run folder of the machine; empty, as for a node alone: no journal is kept); ``journal_sync``,
+    when a record counts as written: ``os`` (default), it survives the death of the process; ``disk``, also the loss of
+    power, and every firing waits for the disk.
 
     Args:
         name: Name of the node.
@@ -51,6 +56,7 @@ class PntNode(ManagedNode):
         functions: Actions, builders and handlers that the nets name.
         guards: Enabling functions that the nets name.
         asks: For actions by name, what finds out what became of them.
+        verifier: Says whether nets may run together; none runs without.
 
     Attributes:
         dom: Client of the Data Object Manager.
@@ -68,15 +74,21 @@ class PntNode(ManagedNode):
         functions: Mapping[str, Callable[..., object]] | None = None,
         guards: Mapping[str, GuardFunction] | None = None,
         asks: Mapping[str, AskFunction] | None = None,
-        **kwargs: object,
+        *,
+        verifier: Verifier,
+        parameter_overrides: list[Parameter] | None = None,
     ) -> None:
-        super().__init__(name, **kwargs)
+        super().__init__(name, parameter_overrides=parameter_overrides)
         self.functions = Functions(functions, guards, asks)
         self.heartbeats = Heartbeats(self)
         self.dom = DomClient(self)
         self.sources = Sources(self, self.dom, self._source_changed)
         self.seed = int(self.declare_parameter("seed", 0).value)
         journals = "" if self.get_parameter("standalone").value else str(run_dir() / "journal")
+        sync = str(self.declare_parameter("journal_sync", Sync.OS.value).value)
+        if sync not in (known := {kind.value: kind for kind in Sync}):
+            raise NotFoundError(kind="value of the parameter journal_sync", name=sync, known=known)
+        self._journal_sync = known[sync]
         self._journal_dir = str(self.declare_parameter("journal_dir", journals).value)
         self._publisher = PntPublisher(self)
         self._observer = NodeObserver(self, self._publisher)
@@ -86,7 +98,7 @@ class PntNode(ManagedNode):
         self._publisher.nets = self.exchange.nets
         self._loop = NetLoop(self, self.exchange.nets, self._may_turn, self._commit, self._publisher.publish)
         self.commands = self._observer.commands = Commands(self, self.exchange.nets)
-        self._library = Library([Path(file) for file in net_files])
+        self._library = Library([Path(file) for file in net_files], verifier)
         self._loader = Loader(self, self._library, self.exchange.nets, self._publisher)
         around = Surroundings(self, self.functions, self.heartbeats)
         goals = GoalActions(around, self.spawn, lambda: self.exchange.book.prefix)
@@ -112,21 +124,21 @@ class PntNode(ManagedNode):
         self._book = StrategyBook(results_dir() / f"strategies-{self.task_name}.json")
         if self._journal_dir:
             folder = Path(self._journal_dir) / self.task_name
-            self._journal = Journal(folder, self.task_name, observer=self._observer)
+            self._journal = Journal(folder, self.task_name, sync=self._journal_sync, observer=self._observer)
             self._library.keep_in(folder / "nets")
         for net in self._library.nets(self._journal.found if self._journal else {}):
             self._take_in(net, self._library.verify([net]))
         if self._journal is not None and self._journal.start(self.exchange, self._transport.link):
             self.commands.take_up()
             self.get_logger().info(f"{self.task_name} goes on where its journal ends")
-            for executive in self.exchange.nets.values():
-                self._publisher.marked(executive)
+            for executor in self.exchange.nets.values():
+                self._publisher.marked(executor)
         self._transport.listen(self.exchange, self._loop)
         self._library.follow(self)
 
     def phase_start(self) -> None:
         """Begins to fire."""
-        Operator(self, self.exchange.nets, self._loop.turn)
+        ControlService(self, self.exchange.nets, self._loop.turn)
         self.create_timer(TIDY_PERIOD_S, self.exchange.tidy, clock=self.steady_clock)
         self.spawn(self._begin())
         gc.freeze()  # what is there now stays: the garbage collector need not look at it again, which takes 20 ms
@@ -134,16 +146,17 @@ class PntNode(ManagedNode):
     def phase_shutdown(self) -> None:
         """Ends what is open."""
         error = ImError(f"{self.task_name} is shutting down", code="cancelled")
-        for executive in self.exchange.nets.values():
-            executive.post(CommandCancelled(None, error))
+        for executor in self.exchange.nets.values():
+            executor.post(CommandCancelled(None, error))
 
     def destroy_node(self) -> None:
         """Gives back the journal; it stays on the disk."""
         if self._journal is not None:
             self._journal.close()
-        super().destroy_node()
+        destroy: Callable[[], None] = super().destroy_node  # rclpy says no types
+        destroy()
 
-    async def load_net(self, net: Net, patience_s: float = 0.0) -> Report:
+    async def load_net(self, net: Net, patience_s: float = 0.0) -> Verification:
         """Verifies a net, alone and with those it talks to, and takes it into execution.
 
         Args:
@@ -187,25 +200,26 @@ class PntNode(ManagedNode):
 
     def net_with_servers(self, name: str) -> list[Net]:
         """Returns a net of this node as written, with the nets of all nodes that it needs, as far as they are known."""
-        own = [executive.written for executive in self.exchange.nets.values()]
+        own = [executor.written for executor in self.exchange.nets.values()]
         return self._library.with_servers(self.exchange.nets[name].written, own)
 
     def cancel(self, command_id: int, why: str = "cancelled by its client") -> None:
         """Asks a command to end early; the nets decide how."""
         error = ImError(why, code="cancelled", command_id=command_id)
-        for executive in self.exchange.nets.values():
-            executive.post(CommandCancelled(command_id, error))
+        for executor in self.exchange.nets.values():
+            executor.post(CommandCancelled(command_id, error))
 
     # Nets.
 
-    def _take_in(self, net: Net, report: Report, state: dict[str, object] | None = None) -> None:
+    def _take_in(self, net: Net, report: Verification, state: dict[str, object] | None = None) -> None:
         report.require_ok()
         self.sources.declare(net.name, self.functions.wakes(net))
         for transition in net.transitions.values():
-            if type(transition.action) in self._kinds:
-                self._kinds[type(transition.action)].prepare(transition.action)
+            action = transition.action
+            if action is not None and type(action) in self._kinds:
+                self._kinds[type(action)].prepare(action)
         journal = self._journal
-        executive = Executive(
+        executor = Executor(
             net,
             self.functions,
             self._runner if journal is None else journal.guard(self._runner),
@@ -218,12 +232,12 @@ class PntNode(ManagedNode):
             strategies=self._book,
         )
         if state is not None:
-            executive.restore(state)
-        self.exchange.add(executive)
+            restore_net(executor, state)
+        self.exchange.add(executor)
         for partner in net.partners() - self.exchange.nets.keys():
             self._transport.prepare(partner)
-        self._publisher.described(executive)
-        self._publisher.marked(executive)
+        self._publisher.described(executor)
+        self._publisher.marked(executor)
         self.get_logger().info(f"net {net.name} verified: {report.states} markings in {report.time_s:.3f} s")
         self._loop.wake()
 
@@ -231,8 +245,8 @@ class PntNode(ManagedNode):
 
     async def _begin(self) -> None:
         await self.sources.look()
-        for executive in self.exchange.nets.values():
-            executive.post(GuardsChanged())
+        for executor in self.exchange.nets.values():
+            executor.post(GuardsChanged())
 
     def _may_turn(self) -> bool:
         return (self.ready and self.sources.known) or self._stopped
@@ -245,12 +259,13 @@ class PntNode(ManagedNode):
     # What arrives.
 
     def _source_changed(self, source: str) -> None:
-        for executive in self.exchange.nets.values():
-            if source in self.functions.wakes(executive.written):
-                executive.post(GuardsChanged(source))
+        for executor in self.exchange.nets.values():
+            if source in self.functions.wakes(executor.written):
+                executor.post(GuardsChanged(source))
 
     def _object_changed(self, change: ObjectChange) -> None:
+        self.dom.heard(change.object)
         self.sources.object_changed(change)
         if not change.object.valid:
-            for executive in self.exchange.nets.values():
-                executive.post(ObjectInvalidated(change.object.name))
+            for executor in self.exchange.nets.values():
+                executor.post(ObjectInvalidated(change.object.name))

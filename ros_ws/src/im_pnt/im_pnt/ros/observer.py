@@ -1,11 +1,11 @@
 """Passes what nets tell on to whom it concerns: the topics, the clients of commands, the log."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from im_core.ros.node import ManagedNode
-from im_pnt.events import Firing, Observer
-from im_pnt.jobs import Job
-from im_pnt.modes import Mode
+from im_pnt.execution.jobs import Job
+from im_pnt.execution.notification import Firing, Observer
+from im_pnt.execution.operator import Mode
 from im_pnt.ros.commands import Commands
 from im_pnt.ros.publish import PntPublisher
 
@@ -25,11 +25,11 @@ class NodeObserver(Observer):
         self._node, self._publisher = node, publisher
         self.commands: Commands | None = None
 
-    def fired(self, firing: Firing) -> None:
-        """Notes a firing, and tells the clients of its command."""
-        self._publisher.fired(firing)
-        if firing.command_id and self.commands is not None:
-            self.commands.fired(firing)
+    def fired(self, firings: Sequence[Firing]) -> None:
+        """Notes firings, and tells the clients of their commands."""
+        self._publisher.fired(firings)
+        if self.commands is not None:
+            self.commands.fired(firings)
 
     def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
         """Tells the clients of a command."""

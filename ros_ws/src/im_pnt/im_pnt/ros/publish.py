@@ -7,20 +7,18 @@ from builtin_interfaces.msg import Time
 from rclpy.publisher import Publisher
 
 from im_core.clock import monotonic
-from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import Firing as FiringMessage
 from im_msgs.msg import Marking as MarkingMessage
 from im_msgs.msg import NetDescription, NetRefusal, StrategyChoice
-from im_pnt.analysis.report import Report
-from im_pnt.display.story import description, story
-from im_pnt.events import Firing
-from im_pnt.executive import Executive
-from im_pnt.jobs import ActivityState
-from im_pnt.net import Net
-from im_pnt.netfile.writer import yaml_text
-from im_pnt.replay import Script
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.jobs import ActivityState
+from im_pnt.execution.notification import Firing
+from im_pnt.model.net import Net
+from im_pnt.netfile import yaml_text
+from im_pnt.ros.cdr import encode_firing
+from im_pnt.verification import Counterexample
 
 MARKING_PERIOD_S = 0.02
 
@@ -37,22 +35,22 @@ class PntPublisher:
     """
 
     def __init__(self, node: ManagedNode) -> None:
-        self.nets: Mapping[str, Executive] = {}
+        self.nets: Mapping[str, Executor] = {}
         self._node = node
         self._firings = node.create_publisher(FiringMessage, "/pnt/firings", qos.EVENTS)
         self._choices = node.create_publisher(StrategyChoice, "/pnt/strategies", qos.EVENTS)
         self._refusals = node.create_publisher(NetRefusal, "/pnt/refusals", qos.LATCHED_MANY)
         self._markings: dict[str, Publisher] = {}
         self._descriptions: dict[str, Publisher] = {}
-        self._fired: list[Firing] = []
+        self._fired: list[Sequence[Firing]] = []
         self._changed: dict[str, None] = {}
         self._marked_at = 0.0
         self._mark_due = False
 
-    def fired(self, firing: Firing) -> None:
-        """Notes a firing."""
-        self._fired.append(firing)
-        self._changed[firing.net] = None
+    def fired(self, firings: Sequence[Firing]) -> None:
+        """Notes firings of a net."""
+        self._fired.append(firings)
+        self._changed[firings[0].net] = None
 
     def changed(self, net: str) -> None:
         """Notes that how a net is operated has changed."""
@@ -61,23 +59,11 @@ class PntPublisher:
     def publish(self) -> None:
         """Publishes what was noted; firings of one turn have one stamp."""
         fired, self._fired = self._fired, []
-        heard = bool(fired) and self._firings.get_subscription_count() > 0
-        now = self._now() if heard else None
-        for firing in fired if heard else ():
-            self._firings.publish(
-                FiringMessage(
-                    stamp=now,
-                    net=firing.net,
-                    transition=firing.transition,
-                    sequence=firing.sequence,
-                    phase=int(firing.phase),
-                    symbol=firing.symbol,
-                    command_id=firing.command_id,
-                    message=firing.message,
-                    duration=firing.duration,
-                    progress=firing.progress,
-                )
-            )
+        if fired and self._firings.get_subscription_count() > 0:
+            now, publish = self._now(), self._firings.publish
+            for firings in fired:
+                for firing in firings:
+                    publish(encode_firing(firing, now.sec, now.nanosec))
         if self._changed and not self._mark_due:
             left = self._marked_at + MARKING_PERIOD_S - monotonic()
             if left <= 0.0:
@@ -93,10 +79,10 @@ class PntPublisher:
         for net in changed:
             self.marked(self.nets[net])
 
-    def marked(self, executive: Executive) -> None:
+    def marked(self, executor: Executor) -> None:
         """Publishes the marking of a net, and how it is operated."""
-        marking, name = executive.marking(), executive.net.name
-        activities = list(executive.activities)
+        marking, name = executor.marking(), executor.net.name
+        activities = list(executor.activities)
 
         def of(*states: ActivityState) -> list[str]:
             return sorted({activity.transition for activity in activities if activity.state in states})
@@ -107,15 +93,15 @@ class PntPublisher:
             MarkingMessage(
                 stamp=self._now(),
                 net=name,
-                sequence=executive.sequence,
+                sequence=executor.sequence,
                 places=list(marking),
                 tokens=list(marking.values()),
                 active=of(*ActivityState),
                 cancelling=of(ActivityState.CANCELLING),
                 in_doubt=of(ActivityState.IN_DOUBT),
-                mode=executive.mode,
-                paused=executive.paused,
-                proposed=list(executive.proposed),
+                mode=executor.mode,
+                paused=executor.paused,
+                proposed=list(executor.proposed),
             )
         )
 
@@ -132,31 +118,33 @@ class PntPublisher:
             )
         )
 
-    def described(self, executive: Executive) -> None:
-        """Publishes the structure and drawing of a net."""
-        net = executive.written
-        content = {**description(net), "yaml": yaml_text(net), "journal": executive.record is not None}
+    def described(self, executor: Executor) -> None:
+        """Publishes a net: whom it serves, and the text of its file."""
+        net = executor.written
+        content = {**_heading(net), "yaml": yaml_text(net), "journal": executor.record is not None}
         if net.name not in self._descriptions:
             self._descriptions[net.name] = self._node.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED)
         self._descriptions[net.name].publish(
             NetDescription(net=net.name, node=self._node.get_fully_qualified_name(), json=json.dumps(content))
         )
 
-    def refused(self, net: str, message: str, nets: Sequence[Net], report: Report) -> None:
+    def refused(self, net: str, message: str, nets: Sequence[Net], refusals: Sequence[Counterexample]) -> None:
         """Publishes why a net was refused, with the firing sequence that shows it, if there is one.
 
         Args:
             net: Name of the net.
             message: Why.
             nets: The nets that were verified together.
-            report: Of the verification.
+            refusals: What the verification found; the first one is told.
         """
         content: dict[str, object] = {}
-        for refusal in report.refusals[:1]:
-            try:
-                content = story(nets, Script(refusal.sequence, refusal.repeat, refusal.reason))
-            except ImError as error:
-                self._node.get_logger().warning(f"the counterexample cannot be shown: {error.message}")
+        for refusal in refusals[:1]:
+            content = {
+                "reason": refusal.reason,
+                "nets": [yaml_text(each) for each in nets],
+                "sequence": list(refusal.sequence),
+                "repeat": list(refusal.repeat),
+            }
         self._refusals.publish(
             NetRefusal(
                 stamp=self._now(),
@@ -169,3 +157,12 @@ class PntPublisher:
 
     def _now(self) -> Time:
         return self._node.get_clock().now().to_msg()
+
+
+def _heading(net: Net) -> dict[str, object]:
+    return {
+        "net": net.name,
+        "description": net.description,
+        "symbols": net.symbols(),
+        "services": sorted(net.services),
+    }

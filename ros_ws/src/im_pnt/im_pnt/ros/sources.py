@@ -6,15 +6,15 @@ from typing import Any
 
 from rclpy.qos import QoSProfile
 
-from im_core.errors import DataError, ImError
+from im_core.errors import DataError, ImError, nearest
 from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import ObjectChange
-from im_pnt.errors import NetError, nearest
+from im_pnt.errors import NetError
 
 
 class Sources:
-    """Follows what guards declare (:func:`im_pnt.functions.woken_by`), and says when it has changed.
+    """Follows what guards declare (:func:`im_pnt.execution.functions.woken_by`), and says when it has changed.
 
     Args:
         node: The node.

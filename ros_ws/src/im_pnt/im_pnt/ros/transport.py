@@ -10,12 +10,12 @@ from im_core.ros import qos
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import NetDescription, TokenPacket
+from im_pnt.distributed.exchange import Exchange
+from im_pnt.distributed.link import Link
+from im_pnt.distributed.packets import Message
 from im_pnt.errors import NetError
-from im_pnt.exchange import Exchange
-from im_pnt.link import Link
-from im_pnt.remote import Message
+from im_pnt.ros.cdr import decode_packet, encode_packet
 from im_pnt.ros.loop import NetLoop
-from im_pnt.ros.packet_bytes import decode_packet, encode_packet
 
 TICK_PERIOD_S = 0.05
 
@@ -120,7 +120,7 @@ class DdsTransport:
         except NetError as error:
             self._node.get_logger().warning(f"a packet was dropped: {error.message}")
         else:
-            self._loop.take(self.link.hear, text)
+            self._loop.take_packet(self.link.hear, text)
 
     def _tick(self) -> None:
         self.link.tick()
@@ -137,7 +137,7 @@ class DdsTransport:
     def _learn(self, description: NetDescription) -> None:
         node = description.node.rpartition("/")[2]
         self._directory[description.net] = node
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, AttributeError, RecursionError):  # whatever else is told is no journal
             if json.loads(description.json).get("journal") is True:
                 self._journalling.add(node)
 

@@ -1,5 +1,5 @@
 """The command line ``pnt``, a file for each command."""
 
-from im_pnt.cli.main import main
+from im_pnt_analysis.cli.main import main
 
 __all__ = ["main"]

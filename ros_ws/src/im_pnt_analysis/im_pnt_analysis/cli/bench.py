@@ -4,11 +4,11 @@ import argparse
 import json
 
 from im_core.errors import ImError
-from im_pnt.analysis.reachability import Limits
-from im_pnt.bench.nets import FAMILIES, by_name
-from im_pnt.bench.speed import Speed, measure
-from im_pnt.cli.exits import OK, Subcommands
 from im_pnt.netfile import load_net
+from im_pnt_analysis.cli.terminal import OK
+from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.simulation.families import FAMILIES, by_name
+from im_pnt_analysis.simulation.speed import Speed, measure
 
 _DEFAULT = ("ring:100", "philosophers:100", "catching_philosophers:8", "kanban:2")
 
@@ -22,10 +22,9 @@ Actions confirm at once, guards are drawn by lot, and whenever nothing can fire 
 end of an action are two firings. How this compares with other libraries, scripts/bench.sh --nets tells."""
 
 
-def add(commands: Subcommands) -> None:
-    """Adds the command to the parser."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = commands.add_parser("bench", help="how fast are nets?", description=_DESCRIPTION, formatter_class=raw)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Gives the command its options."""
+    parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("nets", nargs="*", metavar="FILE", help="net files, composed; or nets of families")
     parser.add_argument("--firings", type=int, default=100_000, metavar="N", help="firings of each (100000)")
@@ -50,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     groups = [[by_name(name)] for name in families]
     if files:
         groups.append([load_net(file) for file in files])
-    limits = Limits(states=options.states, seconds=options.timeout)
+    limits = SearchLimits(states=options.states, seconds=options.timeout)
     speeds = [measure(nets, options.firings, limits, options.seed) for nets in groups]
     print(json.dumps([_plain(speed) for speed in speeds], indent=1) if options.json else _table(speeds))
     return OK

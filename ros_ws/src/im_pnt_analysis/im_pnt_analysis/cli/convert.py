@@ -8,14 +8,12 @@ from pathlib import Path
 
 from im_core.clock import monotonic
 from im_core.errors import ImError
-from im_pnt.cli.exits import OK, Subcommands
-from im_pnt.cli.output import write_output
-from im_pnt.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
-from im_pnt.net import Net
-from im_pnt.netfile import PNML_SUFFIXES, load_net, parse_net
-from im_pnt.netfile.names import as_name, is_name
-from im_pnt.netfile.writer import yaml_text
+from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
+from im_pnt.model.net import Net
+from im_pnt.netfile import PNML_SUFFIXES, load_net, parse_net, yaml_text
+from im_pnt.netfile.schema import as_name, is_name
 from im_pnt.pnml import pnml_text
+from im_pnt_analysis.cli.terminal import OK, write_output
 
 _BOUNDS_S = 60.0
 _YAML_SUFFIXES = (".yaml", ".yml")
@@ -31,10 +29,9 @@ Names of a PNML file that YAML cannot have are changed, and said; a net that no 
 nothing holds back) is refused. Comments, includes and templates are not kept."""
 
 
-def add(commands: Subcommands) -> None:
-    """Adds the command to the parser."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = commands.add_parser("convert", help="YAML to PNML and back", description=_DESCRIPTION, formatter_class=raw)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Gives the command its options."""
+    parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("file", metavar="IN", help="net file; FILE.pnml#NET for one net of several")
     parser.add_argument("output", metavar="OUT", help="file to write, .yaml, .yml, .pnml or .xml")
@@ -52,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
         raise ImError(f"--plain is for PNML; '{output}' is YAML, which can say everything", code="input")
     net = load_net(options.file)
     if options.plain:
-        from im_pnt.pnml.plain import plain_net
+        from im_pnt_analysis.composition.plain_net import plain_net
 
         net, notes = plain_net(net, monotonic() + _BOUNDS_S)
         text = pnml_text(net, plain=True)

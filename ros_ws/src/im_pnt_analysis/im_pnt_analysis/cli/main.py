@@ -1,25 +1,36 @@
-"""``pnt``: verify, simulate, draw and convert net files."""
+"""``pnt``: verify, simulate, time and convert net files, and what other packages add."""
 
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 
 from im_core.errors import ImError
-from im_pnt.cli import bench, convert, draw, schema, simulate, time, verify
-from im_pnt.cli.exits import BAD_INPUT, OK, REFUSED
+from im_pnt_analysis.cli.extensions import extensions
+from im_pnt_analysis.cli.terminal import BAD_INPUT, OK, REFUSED
 
 _DESCRIPTION = """Works on Petri net transducers: YAML files with places, transitions, tapes, guards and actions, or
 PNML files of other tools. docs/nets.md tells how to write one.
 
   pnt verify dispatcher.yaml motion_coordinator.yaml   may these nets run together?
   pnt simulate dispatcher.yaml --seed 7 --steps 50     plays a net with imagined actions
-  pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why
-  pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)
+  pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why{draw}
   pnt convert dispatcher.yaml dispatcher.pnml          writes it for other tools, or reads theirs
   pnt schema > net.schema.json                         what editors complete and explain net files with
   pnt bench dispatcher.yaml                            how fast it fires and is searched
 
 Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong."""
+_DRAW = "\n  pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)"
+
+_COMMANDS = {
+    "verify": "may the nets run?",
+    "simulate": "play a net",
+    "time": "how fast is a net?",
+    "convert": "YAML to PNML and back",
+    "schema": "print the JSON schema",
+    "bench": "how fast are nets?",
+}
+"""Modules of this folder; only the one that is called is imported, which no other has to wait for."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,12 +42,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit code.
     """
+    words = sys.argv[1:] if arguments is None else arguments
     raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("pnt", description=_DESCRIPTION, formatter_class=raw)
+    parser = argparse.ArgumentParser("pnt", formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command in (verify, simulate, time, draw, convert, schema, bench):
-        command.add(commands)
-    options = parser.parse_args(arguments)
+    called = next((word for word in words if not word.startswith("-")), "")
+    for name, text in _COMMANDS.items():
+        command = commands.add_parser(name, help=text, formatter_class=raw)
+        if name == called:
+            import_module(f"im_pnt_analysis.cli.{name}").configure(command)
+    if called not in _COMMANDS:
+        for add in extensions("im_pnt.commands"):
+            add(commands)
+        if called == "draw" and called not in commands.choices:
+            print("pnt: draw is a command of the package im_pnt_display, which is not installed", file=sys.stderr)
+            return BAD_INPUT
+    parser.description = _DESCRIPTION.format(draw=_DRAW if "draw" in commands.choices else "")
+    options = parser.parse_args(words)
     try:
         return int(options.run(options))
     except ImError as error:

@@ -2,8 +2,8 @@
 
 import argparse
 
-from im_pnt.cli.exits import OK, Subcommands
-from im_pnt.schema import schema_text
+from im_pnt.netfile import schema_text
+from im_pnt_analysis.cli.terminal import OK
 
 _DESCRIPTION = """Prints the JSON schema (draft 2020-12) of YAML net files: editors complete and explain them with it.
 
@@ -11,10 +11,9 @@ Put it beside your nets, and this line on top of each:
   # yaml-language-server: $schema=net.schema.json"""
 
 
-def add(commands: Subcommands) -> None:
-    """Adds the command to the parser."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = commands.add_parser("schema", help="print the JSON schema", description=_DESCRIPTION, formatter_class=raw)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Gives the command its options."""
+    parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
 
 

@@ -5,12 +5,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from im_pnt.cli.exits import OK, Subcommands
-from im_pnt.net import Net
+from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt.replay import read_script, replay
-from im_pnt.simulate import simulate
-from im_pnt.timed.summary import Estimate, Summary, summarise
+from im_pnt_analysis.cli.terminal import OK
+from im_pnt_analysis.simulation.replay import read_firing_sequence, replay
+from im_pnt_analysis.simulation.simulate import Estimate, Summary, simulate, summarise
 
 _DESCRIPTION = """Plays nets, alone or composed, by their structure, delays and probabilities.
 
@@ -23,10 +22,9 @@ _STEPS = 100
 _SUMMARY_STEPS = 100_000
 
 
-def add(commands: Subcommands) -> None:
-    """Adds the command to the parser."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = commands.add_parser("simulate", help="play a net", description=_DESCRIPTION, formatter_class=raw)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Gives the command its options."""
+    parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same run (0)")
@@ -73,14 +71,14 @@ def _play(nets: list[Net], steps: int | None, options: argparse.Namespace) -> No
 
 
 def _replay(nets: list[Net], options: argparse.Namespace) -> None:
-    script = read_script(options.replay)
+    firings = read_firing_sequence(options.replay)
     enabled: tuple[str, ...] = ()
-    if script.reason and not options.json:
-        print(f"shows: {script.reason}")
-    for step in replay(nets, script):
+    if firings.reason and not options.json:
+        print(f"shows: {firings.reason}")
+    for step in replay(nets, firings):
         enabled = step.enabled
         _show(step.number, None, step.transition or "(initial marking)", step.marking, options.json)
-        if script.repeat and step.number == len(script.sequence) and not options.json:
+        if firings.repeat and step.number == len(firings.sequence) and not options.json:
             print("from here on, repeated for ever:")
     if options.json:
         print(json.dumps({"enabled": list(enabled)}))

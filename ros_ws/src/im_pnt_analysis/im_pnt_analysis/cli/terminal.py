@@ -1,10 +1,61 @@
-"""Ctrl-C that ends long computations at once, also in the middle of foreign code that keeps Python from noticing."""
+"""What the commands of ``pnt`` share: exit codes, numbers that make sense, files to write, and Ctrl-C."""
 
+import argparse
 import os
 import signal
 import sys
 import threading
+from pathlib import Path
 from types import TracebackType
+
+from im_core.errors import ImError
+from im_core.files import write_whole
+
+OK, REFUSED, BAD_INPUT = 0, 1, 2
+
+def seconds(text: str) -> float:
+    """Reads a time of more than nothing [s], for argparse.
+
+    Raises:
+        argparse.ArgumentTypeError: It is none.
+    """
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a time > 0 s")
+    return value
+
+
+def count(text: str) -> int:
+    """Reads a number of 1 or more, for argparse.
+
+    Raises:
+        argparse.ArgumentTypeError: It is none.
+    """
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a number >= 1")
+    return value
+
+
+def write_output(path: Path, text: str, *, overwrite: bool) -> None:
+    """Writes a text file in one step: whoever reads it sees the old one or the new one.
+
+    Args:
+        path: The file.
+        text: What to write.
+        overwrite: Whether it may be there already.
+
+    Raises:
+        ImError: It is there already, or cannot be written.
+    """
+    if not overwrite and (path.exists() or path.is_symlink()):
+        raise ImError(f"'{path}' is there already; --force overwrites it", code="input")
+    try:
+        write_whole(path, text)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ImError(f"cannot write '{path}': {reason}", code="input") from error
+
 
 INTERRUPTED = 130
 """Exit code."""

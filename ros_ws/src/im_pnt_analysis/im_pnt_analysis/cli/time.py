@@ -8,14 +8,12 @@ from fractions import Fraction
 from pathlib import Path
 
 from im_core.errors import ImError
-from im_pnt.cli.exits import OK, Subcommands
-from im_pnt.net import Net
+from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt.timed.comparison import Comparison, compare
-from im_pnt.timed.durations import CommandDuration, expected_command
-from im_pnt.timed.fit import fit_delays
-from im_pnt.timed.measured import Measurement, read_measurement
-from im_pnt.timed.steady import Number, SteadyState, steady_state
+from im_pnt_analysis.cli.terminal import OK
+from im_pnt_analysis.timed.durations import CommandDuration, expected_command
+from im_pnt_analysis.timed.measurement import Comparison, Measurement, compare, fit_delays, read_measurement
+from im_pnt_analysis.timed.steady import Number, SteadyState, steady_state
 
 _DESCRIPTION = """Computes the steady state of timed nets: throughput of transitions, mean tokens and use of places.
 
@@ -29,10 +27,9 @@ _DIGITS_SHOWN = 9
 _DIGITS_WRITTEN = 80
 
 
-def add(commands: Subcommands) -> None:
-    """Adds the command to the parser."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = commands.add_parser("time", help="how fast is a net?", description=_DESCRIPTION, formatter_class=raw)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Gives the command its options."""
+    parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -56,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     if options.fit:
         if measured is None:
             raise ImError("--fit needs times to take delays from: --measured FILE", code="input")
-        nets = list(fit_delays(nets, measured.observations))
+        nets = list(fit_delays(nets, measured.firings))
     if options.symbol is None:
         if measured is not None and not options.fit:
             raise ImError("--measured is compared with a command: --command SYMBOL is missing", code="input")
@@ -71,7 +68,7 @@ def _steady(nets: list[Net], options: argparse.Namespace, output: Path | None) -
     name = "+".join(net.name for net in nets)
     print(json.dumps(_plain(state), indent=1) if options.json else f"{name}: {_readable(state)}")
     if output is not None:
-        from im_pnt.timed.plot import plot_steady
+        from im_pnt_analysis.timed.plot import plot_steady
 
         plot_steady(name, state, output)
 
@@ -92,7 +89,7 @@ def _command(nets: list[Net], options: argparse.Namespace, measured: Measurement
         if comparison is not None:
             print(_comparison(comparison))
     if output is not None:
-        from im_pnt.timed.plot import plot_command
+        from im_pnt_analysis.timed.plot import plot_command
 
         plot_command(expected, comparison, output)
 

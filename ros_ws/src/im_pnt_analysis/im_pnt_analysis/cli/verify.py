@@ -6,16 +6,15 @@ import sys
 from pathlib import Path
 
 from im_core.clock import monotonic
-from im_pnt.analysis.reachability import Limits
-from im_pnt.analysis.readable import readable
-from im_pnt.analysis.report import Report
-from im_pnt.analysis.verify import verify
-from im_pnt.cli.exits import OK, REFUSED, Subcommands, count, seconds
-from im_pnt.cli.interrupt import EndOnInterrupt
 from im_pnt.errors import NetError
-from im_pnt.net import Net
+from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt.replay import Script
+from im_pnt_analysis.cli.extensions import extensions
+from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, count, seconds
+from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.simulation.replay import FiringSequence
+from im_pnt_analysis.verify.report import Report, readable
+from im_pnt_analysis.verify.verdict import verify
 
 _DESCRIPTION = """Searches every marking that the nets can reach, alone or composed over remote places and services.
 
@@ -32,10 +31,9 @@ _QUIET = 2.0
 _EVERY = 0.5
 
 
-def add(commands: Subcommands) -> None:
-    """Adds the command to the parser."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = commands.add_parser("verify", help="may the nets run?", description=_DESCRIPTION, formatter_class=raw)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Gives the command its options."""
+    parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--json", action="store_true", help="print one JSON object with every answer")
@@ -53,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
         nets = [load_net(file) for file in options.files]
         report = verify(
             nets,
-            Limits(states=options.states, seconds=options.timeout),
+            SearchLimits(states=options.states, seconds=options.timeout),
             structure=options.json,
             progress=progress or (lambda text: None),
         )
@@ -66,12 +64,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write_counterexample(path: str, files: list[str], nets: list[Net], report: Report) -> None:
-    from im_pnt.display.story import story
-
     refusal = report.refusals[0]
-    shown = story(nets, Script(refusal.sequence, refusal.repeat, refusal.reason))
-    content = {
-        **shown,
+    firings = FiringSequence(refusal.sequence, refusal.repeat, refusal.reason)
+    content: dict[str, object] = {}
+    for drawn in extensions("im_pnt.counterexamples"):
+        content |= drawn(nets, firings)
+    content |= {
         "nets": report.nets,
         "files": files,
         "kind": refusal.kind,

@@ -14,15 +14,15 @@ given nets is modelled, each by its most general behaviour:
 Tokens and requests for a given net are on their way for a while: they are on ``p.underway`` before they are on ``p``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from im_pnt.analysis.assumptions import assumptions
-from im_pnt.analysis.calls import Calls
-from im_pnt.analysis.flat import Flat
-from im_pnt.errors import NetError, nearest
-from im_pnt.expand import INPUT_SEMAPHORE, expand, input_place
-from im_pnt.net import Net, Role, Transition
+from im_core.errors import nearest
+from im_pnt.errors import NetError
+from im_pnt.model.expand import INPUT_SEMAPHORE, expand, input_place
+from im_pnt.model.net import Net, Role, Transition
+from im_pnt_analysis.composition.flat_net import FlatNet
+from im_pnt_analysis.composition.requests import ServiceCalls
 
 _DISTURBANCES = (Role.WITHDRAWN, Role.CANCEL, Role.LOST)
 
@@ -68,7 +68,7 @@ def compose(nets: Sequence[Net]) -> Composition:
         if net.name in by_name:
             raise NetError(f"there are two nets named {net.name} ({by_name[net.name].source}, {net.source})")
         by_name[net.name] = expand(net)
-    flat = Flat(by_name)
+    flat = FlatNet(by_name)
     composer = _Composer(flat)
     for net in by_name.values():
         composer.add(net)
@@ -87,9 +87,9 @@ def compose(nets: Sequence[Net]) -> Composition:
 
 
 class _Composer:
-    def __init__(self, flat: Flat) -> None:
+    def __init__(self, flat: FlatNet) -> None:
         self.flat = flat
-        self.calls = Calls(flat)
+        self.calls = ServiceCalls(flat)
         self.disturbances: set[str] = set()
         self.entries: set[str] = set()
         self.fed: set[str] = set()
@@ -100,8 +100,8 @@ class _Composer:
         certain = self.calls.certain_places(net)
         for place in net.places.values():
             if place.name not in certain:
-                flat.add_place(net.name, replace(place, name=flat.q(net.name, place.name)))
-        flat.rest.update(flat.q(net.name, place) for place in net.rest_places())
+                flat.add_place(net.name, replace(place, name=flat.qualified(net.name, place.name)))
+        flat.rest.update(flat.qualified(net.name, place) for place in net.rest_places())
         for transition in net.transitions.values():
             for part in self.calls.connected(net, self._qualified(net, transition)):
                 flat.add_transition(part)
@@ -121,7 +121,7 @@ class _Composer:
                 outputs[target] = outputs.get(target, 0) + weight
         return replace(
             transition,
-            name=flat.q(net.name, transition.name),
+            name=flat.qualified(net.name, transition.name),
             inputs=flat.arcs(net.name, transition.inputs),
             outputs=outputs,
             remote_outputs={},
@@ -143,7 +143,7 @@ class _Composer:
                 f"transition {transition.origin} of net {net.name} sends a token to {other}.{place}, "
                 f"which is not open to other nets; give it 'remote: true' in net {other}"
             )
-        self.fed.add(self.flat.q(other, place))
+        self.fed.add(self.flat.qualified(other, place))
         return self.flat.underway(other, place)
 
     def close(self) -> None:
@@ -153,9 +153,9 @@ class _Composer:
         for net in flat.nets.values():
             inputs_of_services = {input_place(service) for service in net.services}
             for place in net.places.values():
-                name = flat.q(net.name, place.name)
+                name = flat.qualified(net.name, place.name)
                 if place.remote and place.name not in inputs_of_services and name not in self.fed:
-                    arrival = flat.q(net.name, f"arrive.{place.name}")
+                    arrival = flat.qualified(net.name, f"arrive.{place.name}")
                     arrivals.append(Transition(arrival, outputs={name: 1}, origin=place.name))
                     flat.assume(f"other nets mark {name} only while everything is at rest")
         busy = {place: 1 for place in flat.places if place not in flat.rest}
@@ -165,3 +165,45 @@ class _Composer:
             flat.assume(text)
         if any(INPUT_SEMAPHORE in net.places for net in flat.nets.values()):
             flat.assume("requests of different callers are served in any order")
+
+
+def assumptions(nets: Sequence[Net]) -> Iterator[str]:
+    """Says what is taken for granted.
+
+    Args:
+        nets: The nets, expanded.
+    """
+    if guarded := _names(net for net in nets if net.guards()):
+        yield (
+            f"guards ({guarded}) may be true or false at any time: bounds and safety hold whatever they say; liveness "
+            "and the return of resources hold unless a guard stays as it is for ever"
+        )
+    for net in nets:
+        yield from open_guards(net)
+    if reading := _names(net for net in nets if net.symbols()):
+        yield (
+            f"tapes ({reading}) are free, any symbol may come at any time: bounds and safety hold for every tape; "
+            "liveness holds where each symbol comes again and again"
+        )
+    if acting := _names(net for net in nets if any(t.role is Role.START for t in net.transitions.values())):
+        yield f"actions ({acting}) end, fail, or come in doubt, which is then decided either way"
+    if ordered := _names(net for net in nets if len({t.priority for t in net.transitions.values()}) > 1):
+        yield f"priorities ({ordered}) are not looked at: whatever is enabled may go first"
+
+
+def _names(nets: Iterable[Net]) -> str:
+    return ", ".join(net.name for net in nets)
+
+
+def open_guards(net: Net) -> Iterator[str]:
+    """Names the guards that have no counterpart, and might keep a net waiting for ever."""
+    guarded = [t for t in net.transitions.values() if t.guard]
+    for transition in guarded:
+        assert transition.guard is not None
+        opposite = replace(transition.guard, negated=not transition.guard.negated)
+        rivals = (t for t in net.transitions.values() if t.inputs.keys() & transition.inputs.keys() and t != transition)
+        if not any(t.guard == opposite or (t.guard is None and t.symbol is None) for t in rivals):
+            yield (
+                f"guard '{transition.guard}' of transition {transition.origin} of net {net.name} becomes true: "
+                "nothing else takes the tokens while it is false"
+            )

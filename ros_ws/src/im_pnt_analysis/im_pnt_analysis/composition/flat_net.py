@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from im_pnt.errors import NetError
-from im_pnt.net import Arcs, Net, Place, Role, Transition
+from im_pnt.model.net import Arcs, Net, Place, Role, Transition
 
 
-class Flat:
+class FlatNet:
     """Places and transitions of several nets and of what surrounds them.
 
     Args:
@@ -33,13 +33,13 @@ class Flat:
         self.assumptions: dict[str, None] = {}
         self._underway: set[str] = set()
 
-    def q(self, net: str, name: str) -> str:
+    def qualified(self, net: str, name: str) -> str:
         """Qualifies a name where there are several nets."""
         return f"{net}.{name}" if len(self.nets) > 1 else name
 
     def arcs(self, net: str, arcs: Arcs) -> dict[str, int]:
         """Qualifies the places of arcs."""
-        return {self.q(net, place): weight for place, weight in arcs.items()}
+        return {self.qualified(net, place): weight for place, weight in arcs.items()}
 
     def add_place(self, net: str, place: Place) -> None:
         """Adds a place by its qualified name.
@@ -76,12 +76,12 @@ class Flat:
 
     def underway(self, net: str, place: str) -> str:
         """Returns the place where tokens for a place of another net are on their way to it."""
-        target = self.q(net, place)
+        target = self.qualified(net, place)
         name = f"{target}.underway"
         if name not in self._underway:
             self._underway.add(name)
             self.add_place(net, Place(name))
-            arrival = self.q(net, f"arrive.{place}")
+            arrival = self.qualified(net, f"arrive.{place}")
             self.add_transition(
                 Transition(arrival, inputs={name: 1}, outputs={target: 1}, role=Role.ENVIRONMENT, origin=place)
             )

@@ -6,11 +6,11 @@ tokens that the place lacks, then holds at least B - w + 1 of them (Murata, 1989
 
 from collections.abc import Mapping
 
-from im_pnt.analysis.bounds import place_bounds
-from im_pnt.analysis.compose import compose
-from im_pnt.compiled import compile_net
 from im_pnt.errors import NetError
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.compiled import compile_net
+from im_pnt.model.net import Net, Place, Transition
+from im_pnt_analysis.composition.compose import compose
+from im_pnt_analysis.structure.state_equation import place_bounds
 
 
 def plain_net(net: Net, deadline: float | None = None) -> tuple[Net, tuple[str, ...]]:

@@ -1,24 +1,124 @@
-"""Requests and replies between composed nets (paper, Figure 11); commands are in :mod:`im_pnt.analysis.commands`.
+"""Requests between composed nets and their replies: services (paper, Figure 11), and commands on tapes (section 6).
 
 A caller that waits for a given net has a token on ``t.pending`` from its request to its reply, which is a token on
 ``t.reply``. If it has a time-out and gives up, the token moves to ``t.abandoned``, where the late reply ends; until it
 has come, ``t.patience`` keeps it from giving up once more.
+
+A caller's command waits in ``t.on_tape``; a transition that reads its symbol may take it from there, which marks
+``t.read``. The output symbol ``<symbol>_done`` or ``<symbol>_failed`` ends it. While a command of a caller is read, it
+is what such an output symbol acknowledges; the tape is free besides: others may write the same symbol at any time.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from im_pnt.action import RequestAction
-from im_pnt.analysis.commands import Caller, Commands
-from im_pnt.analysis.flat import Flat
-from im_pnt.errors import NetError, nearest
-from im_pnt.expand import doubt_place, input_place
-from im_pnt.net import Net, Place, Role, Transition
+from im_core.errors import nearest
+from im_pnt.errors import NetError
+from im_pnt.execution.jobs import ends
+from im_pnt.model.action import RequestAction
+from im_pnt.model.expand import cancelling_place, doubt_place, input_place
+from im_pnt.model.net import Net, Place, Role, Transition
+from im_pnt_analysis.composition.flat_net import FlatNet
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """A transition that asks another net: its qualified name, and whether a time-out lets it give up."""
+
+    name: str
+    gives_up: bool
+
+    def endings(self) -> Iterator[tuple[str, str, str]]:
+        """Yields for each way in which it waits a suffix, the place where it waits, and the one that a reply marks."""
+        yield "", f"{self.name}.pending", f"{self.name}.reply"
+        if self.gives_up:
+            yield " given up", f"{self.name}.abandoned", f"{self.name}.patience"
+
+
+class TapeCommands:
+    """Connects transitions that write commands with those that read and acknowledge them.
+
+    Args:
+        flat: The net that grows.
+    """
+
+    def __init__(self, flat: FlatNet) -> None:
+        self._flat = flat
+        self._callers: dict[str, list[tuple[str, Caller]]] = {}
+
+    def expect(self, net: str, symbol: str, caller: Caller) -> None:
+        """Notes that a caller writes a symbol to the tape of a net."""
+        self._callers.setdefault(net, []).append((symbol, caller))
+
+    def write(self, net: str, caller: Caller) -> str:
+        """Adds the places of a command; returns the one that stands for its being on the tape."""
+        flat, on_tape = self._flat, f"{caller.name}.on_tape"
+        flat.add_place(net, Place(on_tape))
+        flat.add_place(net, Place(f"{caller.name}.read"))
+        cancelling = cancelling_place(caller.name)
+        for suffix, waiting, answered in caller.endings():
+            kept = {} if suffix else {cancelling: 1}
+            flat.add_transition(
+                Transition(
+                    f"withdraw({caller.name}{suffix})",
+                    {on_tape: 1, waiting: 1, **kept},
+                    {answered: 1, **kept},
+                    role=Role.ENVIRONMENT,
+                    origin=caller.name,
+                )
+            )
+        return on_tape
+
+    def served(self, net: Net, flat: Transition) -> Iterator[Transition]:
+        """Returns a transition in all the ways in which it reads and acknowledges commands of callers.
+
+        Args:
+            net: Its net.
+            flat: The transition with qualified names.
+        """
+        callers = self._callers.get(net.name, [])
+        yield from self._acknowledging(flat, callers)
+        for symbol, caller in callers:
+            if flat.symbol == symbol:
+                reading = replace(
+                    flat,
+                    name=f"{flat.name}({caller.name})",
+                    symbol=None,
+                    inputs={**flat.inputs, f"{caller.name}.on_tape": 1},
+                    outputs={**flat.outputs, f"{caller.name}.read": 1},
+                )
+                if any(ends(emitted, symbol) is not None for emitted in flat.emit):
+                    for suffix, waiting, answered in caller.endings():
+                        yield replace(
+                            reading,
+                            name=f"{reading.name}{suffix}",
+                            inputs={**reading.inputs, waiting: 1},
+                            outputs={**flat.outputs, answered: 1},
+                        )
+                else:
+                    yield reading
+
+    def _acknowledging(self, flat: Transition, callers: list[tuple[str, Caller]]) -> Iterator[Transition]:
+        served = [c for symbol, c in callers if any(ends(e, symbol) is not None for e in flat.emit)]
+        if flat.symbol is not None or not served:
+            yield flat
+            return
+        reads = {f"{caller.name}.read": 1 for caller in served}
+        yield replace(flat, inhibitors={**flat.inhibitors, **reads})
+        for caller in served:
+            for suffix, waiting, answered in caller.endings():
+                yield replace(
+                    flat,
+                    name=f"{flat.name}({caller.name}{suffix})",
+                    inputs={**flat.inputs, f"{caller.name}.read": 1, waiting: 1},
+                    outputs={**flat.outputs, answered: 1},
+                )
+
 
 _IN_DOUBT = ".in_doubt"
 
 
-class Calls:
+class ServiceCalls:
     """Connects the transitions that ask with the services that answer.
 
     Args:
@@ -28,15 +128,15 @@ class Calls:
         NetError: A net is asked for a service that it does not offer.
     """
 
-    def __init__(self, flat: Flat) -> None:
+    def __init__(self, flat: FlatNet) -> None:
         self._flat = flat
         self._callers: dict[tuple[str, str], list[Caller]] = {}
-        self._commands = Commands(flat)
+        self._commands = TapeCommands(flat)
         for net in flat.nets.values():
             for start in net.transitions.values():
                 action = _request_of(start)
                 if action is not None and start.role is Role.START and self._offered(net, start, action):
-                    caller = Caller(flat.q(net.name, start.origin), start.timeout is not None)
+                    caller = Caller(flat.qualified(net.name, start.origin), start.timeout is not None)
                     if action.service in flat.nets[action.net].services:
                         self._callers.setdefault((action.net, action.service), []).append(caller)
                     else:
@@ -94,15 +194,15 @@ class Calls:
 
     def _generic_caller(self, net: str, service: str) -> str:
         flat = self._flat
-        idle = flat.q(net, f"caller.{service}")
+        idle = flat.qualified(net, f"caller.{service}")
         flat.add_place(net, Place(idle, tokens=1))
         flat.rest.add(idle)
-        request = {flat.q(net, input_place(service)): 1}
-        flat.add_environment(Transition(flat.q(net, f"call.{service}"), {idle: 1}, request, origin=service))
+        request = {flat.qualified(net, input_place(service)): 1}
+        flat.add_environment(Transition(flat.qualified(net, f"call.{service}"), {idle: 1}, request, origin=service))
         return idle
 
     def _phases(self, net: Net, flat: Transition, start: Transition, action: RequestAction) -> Iterator[Transition]:
-        caller = Caller(self._flat.q(net.name, flat.origin), start.timeout is not None)
+        caller = Caller(self._flat.qualified(net.name, flat.origin), start.timeout is not None)
         doubtful = flat.role in (Role.LOST, Role.GIVEN_UP) or flat.name.endswith(_IN_DOUBT)
         if doubtful and not caller.gives_up:
             return

@@ -9,12 +9,56 @@ that; only the search need not end where such a place itself grows.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import le
 
+import numpy as np
+from numpy.typing import NDArray
+
 from im_core.clock import monotonic
-from im_pnt.analysis.antichain import Antichain
-from im_pnt.compiled import Compiled
+from im_pnt.model.compiled import Compiled
+
+
+class Antichain:
+    """Vectors of which none covers another; each has the number of its owner.
+
+    Args:
+        size: Length of the vectors; their components are below 2**53 or infinite.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._columns = np.zeros((size, 64))
+        self._owners = np.zeros(64, np.int64)
+        self._count = 0
+
+    def covers(self, vector: Sequence[float]) -> bool:
+        """Whether a vector is at most as large as one of the set, in every component."""
+        rows: NDArray[np.intp] = np.arange(self._count)
+        for component, value in enumerate(vector):
+            if value > 0 and rows.size:
+                rows = rows[self._columns[component][rows] >= value]
+        return rows.size > 0
+
+    def add(self, vector: Sequence[float], owner: int) -> list[int]:
+        """Adds a vector that the set does not cover. Returns the owners of those that it covers, which leave."""
+        rows = np.arange(self._count)
+        for component, value in enumerate(vector):
+            if value != np.inf and rows.size:
+                rows = rows[self._columns[component][rows] <= value]
+        covered = [int(self._owners[row]) for row in rows]
+        for row in rows[::-1]:
+            self._count -= 1
+            self._columns[:, row] = self._columns[:, self._count]
+            self._owners[row] = self._owners[self._count]
+        if self._count == self._columns.shape[1]:
+            self._columns = np.concatenate([self._columns, np.zeros_like(self._columns)], axis=1)
+            self._owners = np.concatenate([self._owners, np.zeros_like(self._owners)])
+        self._columns[:, self._count] = vector
+        self._owners[self._count] = owner
+        self._count += 1
+        return covered
+
 
 OMEGA = float("inf")
 Label = tuple[float, ...]

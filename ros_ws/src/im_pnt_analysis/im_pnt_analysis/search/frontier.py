@@ -1,17 +1,91 @@
-"""One step of breadth-first search marking by marking, for layers too narrow to be worth arrays."""
+"""One step of breadth-first search: a wide frontier in arrays, a narrow one marking by marking.
+
+Arrays cost the same for one marking as for a hundred; below that, plain integers are faster.
+"""
 
 from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from im_pnt.analysis.expansion import OverflowedError
-from im_pnt.analysis.fields import WORD
-from im_pnt.analysis.found import CollisionError, Found
+from im_pnt_analysis.search.packing import WORD
+from im_pnt_analysis.search.state_space import CollisionError, StateSpace
+
+
+class OverflowedError(Exception):
+    """A field has become too narrow; ``guards`` are the guard bits that were hit, for each word."""
+
+    def __init__(self, guards: Sequence[int]) -> None:
+        super().__init__("a field is too narrow")
+        self.guards = guards
+
+
+def expand_wide(found: StateSpace, begin: int, end: int, kinds: Sequence[int]) -> None:
+    """Fires whatever the markings of one layer enable.
+
+    Args:
+        found: What was found; all of it or nothing is added.
+        begin: First marking.
+        end: First marking that is not expanded.
+        kinds: Bits that each transition contributes to a marking that enables it.
+
+    Raises:
+        OverflowedError: A field is too narrow.
+        CollisionError: Two markings have the same key.
+    """
+    packing = found.packing
+    enabled = packing.enabled(found.words[:, begin:end])
+    steps = packing.steps(enabled)
+    n_rows = len(steps)
+    if n_rows:
+        flat = np.flatnonzero(np.ascontiguousarray(steps.T))
+        sources = flat // n_rows
+        rows = flat - sources * n_rows
+        sources += begin
+    else:
+        sources = rows = np.zeros(0, np.intp)
+    after = found.keys[sources] + packing.key_change[rows]
+    order = np.argsort(after)
+    in_order = after[order]
+    new_key = np.ones(len(after), bool)
+    np.not_equal(in_order[1:], in_order[:-1], out=new_key[1:])
+    firsts = np.flatnonzero(new_key)
+    unique = in_order[firsts]
+    numbers = found.visited.find(unique)
+    fresh = np.flatnonzero(numbers < 0)
+    numbers[fresh] = np.arange(found.count, found.count + len(fresh))
+    targets = np.empty(len(after), np.int32)
+    targets[order] = numbers[np.cumsum(new_key) - 1]
+    chosen = order[firsts[fresh]]
+    parents, by = sources[chosen], rows[chosen]
+    words = found.words[:, parents] + packing.change[:, by]
+    hit = np.bitwise_or.reduce(words, axis=1) & packing.guards
+    if hit.any():
+        raise OverflowedError([int(bits) for bits in hit])
+    if packing.words > 1:
+        found.reserve(found.count + len(fresh))
+        found.words[:, found.count : found.count + len(fresh)] = words
+        for word, change in zip(found.words, packing.change, strict=True):
+            if not np.array_equal(word[targets], word[sources] + change[rows]):
+                raise CollisionError
+    found.append(words, unique[fresh], parents.astype(np.int32), by.astype(np.int32))
+    degrees = np.bincount(sources - begin, minlength=end - begin).astype(np.int32)
+    found.add_arcs(degrees, targets)
+    found.fired |= enabled.any(axis=1)
+    found.labelled_arcs += int(np.count_nonzero(enabled))
+    found.distinct_edges += len(targets)
+    loops = [t for t, row in enumerate(packing.row_of) if row == -1]
+    if loops:
+        found.distinct_edges += int(np.count_nonzero(enabled[loops].any(axis=0)))
+    for kind in {bit for bits in kinds for bit in (1, 2) if bits & bit}:
+        members = [t for t, bits in enumerate(kinds) if bits & kind]
+        some = enabled.any(axis=0) if len(members) == len(enabled) else enabled[members].any(axis=0)
+        found.kinds[begin:end] |= some.astype(np.uint8) * np.uint8(kind)
+
 
 _FULL = (1 << WORD) - 1
 
 
-class Narrow:
+class NarrowFrontier:
     """Expands narrow layers marking by marking.
 
     A marking is one integer. Only the transitions next to the places that a firing has changed are looked at again.
@@ -22,7 +96,7 @@ class Narrow:
         kinds: Bits that each transition contributes to a marking that enables it.
     """
 
-    def __init__(self, found: Found, begin: int, kinds: Sequence[int]) -> None:
+    def __init__(self, found: StateSpace, begin: int, kinds: Sequence[int]) -> None:
         self._found, self._begin = found, begin
         packing = found.packing
         self._guards = sum(int(bits) << (WORD * word) for word, bits in enumerate(packing.guards))

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from im_core.clock import monotonic
-from im_pnt.analysis.fields import Words
-from im_pnt.analysis.found import Found
-from im_pnt.analysis.packing import Packing
+from im_pnt_analysis.search.packing import Packing, Words
+from im_pnt_analysis.search.state_space import StateSpace
 
 _CHUNK = 1 << 15
 
@@ -31,7 +30,7 @@ class GrowthTest:
         found: What a search finds; more of it each time :meth:`look` is called.
     """
 
-    def __init__(self, found: Found) -> None:
+    def __init__(self, found: StateSpace) -> None:
         self._found = found
         self._seen = 1
 

@@ -4,11 +4,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from im_core.clock import monotonic
-from im_pnt.analysis.expansion import OverflowedError, expand_wide
-from im_pnt.analysis.fields import TooManyTokensError
-from im_pnt.analysis.found import CollisionError, Found
-from im_pnt.analysis.narrow import Narrow
-from im_pnt.compiled import Compiled
+from im_pnt.model.compiled import Compiled
+from im_pnt_analysis.search.frontier import NarrowFrontier, OverflowedError, expand_wide
+from im_pnt_analysis.search.packing import TooManyTokensError
+from im_pnt_analysis.search.state_space import CollisionError, StateSpace
 
 _TESTS_AT_ONCE = 1 << 18
 _LAYER_US, _WORD_US = 150.0, 15.0
@@ -23,7 +22,7 @@ _CLOCK_EVERY = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class SearchLimits:
     """Where a search gives up.
 
     Attributes:
@@ -64,7 +63,7 @@ class Search:
         kinds: Sequence[int] | None = None,
         progress: Callable[[int], None] = lambda count: None,
     ) -> None:
-        self.found = Found(compiled, initial, bounds or [None] * len(compiled.places))
+        self.found = StateSpace(compiled, initial, bounds or [None] * len(compiled.places))
         self.expanded = 0
         self.stopped = "not begun"
         self._kinds = kinds or [1] * len(compiled.transitions)
@@ -86,7 +85,7 @@ class Search:
         """Whether the last layer has more markings than the one before: most of the space is still to come."""
         return self._widths[1] > self._widths[0]
 
-    def run(self, limits: Limits, deadline: float) -> str:
+    def run(self, limits: SearchLimits, deadline: float) -> str:
         """Searches on.
 
         Args:
@@ -119,7 +118,7 @@ class Search:
             self.stopped = ""
         return self.stopped
 
-    def _limit(self, limits: Limits, deadline: float) -> str:
+    def _limit(self, limits: SearchLimits, deadline: float) -> str:
         if self.found.count > limits.states:
             return f"more than {limits.states} markings"
         if self.found.memory > limits.memory:
@@ -134,8 +133,8 @@ class Search:
             self._widths = (self._widths[1], self.found.count - expanded)
             self._layer_end = self.found.count
 
-    def _go_narrow(self, limits: Limits, deadline: float) -> None:
-        narrow = Narrow(self.found, self.expanded, self._kinds)
+    def _go_narrow(self, limits: SearchLimits, deadline: float) -> None:
+        narrow = NarrowFrontier(self.found, self.expanded, self._kinds)
         begin, expanded, layer_end = self.expanded, self.expanded, self._layer_end
         try:
             while expanded < narrow.count:

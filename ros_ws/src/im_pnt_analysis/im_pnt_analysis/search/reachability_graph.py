@@ -4,14 +4,14 @@ from collections.abc import Collection
 
 import numpy as np
 
-from im_pnt.analysis.digraph import Components, Mask, components, reaching
-from im_pnt.analysis.found import Found
-from im_pnt.analysis.reachability import Search
+from im_pnt_analysis.search.digraph import Components, Mask, components, reaching
+from im_pnt_analysis.search.reachability import Search
+from im_pnt_analysis.search.state_space import StateSpace
 
 _CHUNK = 1 << 14
 
 
-class Graph:
+class ReachabilityGraph:
     """The reachability graph of a finished search.
 
     Args:
@@ -101,7 +101,7 @@ def stuck(search: Search, busy: Collection[int], *, may_end: bool) -> list[int]:
     return result
 
 
-def place_bounds(found: Found) -> tuple[list[int], int]:
+def place_bounds(found: StateSpace) -> tuple[list[int], int]:
     """Returns the most tokens of each place, and of a marking, among the markings found."""
     packing, units = found.packing, found.units
     places = range(len(packing.fields))

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 
 from im_core.clock import monotonic
-from im_pnt.analysis.reductions import reduce_for_deadlock
-from im_pnt.compiled import Compiled
+from im_pnt.model.compiled import Compiled
+from im_pnt_analysis.structure.reduction import reduce_for_deadlock
 
 _CHECK_EVERY = 256
 _SEEDS = 8

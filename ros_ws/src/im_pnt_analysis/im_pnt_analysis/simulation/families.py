@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Mapping
 
-from im_pnt.action import FunctionAction
-from im_pnt.errors import NetError, nearest
-from im_pnt.net import Net, Place, Transition
+from im_core.errors import nearest
+from im_pnt.errors import NetError
+from im_pnt.model.action import FunctionAction
+from im_pnt.model.net import Net, Place, Transition
 
 ACTION = "count"
 """Name of the function that the transitions of a net with actions call."""

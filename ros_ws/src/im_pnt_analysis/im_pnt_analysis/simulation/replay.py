@@ -5,18 +5,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from im_core.errors import ImError
-from im_pnt.analysis.compose import compose
-from im_pnt.compiled import Compiled, compile_net
-from im_pnt.errors import NetError, nearest
-from im_pnt.net import Net
+from im_core.errors import ImError, nearest
+from im_pnt.errors import NetError
+from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.net import Net
+from im_pnt_analysis.composition.compose import compose
 
 _LARGEST = 50_000_000
 _SHOWN = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Script:
+class FiringSequence:
     """What to play.
 
     Attributes:
@@ -35,7 +35,7 @@ class Script:
 
 
 @dataclass(frozen=True, slots=True)
-class Replayed:
+class ReplayedFiring:
     """One firing of a replay.
 
     Attributes:
@@ -51,14 +51,14 @@ class Replayed:
     enabled: tuple[str, ...]
 
 
-def read_script(given: str) -> Script:
+def read_firing_sequence(given: str) -> FiringSequence:
     """Reads what to play: ``a -> b -> c``, or a file with a counterexample in JSON or a transition a line.
 
     Raises:
         ImError: There is no such file, or it cannot be understood.
     """
     if "->" in given:
-        return Script(_names(given.split("->")))
+        return FiringSequence(_names(given.split("->")))
     path = Path(given)
     try:
         if path.stat().st_size > _LARGEST:
@@ -69,21 +69,21 @@ def read_script(given: str) -> Script:
         raise ImError(f"cannot read the firing sequence '{given}': {why}", code="input") from error
     if not text.lstrip().startswith(("{", "[")):
         lines = (line.split("#")[0] for line in text.splitlines())
-        return Script(_names(name for line in lines for name in line.split("->")))
+        return FiringSequence(_names(name for line in lines for name in line.split("->")))
     try:
         data = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ImError(f"{given} is not JSON: {error}", code="input") from error
     if isinstance(data, list):
         data = {"sequence": data}
-    return _script(given, data)
+    return _firing_sequence(given, data)
 
 
 def _names(parts: Iterator[str] | Sequence[str]) -> tuple[str, ...]:
     return tuple(name for part in parts if (name := part.strip()))
 
 
-def _script(file: str, data: dict[str, object]) -> Script:
+def _firing_sequence(file: str, data: dict[str, object]) -> FiringSequence:
     lists: dict[str, tuple[str, ...]] = {}
     for key in ("sequence", "repeat", "nets"):
         value = data.get(key, [])
@@ -100,27 +100,27 @@ def _script(file: str, data: dict[str, object]) -> Script:
     marking = data.get("marking")
     if marking is not None and not (isinstance(marking, dict) and all(type(n) is int for n in marking.values())):
         raise ImError(f"{file}: 'marking' must give places their number of tokens", code="input")
-    return Script(lists["sequence"], lists["repeat"], str(data.get("reason", "")), lists["nets"], marking)
+    return FiringSequence(lists["sequence"], lists["repeat"], str(data.get("reason", "")), lists["nets"], marking)
 
 
-def replay(nets: Sequence[Net], script: Script) -> Iterator[Replayed]:
-    """Fires the transitions of a script one by one.
+def replay(nets: Sequence[Net], firings: FiringSequence) -> Iterator[ReplayedFiring]:
+    """Fires the transitions of a sequence one by one.
 
     Yields:
         The initial marking, then each firing.
 
     Raises:
-        NetError: The script is for other nets, names a transition that does not exist or is not enabled, or ends in
+        NetError: The sequence is for other nets, names a transition that does not exist or is not enabled, or ends in
             another marking than it says; the message names the step, the reason, and what is enabled.
     """
     names = tuple(net.name for net in nets)
-    if script.nets and sorted(script.nets) != sorted(names):
-        raise NetError(f"the sequence is for the nets {', '.join(script.nets)}; {', '.join(names)} were given")
+    if firings.nets and sorted(firings.nets) != sorted(names):
+        raise NetError(f"the sequence is for the nets {', '.join(firings.nets)}; {', '.join(names)} were given")
     compiled = compile_net(compose(nets).net)
     vector = compiled.marking_vector(compiled.net.initial_marking())
-    yield Replayed(0, "", compiled.marking(vector), _enabled(compiled, vector))
+    yield ReplayedFiring(0, "", compiled.marking(vector), _enabled(compiled, vector))
     number_of = {name: index for index, name in enumerate(compiled.transitions)}
-    for number, name in enumerate(script.sequence + script.repeat, start=1):
+    for number, name in enumerate(firings.sequence + firings.repeat, start=1):
         transition = number_of.get(name)
         if transition is None:
             raise NetError(
@@ -136,14 +136,14 @@ def replay(nets: Sequence[Net], script: Script) -> Iterator[Replayed]:
                 transition=name,
             )
         vector = compiled.fire(vector, transition)
-        yield Replayed(number, name, compiled.marking(vector), _enabled(compiled, vector))
-    _compare(script, compiled, vector)
+        yield ReplayedFiring(number, name, compiled.marking(vector), _enabled(compiled, vector))
+    _compare(firings, compiled, vector)
 
 
-def _compare(script: Script, compiled: Compiled, vector: tuple[int, ...]) -> None:
-    if script.marking is None:
+def _compare(firings: FiringSequence, compiled: Compiled, vector: tuple[int, ...]) -> None:
+    if firings.marking is None:
         return
-    expected = {place: count for place, count in script.marking.items() if count}
+    expected = {place: count for place, count in firings.marking.items() if count}
     reached = compiled.marking(vector)
     if expected != reached:
         places = [place for place in {**expected, **reached} if expected.get(place, 0) != reached.get(place, 0)]

@@ -6,18 +6,17 @@ from dataclasses import dataclass
 
 from im_core.clock import cpu, monotonic
 from im_core.errors import ImError
-from im_pnt.action import GoalAction, ServiceAction, TopicAction
-from im_pnt.analysis.problem import problem_of
-from im_pnt.analysis.reachability import Limits, Search
-from im_pnt.analysis.semiflows import p_semiflows
-from im_pnt.analysis.structure import invariant_bounds
-from im_pnt.events import GuardsChanged
-from im_pnt.exchange import Exchange
-from im_pnt.executive import Executive
-from im_pnt.functions import ActionContext, Functions
-from im_pnt.jobs import Activity, Command, CommandResult
-from im_pnt.net import Net
-from im_pnt.runner import FunctionRunner
+from im_pnt.distributed.exchange import Exchange
+from im_pnt.execution.actions import FunctionRunner
+from im_pnt.execution.events import GuardsChanged
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.execution.jobs import Activity, Command, CommandResult
+from im_pnt.model.action import GoalAction, ServiceAction, TopicAction
+from im_pnt.model.net import Net
+from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.structure.semiflows import p_semiflows
+from im_pnt_analysis.verify.problem import problem_of
 
 _AT_ONCE = 1000
 _TRIES = 100
@@ -55,8 +54,8 @@ class Speed:
         return self.states / max(1e-9, self.search_s)
 
 
-def measure(nets: Sequence[Net], firings: int, limits: Limits, seed: int = 0) -> Speed:
-    """Fires nets in their executives, and searches their composition.
+def measure(nets: Sequence[Net], firings: int, limits: SearchLimits, seed: int = 0) -> Speed:
+    """Fires nets in their executors, and searches their composition.
 
     Actions confirm at once, guards are drawn by lot, and whenever the nets come to rest the tape gets every symbol.
     Nets that get stuck begin anew.
@@ -75,9 +74,9 @@ def measure(nets: Sequence[Net], firings: int, limits: Limits, seed: int = 0) ->
     return Speed(tuple(net.name for net in nets), fired, firing_s, states, search_s, stopped)
 
 
-def _search(nets: Sequence[Net], limits: Limits) -> tuple[int, float, str]:
+def _search(nets: Sequence[Net], limits: SearchLimits) -> tuple[int, float, str]:
     problem = problem_of(nets)
-    bounds = invariant_bounds(problem, p_semiflows(problem.compiled))
+    bounds = p_semiflows(problem.compiled).place_bounds(problem.compiled.places, problem.initial)
     began = cpu()
     search = Search(problem.compiled, problem.initial, bounds, kinds=problem.kinds)
     stopped = search.run(limits, monotonic() + limits.seconds)
@@ -107,7 +106,7 @@ def _fire(nets: Sequence[Net], firings: int, seconds: float, seed: int) -> tuple
 
 
 class _Players:
-    """Nets in their executives, with everything around them imagined."""
+    """Nets in their executors, with everything around them imagined."""
 
     def __init__(self, nets: Sequence[Net], seed: int) -> None:
         self._dice = random.Random(seed)
@@ -120,27 +119,27 @@ class _Players:
         self._at_work: set[tuple[str, str]] = set()
         self._commands = 0
         for net in nets:
-            self._exchange.add(Executive(net, functions, runner, self._exchange, seed=seed))
+            self._exchange.add(Executor(net, functions, runner, self._exchange, seed=seed))
 
     @property
     def fired(self) -> int:
-        return sum(executive.sequence for executive in self._exchange.nets.values())
+        return sum(executor.sequence for executor in self._exchange.nets.values())
 
     def pump(self, limit: int) -> None:
         """Fires each net at most so often."""
-        for executive in self._exchange.nets.values():
-            executive.pump(limit)
+        for executor in self._exchange.nets.values():
+            executor.pump(limit)
 
     def stir(self) -> None:
         """Writes every symbol to the tape that is not at work, and has the guards drawn again."""
-        for name, executive in self._exchange.nets.items():
-            executive.post(GuardsChanged())
-            for symbol in executive.net.symbols():
+        for name, executor in self._exchange.nets.items():
+            executor.post(GuardsChanged())
+            for symbol in executor.net.symbols():
                 key = (name, symbol)
                 if key not in self._at_work:
                     self._at_work.add(key)
                     self._commands += 1
-                    executive.command(Command(self._commands, symbol), self._done(key))
+                    executor.command(Command(self._commands, symbol), self._done(key))
 
     def _done(self, key: tuple[str, str]) -> Callable[[CommandResult], None]:
         return lambda _: self._at_work.discard(key)

@@ -4,19 +4,123 @@ A firing sequence of the reduced net to a dead marking is expanded to one of the
 are not kept. Nodes at inhibitor arcs are left as they are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from im_core.clock import monotonic
-from im_pnt.analysis.loose import LooseNet
-from im_pnt.compiled import Compiled, compile_net
-from im_pnt.net import Net, Place, Transition
+from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.net import Net, Place, Transition
+
+Arcs = dict[int, int]
+"""Place to weight."""
+
+
+class NetReduction:
+    """A net being reduced.
+
+    Attributes:
+        tokens: Initial marking of each place that is left.
+        inputs: Input arcs of each transition that is left.
+        outputs: Output arcs of each transition that is left.
+        takers: For each place the transitions that take from it.
+        givers: For each place the transitions that give to it.
+        inhibitors: Inhibitor arcs of the transitions that have some.
+        tested: Places at inhibitor arcs.
+        parts: For each transition those of the original net that it stands for, in the order of firing.
+
+    Args:
+        compiled: The original net.
+        initial: Initial marking, tokens of each place.
+    """
+
+    def __init__(self, compiled: Compiled, initial: tuple[int, ...]) -> None:
+        self.tokens = dict(enumerate(initial))
+        self.inputs: dict[int, Arcs] = {}
+        self.outputs: dict[int, Arcs] = {}
+        self.takers: dict[int, set[int]] = {place: set() for place in self.tokens}
+        self.givers: dict[int, set[int]] = {place: set() for place in self.tokens}
+        self.inhibitors = {number: dict(arcs) for number, arcs in enumerate(compiled.inhibitors) if arcs}
+        self.tested = {place for arcs in self.inhibitors.values() for place in arcs}
+        self.parts: dict[int, tuple[int, ...]] = {}
+        self._next = 0
+        for number in range(len(compiled.transitions)):
+            self.add_transition(dict(compiled.inputs[number]), dict(compiled.outputs[number]), (number,))
+
+    def add_transition(self, inputs: Arcs, outputs: Arcs, parts: tuple[int, ...]) -> None:
+        """Adds a transition."""
+        number = self._next
+        self._next += 1
+        self.inputs[number], self.outputs[number], self.parts[number] = inputs, outputs, parts
+        for place in inputs:
+            self.takers[place].add(number)
+        for place in outputs:
+            self.givers[place].add(number)
+
+    def remove_transition(self, transition: int) -> None:
+        """Takes a transition away."""
+        for place in self.inputs.pop(transition):
+            self.takers[place].discard(transition)
+        for place in self.outputs.pop(transition):
+            self.givers[place].discard(transition)
+        self.inhibitors.pop(transition, None)
+        del self.parts[transition]
+
+    def remove_place(self, place: int) -> None:
+        """Takes a place and its arcs away."""
+        for transition in self.takers.pop(place):
+            del self.inputs[transition][place]
+        for transition in self.givers.pop(place):
+            del self.outputs[transition][place]
+        del self.tokens[place]
+
+    def change(self, transition: int, place: int) -> int:
+        """Returns how many tokens a firing adds to a place."""
+        return self.outputs[transition].get(place, 0) - self.inputs[transition].get(place, 0)
+
+    def join(self, place: int) -> None:
+        """Replaces a place by joining each transition that gives it one token to each that takes that token."""
+        givers, takers = sorted(self.givers[place]), sorted(self.takers[place])
+        for first in givers:
+            for second in takers:
+                inputs = _sum(self.inputs[first], self.inputs[second], place)
+                outputs = _sum(self.outputs[first], self.outputs[second], place)
+                self.add_transition(inputs, outputs, self.parts[first] + self.parts[second])
+        for transition in givers + takers:
+            self.remove_transition(transition)
+        self.remove_place(place)
+
+    def free(self, transition: int) -> bool:
+        """Whether no inhibitor arc is at a transition or at a place that it touches."""
+        return transition not in self.inhibitors and self.tested.isdisjoint(
+            self.inputs[transition].keys() | self.outputs[transition].keys()
+        )
+
+    def places(self) -> Iterator[int]:
+        """Yields the places without inhibitor arcs that are left; they may be taken away meanwhile."""
+        for place in list(self.tokens):
+            if place in self.tokens and place not in self.tested:
+                yield place
+
+    def transitions(self) -> Iterator[int]:
+        """Yields the transitions that are left; they may be taken away meanwhile."""
+        for transition in list(self.inputs):
+            if transition in self.inputs:
+                yield transition
+
+
+def _sum(a: Arcs, b: Arcs, without: int) -> Arcs:
+    total = dict(a)
+    for place, weight in b.items():
+        total[place] = total.get(place, 0) + weight
+    total.pop(without, None)
+    return total
+
 
 _MOST_PARTS = 1_000
 
 
 @dataclass(frozen=True, slots=True)
-class Reduced:
+class ReducedNet:
     """A smaller net that can deadlock if and only if the original one can.
 
     Attributes:
@@ -57,7 +161,7 @@ class Reduced:
         return marking
 
 
-def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: float | None = None) -> Reduced:
+def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: float | None = None) -> ReducedNet:
     """Reduces a net as far as the rules go.
 
     Args:
@@ -65,7 +169,7 @@ def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: 
         initial: Initial marking, tokens of each place.
         deadline: Time of :func:`im_core.clock.monotonic` at which to stop, with what is reduced by then [s].
     """
-    net = LooseNet(compiled, initial)
+    net = NetReduction(compiled, initial)
     delayed: list[tuple[int, ...]] = []
     rules = (_dead_transitions, _redundant_places, _redundant_transitions, _post_agglomeration)
     changed = True
@@ -77,7 +181,7 @@ def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: 
     return _reduced(net, delayed, compiled, initial)
 
 
-def _dead_transitions(net: LooseNet) -> bool:
+def _dead_transitions(net: NetReduction) -> bool:
     """Takes away transitions that need more of a place than there is, when nobody raises it."""
     changed = False
     for place in list(net.tokens):
@@ -89,7 +193,7 @@ def _dead_transitions(net: LooseNet) -> bool:
     return changed
 
 
-def _redundant_places(net: LooseNet) -> bool:
+def _redundant_places(net: NetReduction) -> bool:
     """Takes away places that never keep a transition from firing."""
     changed = False
     kept: dict[frozenset[tuple[int, int, int]], int] = {}
@@ -112,7 +216,7 @@ def _redundant_places(net: LooseNet) -> bool:
     return changed
 
 
-def _redundant_transitions(net: LooseNet) -> bool:
+def _redundant_transitions(net: NetReduction) -> bool:
     """Takes away doubles, and transitions that change nothing while another one is enabled whenever they are."""
     changed = False
     kept: set[tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]]]] = set()
@@ -129,7 +233,7 @@ def _redundant_transitions(net: LooseNet) -> bool:
     return changed
 
 
-def _has_weaker(net: LooseNet, transition: int) -> bool:
+def _has_weaker(net: NetReduction, transition: int) -> bool:
     inputs = net.inputs[transition]
     others = {other for place in inputs for other in net.takers[place]} - {transition}
     return any(
@@ -138,7 +242,7 @@ def _has_weaker(net: LooseNet, transition: int) -> bool:
     )
 
 
-def _post_agglomeration(net: LooseNet) -> bool:
+def _post_agglomeration(net: NetReduction) -> bool:
     """Joins to whoever gives to a place those who need that place alone: they can fire at once."""
     changed = False
     for place in net.places():
@@ -152,7 +256,7 @@ def _post_agglomeration(net: LooseNet) -> bool:
     return changed
 
 
-def _pre_agglomeration(net: LooseNet, delayed: list[tuple[int, ...]]) -> bool:
+def _pre_agglomeration(net: NetReduction, delayed: list[tuple[int, ...]]) -> bool:
     """Joins to those who take from a place the one who gives to it and does nothing else: it can wait for them."""
     changed = False
     for place in net.places():
@@ -172,7 +276,7 @@ def _pre_agglomeration(net: LooseNet, delayed: list[tuple[int, ...]]) -> bool:
     return changed
 
 
-def _between(net: LooseNet, place: int) -> bool:
+def _between(net: NetReduction, place: int) -> bool:
     """Whether a place is empty at first, single tokens go in and out, and joining does not add many transitions."""
     givers, takers = net.givers[place], net.takers[place]
     return (
@@ -186,7 +290,9 @@ def _between(net: LooseNet, place: int) -> bool:
     )
 
 
-def _reduced(net: LooseNet, delayed: list[tuple[int, ...]], original: Compiled, initial: tuple[int, ...]) -> Reduced:
+def _reduced(
+    net: NetReduction, delayed: list[tuple[int, ...]], original: Compiled, initial: tuple[int, ...]
+) -> ReducedNet:
     names = original.places
     transitions = {}
     for number, inputs in net.inputs.items():
@@ -195,7 +301,7 @@ def _reduced(net: LooseNet, delayed: list[tuple[int, ...]], original: Compiled, 
         taken, given, inhibiting = ({names[place]: weight for place, weight in part.items()} for part in arcs)
         transitions[name] = Transition(name, taken, given, inhibitors=inhibiting, origin=name)
     places = {names[place]: Place(names[place], tokens) for place, tokens in net.tokens.items()}
-    return Reduced(
+    return ReducedNet(
         original,
         initial,
         compile_net(Net(original.net.name, places, transitions)),

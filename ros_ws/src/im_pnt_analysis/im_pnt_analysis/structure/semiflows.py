@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import gcd
 
 from im_core.clock import monotonic
-from im_pnt.compiled import Compiled, IndexedArcs
+from im_pnt.model.compiled import Compiled, IndexedArcs
 
 _EFFORT = 20
 """Combinations tried for a column, as a multiple of the rows allowed."""
@@ -33,6 +33,22 @@ class Semiflows:
         """Whether every name has a positive weight in some semiflow."""
         covered = {name for flow in self.flows for name in flow}
         return covered.issuperset(names)
+
+    def place_bounds(self, places: Sequence[str], initial: Sequence[int]) -> list[int | None]:
+        """Returns the bound on the tokens of each place that P-semiflows prove; None: none.
+
+        Args:
+            places: Names of the places.
+            initial: Tokens of each place at first.
+        """
+        number = {name: index for index, name in enumerate(places)}
+        bounds: list[int | None] = [None] * len(number)
+        for flow in self.flows:
+            total = sum(weight * initial[number[name]] for name, weight in flow.items())
+            for name, weight in flow.items():
+                bound = bounds[number[name]]
+                bounds[number[name]] = total // weight if bound is None else min(bound, total // weight)
+        return bounds
 
 
 def p_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | None = None) -> Semiflows:
@@ -85,7 +101,7 @@ def _missing(
     flows: list[dict[int, int]], size: int, columns: Sequence[IndexedArcs], deadline: float | None
 ) -> Iterator[dict[int, int]]:
     """Yields semiflows for components that are in none yet, where there are any."""
-    from im_pnt.analysis.cone import Cone
+    from im_pnt_analysis.structure.state_equation import Cone
 
     cone = Cone(columns, size)
     covered = {index for weights in flows for index in weights}

@@ -5,14 +5,111 @@ empty in a dead marking of an ordinary net are a siphon, so a net whose siphons 
 (Commoner, 1972). Inhibitor arcs are left out: what holds of the sets holds with them too.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-import z3
-
 from im_core.clock import monotonic
-from im_pnt.analysis.closed import ClosedSets, names, siphon_sets, trap_sets
-from im_pnt.compiled import Compiled
+from im_pnt.model.compiled import Compiled, IndexedArcs
+
+
+class ClosedSets:
+    """The sets in which, if a transition gives to a place of the set, it also takes from one.
+
+    Attributes:
+        pairs: For each transition the places it takes from and those it gives to.
+
+    Args:
+        takes: For each transition the arcs by which it takes.
+        gives: For each transition the arcs by which it gives.
+    """
+
+    def __init__(self, takes: Sequence[IndexedArcs], gives: Sequence[IndexedArcs]) -> None:
+        self.pairs = [
+            (frozenset(place for place, _ in needed), frozenset(place for place, _ in given))
+            for needed, given in zip(takes, gives, strict=True)
+        ]
+        self._taking: dict[int, list[int]] = {}
+        for transition, (needed, _) in enumerate(self.pairs):
+            for place in needed:
+                self._taking.setdefault(place, []).append(transition)
+
+    def largest(self, places: Iterable[int]) -> frozenset[int]:
+        """Returns the largest closed set within some places; it may be empty."""
+        left = set(places)
+        self._drop(left, [given for needed, given in self.pairs if left.isdisjoint(needed)])
+        return frozenset(left)
+
+    def minimal(self, places: frozenset[int], keep: Callable[[frozenset[int]], bool] = bool) -> frozenset[int]:
+        """Shrinks a closed set to one of which no part is closed.
+
+        Args:
+            places: The closed set.
+            keep: Property that it has and must not lose; by default that it is not empty.
+        """
+        for place in sorted(places):
+            if place in places:
+                left = set(places)
+                self._drop(left, [frozenset((place,))])
+                if keep(smaller := frozenset(left)):
+                    places = smaller
+        return places
+
+    def _drop(self, left: set[int], groups: list[frozenset[int]]) -> None:
+        """Takes places out of a set, and with them all that cannot stay without them."""
+        while groups:
+            for place in groups.pop() & left:
+                left.discard(place)
+                for transition in self._taking.get(place, ()):
+                    needed, given = self.pairs[transition]
+                    if left.isdisjoint(needed):
+                        groups.append(given)
+
+
+def siphon_sets(compiled: Compiled) -> ClosedSets:
+    """Returns the siphons of a net: whoever gives to one of the places takes from one."""
+    return ClosedSets(compiled.inputs, compiled.outputs)
+
+
+def trap_sets(compiled: Compiled) -> ClosedSets:
+    """Returns the traps of a net: whoever takes from one of the places gives to one."""
+    return ClosedSets(compiled.outputs, compiled.inputs)
+
+
+def names(compiled: Compiled, places: Iterable[int]) -> tuple[str, ...]:
+    """Returns the names of some places, in the order of the net."""
+    return tuple(compiled.places[place] for place in sorted(places))
+
+
+def unmarked_siphon(compiled: Compiled, marking: tuple[int, ...]) -> tuple[str, ...]:
+    """Returns a minimal siphon that is empty in a marking, and so for ever after; empty: there is none.
+
+    In a dead marking of a net with input weights of 1 it names what is missing.
+
+    Args:
+        compiled: The net.
+        marking: Tokens of each place.
+    """
+    sets = siphon_sets(compiled)
+    return names(compiled, sets.minimal(sets.largest(_unmarked(marking))))
+
+
+def emptied_siphon(compiled: Compiled, initial: tuple[int, ...], marking: tuple[int, ...]) -> tuple[str, ...]:
+    """Returns a smallest possible siphon that was marked at first and is empty now; empty: there is none.
+
+    Args:
+        compiled: The net.
+        initial: Initial marking, tokens of each place.
+        marking: Tokens of each place now.
+    """
+    sets = siphon_sets(compiled)
+    empty = sets.largest(_unmarked(marking))
+    if not any(initial[place] for place in empty):
+        return ()
+    return names(compiled, sets.minimal(empty, keep=lambda part: any(initial[place] for place in part)))
+
+
+def _unmarked(marking: tuple[int, ...]) -> list[int]:
+    return [place for place, tokens in enumerate(marking) if not tokens]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +178,7 @@ def siphon_trap_property(compiled: Compiled, initial: tuple[int, ...], deadline:
     ordinary = all(weight == 1 for arcs in compiled.inputs for _, weight in arcs)
     proves = bool(compiled.transitions) and ordinary and not any(compiled.inhibitors)
     inner, outer = trap_sets(compiled), siphon_sets(compiled)
-    search = _Search(outer, len(compiled.places), deadline)
+    search = _ClosedSetSearch(outer, len(compiled.places), deadline)
     while (siphon := search.next()) is not None:
         siphon = outer.minimal(siphon)
         trap = inner.largest(siphon)
@@ -92,7 +189,7 @@ def siphon_trap_property(compiled: Compiled, initial: tuple[int, ...], deadline:
 
 
 def _minimal_sets(compiled: Compiled, sets: ClosedSets, limit: int, deadline: float | None) -> Families:
-    search = _Search(sets, len(compiled.places), deadline)
+    search = _ClosedSetSearch(sets, len(compiled.places), deadline)
     found: list[tuple[str, ...]] = []
     while (places := search.next()) is not None:
         if len(found) == limit:
@@ -103,12 +200,15 @@ def _minimal_sets(compiled: Compiled, sets: ClosedSets, limit: int, deadline: fl
     return Families(tuple(found), not search.reason, search.reason)
 
 
-class _Search:
+class _ClosedSetSearch:
     """Closed sets one after another, by satisfiability."""
 
     def __init__(self, sets: ClosedSets, n_places: int, deadline: float | None) -> None:
+        import z3  # takes longer than most nets do, and only this class needs it
+
         self.reason = ""
         self._deadline = deadline
+        self._z3 = z3
         context = z3.Context()
         self._member = [z3.Bool(f"p{place}", context) for place in range(n_places)]
         self._solver = z3.SolverFor("QF_FD", ctx=context)
@@ -121,7 +221,7 @@ class _Search:
 
     def exclude(self, places: Iterable[int]) -> None:
         """Excludes whatever contains all these places."""
-        self._solver.add(z3.Or([z3.Not(self._member[place]) for place in places]))
+        self._solver.add(self._z3.Or([self._z3.Not(self._member[place]) for place in places]))
 
     def next(self) -> frozenset[int] | None:
         """Returns a set that is not excluded; None: there is none, or a limit is met and ``reason`` says which."""
@@ -134,9 +234,9 @@ class _Search:
                 return None
             self._solver.set("timeout", max(1, min(2**31, int(1000 * left))))
         answer = self._solver.check()
-        if answer == z3.unknown:
+        if answer == self._z3.unknown:
             self.reason = "the time is up"
-        if answer != z3.sat:
+        if answer != self._z3.sat:
             return None
         model = self._solver.model()
-        return frozenset(int(name.name()[1:]) for name in model.decls() if z3.is_true(model[name]))
+        return frozenset(int(name.name()[1:]) for name in model.decls() if self._z3.is_true(model[name]))

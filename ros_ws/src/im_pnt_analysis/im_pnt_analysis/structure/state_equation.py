@@ -1,10 +1,12 @@
-"""Cones of non-negative whole-number vectors, searched by linear programming and checked exactly.
+"""The state equation in inequalities: semiflows, weightings and bounds, found by linear programming, checked exactly.
 
-Semiflows, weightings that no firing raises, and firing counts that lower no place are such vectors. A linear program
-finds them in floating point; one counts only after it has been rounded to whole numbers and put to every inequality.
+Semiflows, weightings that no firing raises, and firing counts that lower no place are non-negative whole-number
+vectors of a cone. A linear program finds them in floating point; one counts only after it has been rounded to whole
+numbers and put to every inequality. A weighting y >= 0 of the places that no firing raises (y C <= 0) bounds a place p
+by y m0 / y_p (Murata, 1989): no firing sequence at all can exceed that.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from fractions import Fraction
 from math import lcm
 
@@ -13,7 +15,7 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array
 
 from im_core.clock import monotonic
-from im_pnt.compiled import Compiled, IndexedArcs
+from im_pnt.model.compiled import Compiled, IndexedArcs
 
 _LARGEST = 10**9
 """Coefficients beyond this are not given to floating point."""
@@ -110,3 +112,39 @@ def firing_counts(compiled: Compiled) -> Cone:
         for place, change in pairs:
             rows[place].append((transition, -change))
     return Cone([tuple(row) for row in rows], len(compiled.transitions))
+
+
+def place_bounds(compiled: Compiled, initial: Sequence[int], deadline: float | None = None) -> Mapping[str, int | None]:
+    """Returns an upper bound of the tokens of each place; None: none was found.
+
+    Args:
+        compiled: The net; inhibitor arcs are left out, which keeps the bounds true.
+        initial: Initial marking, tokens of each place.
+        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+    """
+    bounds: dict[str, int | None] = dict.fromkeys(compiled.places)
+    cone = weightings(compiled)
+    for place in range(len(compiled.places)):
+        if deadline is not None and monotonic() > deadline:
+            break
+        weights = cone.cheapest(initial, [place], deadline=deadline)
+        total = sum(weight * initial[other] for other, weight in weights.items())
+        for other, weight in weights.items():
+            name = compiled.places[other]
+            bound = bounds[name]
+            bounds[name] = total // weight if bound is None else min(bound, total // weight)
+    return bounds
+
+
+def structurally_bounded(compiled: Compiled, deadline: float | None = None) -> bool | None:
+    """Whether every place is bounded whatever the initial marking; None: not decided.
+
+    Args:
+        compiled: The net; with inhibitor arcs the answer False is about the net without them.
+        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+    """
+    everywhere = range(len(compiled.places))
+    if not compiled.places or weightings(compiled).cheapest([1] * len(everywhere), everywhere, deadline=deadline):
+        return True
+    costs = [1] * len(compiled.transitions)
+    return False if firing_counts(compiled).cheapest(costs, slack=True, deadline=deadline) else None

@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from im_pnt.analysis.mdd import EMPTY, Diagram, GaveUpError, Node, deep_recursion
-from im_pnt.analysis.ordering import place_order
-from im_pnt.analysis.region import Region
-from im_pnt.analysis.saturation import Saturation, event
-from im_pnt.analysis.stubborn import find_deadlock
-from im_pnt.compiled import Compiled
+from im_pnt.model.compiled import Compiled
+from im_pnt_analysis.search.stubborn import find_deadlock
+from im_pnt_analysis.symbolic.marking_set import MarkingSet
+from im_pnt_analysis.symbolic.mdd import EMPTY, Diagram, GaveUpError, Node, deep_recursion
+from im_pnt_analysis.symbolic.saturation import Saturation, saturation_event
+from im_pnt_analysis.symbolic.variable_order import place_order
 
 _GROWTH = 10_000
 _RINGS_TIME, _RINGS_NODES = 0.4, 300_000
@@ -20,7 +20,7 @@ _Answer = TypeVar("_Answer")
 
 
 @dataclass(slots=True)
-class Symbolic:
+class SymbolicAnswers:
     """Answers about all reachable markings; None where one was not obtained, with the reason in ``unknown``.
 
     Attributes:
@@ -64,7 +64,7 @@ def explore(
     initial: tuple[int, ...],
     bounds: Mapping[str, int | None] | None = None,
     deadline: float | None = None,
-) -> Symbolic:
+) -> SymbolicAnswers:
     """Finds all markings that can be reached and answers what can be asked of them.
 
     Args:
@@ -87,16 +87,16 @@ class _Explorer:
         self.diagram = Diagram(place_order(compiled), deadline)
         self.transitions = range(len(compiled.transitions))
         self.most = [_GROWTH if bounds.get(place) is None else None for place in compiled.places]
-        self.result = Symbolic()
+        self.result = SymbolicAnswers()
 
-    def answers(self) -> Symbolic:
-        events = [event(self.compiled, self.diagram, transition) for transition in self.transitions]
+    def answers(self) -> SymbolicAnswers:
+        events = [saturation_event(self.compiled, self.diagram, transition) for transition in self.transitions]
 
-        def reach() -> Region:
+        def reach() -> MarkingSet:
             first = self.diagram.single(self.initial)
-            return Region(self.diagram, Saturation(self.diagram, events, most=self.most).close(first), events)
+            return MarkingSet(self.diagram, Saturation(self.diagram, events, most=self.most).close(first), events)
 
-        everything = tuple(name for name in Symbolic.__slots__ if name not in ("nodes", "unknown"))
+        everything = tuple(name for name in SymbolicAnswers.__slots__ if name not in ("nodes", "unknown"))
         region = self._ask(reach, *everything)
         if region is not None:
             self._ask(lambda: self._bounds(region), "place_bounds", "max_token_per_marking")
@@ -114,12 +114,12 @@ class _Explorer:
             self.result.unknown.update({name: str(error) for name in answers if getattr(self.result, name) is None})
             return None
 
-    def _bounds(self, region: Region) -> None:
+    def _bounds(self, region: MarkingSet) -> None:
         self.result.states = region.size()
         self.result.place_bounds = dict(zip(self.compiled.places, region.place_bounds(), strict=True))
         self.result.max_token_per_marking = region.most_tokens()
 
-    def _firings(self, region: Region) -> None:
+    def _firings(self, region: MarkingSet) -> None:
         compiled = self.compiled
         counts = [region.enabled_count(transition) for transition in self.transitions]
         self.result.arcs = sum(counts)
@@ -135,7 +135,7 @@ class _Explorer:
                 edges += region.size() - self.diagram.count(region.where_disabled(group))
         self.result.distinct_edges = edges
 
-    def _deadlocks(self, region: Region) -> None:
+    def _deadlocks(self, region: MarkingSet) -> None:
         dead = region.dead()
         self.result.deadlock_states = self.diagram.count(dead)
         self.result.has_deadlock = dead != EMPTY
@@ -143,7 +143,7 @@ class _Explorer:
             self.result.deadlock_marking = self.compiled.marking(self.diagram.pick(dead))
             self._deadlock_sequence(region, dead)
 
-    def _deadlock_sequence(self, region: Region, dead: Node) -> None:
+    def _deadlock_sequence(self, region: MarkingSet, dead: Node) -> None:
         try:
             with self.diagram.share(_RINGS_TIME, _RINGS_NODES):
                 sequence, marking = self._shortest(region, dead)
@@ -156,7 +156,7 @@ class _Explorer:
         self.result.deadlock_sequence = sequence
         self.result.deadlock_marking = self.compiled.marking(marking)
 
-    def _shortest(self, region: Region, dead: Node) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    def _shortest(self, region: MarkingSet, dead: Node) -> tuple[tuple[str, ...], tuple[int, ...]]:
         """Goes forward in rings of equal distance until one holds a dead marking, and back through them."""
         rings = [self.diagram.single(self.initial)]
         seen = rings[0]
@@ -184,18 +184,20 @@ class _Explorer:
                 return transition, earlier
         raise AssertionError("each marking of a ring has one before it in the ring before")
 
-    def _backward(self, region: Region) -> Saturation:
-        undone = [event(self.compiled, self.diagram, transition, backward=True) for transition in self.transitions]
+    def _backward(self, region: MarkingSet) -> Saturation:
+        undone = [
+            saturation_event(self.compiled, self.diagram, transition, backward=True) for transition in self.transitions
+        ]
         return Saturation(self.diagram, undone, within=region.root)
 
-    def _reversible(self, region: Region) -> None:
+    def _reversible(self, region: MarkingSet) -> None:
         if self.result.has_deadlock:
             self.result.reversible = region.size() == 1
             return
         first = self.diagram.single(self.initial)
         self.result.reversible = self._backward(region).close(first) == region.root
 
-    def _live(self, region: Region) -> None:
+    def _live(self, region: MarkingSet) -> None:
         names = self.compiled.transitions
         never = self.result.never_enabled
         if self.result.has_deadlock:

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from im_pnt.analysis.mdd import EMPTY, UNIT, Diagram, Node
-from im_pnt.analysis.saturation import Event, Step
+from im_pnt_analysis.symbolic.mdd import EMPTY, UNIT, Diagram, Node
+from im_pnt_analysis.symbolic.saturation import UNTOUCHED, SaturationEvent
 
 
 def path_counts(diagram: Diagram, root: Node) -> list[dict[Node, int]]:
@@ -23,7 +23,7 @@ def path_counts(diagram: Diagram, root: Node) -> list[dict[Node, int]]:
     return layers[::-1]
 
 
-class Region:
+class MarkingSet:
     """A set of markings that is not empty.
 
     Args:
@@ -32,7 +32,7 @@ class Region:
         events: The transitions of the net, in its order.
     """
 
-    def __init__(self, diagram: Diagram, root: Node, events: Sequence[Event]) -> None:
+    def __init__(self, diagram: Diagram, root: Node, events: Sequence[SaturationEvent]) -> None:
         self.diagram = diagram
         self.root = root
         self._events = tuple(events)
@@ -77,7 +77,7 @@ class Region:
             number = known.get(node)
             if number is None:
                 self.diagram.tick()
-                low, high, _ = event.steps[level] or _ANY
+                low, high, _ = event.steps[level] or UNTOUCHED
                 number = sum(
                     [count(child, level - 1) for tokens, child in self.diagram.pairs[node] if low <= tokens < high]
                 )
@@ -125,7 +125,7 @@ class Region:
         result = known.get(node)
         if result is None:
             self.diagram.tick()
-            low, high, _ = event.steps[level] or _ANY
+            low, high, _ = event.steps[level] or UNTOUCHED
             children = {}
             for tokens, child in self.diagram.pairs[node]:
                 if low <= tokens < high:
@@ -158,7 +158,7 @@ class Region:
         result = self._images.get(key)
         if result is None:
             self.diagram.tick()
-            low, high, change = event.steps[level] or _ANY
+            low, high, change = event.steps[level] or UNTOUCHED
             children = {
                 tokens + change: self._fired(child, level - 1, transition)
                 for tokens, child in self.diagram.pairs[node]
@@ -167,6 +167,3 @@ class Region:
             result = self.diagram.node({tokens: child for tokens, child in children.items() if child != EMPTY})
             self._images[key] = result
         return result
-
-
-_ANY = Step(0, float("inf"), 0)

@@ -8,11 +8,11 @@ given set (constrained saturation; Zhao and Ciardo, ATVA 2009).
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from im_pnt.analysis.mdd import EMPTY, UNIT, Diagram, GaveUpError, Node
-from im_pnt.compiled import Compiled
+from im_pnt.model.compiled import Compiled
+from im_pnt_analysis.symbolic.mdd import EMPTY, UNIT, Diagram, GaveUpError, Node
 
 
-class Step(NamedTuple):
+class LevelEffect(NamedTuple):
     """What a transition asks of a place and does to it: it fires at low <= tokens < high."""
 
     low: int
@@ -20,15 +20,21 @@ class Step(NamedTuple):
     change: int
 
 
-class Event(NamedTuple):
+UNTOUCHED = LevelEffect(0, float("inf"), 0)
+"""Of a place that a transition does not touch."""
+
+
+class SaturationEvent(NamedTuple):
     """A transition in levels; a level that it does not touch is None."""
 
     lowest: int
     highest: int
-    steps: tuple[Step | None, ...]
+    steps: tuple[LevelEffect | None, ...]
 
 
-def event(compiled: Compiled, diagram: Diagram, transition: int, *, backward: bool = False) -> Event:
+def saturation_event(
+    compiled: Compiled, diagram: Diagram, transition: int, *, backward: bool = False
+) -> SaturationEvent:
     """Makes the event of a transition.
 
     Args:
@@ -37,18 +43,18 @@ def event(compiled: Compiled, diagram: Diagram, transition: int, *, backward: bo
         transition: The transition.
         backward: Whether to undo it instead: from a marking to the one before.
     """
-    steps: list[Step | None] = [None] * (diagram.depth + 1)
+    steps: list[LevelEffect | None] = [None] * (diagram.depth + 1)
     low = dict(compiled.inputs[transition])
     high = dict(compiled.inhibitors[transition])
     change = dict(compiled.change[transition])
     touched = low.keys() | high.keys() | change.keys()
     for place in touched:
-        step = Step(low.get(place, 0), high.get(place, float("inf")), change.get(place, 0))
+        step = LevelEffect(low.get(place, 0), high.get(place, float("inf")), change.get(place, 0))
         if backward:
-            step = Step(step.low + step.change, step.high + step.change, -step.change)
+            step = LevelEffect(step.low + step.change, step.high + step.change, -step.change)
         steps[diagram.level[place]] = step
     levels = [diagram.level[place] for place in touched]
-    return Event(min(levels, default=0), max(levels, default=0), tuple(steps))
+    return SaturationEvent(min(levels, default=0), max(levels, default=0), tuple(steps))
 
 
 class Saturation:
@@ -64,7 +70,7 @@ class Saturation:
     def __init__(
         self,
         diagram: Diagram,
-        events: Sequence[Event],
+        events: Sequence[SaturationEvent],
         within: Node | None = None,
         most: Sequence[int | None] | None = None,
     ) -> None:
@@ -155,7 +161,7 @@ class Saturation:
             return known
         diagram = self._diagram
         diagram.tick()
-        step = event.steps[level] or _UNTOUCHED
+        step = event.steps[level] or UNTOUCHED
         low, high, change = step
         children = {}
         for tokens, child in diagram.pairs[node]:
@@ -165,6 +171,3 @@ class Saturation:
                     children[tokens + change] = found
         result = self._fired[key] = self._saturate(children, within, level) if children else EMPTY
         return result
-
-
-_UNTOUCHED = Step(0, float("inf"), 0)

@@ -4,7 +4,7 @@ FORCE (Aloul, Markov and Sakallah, GLSVLSI 2003): each place moves to the mean p
 it, until the sum of the transitions' spans does not shrink any more.
 """
 
-from im_pnt.compiled import Compiled
+from im_pnt.model.compiled import Compiled
 
 _ROUNDS = 60
 

@@ -1,19 +1,24 @@
-"""Measured times of transitions and commands, as nets tell them or as a file holds them."""
+"""Measured times of transitions and commands: told by nets or read from a file, fitted into nets, and compared."""
 
 import json
+import math
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from im_core.errors import ImError
-from im_pnt.events import Firing, Phase
+from im_pnt.execution.notification import Firing, Phase
+from im_pnt.model.action import RequestAction
+from im_pnt.model.delay import Delay
+from im_pnt.model.net import Net, Transition
+from im_pnt_analysis.timed.durations import CommandDuration
 
 _LARGEST = 200_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Observation:
+class MeasuredFiring:
     """One end of a transition.
 
     Attributes:
@@ -32,25 +37,25 @@ class Measurement:
     """What was measured.
 
     Attributes:
-        observations: Ends of transitions.
+        firings: Ends of transitions.
         commands: Durations of each command from its symbol to its answer [s], where there are stamps.
     """
 
-    observations: tuple[Observation, ...]
+    firings: tuple[MeasuredFiring, ...]
     commands: Mapping[str, tuple[float, ...]]
 
     def by_transition(self) -> dict[str, list[float]]:
         """Returns the durations of each transition [s]."""
         durations: defaultdict[str, list[float]] = defaultdict(list)
-        for observation in self.observations:
-            durations[observation.transition].append(observation.duration)
+        for firing in self.firings:
+            durations[firing.transition].append(firing.duration)
         return dict(durations)
 
 
-def observations(firings: Iterable[Firing]) -> list[Observation]:
+def measured_firings(firings: Iterable[Firing]) -> list[MeasuredFiring]:
     """Picks the ends and failures out of what nets told, with their wall time."""
     return [
-        Observation(f"{firing.net}.{firing.transition}", firing.duration, firing.phase == Phase.FAILED)
+        MeasuredFiring(f"{firing.net}.{firing.transition}", firing.duration, firing.phase == Phase.FAILED)
         for firing in firings
         if firing.phase in (Phase.END, Phase.FAILED)
     ]
@@ -87,7 +92,7 @@ def read_measurement(file: str) -> Measurement:
     if isinstance(data, dict) and "transition" in data:
         data = [data]
     if isinstance(data, dict):
-        found = tuple(Observation(name, time) for name, times in data.items() for time in _times(file, name, times))
+        found = tuple(MeasuredFiring(name, time) for name, times in data.items() for time in _times(file, name, times))
         return Measurement(found, {})
     if not isinstance(data, list):
         raise _bad(file, "it holds neither a list nor an object")
@@ -121,7 +126,7 @@ def _from_records(file: str, records: list[object]) -> Measurement:
     stamped = all(isinstance(record, dict) and "stamp" in record for record in records)
     begun: defaultdict[str, deque[float]] = defaultdict(deque)
     commands: defaultdict[str, list[float]] = defaultdict(list)
-    found: list[Observation] = []
+    found: list[MeasuredFiring] = []
     for number, record in enumerate(records, start=1):
         if not isinstance(record, dict):
             raise _bad(file, f"entry {number} is not an object")
@@ -137,7 +142,7 @@ def _from_records(file: str, records: list[object]) -> Measurement:
             begun[name].append(time)
         elif phase in (Phase.END, Phase.FAILED):
             since = begun[name].popleft() if begun[name] else time
-            found.append(Observation(name, max(time - since, 0.0) if stamped else time, phase == Phase.FAILED))
+            found.append(MeasuredFiring(name, max(time - since, 0.0) if stamped else time, phase == Phase.FAILED))
         if stamped and isinstance(symbol := record.get("symbol"), str) and symbol:
             command = symbol.removesuffix("_done").removesuffix("_failed")
             key = f"{net} {command}"
@@ -146,3 +151,118 @@ def _from_records(file: str, records: list[object]) -> Measurement:
             elif begun[key]:
                 commands[command].append(max(time - begun[key].popleft(), 0.0))
     return Measurement(tuple(found), {command: tuple(times) for command, times in commands.items()})
+
+
+_CONSTANT = 0.01
+"""Coefficient of variation below which times are taken for constant."""
+
+
+def fit_delays(nets: Sequence[Net], seen: Iterable[MeasuredFiring]) -> tuple[Net, ...]:
+    """Gives the transitions the delays and frequencies that were measured.
+
+    A delay becomes a gamma distribution of the mean and the variance measured, a constant where there is next to no
+    variance; ``success`` the share of actions that did not fail. Transitions that share an input place get their counts
+    as weights, so that guards are true as often as they were; strategies, whose outcome the counts hold, are dropped.
+    What was not measured stays as it is. Requests to a net that is among them keep no delay: their time is its time.
+
+    Args:
+        nets: The nets, as written.
+        seen: What was measured.
+    """
+    ended: dict[str, list[float]] = {}
+    failed: dict[str, int] = {}
+    for firing in seen:
+        ended.setdefault(firing.transition, []).append(firing.duration)
+        failed[firing.transition] = failed.get(firing.transition, 0) + firing.failed
+    given = {net.name for net in nets}
+    return tuple(_fit(net, ended, failed, given) for net in nets)
+
+
+def _fit(net: Net, ended: dict[str, list[float]], failed: dict[str, int], given: set[str]) -> Net:
+    counts = {name: len(ended.get(f"{net.name}.{name}", ())) for name in net.transitions}
+    transitions: dict[str, Transition] = {}
+    for name, transition in net.transitions.items():
+        times = ended.get(f"{net.name}.{name}")
+        fitted = transition
+        if times and transition.action is not None:
+            served = isinstance(transition.action, RequestAction) and transition.action.net in given
+            delay, success = None if served else _delay(times), 1.0 - failed[f"{net.name}.{name}"] / len(times)
+            fitted = replace(transition, delay=delay, success=transition.success if served else success)
+        rivals = [other for other in net.transitions.values() if _contend(transition, other)]
+        if len(rivals) > 1 and any(counts[rival.name] for rival in rivals):
+            fitted = replace(fitted, weight=float(counts[name]), strategy=None)
+        transitions[name] = fitted
+    return replace(net, transitions=transitions)
+
+
+def _contend(one: Transition, other: Transition) -> bool:
+    return not one.inputs.keys().isdisjoint(other.inputs) and one.priority == other.priority
+
+
+def _delay(times: Sequence[float]) -> Delay | None:
+    mean = math.fsum(times) / len(times)
+    if mean <= 0.0:
+        return None
+    variance = math.fsum((time - mean) ** 2 for time in times) / max(len(times) - 1, 1)
+    if variance <= (_CONSTANT * mean) ** 2:
+        return Delay("constant", (mean,))
+    return Delay("gamma", (mean * mean / variance, variance / mean))
+
+
+@dataclass(frozen=True, slots=True)
+class ActionComparison:
+    """An action as expected and as measured; means [s]."""
+
+    transition: str
+    expected_firings: float
+    measured_firings: int
+    expected_mean: float
+    measured_mean: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A command as expected and as measured.
+
+    Attributes:
+        symbol: The command.
+        expected: Expected duration [s].
+        measured: Measured duration [s]; None: not measured.
+        plausible: Whether the measured one lies between the expected 5 % and 95 % quantiles; None: not measured.
+        bottleneck: The action on which most of the expected duration hangs.
+        actions: Actions that were expected or measured, the largest expected time first.
+    """
+
+    symbol: str
+    expected: float
+    measured: float | None
+    plausible: bool | None
+    bottleneck: str
+    actions: tuple[ActionComparison, ...]
+
+
+def compare(
+    expected: CommandDuration, measured: Mapping[str, Sequence[float]], duration: float | None = None
+) -> Comparison:
+    """Puts the measured run of a command beside the expected one.
+
+    Args:
+        expected: What was computed.
+        measured: Durations of each transition by ``net.transition`` [s].
+        duration: Measured duration of the command [s].
+    """
+    rows: list[ActionComparison] = []
+    left = dict(measured)
+    for action in expected.actions:
+        name = action.transition if len(expected.nets) > 1 else f"{expected.nets[0]}.{action.transition}"
+        times = left.pop(name, ())
+        mean = math.fsum(times) / len(times) if times else None
+        rows.append(ActionComparison(name, action.firings, len(times), action.mean, mean))
+    for name, times in left.items():
+        if any(times):
+            rows.append(ActionComparison(name, 0.0, len(times), 0.0, math.fsum(times) / len(times)))
+    rows.sort(key=lambda row: -row.expected_firings * row.expected_mean)
+    low, _, high = expected.quantiles
+    plausible = None if duration is None else low <= duration <= high
+    bottleneck = expected.bottleneck.transition
+    return Comparison(expected.symbol, expected.mean, duration, plausible, bottleneck, tuple(rows))

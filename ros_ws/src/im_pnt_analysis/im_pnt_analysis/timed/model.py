@@ -9,18 +9,70 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from im_pnt.analysis.compose import Composition, compose
-from im_pnt.compiled import Compiled, compile_net
-from im_pnt.delay import Delay
-from im_pnt.errors import NetError, nearest
-from im_pnt.net import Net, Place, Role, Transition
-from im_pnt.timed.outcomes import tell_outcomes_apart
+from im_core.errors import nearest
+from im_pnt.errors import NetError
+from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.delay import Delay
+from im_pnt.model.net import Net, Place, Role, Transition
+from im_pnt_analysis.composition.compose import Composition, compose
+
+_SUFFIX = ".failed"
+
+
+def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str, str]]:
+    """Splits the replies of a composition's services into done and failed.
+
+    Args:
+        flat: Flat net of a composition.
+
+    Returns:
+        The net, and for each transition and each place that was added the one it was split from.
+    """
+    split = _shared_replies(flat)
+    if not split:
+        return flat, {}, {}
+
+    def apart(arcs: Mapping[str, int]) -> dict[str, int]:
+        return {f"{name}{_SUFFIX}" if name in split else name: weight for name, weight in arcs.items()}
+
+    transitions: dict[str, Transition] = {}
+    shown: dict[str, str] = {}
+    for name, transition in flat.transitions.items():
+        match transition.role:
+            case Role.FINISH_FAILED:
+                transitions[name] = replace(transition, outputs=apart(transition.outputs))
+            case Role.FAILED:
+                transitions[name] = replace(transition, inputs=apart(transition.inputs))
+            case Role.RETURN:
+                transitions[name] = transition
+                twin = f"{name}{_SUFFIX}"
+                shown[twin] = name
+                inputs, outputs = apart(transition.inputs), apart(transition.outputs)
+                transitions[twin] = replace(transition, name=twin, inputs=inputs, outputs=outputs)
+            case _:
+                transitions[name] = transition
+    added = {f"{name}{_SUFFIX}": name for name in flat.places if name in split}
+    places = {**flat.places, **{name: Place(name) for name in added}}
+    return replace(flat, places=places, transitions=transitions), shown, added
+
+
+def _shared_replies(flat: Net) -> frozenset[str]:
+    """Names the places that mean a reply, whichever: O.s, and what RETURN gives to a caller's end and failure."""
+    finished = {place for t in flat.transitions.values() if t.role is Role.FINISH for place in t.outputs}
+    failed = {place for t in flat.transitions.values() if t.role is Role.FINISH_FAILED for place in t.outputs}
+    returns = [t for t in flat.transitions.values() if t.role is Role.RETURN]
+    taken = {place for t in returns for place in t.inputs}
+    given = {place for t in returns for place in t.outputs}
+    ends = {place for t in flat.transitions.values() if t.role is Role.END for place in t.inputs}
+    failures = {place for t in flat.transitions.values() if t.role is Role.FAILED for place in t.inputs}
+    return frozenset((finished & failed & taken) | (given & ends & failures))
+
 
 _NEVER = (Role.CANCEL, Role.LOST, Role.GIVEN_UP)
 
 
 @dataclass(frozen=True, slots=True)
-class Timer:
+class TimedActivity:
     """Something that takes time.
 
     Attributes:
@@ -57,7 +109,7 @@ class TimedNet:
 
     composition: Composition
     compiled: Compiled
-    timers: tuple[Timer, ...]
+    timers: tuple[TimedActivity, ...]
     timer_of: tuple[int, ...]
     levels: tuple[tuple[int, ...], ...]
     waiting: tuple[tuple[int, ...], ...]
@@ -147,7 +199,7 @@ class _Builder:
         self.number = {name: index for index, name in enumerate(compiled.places)}
         self.by_name = {name: index for index, name in enumerate(compiled.transitions)}
         self.transitions: Mapping[str, Transition] = compiled.net.transitions
-        self.timers: list[Timer] = []
+        self.timers: list[TimedActivity] = []
         self.timer_of = [-1] * len(compiled.transitions)
         self.weight = [1.0] * len(compiled.transitions)
         self.levels: dict[tuple[int, bool], list[int]] = {}
@@ -167,7 +219,7 @@ class _Builder:
             self._start(index, transition)
         elif transition.role is Role.PLAIN and transition.delay is not None and transition.delay.mean > 0.0:
             self.timer_of[index] = len(self.timers)
-            self.timers.append(Timer(transition.name, transition.delay, None, ((index, 1.0),)))
+            self.timers.append(TimedActivity(transition.name, transition.delay, None, ((index, 1.0),)))
             return
         if transition.role is Role.WITHDRAWN:
             self.withdrawn.append(index)
@@ -206,7 +258,7 @@ class _Builder:
             self._timed_ends.update(outcome for outcome, _ in outcomes)
             self.timer_of[index] = len(self.timers)
             taken = tuple(pair for pair in outcomes if pair[1] > 0.0)
-            self.timers.append(Timer(name, start.delay, self.number[active], taken))
+            self.timers.append(TimedActivity(name, start.delay, self.number[active], taken))
 
     def _weight(self, transition: Transition) -> float:
         weight = transition.weight

@@ -5,7 +5,7 @@ import math
 from random import Random
 
 from im_pnt.errors import NetError
-from im_pnt.timed.model import TimedNet
+from im_pnt_analysis.timed.model import TimedNet
 
 _AT_ONE_INSTANT = 200_000
 """Firings without time passing that are taken for endless where the run ends by time alone."""

@@ -6,9 +6,9 @@ from typing import Any
 
 from im_core.errors import ImError
 from im_core.files import write_whole
-from im_pnt.timed.comparison import Comparison
-from im_pnt.timed.durations import CommandDuration
-from im_pnt.timed.steady import SteadyState
+from im_pnt_analysis.timed.durations import CommandDuration
+from im_pnt_analysis.timed.measurement import Comparison
+from im_pnt_analysis.timed.steady import SteadyState
 
 _BARS = 40
 _EXPECTED, _TOTAL, _MEASURED = "#2b6cb0", "#bcd3ea", "#dd8833"

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse import csgraph, linalg
 
 from im_pnt.errors import NetError
-from im_pnt.timed.linear import Rows
+from im_pnt_analysis.timed.elimination import Rows
 
 RESIDUAL = 1e-11
 """Largest imbalance of a state that is accepted, relative to the largest flow through any state."""

@@ -11,11 +11,10 @@ from fractions import Fraction
 
 from im_core.clock import monotonic
 from im_pnt.errors import NetError
-from im_pnt.net import Net
-from im_pnt.timed.chain import chain, class_measure, class_probabilities, recurrent_classes
-from im_pnt.timed.linear import N, TookTooLongError, fraction
-from im_pnt.timed.markings import Markings, reach
-from im_pnt.timed.model import timed_net
+from im_pnt.model.net import Net
+from im_pnt_analysis.timed.chain import Markings, chain, class_measure, class_probabilities, reach, recurrent_classes
+from im_pnt_analysis.timed.elimination import N, TookTooLongError, fraction
+from im_pnt_analysis.timed.model import timed_net
 
 _EXACT_STATES = 400
 _EXACT_SECONDS = 5.0

@@ -1,13 +1,201 @@
-"""Answers where the markings cannot be listed: decision diagrams, coverability, stubborn sets."""
+"""How each method answers: structure, explicit search, decision diagrams, coverability, stubborn sets."""
 
 from dataclasses import replace
+from itertools import chain, islice
 
-from im_pnt.analysis import refusals
-from im_pnt.analysis.coverability import Coverability
-from im_pnt.analysis.problem import Problem
-from im_pnt.analysis.report import Counterexample, Report
-from im_pnt.analysis.stopping import stopping, without_marks, without_stop
-from im_pnt.analysis.symbolic import Symbolic, explore
+from im_core.clock import monotonic
+from im_pnt.verification import Counterexample
+from im_pnt_analysis.search.coverability import Coverability
+from im_pnt_analysis.search.reachability import Search
+from im_pnt_analysis.search.reachability_graph import ReachabilityGraph, place_bounds, stuck
+from im_pnt_analysis.search.stubborn import find_deadlock
+from im_pnt_analysis.structure.semiflows import p_semiflows, t_semiflows
+from im_pnt_analysis.symbolic.exploration import SymbolicAnswers, explore
+from im_pnt_analysis.verify import counterexamples
+from im_pnt_analysis.verify.problem import Problem, stopping, without_marks, without_stop
+from im_pnt_analysis.verify.report import Report
+
+_FARKAS = "Farkas' algorithm"
+_SHARE = 0.08
+
+
+def conserve(report: Report, problem: Problem, deadline: float, max_rows: int) -> list[int | None]:
+    """Finds the P-semiflows and what they bound.
+
+    Args:
+        report: Gets the answers.
+        problem: The nets.
+        deadline: Time on the monotonic clock at which everything ends [s].
+        max_rows: Rows of the working table at which to leave some out; every place that can be is covered all the same.
+
+    Returns:
+        For each place a proved bound, None where there is none.
+    """
+    flows = p_semiflows(problem.compiled, max_rows, _share(deadline))
+    report.answer(_FARKAS, p_semiflows=list(flows.flows), p_semiflows_complete=flows.complete)
+    bounds = flows.place_bounds(problem.compiled.places, problem.initial)
+    if all(bound is not None for bound in bounds):
+        report.answer("every place is in a P-semiflow", bounded=True, unbounded_places=[])
+    return bounds
+
+
+def solve_bounds(report: Report, problem: Problem, deadline: float) -> None:
+    """Looks for bounds by linear programming.
+
+    Args:
+        report: Gets the answer, if all places are bounded.
+        problem: The nets.
+        deadline: Time on the monotonic clock at which to give up [s].
+    """
+    from im_pnt_analysis.structure.state_equation import structurally_bounded
+
+    if structurally_bounded(problem.compiled, deadline):
+        report.answer("linear programming: a weighting that no firing raises", bounded=True, unbounded_places=[])
+
+
+def describe(report: Report, problem: Problem, deadline: float) -> None:
+    """Finds T-semiflows, siphons and traps.
+
+    Args:
+        report: Gets the answers.
+        problem: The nets.
+        deadline: Time on the monotonic clock at which everything ends [s].
+    """
+    from im_pnt_analysis.structure.siphons import siphons, traps
+
+    flows = t_semiflows(problem.compiled, deadline=_share(deadline))
+    report.answer(_FARKAS, t_semiflows=list(flows.flows), t_semiflows_complete=flows.complete)
+    found = siphons(problem.compiled, deadline=_share(deadline))
+    sets = [list(names) for names in found.sets]
+    report.answer(_solver(found.reason), siphons=sets, siphons_complete=found.complete)
+    found = traps(problem.compiled, deadline=_share(deadline))
+    sets = [list(names) for names in found.sets]
+    report.answer(_solver(found.reason), traps=sets, traps_complete=found.complete)
+
+
+def _solver(reason: str) -> str:
+    return f"satisfiability, stopped: {reason}" if reason else "satisfiability"
+
+
+def _share(deadline: float) -> float:
+    now = monotonic()
+    return now + _SHARE * max(0.0, deadline - now)
+
+
+REFUSED = "the nets are refused for another reason"
+"""Why the return of resources is not looked at."""
+EXPLICIT = "explicit breadth-first search"
+_COMPONENTS = "strongly connected components of the reachability graph"
+_SHOWN = 10
+_GRAPH_COST = 3.0e-7
+"""Time for the components, for each marking and arc [s]."""
+_COLUMN_COST = 4.0e-9
+"""Time for the bounds, for each marking and place [s]."""
+
+
+def answer_from_whole(report: Report, problem: Problem, search: Search, deadline: float) -> None:
+    """Answers everything.
+
+    Args:
+        report: Gets the answers and refusals.
+        problem: The nets.
+        search: Finished.
+        deadline: Time on the monotonic clock at which to give up [s].
+    """
+    found, compiled = search.found, problem.compiled
+    never = [name for name, fired in zip(compiled.transitions, found.fired, strict=True) if not fired]
+    dead = stuck(search, problem.busy, may_end=problem.may_end)
+    report.answer(
+        EXPLICIT,
+        states=found.count,
+        labelled_arcs=found.labelled_arcs,
+        distinct_edges=found.distinct_edges,
+        bounded=True,
+        unbounded_places=[],
+        has_deadlock=bool(dead),
+        deadlock_states=len(dead),
+        quasi_live=not never,
+        never_enabled=never,
+        never_enabled_transitions=len(never),
+    )
+    _answer_bounds(report, problem, search, deadline)
+    _refuse(report, problem, search, dead)
+    expected = _GRAPH_COST * (found.count + found.labelled_arcs)
+    if monotonic() + expected > deadline:
+        report.leave(f"the components of {found.count} markings and {found.labelled_arcs} arcs would take too long")
+        return
+    graph = ReachabilityGraph(search)
+    live = graph.live_transitions()
+    report.answer(
+        _COMPONENTS,
+        live=all(live),
+        live_transitions=sum(live),
+        reversible=graph.reversible,
+        terminal_sccs=graph.terminal_sccs,
+    )
+    if report.refusals:
+        report.leave(REFUSED, "resources_return")
+        return
+    lost = chain(
+        counterexamples.lost_entries(problem, found, graph, live), counterexamples.held_resources(problem, found, graph)
+    )
+    for refusal in islice(lost, _SHOWN):
+        report.refuse(refusal)
+        if monotonic() > deadline:
+            break
+    report.answer(_COMPONENTS, resources_return=not report.refusals)
+
+
+def _answer_bounds(report: Report, problem: Problem, search: Search, deadline: float) -> None:
+    found, places = search.found, problem.compiled.places
+    if monotonic() + _COLUMN_COST * len(places) * found.count > deadline:
+        reason = f"the bounds of {len(places)} places in {found.count} markings would take too long"
+        report.leave(reason, "place_bounds", "max_token_in_place", "max_token_per_marking", "safe")
+        return
+    bounds, most_in_marking = place_bounds(found)
+    most = max(bounds, default=0)
+    report.answer(
+        EXPLICIT,
+        place_bounds=dict(zip(places, bounds, strict=True)),
+        max_token_in_place=most,
+        max_token_per_marking=most_in_marking,
+        safe=most <= 1,
+    )
+
+
+def answer_from_part(report: Report, problem: Problem, search: Search, deadline: float) -> None:
+    """Answers what some of the markings tell: what was found is there, whatever else is.
+
+    Args:
+        report: Gets the answers and refusals.
+        problem: The nets.
+        search: Not finished.
+        deadline: Time on the monotonic clock at which to give up [s].
+    """
+    found = search.found
+    method = f"{EXPLICIT} of some markings"
+    dead = stuck(search, problem.busy, may_end=problem.may_end)
+    if dead:
+        report.answer(method, has_deadlock=True)
+        if problem.closed and problem.compiled.transitions:
+            report.answer("a dead marking is reachable", live=False, live_transitions=0, reversible=dead != [0])
+    if monotonic() + _COLUMN_COST * len(problem.initial) * found.count < deadline:
+        bounds, _ = place_bounds(found)
+        if max(bounds, default=0) > 1:
+            report.answer(method, safe=False)
+    if found.fired.all():
+        report.answer(method, quasi_live=True, never_enabled=[], never_enabled_transitions=0)
+    _refuse(report, problem, search, dead)
+
+
+def _refuse(report: Report, problem: Problem, search: Search, dead: list[int]) -> None:
+    overflow = counterexamples.overflow(problem, search.found)
+    if overflow is not None:
+        report.refuse(overflow)
+    if dead:
+        found = search.found
+        report.refuse(counterexamples.deadlock(problem, found.sequence(dead[0]), found.vector(dead[0])))
+
 
 _DIAGRAMS = "decision diagrams"
 _COVERABILITY = "coverability"
@@ -57,14 +245,14 @@ def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: f
     _deadlocks(report, problem, found, why)
 
 
-def _deadlocks(report: Report, problem: Problem, found: Symbolic, why: str) -> None:
+def _deadlocks(report: Report, problem: Problem, found: SymbolicAnswers, why: str) -> None:
     report.answer(_DIAGRAMS, has_deadlock=found.has_deadlock, deadlock_states=found.deadlock_states)
     for name in ("has_deadlock", "deadlock_states"):
         report.leave(f"{why}; decision diagrams: {found.unknown.get(name, '')}", name)
     dead, sequence = found.deadlock_marking, found.deadlock_sequence
     if dead is not None:
         vector = problem.compiled.marking_vector(without_marks(dead))
-        refusal = refusals.deadlock(problem, without_stop(sequence or ()), vector)
+        refusal = counterexamples.deadlock(problem, without_stop(sequence or ()), vector)
         if sequence is None:
             reason = f"{refusal.reason}; no firing sequence that leads there was found in time"
             refusal = replace(refusal, reason=reason)
@@ -115,14 +303,12 @@ def answer_from_stubborn_sets(report: Report, problem: Problem, states: int, dea
         states: Number of markings at which to give up.
         deadline: Time on the monotonic clock at which to give up [s].
     """
-    from im_pnt.analysis.stubborn import find_deadlock
-
     found = find_deadlock(problem.compiled, problem.initial, deadline, states)
     report.answer(_STUBBORN_SETS, has_deadlock=found.found)
     if found.found is False:
         report.answer(_STUBBORN_SETS, deadlock_states=0)
     elif found.found:
-        report.refuse(refusals.deadlock(problem, found.sequence, found.marking))
+        report.refuse(counterexamples.deadlock(problem, found.sequence, found.marking))
         report.answer("a dead marking is reachable", live=False, live_transitions=0)
     else:
         report.leave(found.reason, "has_deadlock", "deadlock_states")
@@ -130,6 +316,4 @@ def answer_from_stubborn_sets(report: Report, problem: Problem, states: int, dea
 
 def _never(report: Report, method: str, names: tuple[str, ...] | None) -> None:
     if names is not None:
-        report.answer(
-            method, quasi_live=not names, never_enabled=list(names), never_enabled_transitions=len(names)
-        )
+        report.answer(method, quasi_live=not names, never_enabled=list(names), never_enabled_transitions=len(names))

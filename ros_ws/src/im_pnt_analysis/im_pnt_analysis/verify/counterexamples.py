@@ -2,17 +2,17 @@
 
 from collections.abc import Iterator
 
-from im_pnt.analysis.closed import emptied_siphon
-from im_pnt.analysis.found import Found
-from im_pnt.analysis.graph import Graph
-from im_pnt.analysis.growth import Growth
-from im_pnt.analysis.problem import WAITS, Problem
-from im_pnt.analysis.report import Counterexample
+from im_pnt.verification import Counterexample
+from im_pnt_analysis.search.growth import Growth
+from im_pnt_analysis.search.reachability_graph import ReachabilityGraph
+from im_pnt_analysis.search.state_space import StateSpace
+from im_pnt_analysis.structure.siphons import emptied_siphon
+from im_pnt_analysis.verify.problem import WAITS, Problem
 
 _NAMED_PLACES = 8
 
 
-def growth(found: Found, grown: Growth) -> Counterexample:
+def growth(found: StateSpace, grown: Growth) -> Counterexample:
     """Says which places grow without end, and how."""
     earlier, later = found.vector(grown.earlier), found.vector(grown.later)
     names = [name for name, a, b in zip(found.compiled.places, earlier, later, strict=True) if b > a]
@@ -25,7 +25,7 @@ def growth(found: Found, grown: Growth) -> Counterexample:
     )
 
 
-def overflow(problem: Problem, found: Found) -> Counterexample | None:
+def overflow(problem: Problem, found: StateSpace) -> Counterexample | None:
     """Finds the first marking in which a place holds more than its capacity."""
     first: tuple[int, int] | None = None
     for place, declared in enumerate(problem.compiled.net.places.values()):
@@ -70,7 +70,9 @@ def deadlock(problem: Problem, sequence: tuple[str, ...], vector: tuple[int, ...
     return Counterexample("deadlock", f"it is stuck with {held}{why}", sequence, marking)
 
 
-def lost_entries(problem: Problem, found: Found, graph: Graph, live: list[bool]) -> Iterator[Counterexample]:
+def lost_entries(
+    problem: Problem, found: StateSpace, graph: ReachabilityGraph, live: list[bool]
+) -> Iterator[Counterexample]:
     """Finds commands and services that can become impossible for ever."""
     for transition, name in enumerate(problem.compiled.transitions):
         if name in problem.composition.entries and found.fired[transition] and not live[transition]:
@@ -79,7 +81,7 @@ def lost_entries(problem: Problem, found: Found, graph: Graph, live: list[bool])
             yield Counterexample("lost_command", reason, found.sequence(lost), found.marking(lost))
 
 
-def held_resources(problem: Problem, found: Found, graph: Graph) -> Iterator[Counterexample]:
+def held_resources(problem: Problem, found: StateSpace, graph: ReachabilityGraph) -> Iterator[Counterexample]:
     """Finds marked places of nets without a declared rest that may never get their tokens back."""
     declared = {net.name for net in problem.nets if net.rest is not None}
     for place, name in enumerate(problem.compiled.places):

@@ -9,16 +9,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from im_core.clock import monotonic
-from im_pnt.analysis import refusals
-from im_pnt.analysis.exhaustive import REFUSED, answer_from_part, answer_from_whole
-from im_pnt.analysis.fields import TooManyTokensError
-from im_pnt.analysis.growth import GrowthTest
-from im_pnt.analysis.large import answer_from_coverability, answer_from_diagrams, answer_from_stubborn_sets
-from im_pnt.analysis.problem import Problem, problem_of
-from im_pnt.analysis.reachability import Limits, Search
-from im_pnt.analysis.report import Report
-from im_pnt.analysis.structure import conserve, describe, solve_bounds
-from im_pnt.net import Net
+from im_pnt.model.net import Net
+from im_pnt_analysis.search.growth import GrowthTest
+from im_pnt_analysis.search.packing import TooManyTokensError
+from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.verify import counterexamples
+from im_pnt_analysis.verify.answers import (
+    REFUSED,
+    answer_from_coverability,
+    answer_from_diagrams,
+    answer_from_part,
+    answer_from_stubborn_sets,
+    answer_from_whole,
+    conserve,
+    describe,
+    solve_bounds,
+)
+from im_pnt_analysis.verify.problem import Problem, problem_of
+from im_pnt_analysis.verify.report import Report
 
 Progress = Callable[[str], None]
 """Is told now and then what goes on."""
@@ -35,7 +43,7 @@ _SHARE = 0.4
 
 def verify(
     nets: Sequence[Net],
-    limits: Limits | None = None,
+    limits: SearchLimits | None = None,
     *,
     structure: bool = False,
     progress: Progress = lambda text: None,
@@ -52,7 +60,7 @@ def verify(
         NetError: The nets do not fit together.
     """
     begin = monotonic()
-    limits = limits or Limits()
+    limits = limits or SearchLimits()
     problem = problem_of(nets)
     report = Report([net.name for net in nets], assumptions=list(problem.composition.assumptions))
     _Verification(problem, report, limits, begin + limits.seconds, progress).run(structure=structure)
@@ -62,7 +70,9 @@ def verify(
 
 
 class _Verification:
-    def __init__(self, problem: Problem, report: Report, limits: Limits, deadline: float, progress: Progress) -> None:
+    def __init__(
+        self, problem: Problem, report: Report, limits: SearchLimits, deadline: float, progress: Progress
+    ) -> None:
         self.problem, self.report, self.limits, self.deadline = problem, report, limits, deadline
         self.progress = progress
 
@@ -144,11 +154,11 @@ class _Verification:
             return False
         search.stopped = "the net is unbounded"
         self.report.answer("a marking covers an earlier one of its path", bounded=False, safe=False)
-        self.report.refuse(refusals.growth(search.found, growth))
+        self.report.refuse(counterexamples.growth(search.found, growth))
         return True
 
     def _cover(self) -> None:
-        from im_pnt.analysis.coverability import coverability
+        from im_pnt_analysis.search.coverability import coverability
 
         self.progress("coverability")
         problem = self.problem
@@ -174,3 +184,15 @@ class _Verification:
     def _later(self) -> float:
         now = monotonic()
         return now + _SHARE * max(0.0, self.deadline - now)
+
+
+LOAD_LIMITS = SearchLimits(states=2_000_000, seconds=20.0)
+
+
+def verify_to_load(nets: Sequence[Net]) -> Report:
+    """Verifies nets, alone or composed, within the limits of a node that waits for it.
+
+    Raises:
+        NetError: They do not fit together.
+    """
+    return verify(nets, LOAD_LIMITS)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
 
-from im_pnt.expand import OUTPUT_SEMAPHORE
-from im_pnt.layout import Layout, Point, layered
-from im_pnt.net import Net
-from im_pnt.parts import LINE, RADIUS, REFERENCE_RADIUS, DrawnArc, DrawnNode, parts
+from im_pnt.model.expand import OUTPUT_SEMAPHORE
+from im_pnt.model.net import Net
+from im_pnt_display.drawing.layout import GraphLayout, Point, layered
+from im_pnt_display.drawing.parts import LINE, RADIUS, REFERENCE_RADIUS, DrawnArc, DrawnNode, parts
 
 _MARGIN = 24.0
 _PORT = 14.0
@@ -21,7 +21,7 @@ class Drawing:
     net: str
     nodes: tuple[DrawnNode, ...]
     arcs: tuple[DrawnArc, ...]
-    layout: Layout
+    layout: GraphLayout
 
     def to_dict(self) -> dict[str, object]:
         """Returns what a display needs, as plain data; coordinates in pixels."""

@@ -7,8 +7,8 @@ It stands where an arc to a distant place, to a place that many transitions lead
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from im_pnt.action import FunctionAction, RequestAction
-from im_pnt.expand import (
+from im_pnt.model.action import FunctionAction, RequestAction
+from im_pnt.model.expand import (
     INPUT_SEMAPHORE,
     OUTPUT_SEMAPHORE,
     active_place,
@@ -17,9 +17,9 @@ from im_pnt.expand import (
     expand,
     input_place,
 )
-from im_pnt.layers import Box, Edge
-from im_pnt.net import Arcs, Net, Place, Role, Transition
-from im_pnt.references import far_edges
+from im_pnt.model.net import Arcs, Net, Place, Role, Transition
+from im_pnt_display.drawing.layout import Edge, NodeBox
+from im_pnt_display.drawing.references import far_edges
 
 RADIUS = 11.0
 REFERENCE_RADIUS = 6.5
@@ -49,7 +49,7 @@ class DrawnNode:
     label: str
     notes: tuple[str, ...]
     tokens: int
-    box: Box
+    box: NodeBox
     place: str = ""
     link: str = ""
     timed: bool = False
@@ -137,7 +137,7 @@ def _distinct(net: Net) -> tuple[Net, dict[str, str]]:
 
 
 def _reference(name: str, node: DrawnNode) -> DrawnNode:
-    box = Box(REFERENCE_RADIUS, REFERENCE_RADIUS + 4 + _NARROW * len(node.label), 2 * REFERENCE_RADIUS)
+    box = NodeBox(REFERENCE_RADIUS, REFERENCE_RADIUS + 4 + _NARROW * len(node.label), 2 * REFERENCE_RADIUS)
     return replace(node, name=name, kind="reference", notes=(), box=box)
 
 
@@ -168,9 +168,9 @@ def _place(place: Place) -> DrawnNode:
     return DrawnNode(place.name, "place", place.name, notes, place.tokens, _round_box(place.name, notes), place.name)
 
 
-def _round_box(label: str, notes: tuple[str, ...]) -> Box:
+def _round_box(label: str, notes: tuple[str, ...]) -> NodeBox:
     wide = max([_WIDE * len(label), *(_NARROW * len(note) for note in notes)])
-    return Box(RADIUS, RADIUS + 5 + wide, 2 * RADIUS)
+    return NodeBox(RADIUS, RADIUS + 5 + wide, 2 * RADIUS)
 
 
 def _transition(transition: Transition) -> DrawnNode:
@@ -178,7 +178,7 @@ def _transition(transition: Transition) -> DrawnNode:
     link = f"{action.net}.{input_place(action.service)}" if isinstance(action, RequestAction) else ""
     notes = tuple(_notes(transition))
     half = max([40.0, _WIDE * len(label), *(_NARROW * len(note) for note in notes)]) / 2 + 7
-    box = Box(half, half, 22.0 + LINE * len(notes))
+    box = NodeBox(half, half, 22.0 + LINE * len(notes))
     timed = transition.delay is not None and action is None and transition.role is Role.PLAIN
     return DrawnNode(label, "transition", label, notes, 0, box, link=link, timed=timed)
 

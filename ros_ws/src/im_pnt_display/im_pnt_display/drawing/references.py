@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Collection, Sequence
 
-from im_pnt.layers import Edge, backward_edges, connected, depths
+from im_pnt_display.drawing.layout import Edge, backward_edges, connected, depths
 
 _FAILURE_SPAN, _RETURN_SPAN, _JUNCTION, _LAYERS = 3, 6, 4, 18
 _ANY_SPAN = 1000

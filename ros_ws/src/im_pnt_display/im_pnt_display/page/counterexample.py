@@ -1,39 +1,28 @@
-"""What the page draws: a net as plain data, and a firing sequence as the markings that it leads through."""
+"""A counterexample as the page plays it: the markings that its firings lead through, and drawings to see them on."""
 
 from collections.abc import Sequence
 
-from im_pnt.draw import draw
-from im_pnt.net import Net
-from im_pnt.replay import Script, replay
+from im_pnt.model.net import Net
+from im_pnt_analysis.simulation.replay import FiringSequence, replay
+from im_pnt_display.page.state import net_content
 
 
-def description(net: Net) -> dict[str, object]:
-    """Returns the structure and drawing of a net, as JSON data."""
-    return {
-        "net": net.name,
-        "description": net.description,
-        "symbols": net.symbols(),
-        "services": sorted(net.services),
-        "drawing": draw(net).to_dict(),
-    }
-
-
-def story(nets: Sequence[Net], script: Script) -> dict[str, object]:
+def drawn_counterexample(nets: Sequence[Net], firings: FiringSequence) -> dict[str, object]:
     """Returns the steps of a firing sequence, with the drawings to see them on, as JSON data.
 
     Args:
         nets: The nets that it is for, as written.
-        script: The sequence, for instance a counterexample.
+        firings: The sequence, for instance a counterexample.
 
     Raises:
         NetError: The sequence does not fit to the nets.
     """
-    steps = [{"fired": step.transition, "markings": _by_net(nets, step.marking)} for step in replay(nets, script)]
+    steps = [{"fired": step.transition, "markings": _by_net(nets, step.marking)} for step in replay(nets, firings)]
     return {
-        "reason": script.reason,
-        "drawings": [description(net) for net in nets],
+        "reason": firings.reason,
+        "drawings": [net_content(net) for net in nets],
         "steps": steps,
-        "repeats": len(script.sequence) if script.repeat else None,
+        "repeats": len(firings.sequence) if firings.repeat else None,
     }
 
 

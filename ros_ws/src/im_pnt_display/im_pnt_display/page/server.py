@@ -11,14 +11,14 @@ from urllib.parse import urlsplit
 from aiohttp import WSMsgType, web
 
 from im_core.errors import ImError, LinkError, WaitTimeoutError
-from im_pnt.display.state import Change, DisplayState
+from im_pnt_display.page.state import Change, DisplayState
 
 STATIC = Path(__file__).parent / "static"
 VIEWER_BACKLOG = 500
 PORTS_TRIED = 20
 START_TIMEOUT_S = 10.0
 
-Operate = Callable[[Mapping[str, object]], None]
+Operate = Callable[[Mapping[str, str]], None]
 """Takes what a viewer asks for: ``net``, ``request`` and ``argument``; called in the server's thread."""
 
 
@@ -164,11 +164,11 @@ async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -
         await socket.send_str(await backlog.get())
 
 
-def _wanted(text: str) -> Mapping[str, object] | None:
+def _wanted(text: str) -> Mapping[str, str] | None:
     """Returns what a viewer asks for, None if it makes no sense."""
     try:
         wanted = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     keys = ("net", "request", "argument")
     return wanted if isinstance(wanted, dict) and all(isinstance(wanted.get(key), str) for key in keys) else None

@@ -3,9 +3,23 @@
 from collections import deque
 from collections.abc import Mapping
 
+from im_pnt.model.net import Net
+from im_pnt_display.drawing.draw import draw
+
 FIRINGS_KEPT = 300
 
 Change = dict[str, object]
+
+
+def net_content(net: Net) -> dict[str, object]:
+    """Returns the structure and drawing of a net, as JSON data."""
+    return {
+        "net": net.name,
+        "description": net.description,
+        "symbols": net.symbols(),
+        "services": sorted(net.services),
+        "drawing": draw(net).to_dict(),
+    }
 
 
 class DisplayState:

@@ -1,9 +1,13 @@
 """``pnt_display``: shows every net of the machine on a web page."""
 
-import json
 import sys
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import partial
+
+from rclpy.client import Client
+from rclpy.parameter import Parameter
 
 from im_core.errors import ImError, NotFoundError
 from im_core.names import run_dir
@@ -13,25 +17,26 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.run import main as run_main
 from im_msgs.msg import Firing, Marking, NetDescription, NetRefusal
 from im_msgs.srv import ControlNet
-from im_pnt.display.server import DisplayServer
-from im_pnt.events import Phase
+from im_pnt_display.page import messages
+from im_pnt_display.page.server import DisplayServer
 
 ANSWER_S = 5.0
 
 
 class DisplayNode(ManagedNode):
-    """ROS shell of :class:`im_pnt.display.server.DisplayServer`; translates messages, decides nothing.
+    """ROS shell of :class:`im_pnt_display.page.server.DisplayServer`; translates messages, decides nothing.
 
     Parameters: ``host`` (127.0.0.1) and ``port`` (8080; the next free one if in use).
     """
 
-    def __init__(self, **kwargs: object) -> None:
-        super().__init__("pnt_display", **kwargs)
+    def __init__(self, *, parameter_overrides: list[Parameter] | None = None) -> None:
+        super().__init__("pnt_display", parameter_overrides=parameter_overrides)
         host = str(self.declare_parameter("host", "127.0.0.1").value)
         port = int(self.declare_parameter("port", 8080).value)
         self.server = DisplayServer(host, port, self._wanted)
+        self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
         self._nodes: dict[str, str] = {}
-        self._operators: dict[str, Any] = {}
+        self._operators: dict[str, Client] = {}
 
     def phase_configure(self) -> None:
         """Opens the page and follows the nets.
@@ -49,60 +54,74 @@ class DisplayNode(ManagedNode):
 
     def phase_shutdown(self) -> None:
         """Closes the page."""
+        self._drawing.shutdown(wait=False, cancel_futures=True)
         self.server.stop()
         (run_dir() / "pnt_display.url").unlink(missing_ok=True)
 
     def _describe(self, message: NetDescription) -> None:
-        try:
-            content = json.loads(message.json)
-        except json.JSONDecodeError as error:
-            self.get_logger().warning(f"the description of net {message.net} cannot be read: {error}")
-            return
-        self._nodes[message.net] = message.node
-        self.server.show(self.server.state.net(message.net, message.node, content))
+        self._draw(partial(self._draw_net, message))
 
     def _refuse(self, message: NetRefusal) -> None:
-        try:
-            content = json.loads(message.json)
-        except json.JSONDecodeError as error:
-            self.get_logger().warning(f"the refusal of net {message.net} cannot be read: {error}")
-            return
-        refusal = {"message": message.message, "counterexample": content}
-        self.server.show(self.server.state.refusal(message.net, refusal))
+        self._draw(partial(self._draw_refusal, message))
+
+    def _draw(self, work: Callable[[], None]) -> None:
+        with suppress(RuntimeError):  # the display has closed; nothing more is drawn
+            self._drawing.submit(work)
+
+    def _draw_net(self, message: NetDescription) -> None:
+        with self._warning(f"the description of net {message.net}"):
+            content = messages.described_net(message.net, message.json, message.node)
+            self._nodes[message.net] = message.node
+            self.server.show(self.server.state.net(message.net, message.node, content))
+
+    def _draw_refusal(self, message: NetRefusal) -> None:
+        with self._warning(f"the refusal of net {message.net}"):
+            refusal = {"message": message.message, "counterexample": messages.counterexample(message.json)}
+            self.server.show(self.server.state.refusal(message.net, refusal))
 
     def _mark(self, message: Marking) -> None:
-        marking = {
-            "tokens": {place: int(count) for place, count in zip(message.places, message.tokens, strict=False)},
-            "active": list(message.active),
-            "cancelling": list(message.cancelling),
-            "in_doubt": list(message.in_doubt),
-            "sequence": int(message.sequence),
-            "mode": message.mode,
-            "paused": message.paused,
-            "proposed": list(message.proposed),
-        }
-        self.server.show(self.server.state.marking(message.net, marking))
+        with self._warning(f"the marking of net {message.net}"):
+            marking = {
+                "tokens": messages.token_counts(message.places, message.tokens),
+                "active": list(message.active),
+                "cancelling": list(message.cancelling),
+                "in_doubt": list(message.in_doubt),
+                "sequence": int(message.sequence),
+                "mode": message.mode,
+                "paused": message.paused,
+                "proposed": list(message.proposed),
+            }
+            self.server.show(self.server.state.marking(message.net, marking))
 
     def _fire(self, message: Firing) -> None:
-        firing = {
-            "time": message.stamp.sec + message.stamp.nanosec * 1e-9,
-            "net": message.net,
-            "transition": message.transition,
-            "sequence": int(message.sequence),
-            "phase": Phase(message.phase).name if message.phase in list(Phase) else str(message.phase),
-            "symbol": message.symbol,
-            "command": int(message.command_id),
-            "message": message.message,
-            "duration": message.duration,
-            "progress": message.progress,
-        }
-        self.server.show(self.server.state.firing(firing))
+        with self._warning(f"a firing of net {message.net}"):
+            firing = {
+                "time": message.stamp.sec + message.stamp.nanosec * 1e-9,
+                "net": message.net,
+                "transition": message.transition,
+                "sequence": int(message.sequence),
+                "phase": messages.phase_name(message.phase),
+                "symbol": message.symbol,
+                "command": int(message.command_id),
+                "message": message.message,
+                "duration": messages.finite("duration", message.duration),
+                "progress": messages.finite("progress", message.progress),
+            }
+            self.server.show(self.server.state.firing(firing))
+
+    @contextmanager
+    def _warning(self, what: str) -> Iterator[None]:
+        """Leaves a warning in the log where a message cannot be shown."""
+        try:
+            yield
+        except Exception as error:  # whatever arrives leaves a sentence, and the display goes on
+            why = error.message if isinstance(error, ImError) else repr(error)
+            self.get_logger().warning(f"{what} cannot be shown: {why}")
 
     # What viewers ask for; it comes in the server's thread.
 
-    def _wanted(self, wanted: Mapping[str, Any]) -> None:
-        self.executor.create_task(self._operate(wanted["net"], wanted["request"], wanted["argument"]))
-        self.wake()
+    def _wanted(self, wanted: Mapping[str, str]) -> None:
+        self.spawn(self._operate(wanted["net"], wanted["request"], wanted["argument"]))
 
     async def _operate(self, net: str, request: str, argument: str) -> None:
         try:
@@ -113,7 +132,7 @@ class DisplayNode(ManagedNode):
         else:
             self.server.show(self.server.state.answer(net, answer.success, answer.message))
 
-    def _operator(self, net: str) -> Any:
+    def _operator(self, net: str) -> Client:
         """The client that operates a net.
 
         Raises:

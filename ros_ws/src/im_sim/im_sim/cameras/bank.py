@@ -6,21 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
-from im_core.robot import Cell
-from im_core.robot.truth import CellTruth
-from im_core.testbed_link import Exposure
-from im_vss.camera.laser import LaserLight
-from im_vss.camera.lens import FloatImage, Lens, vignette
-from im_vss.camera.light import Spot, add_spot, image_of_light
-from im_vss.camera.mirror import reflect
-from im_vss.camera.plates import Plates
-from im_vss.camera.scene import SceneMirror
-from im_vss.camera.sensor import noise_stream, read_out
-from im_vss.camera.targets import TargetPatch, target_patch
-from im_vss.settings import VssSettings
-from im_vss.spot import SensorNoise
-from im_vss.stopwatch import Stopwatch
+from im_cell.camera_model import CameraModel
+from im_cell.link import Exposure
+from im_cell.robot import Cell
+from im_cell.robot.truth import CellTruth
+from im_cell.sensor import SensorNoise
+from im_core.stopwatch import Stopwatch
+from im_sim.cameras.laser import LaserLight
+from im_sim.cameras.lens import FloatImage, Lens, vignette
+from im_sim.cameras.light import Spot, add_spot, image_of_light, reflect
+from im_sim.cameras.plates import Plates, TargetPatch, target_patch
+from im_sim.cameras.protocol import CameraSettings
+from im_sim.cameras.scene import SceneMirror
+from im_sim.cameras.sensor import noise_stream, read_out
 
 Array = NDArray[np.float64]
 
@@ -49,13 +47,13 @@ class _Camera:
 class CameraBank:
     """Makes the image of each camera for an exposure."""
 
-    def __init__(self, cell: Cell, truth: CellTruth, settings: VssSettings, scene: SceneMirror, seed: int) -> None:
+    def __init__(self, cell: Cell, truth: CellTruth, settings: CameraSettings, scene: SceneMirror, seed: int) -> None:
         """Set up the cameras.
 
         Args:
             cell: Geometry of the scene.
             truth: What cameras and lights are really like.
-            settings: Data sheet and nominal exposure.
+            settings: Cameras in use, data sheet and nominal exposure.
             scene: Mirror of the testbed.
             seed: Seed of the noise.
         """
@@ -82,7 +80,7 @@ class CameraBank:
         unit = self._cameras[camera]
         self._scene.set_joints(exposure.q_true)
         placed = self._placed(unit)
-        strength = exposure_s / self._settings.exposure.nominal * self._settings.sensor.gain / sensor.gain
+        strength = exposure_s / self._settings.nominal_exposure * self._settings.sensor.gain / sensor.gain
         mean = self._scene_of(unit, placed, exposure.q_true) * np.float32(BACKGROUND_DN)
         with self._watch.step("lights_s"):
             for spot, share in self._spots(camera, placed, exposure):

@@ -1,54 +1,47 @@
 """The node's end of the camera process: starts it, orders images, starts it again when it dies."""
 
 import threading
-from collections.abc import Callable
-from typing import Protocol
 
-from im_core import clock
-from im_core.errors import ImError, LinkError, WaitTimeoutError
-from im_core.robot import Cell
+from pydantic import ValidationError
+
+from im_cell.frames import Frame, FrameSet, FrameSource, FrameSourceSetup, SnapOrder
+from im_cell.robot.truth import FILE_NAME
+from im_cell.sensor import SensorControls
+from im_core import clock, names
+from im_core.config import faults
+from im_core.errors import ConfigError, ImError, LinkError, WaitTimeoutError
+from im_core.process import ChildProcess
 from im_core.shm import MessageRing, Semaphore, SharedBlock
-from im_vss.camera.protocol import ChannelNames, ImageStore, Reply, Request
-from im_vss.frames import Frame, FrameSet, SensorControls, SnapOrder
+from im_sim.cameras.protocol import CameraReply, CameraRequest, CameraSettings, ChannelNames, ImageStore
 
 _SLICE_S = 0.1
 _RENDER_BUDGET_S = 5.0
 
 
-class Child(Protocol):
-    """A child process, such as :class:`im_core.ros.subprocess.ChildProcess`."""
-
-    def poll(self) -> int | None:
-        """Exit code, or None while it runs."""
-
-    def last_words(self) -> str:
-        """The last line it wrote."""
-
-    def terminate(self) -> None:
-        """End it."""
-
-
-class CameraHost:
+class CameraHost(FrameSource):
     """Owns the camera process; one order at a time.
 
     Args:
-        instance: Name of the machine's instance.
-        cell: Cameras and their image sizes.
-        spawn: Starts the camera process with the given renderer (``auto``, ``egl`` or ``tiny``).
-        renderer: Renderer to start with; ``auto`` turns into ``tiny`` when the process crashed before it was ready.
-        start_timeout_s: How long it may take until ready [s].
+        setup: Cameras; the source's own settings are ``renderer``: ``auto``, ``egl`` or ``tiny``. ``auto`` turns into
+            ``tiny`` when the process crashed before it was ready.
+
+    Raises:
+        ConfigError: The settings are wrong.
     """
 
-    def __init__(
-        self, instance: str, cell: Cell, spawn: Callable[[str], Child], renderer: str, start_timeout_s: float
-    ) -> None:
-        self._names = ChannelNames(instance)
-        self._store = ImageStore(cell)
-        self._spawn = spawn
-        self._renderer = renderer
-        self._start_timeout_s = start_timeout_s
+    def __init__(self, setup: FrameSourceSetup) -> None:
+        known = {"cameras": setup.cameras, "sensor": setup.sensor, "nominal_exposure": setup.nominal_exposure_s}
+        try:
+            self._settings = CameraSettings.model_validate({**setup.settings, **known})
+        except ValidationError as error:
+            first = faults(error, CameraSettings)[0]
+            raise ConfigError(f"frame_source.settings.{first.field}: {first.sentence}", field=first.field) from error
+        self._cell_file = setup.cell_file
+        self._start_timeout_s = setup.start_timeout_s
+        self._names = ChannelNames(names.instance())
+        self._store = ImageStore(setup.cell)
         self._lock = threading.Lock()
-        self._child: Child | None = None
+        self._child: ChildProcess | None = None
         self._ready = False
         self._number = 0
 
@@ -84,7 +77,7 @@ class CameraHost:
         finally:
             self._lock.release()
 
-    def take(self, order: SnapOrder) -> FrameSet:
+    def take_frames(self, order: SnapOrder) -> FrameSet:
         """Expose and read out.
 
         Raises:
@@ -101,14 +94,16 @@ class CameraHost:
             self._await_ready()
             self._number += 1
             controls = {camera: order.controls.get(camera, SensorControls()) for camera in order.cameras}
-            request = Request(self._number, order.cameras, order.strobes, order.exposure_s, order.timeout_s, controls)
+            request = CameraRequest(
+                self._number, order.cameras, order.strobes, order.exposure_s, order.timeout_s, controls
+            )
             self._requests.send(request.to_json())
             self._requested.post()
             timeout_s = len(order.blank_light) * order.timeout_s + _RENDER_BUDGET_S
             try:
                 reply = self._receive(self._number, timeout_s)
             except WaitTimeoutError:
-                self._child.terminate()
+                self._child.stop()
                 raise
             if reply.error is not None:
                 raise ImError.restored(reply.error["code"], reply.error["message"], reply.error["facts"])
@@ -128,25 +123,30 @@ class CameraHost:
         with self._lock:
             if self._child is None:
                 return
-            self._child.terminate()
+            self._child.stop()
             self._child = None
             self._release()
 
     def _start(self) -> None:
-        names = self._names
-        self._images = SharedBlock.create(names.images, self._store.size)
+        channels = self._names
+        self._images = SharedBlock.create(channels.images, self._store.size)
         self._images.publish()
-        self._replies = MessageRing.create(names.replies)
-        self._requested = Semaphore.create(names.requested)
-        self._replied = Semaphore.create(names.replied)
-        self._requests = MessageRing.create(names.requests)
+        self._replies = MessageRing.create(channels.replies)
+        self._requested = Semaphore.create(channels.requested)
+        self._replied = Semaphore.create(channels.replied)
+        self._requests = MessageRing.create(channels.requests)
         self._ready = False
-        self._child = self._spawn(self._renderer)
+        run_dir = names.run_dir()
+        arguments = ["--instance", names.instance(), "--truth", str(run_dir / FILE_NAME)]
+        arguments += ["--settings", self._settings.model_dump_json()]
+        arguments += ["--cell", str(self._cell_file)] if self._cell_file else []
+        self._child = ChildProcess.of_module("im_sim.cameras", arguments, log=run_dir / "camera.log")
 
     def _restart(self) -> None:
         code = self._child.poll() if self._child is not None else None
-        if not self._ready and self._renderer == "auto" and code is not None and code < 0:
-            self._renderer = "tiny"  # a graphics driver that crashes does so at the start
+        if not self._ready and self._settings.renderer == "auto" and code is not None and code < 0:
+            # a graphics driver that crashes does so at the start
+            self._settings = self._settings.model_copy(update={"renderer": "tiny"})
         self._release()
         self._start()
 
@@ -161,24 +161,21 @@ class CameraHost:
                 raise ImError.restored(reply.error["code"], reply.error["message"], reply.error["facts"])
             self._ready = True
 
-    def _receive(self, number: int, timeout_s: float) -> Reply:
+    def _receive(self, number: int, timeout_s: float) -> CameraReply:
         """The reply to a request; older ones are dropped."""
         deadline = clock.monotonic() + timeout_s
         while clock.monotonic() < deadline:
             message = self._replies.receive()
             if message is None:
                 if self._child is not None and self._child.poll() is not None and self._replies.empty():
-                    raise LinkError(self._obituary(), process="im_vss.camera")
+                    raise LinkError(self._obituary(), process="im_sim.cameras")
                 self._replied.wait(_SLICE_S)
                 continue
-            reply = Reply.from_json(message)
+            reply = CameraReply.from_json(message)
             if reply.number == number:
                 return reply
         what = "the camera process to answer" if number else "the camera process to be ready"
         raise WaitTimeoutError(what=what, seconds=timeout_s)
 
     def _obituary(self) -> str:
-        child = self._child
-        if child is None:
-            return "the camera process is missing"
-        return f"the camera process is missing: it ended with code {child.poll()}: {child.last_words()}"
+        return "the camera process is missing" + (f": {self._child.obituary()}" if self._child is not None else "")

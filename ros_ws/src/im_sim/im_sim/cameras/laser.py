@@ -6,15 +6,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
-from im_core.laser_model import LaserModel
-from im_core.robot import Box, Cell
-from im_core.testbed_link import Exposure, LaserBeam
-from im_vss.camera.lens import FloatImage
-from im_vss.camera.light import REFERENCE_AMPLITUDE_DN, REFERENCE_DISTANCE_M, Spot, add_spot
-from im_vss.camera.plates import Plates
-from im_vss.camera.scene import SceneMirror
-from im_vss.spot.psf import amplitude_to_flux
+from im_cell.camera_model import CameraModel
+from im_cell.laser_model import LaserModel
+from im_cell.link import Exposure, LaserBeam
+from im_cell.psf import amplitude_to_flux
+from im_cell.robot import Box, Cell
+from im_sim.cameras.lens import FloatImage
+from im_sim.cameras.light import REFERENCE_AMPLITUDE_DN, REFERENCE_DISTANCE_M, Spot, add_spot
+from im_sim.cameras.plates import Plates
+from im_sim.cameras.scene import SceneMirror
 
 Array = NDArray[np.float64]
 

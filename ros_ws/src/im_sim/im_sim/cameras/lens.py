@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 
 FloatImage = NDArray[np.float32]
 Array = NDArray[np.float64]

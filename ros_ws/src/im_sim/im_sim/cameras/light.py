@@ -1,12 +1,13 @@
-"""The wrist light as a camera sees it."""
+"""The wrist light as a camera sees it, directly and in flat metal."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
-from im_vss.spot.psf import amplitude_to_flux, pixel_integrals
+from im_cell.camera_model import CameraModel
+from im_cell.psf import amplitude_to_flux, pixel_integrals
+from im_cell.robot import Mirror
 
 Array = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -16,8 +17,11 @@ REFERENCE_AMPLITUDE_DN = 165.0
 """Peak of a light seen along its axis from the reference distance, at the nominal exposure."""
 SIDEWAYS_LOSS = 0.3
 """Share of its brightness a light loses seen at a right angle to its axis."""
+
 _REFERENCE_SIGMA_PX = 1.2
 _PATCH_SIGMAS = 6.0
+_AXES = {"x": 0, "y": 1, "z": 2}
+_SKIN_M = 0.002
 
 
 @dataclass(frozen=True)
@@ -78,3 +82,43 @@ def add_spot(image: FloatImage, spot: Spot, strength: float) -> None:
     along_v = pixel_integrals(spot.uv[1], spot.sigma, rows)
     area = np.s_[int(rows[0]) : int(rows[-1]) + 1, int(columns[0]) : int(columns[-1]) + 1]
     image[area] += strength * spot.flux * np.outer(along_v, along_u)
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """A light seen in a mirror: its virtual position [m] and axis, and where the mirror throws it back [m]."""
+
+    position: Array
+    axis: Array
+    bounce: Array
+
+
+def reflect(
+    mirror: Mirror, rotation: Array, origin: Array, position: Array, axis: Array, eye: Array
+) -> Reflection | None:
+    """The image of a light in a mirror.
+
+    Args:
+        mirror: The mirror.
+        rotation: Rotation of its link -> world, shape (3, 3).
+        origin: Origin of its link in the world, shape (3,) [m].
+        position: The light in the world, shape (3,) [m].
+        axis: Direction the light faces, shape (3,).
+        eye: Optical centre of the camera, shape (3,) [m].
+
+    Returns:
+        The reflection, None where the mirror throws nothing from the light to the camera.
+    """
+    across = _AXES[mirror.axis]
+    normal, centre = rotation[:, across], origin + rotation @ np.array(mirror.center)
+    height, eye_height = normal @ (position - centre), normal @ (eye - centre)
+    if height <= _SKIN_M or eye_height <= _SKIN_M:
+        return None
+    bounce = position + (eye - position) * height / (height + eye_height)
+    bounce = bounce - normal * (normal @ (bounce - centre))
+    within = np.delete(rotation.T @ (bounce - centre), across)
+    if np.any(np.abs(within) > 0.5 * np.array(mirror.size)):
+        return None
+    return Reflection(
+        position - 2.0 * height * normal, axis - 2.0 * (normal @ axis) * normal, bounce + _SKIN_M * normal
+    )

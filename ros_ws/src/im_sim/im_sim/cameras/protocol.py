@@ -1,18 +1,36 @@
-"""What passes between the camera process and its host: shared memory names, requests and replies."""
+"""What passes between the camera process and its host: settings, shared memory names, requests and replies."""
 
 from dataclasses import asdict, dataclass
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from im_cell.robot import Cell
+from im_cell.sensor import SensorControls, SensorNoise
+from im_core.config import Model
 from im_core.errors import DataError, ImError
-from im_core.robot import Cell
 from im_core.shm import SharedBlock
-from im_vss.frames import SensorControls
 
 MOST_FRAMES = 4
 """Most exposures of a request."""
+
+
+class CameraSettings(Model):
+    """What the simulated cameras are.
+
+    Attributes:
+        cameras: Names of those in use.
+        sensor: Their data sheet.
+        nominal_exposure: Length of the exposure that brightnesses are given for [s].
+        renderer: How the scene is rendered; ``auto``: by EGL where its plug-in loads, else by software.
+    """
+
+    cameras: tuple[str, ...]
+    sensor: SensorNoise
+    nominal_exposure: Annotated[float, Field(gt=0.0)]
+    renderer: Literal["auto", "egl", "tiny"] = "auto"
 
 
 @dataclass(frozen=True)
@@ -48,8 +66,8 @@ class ChannelNames:
 
 
 @dataclass(frozen=True)
-class Request:
-    """An order for the camera process; see :class:`im_vss.frames.SnapOrder`."""
+class CameraRequest:
+    """An order for the camera process; see :class:`im_cell.frames.SnapOrder`."""
 
     number: int
     cameras: tuple[str, ...]
@@ -71,7 +89,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Reply:
+class CameraReply:
     """The camera process's answer; ``number`` 0 is its first message: it is ready.
 
     Attributes:

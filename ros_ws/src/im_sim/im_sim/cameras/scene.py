@@ -7,12 +7,10 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
+from im_cell.robot import ORIGIN, Cell, Vector, far_end, urdf
 from im_core.errors import ConfigError
-from im_core.robot import Cell, urdf
-from im_core.robot.parameters import Vector
-from im_core.robot.tree import ORIGIN, far_end
-from im_vss.camera.lens import FloatImage, Pinhole
+from im_sim.cameras.lens import FloatImage, Pinhole
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from im_vss.spot import SensorNoise
+from im_cell.sensor import SensorNoise
 
 FloatImage = NDArray[np.float32]
 

@@ -12,20 +12,19 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
+from im_cell.link import PanelEnd
+from im_cell.robot import load_cell
+from im_cell.robot.truth import FILE_NAME, CellTruth
 from im_core import clock, names, shm
 from im_core.errors import ConfigError, DataError, ImError, LinkError, StateError
 from im_core.files import write_whole
-from im_core.robot import load_cell
-from im_core.robot.truth import FILE_NAME, CellTruth
+from im_core.process import ChildProcess
 from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
-from im_core.ros.subprocess import ChildProcess
-from im_core.testbed_link import Slot, TestbedLink
 from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
-from im_sim.faults import FaultPanel
-from im_sim.lights import Lights
+from im_sim.panel import FaultPanel, Lights
 from im_sim.truth import draw_truth
 
 START_TIMEOUT_S = 20.0
@@ -45,7 +44,7 @@ class TestbedNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("testbed")
         self._child: ChildProcess | None = None
-        self._link: TestbedLink | None = None
+        self._link: PanelEnd | None = None
         self._truth: CellTruth | None = None
         self._published_tick, self._published_at = -1, 0.0
         self._last_diagnosed = (0, clock.monotonic())
@@ -77,7 +76,7 @@ class TestbedNode(ManagedNode):
         arguments += ["--period", repr(self._cell.period)]
         if path:
             arguments += ["--config", path]
-        self._child = ChildProcess("im_sim.physics", arguments, run_dir / "physics.log")
+        self._child = ChildProcess.of_module("im_sim.physics", arguments, log=run_dir / "physics.log")
         self._link = self._attach(self._child)
 
     def phase_start(self) -> None:
@@ -92,20 +91,20 @@ class TestbedNode(ManagedNode):
         if link is not None:
             link.close()
         if self._child is not None:
-            self._child.terminate()
+            self._child.stop()
             shm.remove_all(f"{names.instance()}_testbed")
 
-    def _attach(self, child: ChildProcess) -> TestbedLink:
+    def _attach(self, child: ChildProcess) -> PanelEnd:
         deadline = clock.monotonic() + START_TIMEOUT_S
         while True:
             try:
-                return TestbedLink.attach(names.instance(), timeout_s=0.1)
+                return PanelEnd.attach(names.instance(), timeout_s=0.1)
             except LinkError:
                 child.check()
                 if clock.monotonic() > deadline:
                     raise
 
-    def _running(self) -> TestbedLink:
+    def _running(self) -> PanelEnd:
         if self._link is None:
             raise StateError("the testbed is not configured yet" if not self.failed else self.failed)
         if self.failed:
@@ -136,14 +135,13 @@ class TestbedNode(ManagedNode):
         last_tick, last_now = self._last_diagnosed
         self._last_diagnosed = (tick, now)
         speed = (tick - last_tick) * self._link.period_s / max(now - last_now, 1e-9)
-        truth = self._link.read_truth()
         values = {
             "tick": tick,
             "testbed time [s]": f"{tick * self._link.period_s:.4f}",
             "clock factor": self._link.factor,
             "speed [testbed s / s]": f"{speed:.3f}",
-            "servo process": truth.servo_pid or "none",
-            "servos lost": truth.servo_losses,
+            "servo process": self._link.servo_pid or "none",
+            "servos lost": self._link.servo_losses,
         }
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if self.failed else DiagnosticStatus.OK,
@@ -200,7 +198,7 @@ class TestbedNode(ManagedNode):
             link = self._running()
             duration = _number(request.duration, "duration", lowest=0.0, highest=LONGEST_ADVANCE_S)
             ticks = math.ceil(round(duration / link.period_s, 6))
-            until = link.request_time(Slot.TESTBED, ticks)
+            until = link.request_time(ticks)
             slowest = min(link.factor, 0.5) or 0.5
             tick = await run_in_thread(self, link.wait_tick, until, 10.0 + duration / slowest)
         except ImError as error:

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from im_cell.sensor import SensorNoise
 from im_core.config import Model
 from im_vss.edges.step import StepFit, fit_step
-from im_vss.spot import SensorNoise
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

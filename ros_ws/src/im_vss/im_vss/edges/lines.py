@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
+from im_cell.sensor import SensorNoise
 from im_core.config import Model
 from im_core.errors import DataError
-from im_vss.edges.band import Image, StraightEdge, follow_edge
-from im_vss.spot import SensorNoise
+from im_vss.edges.step import Image, StraightEdge, follow_edge
 
 Array = NDArray[np.float64]
 

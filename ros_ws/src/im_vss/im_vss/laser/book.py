@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.calibration_files import LASER, CalibrationFiles, LaserEstimate, laser_yaml
+from im_cell.calibration_files import LASER, CalibrationFiles, LaserEstimate, laser_yaml
+from im_cell.laser_model import LaserModel
+from im_cell.robot import LaserScanner
 from im_core.errors import DataError
 from im_core.files import write_whole
-from im_core.laser_model import LaserModel
-from im_core.robot.scenery import LaserScanner
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class LaserBook:
         self._change(LaserEntry(model, path), LaserEstimate(model, covariance))
         return path
 
-    def take(self, files: CalibrationFiles) -> None:
+    def adopt(self, files: CalibrationFiles) -> None:
         """Use the calibration of an earlier run, if it has one, and write what is in use now.
 
         Raises:

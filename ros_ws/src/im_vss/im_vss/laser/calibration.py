@@ -14,9 +14,9 @@ from pydantic import Field
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from im_cell.laser_model import LaserModel
+from im_cell.robot import LaserScanner
 from im_core.config import Model
-from im_core.laser_model import LaserModel
-from im_core.robot.scenery import LaserScanner
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Where a laser line is in an image: one place in each row, or in each column where the line lies flat."""
+"""Where a laser line is: one place in each row of an image, or in each column; and matched between two cameras."""
 
 from dataclasses import dataclass
 
@@ -7,17 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
+from im_cell.laser_model import LaserModel
+from im_cell.link import LaserBeam
+from im_cell.sensor import SensorNoise
 from im_core.config import Model
-from im_core.laser_model import LaserModel
-from im_core.testbed_link import LaserBeam
-from im_vss.spot import SensorNoise
+from im_vss.stereo import essential_matrix
 
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]
 
 _REACH_SIGMAS = 4.0
 _RIVAL_PX = 6
+_NEIGHBOURS_PX = 4.0
 
 
 class LaserLineGates(Model):
@@ -106,3 +108,60 @@ def _response(on: Frame, off: Frame, sigma: float, noise: SensorNoise) -> Array:
     whitened = cv2.subtract(on, off, dtype=cv2.CV_32F) / np.sqrt(2.0 * noise.variance(background))
     one = np.ones((1, 1), dtype=np.float32)
     return np.asarray(cv2.sepFilter2D(whitened, cv2.CV_32F, kernel, one, borderType=cv2.BORDER_CONSTANT), dtype=float)
+
+
+@dataclass(frozen=True)
+class LineMatches:
+    """Places that were matched.
+
+    Attributes:
+        points: In the world, shape (k, 3) [m].
+        places: Which of the first camera's places each is, shape (k,).
+        rejected: Places of the first camera without a point, by cause.
+    """
+
+    points: Array
+    places: NDArray[np.int64]
+    rejected: dict[str, int]
+
+
+def match_lines(cameras: tuple[CameraModel, CameraModel], first: Array, second: Array) -> LineMatches:
+    """Triangulate a line.
+
+    Args:
+        cameras: Two, with their poses.
+        first: Places of the line in the first, in order along it, shape (n, 2) [px].
+        second: The same in the second, shape (m, 2) [px].
+
+    Raises:
+        DataError: The lens model cannot be inverted at a place.
+    """
+    x, y = (_ideal(camera, pixels) for camera, pixels in zip(cameras, (first, second), strict=True))
+    side = x @ essential_matrix(*cameras).T @ y.T
+    next_to = np.linalg.norm(np.diff(second, axis=0), axis=1) <= _NEIGHBOURS_PX
+    crosses = (np.sign(side[:, :-1]) != np.sign(side[:, 1:])) & next_to
+    count = crosses.sum(axis=1)
+    places = np.flatnonzero(count == 1)
+    here = crosses[places].argmax(axis=1)
+    before, after = side[places, here], side[places, here + 1]
+    share = (before / (before - after))[:, None]
+    matched = (1.0 - share) * y[here] + share * y[here + 1]
+    causes = {"no match in the other camera": count == 0, "more than one match in the other camera": count > 1}
+    rejected = {cause: int(which.sum()) for cause, which in causes.items() if which.any()}
+    return LineMatches(_nearest(cameras, x[places], matched), places, rejected)
+
+
+def _ideal(camera: CameraModel, pixels: Array) -> Array:
+    """Ideal images on the plane z = 1, shape (n, 3) [-], of pixels, shape (n, 2)."""
+    return np.column_stack((camera.undistort(pixels).reshape(-1, 2), np.ones(len(pixels))))
+
+
+def _nearest(cameras: tuple[CameraModel, CameraModel], x: Array, y: Array) -> Array:
+    """Points half way between pairs of rays, where they are nearest, shape (k, 3) [m]; rays by ideal images."""
+    u, v = x @ cameras[0].R_cam_base, y @ cameras[1].R_cam_base
+    base = cameras[1].position - cameras[0].position
+    uu, uv, vv = (np.einsum("ni,ni->n", a, b) for a, b in ((u, u), (u, v), (v, v)))
+    along = (vv * (u @ base) - uv * (v @ base)) / (uu * vv - uv**2)
+    across = (uv * (u @ base) - uu * (v @ base)) / (uu * vv - uv**2)
+    ends = cameras[0].position + along[:, None] * u, cameras[1].position + across[:, None] * v
+    return np.asarray(0.5 * (ends[0] + ends[1]))

@@ -2,10 +2,10 @@
 
 from typing import Protocol
 
+from im_cell.link import LaserBeam, LaserEnd
+from im_cell.robot import LaserScanner
 from im_core import clock
 from im_core.errors import LimitError, LinkError, StateError, WaitTimeoutError
-from im_core.robot.scenery import LaserScanner
-from im_core.testbed_link import LaserBeam, Slot, TestbedLink
 
 _THERE_RAD = 1e-9
 _SPARE_TICKS = 2
@@ -41,7 +41,7 @@ class LinkedScanner:
         """Drive the scanner of an instance of the machine, with the rate of its data sheet."""
         self._instance = instance
         self._sheet = sheet
-        self._link: TestbedLink | None = None
+        self._link: LaserEnd | None = None
 
     def drive(self, beam: LaserBeam, timeout_s: float) -> int:
         """See :class:`Scanner`.
@@ -57,7 +57,7 @@ class LinkedScanner:
         ticks = int(way / (self._sheet.rate * link.period_s)) + _SPARE_TICKS
         deadline = clock.monotonic() + timeout_s
         while True:
-            until = link.request_time(Slot.VSS, ticks)
+            until = link.request_time(ticks)
             link.wait_tick(until, max(deadline - clock.monotonic(), _SLICE_S))
             if _near(link.laser(), beam):
                 return until * link.period_ns
@@ -82,13 +82,13 @@ class LinkedScanner:
             self._link.close()
             self._link = None
 
-    def _attached(self) -> TestbedLink:
+    def _attached(self) -> LaserEnd:
         if self._link is not None and not self._link.physics_alive():
             self._link.close()
             self._link = None
         if self._link is None:
             try:
-                self._link = TestbedLink.attach(self._instance, _ATTACH_TIMEOUT_S)
+                self._link = LaserEnd.attach(self._instance, _ATTACH_TIMEOUT_S)
             except LinkError:
                 raise LinkError("the testbed is missing: no laser without its physics process") from None
         return self._link

@@ -2,13 +2,11 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 from im_core.errors import WaitTimeoutError
-from im_vss.managers.lease import Lease
-
-if TYPE_CHECKING:
-    from im_vss.rig import Rig
+from im_vss.managers.vmm import Lease
+from im_vss.rig import Rig
 
 Result = TypeVar("Result")
 
@@ -22,7 +20,7 @@ class VisionModule:
 
     name: ClassVar[str]
 
-    def __init__(self, rig: "Rig") -> None:
+    def __init__(self, rig: Rig) -> None:
         """Attach to the hardware of `rig`."""
         self.rig = rig
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=self.name)

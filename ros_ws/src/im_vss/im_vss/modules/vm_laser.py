@@ -4,9 +4,9 @@ from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
-from im_core.testbed_link import LaserBeam
+from im_cell.link import LaserBeam
 from im_vss.laser.scanner import check_beam
-from im_vss.managers.lease import Lease
+from im_vss.managers.vmm import Lease
 from im_vss.modules.module import VisionModule
 
 

@@ -3,8 +3,8 @@
 from functools import partial
 from typing import ClassVar
 
-from im_vss.frames import FrameSet, SnapOrder
-from im_vss.managers.lease import Lease
+from im_cell.frames import FrameSet, SnapOrder
+from im_vss.managers.vmm import Lease
 from im_vss.modules.module import VisionModule
 
 
@@ -17,6 +17,6 @@ class VmSnap(VisionModule):
         """Expose all cameras of the order together and read them out.
 
         Raises:
-            ImError: See :meth:`VisionModule.run` and :meth:`im_vss.frames.FrameSource.take`.
+            ImError: See :meth:`VisionModule.run` and :meth:`im_cell.frames.FrameSource.take_frames`.
         """
-        return self.run(lease, partial(self.rig.source.take, order))
+        return self.run(lease, partial(self.rig.source.take_frames, order))

@@ -3,8 +3,8 @@
 from functools import partial
 from typing import ClassVar
 
-from im_vss.calibration import Calibration, CalibrationProblem, calibrate
-from im_vss.managers.lease import Lease
+from im_calibration import Calibration, CalibrationProblem, calibrate
+from im_vss.managers.vmm import Lease
 from im_vss.modules.module import VisionModule
 
 

@@ -3,7 +3,7 @@
 from functools import partial
 from typing import ClassVar
 
-from im_vss.managers.lease import Lease
+from im_vss.managers.vmm import Lease
 from im_vss.modules.module import VisionModule
 from im_vss.monitor import Marker
 

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from im_core.robot import Cell
-from im_core.robot.tree import far_end
+from im_cell.robot import Cell, far_end
 from im_core.ros import qos
 
 Array = NDArray[np.float64]

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from std_msgs.msg import Header
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
+from im_cell.laser_model import LaserModel
 from im_core.errors import DataError
-from im_core.laser_model import LaserModel
 from im_msgs.msg import Spot, SpotCandidates
-from im_vss.camera_entry import CameraEntry
+from im_vss.camera_book import CameraEntry
 from im_vss.services.svc_spot_find import CameraSpot
 from im_vss.tools.region import Region
 

@@ -10,30 +10,26 @@ from typing import Any
 
 from sensor_msgs.srv import SetCameraInfo
 
-from im_core import clock, names
-from im_core.calibration_files import read_calibration
+from im_cell.calibration_files import read_calibration
+from im_cell.frames import FrameSource, FrameSourceSetup
+from im_cell.robot import Cell, load_cell
+from im_core import clock, names, plugins
 from im_core.errors import ImError
-from im_core.robot import Cell, load_cell
-from im_core.robot.truth import FILE_NAME
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
-from im_core.ros.subprocess import ChildProcess
-from im_vss.camera.host import CameraHost
 from im_vss.camera_book import CameraBook
-from im_vss.catalogue import load_catalogue, load_class
+from im_vss.catalogue import load_catalogue
 from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import LinkedScanner
 from im_vss.rig import LaserRig, Rig
 from im_vss.ros.askers import Askers
-from im_vss.ros.controls import ControlParameters
-from im_vss.ros.diagnostics import DiagnosticsPort
-from im_vss.ros.image_stream import ImageStream
+from im_vss.ros.controls import ControlParameters, ImageStream
 from im_vss.ros.light_tracker import LightTracker
 from im_vss.ros.messages import from_camera_info
 from im_vss.ros.outputs import ImageOutputs
 from im_vss.ros.ports import Port
-from im_vss.ros.state_port import StatePort
+from im_vss.ros.state import DiagnosticsPort, StatePort
 from im_vss.services.svc_snap import SnapRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import PROCESS, VisionServicesManager
@@ -49,15 +45,14 @@ class VssNode(ManagedNode):
         files = ("settings", "cell", "catalogue", "calibration")
         for parameter, default in (*((file, "") for file in files), ("process", PROCESS)):
             self.declare_parameter(parameter, default)
-        self._host: CameraHost | None = None
+        self._source: FrameSource | None = None
         self._vsm: VisionServicesManager | None = None
 
     def phase_configure(self) -> None:
-        """Load the Services in use and start the camera process."""
-        cell_file, settings_file = self._file("cell"), self._file("settings")
+        """Load the Services in use and start the cameras."""
+        cell_file = self._file("cell")
         cell = load_cell(cell_file)
-        settings = load_settings(cell, settings_file)
-        run_dir = names.run_dir()
+        settings = load_settings(cell, self._file("settings"))
         kept = names.results_dir() / "vss" / f"{names.instance()}-{clock.stamp_name()}"
         self._book = CameraBook(cell, settings.cameras, kept, settings.stereo.pairs)
         laser_book = LaserBook(cell.laser, kept)
@@ -65,14 +60,23 @@ class VssNode(ManagedNode):
         self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
         self._outputs = ImageOutputs(self, self._book, laser_book)
         self._book.on_change = laser_book.on_change = self._outputs.publish_transforms
-        spawn = partial(self._spawn, run_dir, cell_file, settings_file)
-        self._host = CameraHost(names.instance(), cell, spawn, settings.renderer, settings.waits.camera_start)
+        frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
+        setup = FrameSourceSetup(
+            cell,
+            cell_file,
+            settings.cameras,
+            settings.sensor,
+            settings.exposure.nominal,
+            settings.waits.camera_start,
+            settings.frame_source.settings,
+        )
+        self._source = frame_source(setup)
         tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness)
         self._rig = Rig(
             settings,
             cell,
             self._book,
-            self._host,
+            self._source,
             self._outputs,
             light_position=tracker.position,
             mount=lambda frame: tracker.wrist(frame.removesuffix("_wrist")),
@@ -81,37 +85,37 @@ class VssNode(ManagedNode):
         self._controls = ControlParameters(self, settings, self._rig.controls, ImageStream(self, self._take_images))
         catalogue = load_catalogue(self._file("catalogue"))
         self._vsm = VisionServicesManager(self._rig, catalogue, str(self.get_parameter("process").value))
-        self._host.start()
+        self._source.start()
 
     def phase_start(self) -> None:
         """Offer the Services, as soon as the cameras are ready."""
-        assert self._host is not None
+        assert self._source is not None
         assert self._vsm is not None
-        self._host.wait_ready()
+        self._source.wait_ready()
         self._outputs.publish_transforms()
         for name, entry in self._vsm.catalogue.services.items():
-            port: Port = load_class(entry.port, Port)(self._rig)
+            port = plugins.load(entry.port, Port, "port")(self._rig)
             askers = Askers(self, f"/vss/{name}")
             self.create_service(port.kind, f"/vss/{name}", partial(self._serve, name, port, askers))
         StatePort(self, self._vsm)
         DiagnosticsPort(self, self._vsm, self._book, self._laser.book)
-        for entry in self._book.entries():
+        for camera in self._book.entries():
             self.create_service(
-                SetCameraInfo, f"/{entry.name}/set_camera_info", partial(self._set_camera_info, entry.name)
+                SetCameraInfo, f"/{camera.name}/set_camera_info", partial(self._set_camera_info, camera.name)
             )
         self._controls.start()
         self.create_timer(WATCH_PERIOD_S, self._watch, clock=self.steady_clock)
         # Loading these takes seconds that neither the start nor the first calibration need wait for.
-        libraries = ("scipy.stats", "im_vss.calibration.plots")
+        libraries = ("scipy.stats", "im_calibration.reporting.plots")
         threading.Thread(target=lambda: [import_module(name) for name in libraries], daemon=True).start()
 
     def phase_shutdown(self) -> None:
-        """End the camera process."""
+        """Let go of the cameras."""
         if self._vsm is not None:
             self._vsm.close()
             self._laser.scanner.close()
-        if self._host is not None:
-            self._host.close()
+        if self._source is not None:
+            self._source.close()
 
     async def _serve(self, name: str, port: Port, askers: Askers, request: Any, response: Any) -> Any:
         """Have a Service carry out a request, in a thread; what goes wrong becomes its status."""
@@ -148,7 +152,7 @@ class VssNode(ManagedNode):
         self, camera: str, request: SetCameraInfo.Request, response: SetCameraInfo.Response
     ) -> SetCameraInfo.Response:
         try:
-            folder = self._book.set_intrinsics(camera, from_camera_info(request.camera_info))
+            folder = self._book.set_cameras({camera: from_camera_info(request.camera_info)}, pose=False)
         except ImError as error:
             response.status_message = error.message
             return response
@@ -161,22 +165,17 @@ class VssNode(ManagedNode):
         if (folder := self._file("calibration")) is None:
             return
         files = read_calibration(folder, cell)
-        for sentence in (*files.notes, *self._book.take(files)):
+        for sentence in (*files.notes, *self._book.adopt(files)):
             self.get_logger().warning(sentence)
-        laser_book.take(files)
-        for entry in (*self._book.entries(), laser_book.entry):
-            self.get_logger().info(entry.told())
+        laser_book.adopt(files)
+        told = [entry.told() for entry in self._book.entries()]
+        for sentence in (*told, laser_book.entry.told()):
+            self.get_logger().info(sentence)
 
     def _watch(self) -> None:
-        """Start the camera process again when it died."""
-        if self._host is not None and (obituary := self._host.revive()):
+        """Start the cameras again when they died."""
+        if self._source is not None and (obituary := self._source.revive()):
             self.get_logger().error(f"{obituary}; it is started again")
-
-    def _spawn(self, run_dir: Path, cell: Path | None, settings: Path | None, renderer: str) -> ChildProcess:
-        arguments = ["--instance", names.instance(), "--truth", str(run_dir / FILE_NAME), "--renderer", renderer]
-        arguments += ["--cell", str(cell)] if cell else []
-        arguments += ["--settings", str(settings)] if settings else []
-        return ChildProcess("im_vss.camera", arguments, run_dir / "camera.log")
 
     def _file(self, parameter: str) -> Path | None:
         value = str(self.get_parameter(parameter).value)

@@ -4,17 +4,17 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image
 from tf2_msgs.msg import TFMessage
 
+from im_cell.frames import Frame
+from im_cell.frames import Image as Pixels
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_vss.camera_book import CameraBook
-from im_vss.frames import Frame
-from im_vss.frames import Image as Pixels
 from im_vss.laser.book import LaserBook
 from im_vss.ros.messages import to_camera_info, to_image, to_laser_transform, to_transform
 
 
 class ImageOutputs:
-    """The :class:`im_vss.frames.Screen` of the node: what is shown is published, if anybody looks."""
+    """The :class:`im_vss.monitor.Screen` of the node: what is shown is published, if anybody looks."""
 
     def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook) -> None:
         """Create ``image_raw``, ``camera_info`` and ``image_display`` of each camera, and ``/tf_static``."""

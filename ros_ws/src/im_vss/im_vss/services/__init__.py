@@ -1,5 +1,5 @@
 """Services: what the user of the Vision Services System deals with, each a sequence of Tools (paper, section 5)."""
 
-from im_vss.services.service import Service
+from im_vss.services.service import VisionService
 
-__all__ = ["Service"]
+__all__ = ["VisionService"]

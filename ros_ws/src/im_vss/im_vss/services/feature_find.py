@@ -1,13 +1,18 @@
 """Base of the Services that find features in one image of one camera."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
+from im_cell.frames import Frame
+from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
-from im_vss.services.service import Service
-from im_vss.stopwatch import Stopwatch
+from im_vss.services.service import VisionService
 from im_vss.tools.region import WHOLE, Region
+from im_vss.tools.tool_spot_disp import Seen
+
+Fit = TypeVar("Fit")
+Gates = TypeVar("Gates")
 
 
 @dataclass(frozen=True)
@@ -25,12 +30,17 @@ class FeatureFindRequest:
     region: Region = WHOLE
 
 
-class FeatureFind(Service):
+class FeatureFind(VisionService):
     """Takes an image, shows it, and finds something in it."""
 
     def find(
-        self, client: VisionClient, request: FeatureFindRequest, tool: Any, gates: Any, mark: Callable[[Any], object]
-    ) -> tuple[tuple[Any, ...], int, dict[str, float]]:
+        self,
+        client: VisionClient,
+        request: FeatureFindRequest,
+        tool: Callable[[Frame, Region, Gates], Sequence[Fit]],
+        gates: Gates,
+        mark: Callable[[tuple[Fit, ...]], Seen],
+    ) -> tuple[tuple[Fit, ...], int, dict[str, float]]:
         """Find features.
 
         Args:

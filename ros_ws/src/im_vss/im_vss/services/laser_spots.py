@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.frames import FrameSet
+from im_cell.link import LaserBeam
 from im_core.errors import ConfigError, DataError, StateError
-from im_core.testbed_link import LaserBeam
-from im_vss.frames import FrameSet
 from im_vss.managers import VisionClient
 from im_vss.rig import Rig
-from im_vss.services.service import Service
+from im_vss.services.service import VisionService
 from im_vss.services.svc_spot_find import CameraSpot
 from im_vss.tools.tool_triangulate import StereoFinding
 
@@ -34,7 +34,7 @@ def fixed_cameras(rig: Rig, names: tuple[str, ...], count: int | None) -> tuple[
 
 
 def look(
-    service: Service, client: VisionClient, cameras: tuple[str, ...], beam: LaserBeam | None, exposure_s: float
+    service: VisionService, client: VisionClient, cameras: tuple[str, ...], beam: LaserBeam | None, exposure_s: float
 ) -> tuple[tuple[CameraSpot, ...], StereoFinding, LaserBeam, FrameSet]:
     """A pair of frames, the spot in each camera, and the point.
 

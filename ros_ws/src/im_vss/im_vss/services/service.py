@@ -2,24 +2,22 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from im_vss.frames import FrameSet
+from im_cell.frames import FrameSet
+from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
-from im_vss.stopwatch import Stopwatch
+from im_vss.rig import Rig
 from im_vss.tools import Tool
 from im_vss.tools.region import Region, check_region
 
-if TYPE_CHECKING:
-    from im_vss.rig import Rig
 
-
-class Service(ABC):
+class VisionService(ABC):
     """A vision operation; stateless, so that any number of clients may be in it at once."""
 
     name: ClassVar[str]
 
-    def __init__(self, rig: "Rig", tools: Mapping[str, Tool]) -> None:
+    def __init__(self, rig: Rig, tools: Mapping[str, Tool]) -> None:
         """Work on `rig` with `tools`, by name."""
         self.rig = rig
         self._tools = dict(tools)

@@ -7,13 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.calibration_files import CameraPose
-from im_core.camera_model import CameraModel
+from im_calibration import Calibration, CalibrationProblem, KnownLengths, report_of, write_results
+from im_cell.calibration_files import CameraPose
+from im_cell.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError, StateError
-from im_vss.calibration import Calibration, CalibrationProblem, report_of, write_results
-from im_vss.calibration.lengths import KnownLengths
 from im_vss.managers import VisionClient
-from im_vss.services.service import Service
+from im_vss.services.service import VisionService
 
 Array = NDArray[np.float64]
 
@@ -89,7 +88,7 @@ class CalibrateResult:
     directory: Path | None
 
 
-class SvcCalibrate(Service):
+class SvcCalibrate(VisionService):
     """Estimates intrinsics, lens and pose of cameras, and the light's offset in the wrist frame."""
 
     name: ClassVar[str] = "calibrate"

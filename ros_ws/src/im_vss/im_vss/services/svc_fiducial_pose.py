@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from im_cell.robot import Target
 from im_core.errors import NotFoundError
-from im_core.robot.scenery import Target
+from im_core.stopwatch import Stopwatch
 from im_vss.fiducial import FiducialFit
 from im_vss.managers import VisionClient
-from im_vss.services.service import Service
-from im_vss.stopwatch import Stopwatch
+from im_vss.services.service import VisionService
 from im_vss.tools.tool_spot_disp import Fiducials
 
 
@@ -39,7 +39,7 @@ class FiducialPoseResult:
     timing: dict[str, float]
 
 
-class SvcFiducialPose(Service):
+class SvcFiducialPose(VisionService):
     """Takes images, shows them, and computes where the cell's fiducial plates are relative to the cameras."""
 
     name: ClassVar[str] = "fiducial_pose"

@@ -7,13 +7,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.link import LaserBeam
 from im_core.errors import DataError
-from im_core.testbed_link import LaserBeam
 from im_vss.laser.calibration import LaserCalibration, LaserSpot
 from im_vss.laser.scanner import check_beam
 from im_vss.managers import VisionClient
 from im_vss.services.laser_spots import fixed_cameras, look, why_not
-from im_vss.services.service import Service
+from im_vss.services.service import VisionService
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class LaserCalibrateResult:
     file: Path | None
 
 
-class SvcLaserCalibrate(Service):
+class SvcLaserCalibrate(VisionService):
     """Looks at spots at many angles with two cameras, and estimates the scanner's pose and mirrors."""
 
     name: ClassVar[str] = "laser_calibrate"

@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.testbed_link import LaserBeam
+from im_cell.link import LaserBeam
 from im_vss.managers import VisionClient
-from im_vss.services.service import Service
+from im_vss.services.service import VisionService
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class LaserPointResult:
     calibrated: bool
 
 
-class SvcLaserPoint(Service):
+class SvcLaserPoint(VisionService):
     """Points the beam; it stays where it points until the next request."""
 
     name: ClassVar[str] = "laser_point"

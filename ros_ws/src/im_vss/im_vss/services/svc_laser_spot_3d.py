@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from im_core.testbed_link import LaserBeam
+from im_cell.link import LaserBeam
+from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
 from im_vss.services.laser_spots import fixed_cameras, look, why_not
-from im_vss.services.service import Service
+from im_vss.services.service import VisionService
 from im_vss.services.svc_spot_find import CameraSpot
-from im_vss.stopwatch import Stopwatch
 from im_vss.tools.tool_triangulate import StereoFinding
 
 
@@ -31,7 +31,7 @@ class LaserSpot3dResult:
     timing: dict[str, float]
 
 
-class SvcLaserSpot3d(Service):
+class SvcLaserSpot3d(VisionService):
     """Points the beam, takes frames without and with it, finds its spot in two cameras, and triangulates."""
 
     name: ClassVar[str] = "laser_spot_3d"

@@ -7,14 +7,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.frames import Frame
+from im_cell.link import LaserBeam
 from im_core.errors import ConfigError, StateError
-from im_core.testbed_link import LaserBeam
-from im_vss.frames import Frame
+from im_core.stopwatch import Stopwatch
 from im_vss.laser.scanner import check_beam
 from im_vss.managers import VisionClient
 from im_vss.services.laser_spots import fixed_cameras
-from im_vss.services.service import Service
-from im_vss.stopwatch import Stopwatch
+from im_vss.services.service import VisionService
 from im_vss.tools.tool_laser_line import LinePoints
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class LineScanResult:
     timing: dict[str, float]
 
 
-class SvcLineScan(Service):
+class SvcLineScan(VisionService):
     """Structured light: planes of light met with the rays of the cameras, or lines matched between two of them."""
 
     name: ClassVar[str] = "line_scan"

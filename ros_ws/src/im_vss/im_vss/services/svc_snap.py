@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from im_vss.frames import Frame
+from im_cell.frames import Frame
+from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
-from im_vss.services.service import Service
-from im_vss.stopwatch import Stopwatch
+from im_vss.services.service import VisionService
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class SnapResult:
     timing: dict[str, float]
 
 
-class SvcSnap(Service):
+class SvcSnap(VisionService):
     """Takes and shows an image of each camera."""
 
     name: ClassVar[str] = "snap"

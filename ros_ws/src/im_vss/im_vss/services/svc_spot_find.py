@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
-from im_vss.services.service import Service
-from im_vss.spot import Finding
-from im_vss.stopwatch import Stopwatch
+from im_vss.services.service import VisionService
+from im_vss.spot import SpotFinding
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class CameraSpot:
 
     camera: str
     stamp_ns: int
-    finding: Finding
+    finding: SpotFinding
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class SpotFindResult:
     timing: dict[str, float]
 
 
-class SvcSpotFind(Service):
+class SvcSpotFind(VisionService):
     """Captures images, shows them, computes the spots and marks them (paper, section 5, SpotFind)."""
 
     name: ClassVar[str] = "spot_find"
@@ -52,7 +52,7 @@ class SvcSpotFind(Service):
 
 
 def find_in_pairs(
-    service: Service, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, watch: Stopwatch
+    service: VisionService, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, watch: Stopwatch
 ) -> tuple[tuple[CameraSpot, ...], dict[str, float]]:
     """The four Tools of SpotFind in turn.
 
@@ -73,7 +73,7 @@ def find_in_pairs(
         images = service.tool("tool_snap")(client, cameras, exposure_s, (True, False), (True, True))
     with watch.step("display_s"):
         service.tool("tool_image_disp")(client, images)
-    findings: dict[str, Finding] = {}
+    findings: dict[str, SpotFinding] = {}
     with watch.step("find_s"):
         for camera in cameras:
             off, on = images.frames[camera]

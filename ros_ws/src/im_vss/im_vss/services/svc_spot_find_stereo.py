@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from im_core.errors import ConfigError, DataError
+from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
-from im_vss.services.service import Service
+from im_vss.services.service import VisionService
 from im_vss.services.svc_spot_find import CameraSpot, find_in_pairs
-from im_vss.stopwatch import Stopwatch
 from im_vss.tools.tool_triangulate import StereoFinding
 
 
@@ -28,7 +28,7 @@ class SpotFindStereoResult:
     timing: dict[str, float]
 
 
-class SvcSpotFindStereo(Service):
+class SvcSpotFindStereo(VisionService):
     """As SpotFind with two cameras, and triangulated."""
 
     name: ClassVar[str] = "spot_find_stereo"

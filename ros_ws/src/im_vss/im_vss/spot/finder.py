@@ -2,22 +2,72 @@
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from im_cell.sensor import SensorNoise
 from im_core.config import Model
 from im_core.errors import DataError
-from im_vss.spot.candidates import MatchedFilter
 from im_vss.spot.fit import SpotFit, fit_spot
-from im_vss.spot.noise import SensorNoise
 
 Frame = NDArray[np.uint8]
 
+_REACH_SIGMAS = 4.0
 _MOST_PEAKS = 6
 _MOST_CANDIDATES = 3
 _ERASE_SIGMAS = 5.0
 _ERASE_MINIMUM_PX = 8.0
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A local maximum of the matched filter.
+
+    Attributes:
+        u: Column [px].
+        v: Row [px].
+        snr: Response over the standard deviation that noise alone gives [-].
+    """
+
+    u: int
+    v: int
+    snr: float
+
+
+class MatchedFilter:
+    """Signal-to-noise ratio of a Gaussian spot at every pixel of a difference of two frames.
+
+    Source: North's matched filter for white noise, after dividing each pixel by its standard deviation.
+    """
+
+    def __init__(self, on: Frame, off: Frame, sigma: float, noise: SensorNoise) -> None:
+        """Filter ``on - off``, shape (h, w) [DN], for spots of standard deviation `sigma` [px]."""
+        reach = int(np.ceil(_REACH_SIGMAS * sigma))
+        gaussian = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F), dtype=np.float32)
+        kernel = gaussian / np.sqrt((gaussian**2).sum())
+        background = cv2.blur(off, (3, 3)).astype(np.float32)
+        deviation = np.sqrt(2.0 * noise.variance(background))
+        whitened = cv2.subtract(on, off, dtype=cv2.CV_32F) / deviation
+        self._response = np.asarray(
+            cv2.sepFilter2D(whitened, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
+        )
+
+    def strongest(self) -> Peak:
+        """The strongest peak that was not erased."""
+        _, snr, _, (u, v) = cv2.minMaxLoc(self._response)
+        return Peak(u=u, v=v, snr=snr)
+
+    def confine(self, u: float, v: float, radius: float) -> None:
+        """Leave only a disc of `radius` [px] around (u, v) [px] to the search."""
+        outside = np.full(self._response.shape, 255, np.uint8)
+        cv2.circle(outside, (round(u), round(v)), int(np.ceil(radius)), 0, thickness=-1)
+        self._response[outside > 0] = -np.inf
+
+    def erase(self, u: float, v: float, radius: float) -> None:
+        """Take a disc of `radius` [px] around (u, v) [px] out of the search."""
+        cv2.circle(self._response, (round(u), round(v)), int(np.ceil(radius)), -np.inf, thickness=-1)
 
 
 class SpotGates(Model):
@@ -47,7 +97,7 @@ class SpotGates(Model):
 
 
 @dataclass(frozen=True)
-class Region:
+class SearchDisc:
     """A disc in which the light must be: centre and radius [px]."""
 
     u: float
@@ -56,7 +106,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Finding:
+class SpotFinding:
     """Result of :func:`find_spot`.
 
     Attributes:
@@ -73,10 +123,12 @@ class Finding:
     snr: float
     candidates: tuple[SpotFit, ...] = ()
     refused: tuple[str, ...] = ()
-    region: Region | None = None
+    region: SearchDisc | None = None
 
 
-def find_spot(on: Frame, off: Frame, noise: SensorNoise, gates: SpotGates, region: Region | None = None) -> Finding:
+def find_spot(
+    on: Frame, off: Frame, noise: SensorNoise, gates: SpotGates, region: SearchDisc | None = None
+) -> SpotFinding:
     """Find the light in the difference of two frames of the same scene.
 
     Args:
@@ -139,17 +191,17 @@ def _refusal(fit: SpotFit, shape: tuple[int, ...], gates: SpotGates) -> str:
     return ""
 
 
-def _decide(accepted: tuple[SpotFit, ...], refusals: list[str], snr: float, gates: SpotGates) -> Finding:
+def _decide(accepted: tuple[SpotFit, ...], refusals: list[str], snr: float, gates: SpotGates) -> SpotFinding:
     """Choose among the candidates."""
     if accepted:
         brightness = [fit.amplitude * fit.sigma**2 for fit in accepted]
         rivals = [fit for fit, b in zip(accepted, brightness, strict=True) if b >= gates.rival_ratio * brightness[0]]
         if len(rivals) == 1:
-            return Finding(rivals[0], "", snr, accepted)
+            return SpotFinding(rivals[0], "", snr, accepted)
         places = ", ".join(f"({fit.u:.1f}, {fit.v:.1f})" for fit in rivals)
-        return Finding(None, f"several candidates: {places} px", snr, accepted)
+        return SpotFinding(None, f"several candidates: {places} px", snr, accepted)
     if refusals:
-        return Finding(None, refusals[0], snr)
+        return SpotFinding(None, refusals[0], snr)
     if snr >= gates.faint_snr:
-        return Finding(None, f"too faint: SNR {snr:.1f} is less than {gates.detection_snr:g}", snr)
-    return Finding(None, "no light seen: it is off, blocked or out of view", snr)
+        return SpotFinding(None, f"too faint: SNR {snr:.1f} is less than {gates.detection_snr:g}", snr)
+    return SpotFinding(None, "no light seen: it is off, blocked or out of view", snr)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from im_vss.spot.noise import SensorNoise
-from im_vss.spot.psf import amplitude_to_flux, flux_to_amplitude, pixel_derivatives, pixel_integrals
+from im_cell.psf import amplitude_to_flux, flux_to_amplitude, pixel_derivatives, pixel_integrals
+from im_cell.sensor import SensorNoise
 
 Array = NDArray[np.float64]
 Frame = NDArray[np.uint8]

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from im_cell.frames import Image
 from im_core.errors import DataError
-from im_vss.frames import Image
 
 _SMALLEST_PX = 16
 

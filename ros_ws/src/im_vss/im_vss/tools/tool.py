@@ -2,25 +2,23 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from im_core.errors import ConfigError
 from im_vss.managers import Lease, VisionClient, VisionModuleManager
-
-if TYPE_CHECKING:
-    from im_vss.modules import VisionModule
-    from im_vss.rig import Rig
+from im_vss.modules import VisionModule
+from im_vss.rig import Rig
 
 
 class ModuleAccess:
     """The way of a Tool to its Vision Modules, which leads through their managers."""
 
-    def __init__(self, routes: "Mapping[str, tuple[VisionModuleManager, VisionModule]]") -> None:
+    def __init__(self, routes: Mapping[str, tuple[VisionModuleManager, VisionModule]]) -> None:
         """Give access to some modules, each with the manager that lends it."""
         self._routes = dict(routes)
 
     @contextmanager
-    def use(self, name: str, client: VisionClient) -> "Iterator[tuple[Any, Lease]]":
+    def use(self, name: str, client: VisionClient) -> Iterator[tuple[Any, Lease]]:
         """Borrow a module for a ``with`` block.
 
         Raises:
@@ -39,7 +37,7 @@ class Tool:
 
     name: ClassVar[str]
 
-    def __init__(self, rig: "Rig", modules: ModuleAccess) -> None:
+    def __init__(self, rig: Rig, modules: ModuleAccess) -> None:
         """Work on `rig`, through `modules`."""
         self.rig = rig
         self.modules = modules

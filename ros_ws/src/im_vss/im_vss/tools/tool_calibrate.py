@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from im_vss.calibration import Calibration, CalibrationProblem
+from im_calibration import Calibration, CalibrationProblem
 from im_vss.managers import VisionClient
 from im_vss.tools.tool import Tool
 

@@ -4,9 +4,9 @@ import math
 from dataclasses import replace
 from typing import ClassVar
 
+from im_cell.frames import Frame
 from im_core.errors import DataError
 from im_vss.edges import CircleGates, EllipseFit, find_circles
-from im_vss.frames import Frame
 from im_vss.tools.region import Region, cut
 from im_vss.tools.tool import Tool
 

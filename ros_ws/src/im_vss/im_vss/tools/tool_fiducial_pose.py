@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import ClassVar
 
-from im_core.robot.scenery import Target
+from im_cell.frames import Frame
+from im_cell.robot import Target
 from im_vss.fiducial import FiducialFit, find_fiducials
-from im_vss.frames import Frame
 from im_vss.tools.tool import Tool
 
 

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from im_vss.frames import FrameSet
+from im_cell.frames import FrameSet
 from im_vss.managers import VisionClient
 from im_vss.tools.tool import Tool
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.testbed_link import LaserBeam
+from im_cell.link import LaserBeam
 from im_vss.managers import VisionClient
 from im_vss.tools.tool import Tool
 

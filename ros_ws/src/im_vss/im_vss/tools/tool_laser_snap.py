@@ -2,8 +2,8 @@
 
 from typing import ClassVar
 
-from im_core.testbed_link import LaserBeam
-from im_vss.frames import FrameSet, SnapOrder
+from im_cell.frames import FrameSet
+from im_cell.link import LaserBeam
 from im_vss.managers import VisionClient
 from im_vss.tools.tool import Tool
 
@@ -31,15 +31,7 @@ class ToolLaserSnap(Tool):
             ImError: A camera is unknown, the exposure out of range, a mirror would turn too far, or the hardware does
                 not deliver.
         """
-        settings = self.rig.settings
-        order = SnapOrder(
-            cameras=settings.check_cameras(cameras),
-            blank_light=(True, True),
-            exposure_s=settings.exposure_time(self.rig.controls.exposure(exposure_s, settings.exposure.nominal)),
-            timeout_s=settings.waits.exposure,
-            controls=self.rig.controls.sensors(cameras),
-            blank_laser=(True, False),
-        )
+        order = self.rig.order(cameras, exposure_s, (True, True), (True, False))
         with self.modules.use("vm_laser", client) as (vm_laser, laser_lease):
             try:
                 if beam is None:

@@ -3,8 +3,8 @@
 from dataclasses import replace
 from typing import ClassVar
 
-from im_vss.frames import Frame
-from im_vss.spot import Finding, SpotFit, find_spot
+from im_cell.frames import Frame
+from im_vss.spot import SpotFinding, SpotFit, find_spot
 from im_vss.tools.tool import Tool
 
 
@@ -13,7 +13,7 @@ class ToolLaserSpot(Tool):
 
     name: ClassVar[str] = "tool_laser_spot"
 
-    def __call__(self, off: Frame, on: Frame) -> Finding:
+    def __call__(self, off: Frame, on: Frame) -> SpotFinding:
         """The spot in the difference of two frames of one camera.
 
         Speckle is noise that the sensor's data sheet does not know: where the fit is worse than it says, the covariance

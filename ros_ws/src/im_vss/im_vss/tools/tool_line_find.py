@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from im_cell.frames import Frame
 from im_core.errors import DataError
 from im_vss.edges import LineFit, LineGates, find_lines
-from im_vss.frames import Frame
 from im_vss.tools.region import Region, cut
 from im_vss.tools.tool import Tool
 

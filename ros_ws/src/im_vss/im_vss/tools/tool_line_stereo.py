@@ -4,11 +4,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from im_cell.frames import Frame
+from im_cell.link import LaserBeam
 from im_core.errors import DataError
-from im_core.testbed_link import LaserBeam
-from im_vss.frames import Frame
-from im_vss.laser.line_peaks import line_peaks, upright
-from im_vss.laser.line_stereo import match_lines
+from im_vss.laser.line import line_peaks, match_lines, upright
 from im_vss.tools.tool import Tool
 from im_vss.tools.tool_laser_line import LinePoints
 

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from im_vss.frames import FrameSet, SnapOrder
+from im_cell.frames import FrameSet
 from im_vss.managers import VisionClient
 from im_vss.tools.tool import Tool
 
@@ -32,15 +32,7 @@ class ToolSnap(Tool):
         Raises:
             ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
         """
-        settings = self.rig.settings
-        order = SnapOrder(
-            cameras=settings.check_cameras(cameras),
-            blank_light=blank_light,
-            exposure_s=settings.exposure_time(self.rig.controls.exposure(exposure_s, settings.exposure.nominal)),
-            timeout_s=settings.waits.exposure,
-            controls=self.rig.controls.sensors(cameras),
-            blank_laser=blank_laser,
-        )
+        order = self.rig.order(cameras, exposure_s, blank_light, blank_laser)
         with self.modules.use("vm_snap", client) as (vm_snap, lease):
             frames: FrameSet = vm_snap.snap(lease, order)
         return frames

@@ -7,12 +7,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.camera_model import CameraModel, distort
+from im_cell.camera_model import CameraModel, distort
 from im_vss.edges import EllipseFit, LineFit
 from im_vss.fiducial import FiducialFit
 from im_vss.managers import VisionClient
 from im_vss.monitor import BLUE, GREEN, RED, Curve, Label, Marker
-from im_vss.spot import Finding
+from im_vss.spot import SpotFinding
 from im_vss.tools.tool import Tool
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ class Fiducials:
     cause: str
 
 
-Seen = Finding | Circles | Lines | Fiducials
+Seen = SpotFinding | Circles | Lines | Fiducials
 
 
 class ToolSpotDisp(Tool):
@@ -65,7 +65,7 @@ class ToolSpotDisp(Tool):
 
 def _marker(camera: str, model: CameraModel, seen: Seen) -> Marker:
     match seen:
-        case Finding():
+        case SpotFinding():
             return _spot(camera, seen)
         case Circles():
             curves = tuple(Curve(_ellipse(fit)) for fit in seen.fits)
@@ -78,7 +78,7 @@ def _marker(camera: str, model: CameraModel, seen: Seen) -> Marker:
             return _fiducials(camera, model, seen)
 
 
-def _spot(camera: str, finding: Finding) -> Marker:
+def _spot(camera: str, finding: SpotFinding) -> Marker:
     spot = finding.spot
     if spot is None:
         return Marker(camera, f"{camera}: {finding.cause}")

@@ -2,8 +2,8 @@
 
 from typing import ClassVar
 
-from im_vss.frames import Frame
-from im_vss.spot import Finding, Region, find_spot
+from im_cell.frames import Frame
+from im_vss.spot import SearchDisc, SpotFinding, find_spot
 from im_vss.tools.tool import Tool
 
 
@@ -12,7 +12,7 @@ class ToolSpotFind(Tool):
 
     name: ClassVar[str] = "tool_spot_find"
 
-    def __call__(self, off: Frame, on: Frame) -> Finding:
+    def __call__(self, off: Frame, on: Frame) -> SpotFinding:
         """The spot in the difference of two frames of one camera.
 
         Args:
@@ -22,7 +22,7 @@ class ToolSpotFind(Tool):
         sensor = on.controls.of(self.rig.settings.sensor)
         return find_spot(on.image, off.image, sensor, self.rig.settings.spot, self._region(on))
 
-    def _region(self, frame: Frame) -> Region | None:
+    def _region(self, frame: Frame) -> SearchDisc | None:
         """Where the light must be if the robot's pose at the exposure is known and the camera is fixed."""
         entry = self.rig.book[frame.camera]
         light = self.rig.light_position(frame.stamp_ns)
@@ -33,4 +33,4 @@ class ToolSpotFind(Tool):
         radius = radii.calibrated if entry.calibrated else radii.nominal
         if not bool(entry.model.contains(uv, margin=-radius)):
             return None
-        return Region(float(uv[0]), float(uv[1]), radius)
+        return SearchDisc(float(uv[0]), float(uv[1]), radius)

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from im_core.camera_model import CameraModel
+from im_cell.camera_model import CameraModel
 from im_core.errors import DataError
-from im_vss.spot import Finding, SpotFit
+from im_vss.spot import SpotFinding, SpotFit
 from im_vss.stereo import Point, epipolar_distance, triangulate
 from im_vss.tools.tool import Tool
 
@@ -35,7 +35,7 @@ class ToolTriangulate(Tool):
 
     name: ClassVar[str] = "tool_triangulate"
 
-    def __call__(self, cameras: tuple[str, str], findings: tuple[Finding, Finding]) -> StereoFinding:
+    def __call__(self, cameras: tuple[str, str], findings: tuple[SpotFinding, SpotFinding]) -> StereoFinding:
         """The light's place in the world.
 
         Args:

@@ -7,9 +7,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_mcs.inverse import Arm, ArmTracker, IkAttempt, InverseKinematics
-from im_mcs.limits import JointLimits
-from im_mcs.model import Model
-from im_mcs.planning.line_geometry import LinePath
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
+from im_mcs.planning.line.geometry import LinePath
 
 _PLACES = 8
 _ITERATIONS_A_STEP = 4
@@ -42,7 +42,7 @@ class CarrierChoice:
 
     def __init__(
         self,
-        model: Model,
+        model: CellModel,
         limits: JointLimits,
         index: NDArray[np.intp],
         arm: Arm,

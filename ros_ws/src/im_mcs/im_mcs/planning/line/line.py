@@ -9,19 +9,22 @@ from numpy.typing import NDArray
 
 from im_core.errors import StateError
 from im_mcs.inverse import Arm, ArmTracker
-from im_mcs.planning.arguments import LineMove
+from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.context import PlanContext
-from im_mcs.planning.line_carriers import CarrierChoice
-from im_mcs.planning.line_curve import LineCurve
-from im_mcs.planning.line_fit import fit
-from im_mcs.planning.line_geometry import LinePath, parameter_length
-from im_mcs.planning.line_joints import JointCurve
-from im_mcs.planning.line_profile import Profile
+from im_mcs.planning.envelope import slowdown
+from im_mcs.planning.line.carriers import CarrierChoice
+from im_mcs.planning.line.curve import JointCurve, LineCurve
+from im_mcs.planning.line.geometry import LinePath, parameter_length
+from im_mcs.planning.line.speed import Profile, fit
 from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.protocol.requests import LineMove
 
 # Quintics in time between knots this far apart follow curve and profile to far less than a micrometre [s].
 _KNOT_S = 0.02
 _SAME_M = 1e-9
+_PIECES_A_STEP = 100
+# rounding must not bring a limit back that a slower motion just keeps
+_SLOWER = 1.0 + 1e-9
 
 
 class LinePreparation:
@@ -33,7 +36,7 @@ class LinePreparation:
     which no joint passes its limits. That is time-optimal only where the arm's Jacobian changes little on the way.
 
     A group that carries its arm on joints of its own (a cart) moves these too where that helps, see
-    :class:`~im_mcs.planning.line_carriers.CarrierChoice`.
+    :class:`~im_mcs.planning.line.carriers.CarrierChoice`.
 
     Args:
         context: What to plan with.
@@ -97,7 +100,7 @@ class LinePreparation:
             path = LinePath(corners, np.array(carriers), self._blend, self._settings.rotation_lever_m)
             curve, q = yield from self._line_curve(path, numbers).walk(q)
             profile = yield from fit(curve, path.size, limits, self._fastest(path), path.rounded)
-            parts.append((yield from self._timed(path, curve, profile, numbers)))
+            parts.append((yield from self._timed(path, curve, profile, numbers, limits)))
         if not parts:
             return PiecewisePolynomial.standing(q[self._context.index])
         return parts[0].followed_by(parts[1:])
@@ -129,8 +132,9 @@ class LinePreparation:
         return self._speed / share if share > 0.0 else np.inf
 
     def _timed(
-        self, path: LinePath, curve: JointCurve, profile: Profile, numbers: list[int]
+        self, path: LinePath, curve: JointCurve, profile: Profile, numbers: list[int], limits: MotionLimits
     ) -> Generator[None, None, PiecewisePolynomial]:
+        """The motion between two rests, slowed down as a whole by what its quintics go beyond limits between knots."""
         motion = profile.sampled(_KNOT_S, path.edges[1:-1])
         yield
         q, d1, d2, _ = curve.at(np.minimum(motion.s, path.size))
@@ -138,4 +142,9 @@ class LinePreparation:
         middles = (motion.s[1:] + motion.s[:-1]) / 2.0
         points = [numbers[path.line(float(s))] - 1 for s in middles]
         yield
-        return PiecewisePolynomial.through(motion.t, q, d1 * v, d2 * v * v + d1 * a, points)
+        trajectory = PiecewisePolynomial.through(motion.t, q, d1 * v, d2 * v * v + d1 * a, points)
+        factor = 1.0
+        for first in range(0, len(points), _PIECES_A_STEP):
+            yield
+            factor = max(factor, slowdown(trajectory, limits, slice(first, first + _PIECES_A_STEP)))
+        return trajectory.slower(factor * _SLOWER) if factor > 1.0 else trajectory

@@ -2,7 +2,7 @@
 // #nets=a,b (or nets=all) shows these nets, #overview=1&only=a.p1,b.t2 these parts, &filter=spot dims the others.
 // A counterexample that is played takes the place of the running nets.
 import { controls } from "/static/operate.js";
-import { Player, readStory, shown } from "/static/player.js";
+import { Player, readCounterexample, shown } from "/static/player.js";
 import { Scene } from "/static/scene.js";
 
 const KEPT = 300, LISTED = 120, PLAYER = 52;
@@ -62,7 +62,7 @@ function refresh(redraw) {
   keepPage();
   if (redraw) {
     followed = follow();
-    if (player.story) drawStory(); else drawLive();
+    if (player.counterexample) drawCounterexample(); else drawLive();
     scene.filter(page.filter);
     if (!moved) fit();
   }
@@ -85,31 +85,31 @@ function drawLive() {
 }
 
 let staged = null;
-function drawStory() {
-  staged = player.story;
-  scene.draw(player.story.drawings, null, aspect());
-  markStep(player.story.steps[player.at]);
+function drawCounterexample() {
+  staged = player.counterexample;
+  scene.draw(player.counterexample.drawings, null, aspect());
+  markStep(player.counterexample.steps[player.at]);
 }
 
 function markStep({ markings }) {
   for (const [net, tokens] of Object.entries(markings)) scene.mark(shown(net, tokens));
 }
 
-function showStep(story, step) {
-  if (staged !== story) show({}); else markStep(step);
-  const several = story.drawings.length > 1, dot = step.fired.indexOf(".");
-  const net = several ? step.fired.slice(0, dot) : story.drawings[0].net;
+function showStep(counterexample, step) {
+  if (staged !== counterexample) show({}); else markStep(step);
+  const several = counterexample.drawings.length > 1, dot = step.fired.indexOf(".");
+  const net = several ? step.fired.slice(0, dot) : counterexample.drawings[0].net;
   scene.flashPart(net, several ? step.fired.slice(dot + 1) : step.fired);
 }
 
-function play(story) {
+function play(counterexample) {
   staged = null;
-  player.open(story);
+  player.open(counterexample);
 }
 
 async function playFile(file) {
   try {
-    play(readStory(await file.text()));
+    play(readCounterexample(await file.text()));
     say(true, "");
   } catch (error) {
     say(false, `${file.name} cannot be played: ${error.message}`);
@@ -194,7 +194,8 @@ function listFirings() {
     const symbol = firing.symbol && (nets.get(firing.net)?.symbols.includes(firing.symbol) ? "?" : "!") + firing.symbol;
     const ends = firing.phase === "END" && firing.duration > 0;
     add("time", firing.time.toFixed(3));
-    add("b", { START: "▸ ", FAILED: "✗ ", CANCEL: "◂ ", DOUBT: "? ", END: ends ? "✓ " : "· " }[firing.phase] + firing.transition);
+    const signs = { START: "▸ ", FAILED: "✗ ", CANCEL: "◂ ", DOUBT: "? ", END: ends ? "✓ " : "· " };
+    add("b", (signs[firing.phase] ?? "") + firing.transition);
     add("em", [symbol, firing.message, firing.net].filter(Boolean).join("  "));
     add("span", firing.duration > 0 ? firing.duration.toFixed(2) : "");
     row.title = [`${firing.net}.${firing.transition}`, firing.phase.toLowerCase(), symbol, firing.message].join(" ");
@@ -223,7 +224,7 @@ function take(change) {
     case "net": nets.set(change.net, change); refresh(true); break;
     case "marking":
       markings.set(change.net, change);
-      if (!player.story) scene.mark(change);
+      if (!player.counterexample) scene.mark(change);
       listRunning(change.net);
       break;
     case "refusal": refusals.set(change.net, change); listRefusals(); break;
@@ -233,7 +234,7 @@ function take(change) {
       if (firings.length > KEPT) firings.shift();
       noteCommand(change);
       soon();
-      if (player.story) break;
+      if (player.counterexample) break;
       if (!page.nets.size && !page.overview && followed !== change.net && follow() === change.net) show({});
       scene.flash(change);
   }
@@ -254,7 +255,8 @@ function connect() {
 function applyView() { byId("scene").setAttribute("transform", `translate(${view.x},${view.y}) scale(${view.scale})`); }
 
 function fit() {
-  const box = byId("canvas").getBoundingClientRect(), { width, height } = scene.extent, top = player.story ? PLAYER : 0;
+  const box = byId("canvas").getBoundingClientRect(), { width, height } = scene.extent;
+  const top = player.counterexample ? PLAYER : 0;
   const scale = Math.min((box.width - 32) / width, (box.height - top - 32) / height, 1.4);
   view = { scale, x: (box.width - width * scale) / 2, y: Math.max(top + 16, (box.height - height * scale) / 3) };
   moved = false;

@@ -15,56 +15,56 @@ export function shown(net, tokens) {
 }
 
 // Throws what is wrong with a text that is to be played.
-export function readStory(text) {
-  const story = JSON.parse(text);
-  if (!Array.isArray(story?.steps) || !story.steps.length || !Array.isArray(story.drawings))
+export function readCounterexample(text) {
+  const counterexample = JSON.parse(text);
+  if (!Array.isArray(counterexample?.steps) || !counterexample.steps.length || !Array.isArray(counterexample.drawings))
     throw new Error("it is no counterexample with drawings: pnt verify --counterexample FILE writes one");
-  for (const net of story.drawings)
+  for (const net of counterexample.drawings)
     if (typeof net.net !== "string" || !Array.isArray(net.drawing?.nodes)) throw new Error("a net in it has no drawing");
-  return story;
+  return counterexample;
 }
 
 export class Player {
-  // onStep(story, step) draws; onEnd() goes back to the live nets.
+  // onStep(counterexample, step) draws; onEnd() goes back to the live nets.
   constructor(onStep, onEnd) {
     this.onStep = onStep;
     this.onEnd = onEnd;
-    this.story = null;
+    this.counterexample = null;
     byId("first").addEventListener("click", () => this.go(0));
     byId("previous").addEventListener("click", () => this.go(this.at - 1));
     byId("next").addEventListener("click", () => this.go(this.at + 1));
     byId("last").addEventListener("click", () => this.go(Infinity));
     byId("leave").addEventListener("click", () => this.close());
     addEventListener("keydown", (event) => {
-      if (!this.story || event.target.matches("input, select")) return;
+      if (!this.counterexample || event.target.matches("input, select")) return;
       const move = { ArrowLeft: this.at - 1, ArrowRight: this.at + 1, Home: 0, End: Infinity }[event.key];
       if (move !== undefined) { event.preventDefault(); this.go(move); }
       if (event.key === "Escape") this.close();
     });
   }
 
-  open(story) {
-    this.story = story;
+  open(counterexample) {
+    this.counterexample = counterexample;
     document.body.classList.add("playing");
-    byId("reason").textContent = byId("reason").title = story.reason;
+    byId("reason").textContent = byId("reason").title = counterexample.reason;
     this.go(0);
   }
 
   close() {
-    this.story = null;
+    this.counterexample = null;
     document.body.classList.remove("playing");
     this.onEnd();
   }
 
   go(step) {
-    const last = this.story.steps.length - 1;
+    const last = this.counterexample.steps.length - 1;
     this.at = Math.min(Math.max(step, 0), last);
-    const { fired } = this.story.steps[this.at];
-    const again = this.story.repeats !== null && this.at > this.story.repeats ? " (can be repeated for ever)" : "";
+    const { fired } = this.counterexample.steps[this.at], { repeats } = this.counterexample;
+    const again = repeats !== null && this.at > repeats ? " (can be repeated for ever)" : "";
     byId("step").textContent = `${this.at} of ${last}`;
     byId("fired").textContent = this.at ? fired + again : "initial marking";
     for (const id of ["first", "previous"]) byId(id).disabled = this.at === 0;
     for (const id of ["next", "last"]) byId(id).disabled = this.at === last;
-    this.onStep(this.story, this.story.steps[this.at]);
+    this.onStep(this.counterexample, this.counterexample.steps[this.at]);
   }
 }

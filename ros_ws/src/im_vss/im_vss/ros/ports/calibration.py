@@ -1,21 +1,55 @@
-"""Between calibrations and messages."""
+"""Port of the Service ``calibrate``: observations and known lengths from messages, the calibration as a report."""
 
+import json
 import math
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from im_calibration import Calibration
 from im_core.errors import DataError
 from im_msgs.msg import CalibrationReport, CameraCalibration, KnownLength, Rejection, Spot
 from im_msgs.msg import Observation as ObservationMessage
-from im_vss.calibration import Calibration
-from im_vss.services.svc_calibrate import Observation, SeenLength, SeenSpot
+from im_msgs.srv import Calibrate
+from im_vss.ros.ports.port import Port
+from im_vss.services.svc_calibrate import CalibrateRequest, CalibrateResult, Observation, SeenLength, SeenSpot
 
 Array = NDArray[np.float64]
+
+
+class CalibratePort(Port):
+    """`im_msgs/srv/Calibrate`."""
+
+    kind: ClassVar[type] = Calibrate
+
+    def request(self, message: Calibrate.Request) -> CalibrateRequest:
+        """Cameras, observations and known lengths.
+
+        Raises:
+            DataError: An observation or a known length is malformed.
+        """
+        return CalibrateRequest(
+            cameras=tuple(message.cameras),
+            observations=tuple(from_observation(observation) for observation in message.observations),
+            lengths=tuple(from_known_length(length, i) for i, length in enumerate(message.known_lengths)),
+            directory=Path(message.directory) if message.directory else None,
+            apply=message.apply,
+        )
+
+    def answer(self, result: CalibrateResult, response: Calibrate.Response) -> None:
+        """The report."""
+        response.report = to_report(
+            result.calibration,
+            self.rig.cell.led.offset,
+            result.calibration.message,
+            directory=str(result.directory) if result.directory is not None else "",
+            json=json.dumps(result.report),
+        )
 
 
 def from_observation(message: ObservationMessage) -> Observation:

@@ -1,18 +1,70 @@
-"""Port of the Service ``line_scan``."""
+"""Ports of the Services of the laser scanner: pointing, spots, scans, calibration."""
 
 import json
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from im_msgs.srv import LineScan
-from im_vss.ros.messages import to_header
+from im_msgs.srv import LaserCalibrate, LaserPoint, LaserSpot3d, LineScan
+from im_vss.ros.messages import quaternion, to_header, to_spot, to_time
 from im_vss.ros.ports.port import Port
+from im_vss.services.svc_laser_calibrate import LaserCalibrateRequest, LaserCalibrateResult
+from im_vss.services.svc_laser_point import LaserPointRequest, LaserPointResult
+from im_vss.services.svc_laser_spot_3d import LaserSpot3dRequest, LaserSpot3dResult
 from im_vss.services.svc_line_scan import LineScanRequest, LineScanResult
 
 _FIELDS = ("x", "y", "z", "intensity")
+
+
+class LaserPointPort(Port):
+    """`im_msgs/srv/LaserPoint`."""
+
+    kind: ClassVar[type] = LaserPoint
+
+    def request(self, message: LaserPoint.Request) -> LaserPointRequest:
+        """Angles or target."""
+        first, second = (float(angle) for angle in message.angles)
+        place = message.target
+        target = np.array([place.x, place.y, place.z]) if message.to_target else None
+        return LaserPointRequest((first, second), target, message.on)
+
+    def answer(self, result: LaserPointResult, response: LaserPoint.Response) -> None:
+        """Where the mirrors are."""
+        response.angles = [result.beam.mirror1, result.beam.mirror2]
+        response.lit = result.beam.power > 0.0
+        response.calibrated = result.calibrated
+        response.stamp = to_time(result.stamp_ns)
+
+
+class LaserSpot3dPort(Port):
+    """`im_msgs/srv/LaserSpot3d`."""
+
+    kind: ClassVar[type] = LaserSpot3d
+
+    def request(self, message: LaserSpot3d.Request) -> LaserSpot3dRequest:
+        """Cameras and angles."""
+        first, second = (float(angle) for angle in message.angles)
+        angles = None if message.present else (first, second)
+        return LaserSpot3dRequest(tuple(message.cameras), angles, message.exposure)
+
+    def answer(self, result: LaserSpot3dResult, response: LaserSpot3d.Response) -> None:
+        """The point, or why there is none; what each camera saw."""
+        stereo = result.stereo
+        response.cause, response.epipolar_distance = stereo.cause, stereo.epipolar_px
+        response.angles = [result.beam.mirror1, result.beam.mirror2]
+        response.point.header = to_header("world", result.spots[0].stamp_ns)
+        if stereo.point is not None:
+            response.found = True
+            place = response.point.point
+            place.x, place.y, place.z = (float(value) for value in stereo.point.position)
+            response.covariance = stereo.point.covariance.ravel()
+        for seen, chosen in zip(result.spots, stereo.spots, strict=True):
+            finding = seen.finding if chosen is None else replace(seen.finding, spot=chosen, cause="")
+            response.spots.append(to_spot(replace(seen, finding=finding)))
+        response.timing_json = json.dumps(result.timing)
 
 
 class LineScanPort(Port):
@@ -51,3 +103,32 @@ def to_cloud(points: NDArray[np.float64], intensity: NDArray[np.float64], stamp_
     )
     message.data = values.tobytes()
     return message
+
+
+class LaserCalibratePort(Port):
+    """`im_msgs/srv/LaserCalibrate`."""
+
+    kind: ClassVar[type] = LaserCalibrate
+
+    def request(self, message: LaserCalibrate.Request) -> LaserCalibrateRequest:
+        """Cameras and angles."""
+        return LaserCalibrateRequest(
+            tuple(message.cameras), tuple(message.mirror1), tuple(message.mirror2), message.apply
+        )
+
+    def answer(self, result: LaserCalibrateResult, response: LaserCalibrate.Response) -> None:
+        """The estimate."""
+        found = result.calibration
+        response.verdicts = list(found.verdicts)
+        position, q = response.pose.position, response.pose.orientation
+        position.x, position.y, position.z = (float(value) for value in found.model.position)
+        q.x, q.y, q.z, q.w = quaternion(found.model.rotation)
+        response.gain = list(map(float, found.model.gain))
+        response.offset, response.gap = float(found.model.offset), float(found.model.gap)
+        if np.all(np.isfinite(found.covariance)):
+            response.covariance = found.covariance.ravel().tolist()
+        response.rms, response.chi2_per_dof = found.rms_m, found.chi2_per_dof
+        response.spots_used = int(found.used.sum())
+        response.rejected = list(result.rejected)
+        response.applied = result.file is not None
+        response.file = str(result.file or "")

@@ -1,0 +1,1 @@
+"""What commands print of a calibration: its progress, its report in short, and its true error."""

@@ -1,0 +1,1 @@
+"""The estimate: start values, maximum likelihood, gates, covariance. Knows the problem only."""

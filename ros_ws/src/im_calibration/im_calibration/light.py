@@ -1,0 +1,82 @@
+"""What one pose of the arm tells of the light: how surely its position is known, and whether images show that pose."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import DataError
+
+Array = NDArray[np.float64]
+
+#: Code of errors that concern the observation of one pose, which a calibration may do without.
+UNUSABLE = "unusable"
+
+
+@dataclass(frozen=True)
+class MeasuredRest:
+    """Where an arm was measured while it rested.
+
+    Attributes:
+        jacobian: Of the wrist, linear above angular part, world axes, shape (6, n).
+        q_covariance: Of the joint positions, shape (n, n) [rad^2, m^2].
+        rotation: World <- wrist, shape (3, 3).
+        since_ns: Testbed time since which it has not moved [ns].
+    """
+
+    jacobian: Array
+    q_covariance: Array
+    rotation: Array
+    since_ns: int
+
+    def light_covariance(self, offset: Array) -> Array:
+        """Covariance of the light's position that follows from that of the joints.
+
+        Args:
+            offset: Nominal position of the light in the wrist frame, shape (3,) [m].
+
+        Returns:
+            Covariance in the world frame, shape (3, 3) [m^2].
+
+        Raises:
+            DataError: The sizes do not fit, or a value is not finite.
+        """
+        shape, n = self.jacobian.shape, self.q_covariance.shape[0]
+        if shape != (6, n) or self.q_covariance.shape != (n, n):
+            text = f"a jacobian of shape {shape} does not fit to a covariance of shape {self.q_covariance.shape}"
+            raise DataError(text, code=UNUSABLE)
+        if not (np.isfinite(self.jacobian).all() and np.isfinite(self.q_covariance).all()):
+            raise DataError("the measured joint positions or their covariance are not finite", code=UNUSABLE)
+        x, y, z = self.rotation @ offset
+        skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        point = self.jacobian[:3] - skew @ self.jacobian[3:]
+        covariance: Array = point @ self.q_covariance @ point.T
+        return 0.5 * (covariance + covariance.T)
+
+    def require_shown(self, exposed_ns: int, pose: str) -> None:
+        """An image tells of a position only if it was taken in the same rest.
+
+        Args:
+            exposed_ns: Testbed time of the exposure [ns].
+            pose: Name of the pose, for the error.
+
+        Raises:
+            DataError: The exposure is older than the rest.
+        """
+        if exposed_ns < self.since_ns:
+            text = (
+                f"pose {pose}: the image was exposed {(self.since_ns - exposed_ns) * 1e-9:.4f} s before the arm came"
+                " to rest; it shows another position"
+            )
+            raise DataError(text, code=UNUSABLE, pose=pose)
+
+
+def rotation_of(x: float, y: float, z: float, w: float) -> Array:
+    """Rotation matrix of a unit quaternion, shape (3, 3)."""
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,1 @@
+"""What a calibration starts from: observations, known lengths, data sets."""

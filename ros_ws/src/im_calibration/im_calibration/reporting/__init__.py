@@ -1,0 +1,1 @@
+"""A calibration as report, pictures and files."""

@@ -1,0 +1,140 @@
+"""Child processes: tasks of a deployment, servo, control laws, bridges to robots, physics, cameras."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import BinaryIO, Self
+
+from im_core import clock
+from im_core.errors import LinkError
+
+_PR_SET_PDEATHSIG = 1
+_KILLED_S = 1.0
+_POLL_S = 0.01
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+class ChildProcess:
+    """A process in a session of its own, which ends with whoever started it.
+
+    Args:
+        argv: Program and arguments.
+        name: What it is called in messages; the program by default.
+        log: File its output is appended to; None: its output goes where this process's goes.
+        stdin: What it reads from standard input.
+        environment: Its environment; None: that of this process.
+        death_signal: What the kernel sends it when the thread that started it ends; None: it lives on.
+
+    Attributes:
+        name: As given.
+        pid: Process id.
+    """
+
+    def __init__(
+        self,
+        argv: Sequence[str],
+        *,
+        name: str | None = None,
+        log: Path | None = None,
+        stdin: str = "",
+        environment: Mapping[str, str] | None = None,
+        death_signal: signal.Signals | None = signal.SIGKILL,
+    ) -> None:
+        self.name = name or Path(argv[0]).name
+        self._log = log
+        parent = os.getpid()
+
+        def end_with_parent() -> None:
+            if death_signal is not None:
+                _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
+                if os.getppid() != parent:  # it has ended already
+                    os.kill(os.getpid(), death_signal)
+
+        with ExitStack() as files:
+            output: BinaryIO | None = None
+            if log is not None:
+                log.parent.mkdir(parents=True, exist_ok=True)
+                output = files.enter_context(log.open("ab"))
+            # a file in memory: a pipe of limited size would make this process wait for its child to read
+            given = files.enter_context(open(os.memfd_create("stdin"), "w+b"))
+            given.write(stdin.encode())
+            given.seek(0)
+            self._process = subprocess.Popen(
+                argv,
+                stdin=given,
+                stdout=output,
+                stderr=None if output is None else subprocess.STDOUT,
+                env=environment,
+                preexec_fn=end_with_parent,
+                start_new_session=True,
+            )
+        self.pid = self._process.pid
+
+    @classmethod
+    def of_module(cls, module: str, arguments: Sequence[str] = (), *, log: Path | None = None, stdin: str = "") -> Self:
+        """Run a module with ``python -m``; arguments as of the class. Its name is that of the module."""
+        return cls([sys.executable, "-u", "-m", module, *arguments], name=module, log=log, stdin=stdin)
+
+    def poll(self) -> int | None:
+        """Exit code, or None while it runs."""
+        return self._process.poll()
+
+    def check(self) -> None:
+        """Raise if the child is gone.
+
+        Raises:
+            LinkError: It ended; the message is its :meth:`obituary`.
+        """
+        if self.poll() is not None:
+            raise LinkError(self.obituary(), exit_code=self.poll())
+
+    def obituary(self) -> str:
+        """How it ended, and the last line it wrote."""
+        words = self.last_words()
+        return f"the process {self.name} ended with code {self.poll()}{': ' + words if words else ''}"
+
+    def last_words(self) -> str:
+        """The last line of its log."""
+        return last_words(self._log) if self._log is not None else ""
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send a signal; nothing happens if it has ended."""
+        self._process.send_signal(number)
+
+    def await_end(self, timeout_s: float) -> bool:
+        """Wait until it has ended, at most ``timeout_s`` [s]; whether it has."""
+        return await_ends([self], clock.monotonic() + timeout_s)
+
+    def stop(self, timeout_s: float = 2.0) -> None:
+        """End it with SIGTERM, after ``timeout_s`` [s] with SIGKILL."""
+        self.send_signal(signal.SIGTERM)
+        if not self.await_end(timeout_s):
+            self.send_signal(signal.SIGKILL)
+            self.await_end(_KILLED_S)
+
+
+def await_ends(children: Sequence[ChildProcess], deadline: float) -> bool:
+    """Wait until all have ended, at most until ``deadline`` [s of :func:`.clock.monotonic`]; whether they have."""
+    while any(child.poll() is None for child in children):
+        if clock.monotonic() >= deadline:
+            return False
+        clock.sleep(_POLL_S)
+    return True
+
+
+def last_words(log: Path, most_bytes: int = 4096) -> str:
+    """The last line of a log that is not empty, or an empty string."""
+    try:
+        with log.open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - most_bytes))
+            text = file.read().decode(errors="replace")
+    except OSError:
+        return ""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else ""

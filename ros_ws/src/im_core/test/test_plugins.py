@@ -1,0 +1,35 @@
+"""What configuration names as ``module:Class`` is found, or the sentence says what is wrong with the name."""
+
+import pytest
+
+from im_core import plugins
+from im_core.errors import ConfigError, ImError, LimitError
+
+
+def test_classes_and_functions_are_found():
+    assert plugins.load("im_core.errors:LimitError", ImError, "error") is LimitError
+    assert plugins.load("im_core.plugins:load", None, "function") is plugins.load
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("nowhere:Law", "law 'nowhere:Law' cannot be loaded: No module named 'nowhere'; it is written module:Class"),
+        ("im_core.errors:Nothing", "'im_core.errors:Nothing' cannot be loaded: .* no attribute 'Nothing'"),
+        ("im_core.errors", "'im_core.errors' cannot be loaded: module or class is missing; it is written module:Class"),
+        (":Law", "module or class is missing"),
+        ("..errors:Law", "cannot be loaded: TypeError"),
+        ("im_core.clock:monotonic", "law 'im_core.clock:monotonic' is no ImError"),
+        ("builtins:int", "law 'builtins:int' is no ImError"),
+    ],
+)
+def test_what_cannot_be_loaded_is_named(reference, message):
+    with pytest.raises(ConfigError, match=message):
+        plugins.load(reference, ImError, "law")
+
+
+def test_a_module_may_fail_in_any_way(tmp_path, monkeypatch):
+    (tmp_path / "im_faulty.py").write_text("raise RuntimeError('no hands')")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match="im_faulty:Law' cannot be loaded: RuntimeError: no hands"):
+        plugins.load("im_faulty:Law", None, "law")

@@ -1,0 +1,89 @@
+"""What a command of the Dispatcher is made of, and what it may use of the node that runs it."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from im_core.errors import ConfigError
+from im_dispatcher.report import StepTimes
+from im_pnt.execution.functions import Functions
+from im_pnt.execution.jobs import Job
+from im_pnt.model.net import Net
+
+ValueT = TypeVar("ValueT")
+
+
+class CommandHost(Protocol):
+    """The node that runs commands, as their functions see it."""
+
+    seed: int
+
+    async def put_object(self, name: str, value: object, place: str = "") -> None:
+        """Stores a data object.
+
+        Args:
+            name: Its name.
+            value: A dictionary of JSON data, or of a type that :mod:`im_dispatcher.ros.host` can translate.
+            place: ``net.place`` that stands for it, or empty.
+
+        Raises:
+            ImError: It was refused, or ``/dom`` does not answer.
+        """
+
+    async def get_object(self, name: str, kind: type[ValueT]) -> ValueT:
+        """Returns a data object; one that this node has put costs no call.
+
+        Raises:
+            ImError: There is none that is valid, or ``/dom`` does not answer.
+        """
+
+    async def apart(self, function: Callable[..., ValueT], *arguments: object) -> ValueT:
+        """Has a function that takes long done in a thread of its own."""
+
+    def time_steps(self, times: StepTimes) -> None:
+        """Has the firings of all nets timed."""
+
+    def nets_for(self, net: str) -> Sequence[Net]:
+        """Returns a net as written, with the nets whose services it needs, as far as they are known."""
+
+    def now(self) -> float:
+        """Returns the testbed time [s]."""
+
+    def warn(self, text: str) -> None:
+        """Writes a line to the log."""
+
+
+@dataclass(frozen=True)
+class CommandDescription:
+    """One net of the Dispatcher with all that it names: what a module of :mod:`im_dispatcher.commands` describes.
+
+    Attributes:
+        net: The net file; the symbols that it reads are the commands.
+        functions: Makes its actions, enabling functions, and what to ask about actions in doubt.
+        standing: For symbols, what says how far a running command is.
+    """
+
+    net: Path
+    functions: Callable[[CommandHost], Functions] = lambda _: Functions()
+    standing: Mapping[str, Callable[[Job], str]] = field(default_factory=dict)
+
+
+def joined(parts: Iterable[Functions]) -> Functions:
+    """The functions of several commands together.
+
+    Raises:
+        ConfigError: Two commands have a function of the same name; the net that names it could get the wrong one.
+    """
+    whole = Functions()
+    for part in parts:
+        _enter(whole.actions, part.actions)
+        _enter(whole.guards, part.guards)
+        _enter(whole.asks, part.asks)
+    return whole
+
+
+def _enter(known: dict[str, ValueT], added: Mapping[str, ValueT]) -> None:
+    for name, function in added.items():
+        if known.setdefault(name, function) is not function:
+            raise ConfigError(f"two commands of the Dispatcher have a function '{name}'", function=name)

@@ -1,0 +1,214 @@
+"""What the transitions of ``nets/calibrate_camera.yaml`` do; the net decides what comes when.
+
+What a command has collected is in its memory (``ctx.memory``), which does not grow from pose to pose, and in data
+objects; every function may be done twice: a dispatcher that died goes on with the command when it is back.
+"""
+
+import contextlib
+from pathlib import Path
+
+from im_cell.robot import load_cell
+from im_core import clock
+from im_core.errors import ImError, StateError
+from im_core.names import results_dir
+from im_dispatcher.command import CommandDescription, CommandHost
+from im_dispatcher.expectation import beside, expectation
+from im_dispatcher.job import PoseLoop, order_of
+from im_dispatcher.poses_file import PosesFile
+from im_dispatcher.report import SkippedPose, SolverReport, StepTimes, failed, make_directory, succeeded, write_report
+from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
+from im_pnt.execution.jobs import Job
+from im_pnt_analysis import CommandDuration
+
+SYMBOL = "calibrate_camera"
+
+
+class CalibrateCamera:
+    """The functions of the command.
+
+    Args:
+        host: The node that runs it.
+    """
+
+    def __init__(self, host: CommandHost) -> None:
+        self._host = host
+        self._cameras = list(load_cell().cameras)
+        self._times = StepTimes()
+        self._timed: int | None = None
+        self._file: tuple[int, PosesFile] | None = None
+        host.time_steps(self._times)
+
+    @property
+    def functions(self) -> Functions:
+        """Actions, builders of requests and enabling functions by the names in the net; all may be done twice."""
+        actions = {
+            action.__name__: action
+            for action in (
+                self.init_calib,
+                self.read_next_pos,
+                self.skip_pose,
+                self.write_report,
+                self.note_failure,
+                self.report_failure,
+            )
+        }
+        builders = {build.__name__: build for build in (self.mover, self.watchers, self.present_pose, self.collected)}
+        guards = {"more_poses": woken_by()(_more_poses), "pose_dispensable": woken_by()(_dispensable)}
+        asks = {name: idempotent(action) for name, action in actions.items()}
+        return Functions({**actions, **builders}, guards, asks)
+
+    # In the order of the net.
+
+    async def init_calib(self, ctx: ActionContext) -> None:
+        """Reads the poses and sets the loop variable."""
+        self._times.restart()
+        self._timed = ctx.command.id
+        ctx.memory["begun"] = [clock.monotonic(), self._host.now()]
+        order = order_of(ctx.command.arguments, self._cameras)
+        poses = len(order.file.poses)
+        ctx.memory["directory"] = str(make_directory(results_dir(), clock.stamp_name()))
+        ctx.memory["cameras"], ctx.memory["group"] = list(order.cameras), order.file.group
+        ctx.memory["loop"] = PoseLoop(poses).to_json()
+        await self._host.put_object("calibration_cameras", order)
+        await self._host.put_object("calibration_poses", order.file)
+        self._file = ctx.command.id, order.file
+        ctx.progress(f"{poses} poses for {', '.join(order.cameras)}", 0.0)
+
+    async def read_next_pos(self, ctx: ActionContext) -> None:
+        """Counts the loop variable down and stores the next destination."""
+        loop = _loop(ctx)
+        done, number = loop.progress, loop.next_pose()
+        pose = (await self._poses(ctx)).poses[number - 1]
+        ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), pose.name
+        ctx.memory["times"] = self._times_of(ctx).to_dict()
+        await self._host.put_object("destination", pose, place=f"{SYMBOL}.destination_valid")
+        ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
+
+    def mover(self, ctx: ActionContext) -> dict[str, object]:
+        """Which arm is to move: the one that carries the light."""
+        return {"group": ctx.memory["group"]}
+
+    def watchers(self, ctx: ActionContext) -> dict[str, object]:
+        """Which cameras are to look."""
+        return {"cameras": ctx.memory["cameras"]}
+
+    def present_pose(self, ctx: ActionContext) -> dict[str, object]:
+        """Whose spots and position are to be kept."""
+        loop = _loop(ctx)
+        ctx.progress(f"{loop.taken - loop.skipped} observations", loop.progress)
+        return {"number": loop.taken, "pose": ctx.memory["pose"]}
+
+    async def skip_pose(self, ctx: ActionContext) -> None:
+        """Leaves out this pose and says why."""
+        loop, reason = _loop(ctx), _reason(ctx)
+        skipped = SkippedPose(str(ctx.memory["pose"]), reason)
+        await self._host.put_object(f"skipped/{loop.skip()}", skipped)
+        ctx.memory["loop"] = loop.to_json()
+        ctx.progress(f"pose {skipped.pose} skipped: {reason}", loop.progress)
+
+    async def collected(self, ctx: ActionContext) -> dict[str, object]:
+        """What is to be calibrated from: the numbers of the poses that were observed, and why others were not."""
+        skipped = await self._skipped(ctx)
+        left_out = {skip.pose for skip in skipped}
+        poses = (await self._poses(ctx)).poses
+        return {
+            "cameras": ctx.memory["cameras"],
+            "observations": [number for number, pose in enumerate(poses, 1) if pose.name not in left_out],
+            "rejected": {skip.pose: skip.reason for skip in skipped},
+            "directory": ctx.memory["directory"],
+        }
+
+    async def write_report(self, ctx: ActionContext) -> None:
+        """Writes the report of a calibration that succeeded."""
+        solver = await self._host.get_object("calibration", SolverReport)
+        poses = _loop(ctx).poses
+        report = succeeded(solver, await self._skipped(ctx), poses)
+        ctx.result.update(self._finish(ctx, report, await self._expected(poses)))
+
+    async def note_failure(self, ctx: ActionContext) -> None:
+        """Keeps the reason for which the command ends, before what is done to end it can fail too."""
+        reason = "the command was cancelled" if ctx.cancelled else _reason(ctx)
+        ctx.memory["reason"] = reason
+        ctx.progress(f"giving up: {reason}")
+
+    async def report_failure(self, ctx: ActionContext) -> None:
+        """Writes the report of a command that failed."""
+        reason = str(ctx.memory.get("reason") or _reason(ctx))
+        ctx.result["message"] = reason
+        if "loop" in ctx.memory:
+            skipped: list[SkippedPose] = []
+            with contextlib.suppress(ImError):  # the data objects may be what failed
+                skipped = await self._skipped(ctx)
+            self._finish(ctx, failed(reason, skipped))
+
+    # What they share.
+
+    async def _poses(self, ctx: ActionContext) -> PosesFile:
+        """The poses of a command; a dispatcher that came back reads them again."""
+        if self._file is None or self._file[0] != ctx.command.id:
+            self._file = ctx.command.id, await self._host.get_object("calibration_poses", PosesFile)
+        return self._file[1]
+
+    async def _skipped(self, ctx: ActionContext) -> list[SkippedPose]:
+        counts = range(1, _loop(ctx).skipped + 1)
+        return [await self._host.get_object(f"skipped/{count}", SkippedPose) for count in counts]
+
+    async def _expected(self, poses: int) -> CommandDuration | None:
+        """How long the command should have taken; None where its nets do not say."""
+        try:
+            return await self._host.apart(expectation, self._host.nets_for(SYMBOL), SYMBOL, poses)
+        except ImError as error:
+            self._host.warn(f"no duration is expected: {error.message}")
+            return None
+
+    def _finish(
+        self, ctx: ActionContext, report: dict[str, object], expected: CommandDuration | None = None
+    ) -> dict[str, object]:
+        match ctx.memory:
+            case {"begun": [float(begun_s), float(begun_simulated_s)], "directory": str(directory)}:
+                times, simulated_s = self._times_of(ctx), self._host.now() - begun_simulated_s
+            case _:
+                raise StateError("no calibrate_camera command is running")
+        timing = times.summary(clock.monotonic() - begun_s, simulated_s)
+        if expected is not None:
+            timing["expectation"] = beside(expected, times.steps, simulated_s)
+        report = {**report, "timing": timing, "seed": self._host.seed}
+        write_report(Path(directory), report)
+        return {"report": report, "directory": directory}
+
+    def _times_of(self, ctx: ActionContext) -> StepTimes:
+        """The times of a command; a dispatcher that came back takes up those of its former life."""
+        if self._timed != ctx.command.id:
+            self._timed = ctx.command.id
+            self._times.add_times(ctx.memory.get("times"))
+        return self._times
+
+
+def _loop(ctx: ActionContext) -> PoseLoop:
+    return PoseLoop.from_json(ctx.memory.get("loop"))
+
+
+def _more_poses(ctx: ActionContext) -> bool:
+    return _loop(ctx).more_poses()
+
+
+def _dispensable(ctx: ActionContext) -> bool:
+    return ctx.failure is not None and _loop(ctx).dispensable(ctx.failure.code)
+
+
+def _reason(ctx: ActionContext) -> str:
+    return "nobody says why" if ctx.failure is None else ctx.failure.message
+
+
+def _standing(command: Job) -> str:
+    if "loop" not in command.memory:
+        return "begun"
+    loop = PoseLoop.from_json(command.memory["loop"])
+    return f"pose {loop.taken} of {loop.poses}"
+
+
+COMMAND = CommandDescription(
+    net=Path(__file__).parent.parent / "nets/calibrate_camera.yaml",
+    functions=lambda host: CalibrateCamera(host).functions,
+    standing={SYMBOL: _standing},
+)

@@ -1,0 +1,97 @@
+"""The node as commands see it: data objects are plain values here, and messages outside."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
+
+from geometry_msgs.msg import PoseStamped
+from std_msgs.msg import String
+
+from im_core.ros import qos
+from im_core.ros.calls import run_in_thread
+from im_dispatcher.job import CalibrationOrder
+from im_dispatcher.poses_file import PosesFile, WristPose
+from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
+from im_msgs.msg import CalibrationReport, CameraNames, Firing, Rejection
+from im_pnt.model.net import Net
+from im_pnt.ros.node import PntNode
+
+ValueT = TypeVar("ValueT")
+
+
+class NodeHost:
+    """A :class:`im_dispatcher.command.CommandHost`; commands take it before the node is made, and use it after."""
+
+    def __init__(self) -> None:
+        self._timed: list[StepTimes] = []
+
+    def attach(self, node: PntNode) -> None:
+        """Tells which node it stands for."""
+        self._node, self.seed = node, node.seed
+        node.create_subscription(Firing, "/pnt/firings", self._note_firing, qos.EVENTS)
+
+    async def put_object(self, name: str, value: object, place: str = "") -> None:
+        """Stores a data object of a type that :data:`MESSAGES` knows."""
+        await self._node.dom.put(name, MESSAGES[type(value)](value), place)
+
+    async def get_object(self, name: str, kind: type[ValueT]) -> ValueT:
+        """Returns a data object as a value of a type that :data:`VALUES` knows."""
+        message_type, value_of = VALUES[kind]
+        value: ValueT = value_of(await self._node.dom.get(name, message_type))
+        return value
+
+    async def apart(self, function: Callable[..., ValueT], *arguments: object) -> ValueT:
+        """Has a function that takes long done in a thread of its own."""
+        return await run_in_thread(self._node, function, *arguments)
+
+    def time_steps(self, times: StepTimes) -> None:
+        """Has the firings of all nets timed."""
+        self._timed.append(times)
+
+    def nets_for(self, net: str) -> Sequence[Net]:
+        """Returns a net as written, with those that it needs."""
+        return self._node.net_with_servers(net)
+
+    def now(self) -> float:
+        """Returns the testbed time [s]."""
+        return float(self._node.get_clock().now().nanoseconds) * 1e-9
+
+    def warn(self, text: str) -> None:
+        """Writes a line to the log."""
+        self._node.get_logger().warning(text)
+
+    def _note_firing(self, message: Firing) -> None:
+        name = f"{message.net}.{message.transition}"
+        stamp = message.stamp.sec + message.stamp.nanosec * 1e-9
+        for times in self._timed:
+            if message.phase == Firing.START:
+                times.note_start(name, stamp)
+            elif message.phase in (Firing.END, Firing.FAILED):
+                times.note_end(name, stamp, message.duration)
+
+
+def _stamped(pose: WristPose) -> PoseStamped:
+    message = PoseStamped()
+    message.header.frame_id = "world"
+    position, orientation = message.pose.position, message.pose.orientation
+    position.x, position.y, position.z = pose.position_m
+    orientation.x, orientation.y, orientation.z, orientation.w = pose.orientation_xyzw
+    return message
+
+
+#: The messages of values that commands put; a dictionary is JSON data.
+MESSAGES: Mapping[type, Callable[[Any], object]] = {
+    dict: lambda data: String(data=json.dumps(data)),
+    WristPose: _stamped,
+    PosesFile: lambda file: String(data=file.model_dump_json()),
+    CalibrationOrder: lambda order: CameraNames(cameras=order.cameras, light=order.light),
+    SkippedPose: lambda skipped: Rejection(pose=skipped.pose, reason=skipped.reason),
+}
+
+#: The values of messages that commands get.
+VALUES: Mapping[type, tuple[type, Callable[[Any], Any]]] = {
+    dict: (String, lambda message: json.loads(message.data)),
+    PosesFile: (String, lambda message: PosesFile.model_validate_json(message.data)),
+    SkippedPose: (Rejection, lambda message: SkippedPose(message.pose, message.reason)),
+    SolverReport: (CalibrationReport, lambda message: SolverReport(json.loads(message.json))),
+}

@@ -1,0 +1,144 @@
+"""The functions of calibrate_camera, played without ROS and without a net."""
+
+import asyncio
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from im_core.errors import DataError, ImError, LinkError
+from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL, CalibrateCamera
+from im_dispatcher.job import CalibrationOrder
+from im_dispatcher.poses_file import WristPose
+from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
+from im_pnt.errors import NetError
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Command, Job, Lineage
+from im_pnt.model.net import Net
+
+
+class Host:
+    """Keeps data objects in memory, and counts who asks for them."""
+
+    seed = 3
+
+    def __init__(self) -> None:
+        self.objects: dict[str, object] = {}
+        self.calls: list[str] = []
+        self.dead = False
+
+    async def put_object(self, name: str, value: object, place: str = "") -> None:
+        self._called(name)
+        self.objects[name] = value
+
+    async def get_object(self, name: str, kind: type) -> object:
+        self._called(name)
+        assert isinstance(self.objects[name], kind)
+        return self.objects[name]
+
+    def _called(self, name: str) -> None:
+        if self.dead:
+            raise LinkError("/dom is dead")
+        self.calls.append(name)
+
+    async def apart(self, function, *arguments: object) -> object:
+        return function(*arguments)
+
+    def time_steps(self, times: StepTimes) -> None:
+        pass
+
+    def nets_for(self, net: str) -> Sequence[Net]:
+        raise NetError("no nets here")
+
+    def now(self) -> float:
+        return 7.0
+
+    def warn(self, text: str) -> None:
+        pass
+
+
+class Play:
+    """One command, whose dispatcher may die between two functions."""
+
+    def __init__(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
+        self.host = Host()
+        self.job = Job(Command(1, SYMBOL, {}), {})
+        self.restart()
+
+    def restart(self) -> None:
+        self.job.memory = json.loads(json.dumps(self.job.memory))
+        self._functions = CalibrateCamera(self.host).functions.actions
+
+    def __call__(self, name: str, failure: ImError | None = None) -> object:
+        outcome = self._functions[name](ActionContext(SYMBOL, name, Lineage(self.job, failure)))
+        return asyncio.run(outcome) if asyncio.iscoroutine(outcome) else outcome
+
+    def pose(self) -> str:
+        """Takes the next pose; returns where it leads."""
+        self("read_next_pos")
+        destination = self.host.objects["destination"]
+        assert isinstance(destination, WristPose)
+        return destination.name
+
+
+@pytest.fixture
+def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
+    play = Play(tmp_path, monkeypatch)
+    play("init_calib")
+    return play
+
+
+def test_a_command_begins_with_its_poses_and_its_light(play: Play) -> None:
+    order = play.host.objects["calibration_cameras"]
+    assert isinstance(order, CalibrationOrder)
+    assert (order.light, order.cameras) == ("left_led", ("ceiling_left", "ceiling_right"))
+    assert play("mover") == {"group": "left"}
+    assert play("watchers") == {"cameras": ["ceiling_left", "ceiling_right"]}
+
+
+def test_a_pose_costs_one_call_and_no_more_memory_than_the_one_before(play: Play) -> None:
+    sizes = []
+    for number in range(1, 41):
+        before = len(play.host.calls)
+        name = play.pose()
+        assert play("present_pose") == {"number": number, "pose": name}
+        assert play.host.calls[before:] == ["destination"]
+        sizes.append(len(json.dumps(play.job.memory)))
+    assert max(sizes[9:]) == min(sizes[9:])
+    assert COMMAND.standing[SYMBOL](play.job) == "pose 40 of 40"
+    with pytest.raises(DataError, match="all poses have been visited"):
+        play.pose()
+
+
+@pytest.mark.parametrize("deaths", [(), (1, 20, 39), tuple(range(40))])
+def test_every_pose_is_visited_once_and_what_was_skipped_is_known_in_the_end(play: Play, deaths: tuple) -> None:
+    names = []
+    for number in range(40):
+        if number in deaths:
+            play.restart()
+        names.append(play.pose())
+        if number in (2, 30):
+            play("skip_pose", DataError(f"reason {number}"))
+    assert names == [f"p{number:02}" for number in range(1, 41)]
+    collected = play("collected")
+    assert collected["observations"] == [number for number in range(1, 41) if number not in (3, 31)]
+    assert collected["rejected"] == {"p03": "reason 2", "p31": "reason 30"}
+    play.host.objects["calibration"] = SolverReport({"success": True, "points_rejected": []})
+    play("write_report")
+    report = json.loads((Path(collected["directory"]) / "report.json").read_text())
+    assert [entry["pose"] for entry in report["points_rejected"]] == ["p03", "p31"]
+    assert (report["seed"], report["poses"]) == (3, 40)
+
+
+def test_a_command_fails_with_a_report_even_if_the_data_objects_are_what_failed(play: Play) -> None:
+    play.pose()
+    play("skip_pose", DataError("hidden"))
+    play.host.dead = True
+    play("note_failure", LinkError("the arm is gone"))
+    play("report_failure")
+    assert play.job.results == {"message": "the arm is gone"}
+    report = json.loads((Path(str(play.job.memory["directory"])) / "report.json").read_text())
+    assert (report["success"], report["message"]) == (False, "the arm is gone")
+    assert isinstance(play.host.objects["skipped/1"], SkippedPose)

@@ -1,0 +1,1 @@
+"""Limits and configuration of MCS: what everything else keeps to."""

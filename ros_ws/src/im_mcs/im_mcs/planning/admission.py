@@ -1,0 +1,128 @@
+"""Whether a group may do what a request asks for: as many values as joints, all within their limits."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import DataError, LimitError
+from im_mcs.planning.context import PlanContext
+from im_mcs.protocol.requests import JointMove, Move, StreamRequest, TrajectoryMove
+
+_ROUNDING = 1e-6
+_AT_REST = 1e-6
+
+
+def check_move(context: PlanContext, move: Move) -> None:
+    """Check a path against the joints of a group.
+
+    Raises:
+        DataError: A wrong size, a value that is not finite, a motion that does not end at rest.
+        LimitError: A position, velocity or acceleration is beyond its limit; names joint, value, limit and unit.
+    """
+    if isinstance(move, JointMove):
+        _check_points(context, move.points)
+    elif isinstance(move, TrajectoryMove):
+        points, motion = move.points, context.limits.motion.of(context.index)
+        _check_points(context, points.q)
+        if points.v is not None:
+            _check_derivative(context, points.v, motion.velocity, "velocities", "velocity", "/s")
+        if points.a is not None:
+            _check_derivative(context, points.a, motion.acceleration, "accelerations", "acceleration", "/s2")
+        if points.v is not None and np.abs(points.v[-1]).max() > _AT_REST:
+            k = int(np.argmax(np.abs(points.v[-1])))
+            joint = context.limits.names[context.index[k]]
+            raise DataError(
+                f"a trajectory ends at rest; {joint} has velocity {points.v[-1, k]:.6g} in its last point", joint=joint
+            )
+
+
+def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Position and velocity of a streaming setpoint, shape (n,) each.
+
+    Raises:
+        DataError: A wrong size, or a value that is not finite.
+        LimitError: A position is out of range, a velocity too large, or the joint could not stop before its limit.
+    """
+    limits, index = context.limits, context.index
+    q = limits.check_positions(index, request.positions, "the setpoint")
+    v = per_joint(context, request.velocities, "velocities")
+    if v is None:
+        return q, np.zeros_like(q)
+    motion = limits.motion.of(index)
+    _check_within(context, v, motion.velocity, "velocity of the setpoint", "/s")
+    speed = np.abs(v)
+    way = speed * (speed / motion.acceleration + motion.acceleration / motion.jerk) / 2.0
+    stop = q + np.sign(v) * way
+    beyond = (stop < limits.lower[index]) | (stop > limits.upper[index])
+    if beyond.any():
+        k = int(np.argmax(beyond))
+        i = index[k]
+        limit = float(limits.lower[i] if v[k] < 0.0 else limits.upper[i])
+        raise LimitError(
+            joint=limits.names[i],
+            value=float(stop[k]),
+            limit=limit,
+            unit=limits.units[i],
+            what=f"position at which it could stop from the setpoint's velocity {v[k]:.6g} {limits.units[i]}/s",
+        )
+    return q, v
+
+
+def per_joint(context: PlanContext, values: Sequence[float], what: str) -> NDArray[np.float64] | None:
+    """Finite values, shape (n,), or None for none.
+
+    Raises:
+        DataError: Not as many as joints, or one is not finite.
+    """
+    if not len(values):
+        return None
+    names = [context.limits.names[i] for i in context.index]
+    if len(values) != len(names):
+        raise DataError(f"{what}: {len(values)} values for {len(names)} joints ({', '.join(names)})")
+    for name, value in zip(names, values, strict=True):
+        if not math.isfinite(value):
+            raise DataError(f"{what}: {name}: {value} is not a finite number", joint=name)
+    return np.array(values, dtype=np.float64)
+
+
+def _check_points(context: PlanContext, q: NDArray[np.float64]) -> None:
+    limits, index = context.limits, context.index
+    if q.shape[1] == len(index):
+        inside = (q >= limits.lower[index]) & (q <= limits.upper[index])
+        if inside.all():
+            return
+        number = int(np.argmin(inside.all(axis=1)))
+    else:
+        number = 0
+    limits.check_positions(index, q[number].tolist(), f"point {number + 1}")
+
+
+def _check_derivative(
+    context: PlanContext, values: NDArray[np.float64], limit: NDArray[np.float64], what: str, one: str, unit: str
+) -> None:
+    """Check velocities or accelerations of all points, shape (m, n)."""
+    if values.shape[1] == len(limit):
+        inside = np.abs(values) <= limit * (1.0 + _ROUNDING)
+        if inside.all():
+            return
+        number = int(np.argmin(inside.all(axis=1)))
+    else:
+        number = 0
+    per_joint(context, values[number].tolist(), f"point {number + 1}: {what}")
+    _check_within(context, values[number], limit, f"{one} of point {number + 1}", unit)
+
+
+def _check_within(
+    context: PlanContext, values: NDArray[np.float64], limit: NDArray[np.float64], what: str, unit: str
+) -> None:
+    """Check values, shape (n,), against limits, shape (n,); ``unit`` is what follows that of the position."""
+    beyond = np.abs(values) > limit * (1.0 + _ROUNDING)
+    if beyond.any():
+        k = int(np.argmax(beyond))
+        i = context.index[k]
+        unit = context.limits.units[i] + unit
+        raise LimitError(
+            joint=context.limits.names[i], value=float(values[k]), limit=float(limit[k]), unit=unit, what=what
+        )

@@ -1,0 +1,1 @@
+"""Straight-line motion of the wrist (paper, section 4)."""

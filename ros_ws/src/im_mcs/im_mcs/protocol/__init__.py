@@ -1,0 +1,1 @@
+"""What the node and the servo process share: requests, channel, samples, signs of life."""

@@ -1,0 +1,459 @@
+"""Requests to the servo process: what they say, checked once, where they enter it.
+
+A request is JSON: ``{"id": 7, "request": "move", "arguments": {...}}``; its name says which model its arguments obey.
+What depends on the cell (the joints of a group, their limits) is not checked here but where it is known.
+"""
+
+import math
+import reprlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic_core import core_schema
+
+from im_core.config import Fault, Model, faults
+from im_core.errors import DataError, NotFoundError
+from im_core.yamltext import Location
+
+SLOWEST = 0.01
+"""Smallest scale of speed: a motion slowed down further would seem to stand, and never end."""
+_LONGEST_LEASE_S = 10.0
+_OFF_UNIT = 0.01
+
+# Descriptions say what a value is: they are what refusals say that it is not.
+Text = Annotated[str, Field(description="a text")]
+Amount = Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0")]
+Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0 [s]")]
+Metres = Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0 [m]")]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Numbers = Annotated[list[float], Field(description="a list of numbers")]
+
+
+class Policy(StrEnum):
+    """What becomes of a motion that is under way when another is asked for."""
+
+    REFUSE = "refuse"
+    APPEND = "append"
+    REPLACE = "replace"
+
+
+class ServoRequest(Model):
+    """Arguments of a request; a number may be infinite or none where the cell's limits decide over it."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=True)
+
+
+# paths
+
+
+def _rows(kind: object) -> GetPydanticSchema:
+    """Lists of numbers that end up as one array, shape (m, n)."""
+    return GetPydanticSchema(
+        lambda _, handler: core_schema.no_info_after_validator_function(_array, handler.generate_schema(kind))
+    )
+
+
+def _array(rows: list[list[float]], what: str = "positions") -> NDArray[np.float64]:
+    if len(set(map(len, rows))) > 1:
+        number, row = next((number, row) for number, row in enumerate(rows, 1) if len(row) != len(rows[0]))
+        raise ValueError(f"point {number}: {len(row)} {what}; point 1 has them for {len(rows[0])} joints")
+    return np.array(rows, dtype=np.float64)
+
+
+def unit_pose(numbers: list[float]) -> list[float]:
+    """Position [m] and quaternion x, y, z, w whose length is 1, exactly; it may be off by 1 %.
+
+    Raises:
+        ValueError: It is no pose.
+    """
+    if len(numbers) != 7:
+        raise ValueError(f"the pose has {len(numbers)} values, not 7 (x, y, z, qx, qy, qz, qw)")
+    if not all(math.isfinite(number) for number in numbers):
+        raise ValueError(f"the pose {numbers} has a value that is not a finite number")
+    orientation = numbers[3:]
+    length = math.hypot(*orientation)
+    if abs(length - 1.0) > _OFF_UNIT:
+        given = ", ".join(f"{number:.6g}" for number in orientation)
+        raise ValueError(f"the orientation ({given}) is not a unit quaternion: its length is {length:.4g}")
+    return numbers[:3] + [number / length for number in orientation]
+
+
+class _Path(ServoRequest):
+    """What kinds of paths have in common: not more points than are allowed, which is known while it is validated."""
+
+    @field_validator("points", "poses", mode="before", check_fields=False)
+    @classmethod
+    def _count(cls, given: object, info: ValidationInfo) -> object:
+        most = (info.context or {}).get("max_points")
+        if isinstance(given, list) and (not given or (most is not None and len(given) > most)):
+            many = f"{len(given)} {info.field_name}"
+            what = {"LineMove": f"line through {many}", "JointMove": f"path of {many}"}.get(
+                cls.__name__, f"trajectory of {many}"
+            )
+            raise ValueError(f"a {what} is not one of 1 to {most}")
+        return given
+
+
+class JointMove(_Path):
+    """Points to pass in joint space, shape (m, n) [rad or m], with rounded corners if ``blend`` > 0."""
+
+    kind: Literal["joint"] = "joint"
+    points: Annotated[NDArray[np.float64], _rows(list[list[float]])]
+    blend: Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0 [rad or m]")] = 0.0
+
+
+class LineMove(_Path):
+    """Straight lines of the wrist.
+
+    Attributes:
+        poses: x, y, z, qx, qy, qz, qw of each, with quaternions of length 1.
+        speed: Of the wrist [m/s]; 0: as fast as limits allow.
+        blend: [m]; 0: at rest in every pose.
+    """
+
+    kind: Literal["line"] = "line"
+    poses: list[Annotated[list[float], AfterValidator(unit_pose)]]
+    speed: Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0 [m/s]")] = 0.0
+    blend: Metres = 0.0
+
+
+class TimedPoint(ServoRequest):
+    """A point of a trajectory as it is sent."""
+
+    time: Seconds
+    positions: list[float]
+    velocities: list[float] = Field(default_factory=list)
+    accelerations: list[float] = Field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class TimedPoints:
+    """Positions at times.
+
+    Attributes:
+        times: Strictly increasing, shape (m,) [s].
+        q: Positions, shape (m, n).
+        v: Velocities, shape (m, n), if they are given.
+        a: Accelerations, shape (m, n), if they are given.
+    """
+
+    times: NDArray[np.float64]
+    q: NDArray[np.float64]
+    v: NDArray[np.float64] | None
+    a: NDArray[np.float64] | None
+
+
+def _timed(points: list[TimedPoint]) -> TimedPoints:
+    times = np.array([point.time for point in points])
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if late.size:
+        k = int(late[0])
+        raise ValueError(
+            f"times must increase: point {k + 2} is at {times[k + 1]:g} s, not after point {k + 1} at {times[k]:g} s"
+        )
+    v, a = (_derivative(name, [getattr(point, name) for point in points]) for name in ("velocities", "accelerations"))
+    if a is not None and v is None:
+        raise ValueError("the trajectory has accelerations but no velocities; give both, or velocities alone")
+    return TimedPoints(times, _array([point.positions for point in points]), v, a)
+
+
+def _derivative(name: str, rows: list[list[float]]) -> NDArray[np.float64] | None:
+    if not any(rows):
+        return None
+    if not all(rows):
+        number = next(number for number, row in enumerate(rows, start=1) if not row)
+        raise ValueError(f"point {number} has no {name}, others have; give them for every point or for none")
+    return _array(rows, name)
+
+
+class TrajectoryMove(_Path):
+    """Positions at times, and how far they may be missed.
+
+    Attributes:
+        points: Positions at times.
+        path_tolerance: Bound of the error on the way, shape (n,) or empty; 0: not set, below 0: none.
+        path_velocity_tolerance: The same of the velocity.
+        goal_tolerance: Bound of the error at the end, shape (n,) or empty; 0: not set, below 0: none.
+        goal_velocity_tolerance: The same of the velocity.
+        goal_time_tolerance: Time allowed beyond the end to be within it [s]; 0: as long as settling may take.
+    """
+
+    kind: Literal["trajectory"] = "trajectory"
+    points: Annotated[
+        TimedPoints,
+        GetPydanticSchema(
+            lambda _, handler: core_schema.no_info_after_validator_function(
+                _timed, handler.generate_schema(list[TimedPoint])
+            )
+        ),
+    ]
+    path_tolerance: list[float] = Field(default_factory=list)
+    path_velocity_tolerance: list[float] = Field(default_factory=list)
+    goal_tolerance: list[float] = Field(default_factory=list)
+    goal_velocity_tolerance: list[float] = Field(default_factory=list)
+    goal_time_tolerance: Seconds = 0.0
+
+
+Move = JointMove | LineMove | TrajectoryMove
+_PATHS: Mapping[str, type[ServoRequest]] = {"joint": JointMove, "line": LineMove, "trajectory": TrajectoryMove}
+
+
+# requests
+
+
+class ReserveRequest(ServoRequest):
+    """Give a group its slots, for an owner, until a lease of testbed time lapses [s]; 0: never."""
+
+    group: Text
+    owner: Text = ""
+    lease_s: Seconds = 0.0
+
+
+class ReleaseRequest(ServoRequest):
+    """Take the slots of a group back."""
+
+    group: Text
+
+
+class RenewRequest(ServoRequest):
+    """Let the leases of an owner run anew."""
+
+    owner: Text
+
+
+class RepartitionRequest(ServoRequest):
+    """Divide the joints into the groups of another preset."""
+
+    preset: Text
+
+
+class TransitionRequest(ServoRequest):
+    """Power on or off, enable or disable motion, reset: the name says which."""
+
+
+class MoveRequest(ServoRequest):
+    """Follow a path; a scale of 0 stands for 1."""
+
+    group: Text
+    path: Annotated[Move, Field(discriminator="kind")]
+    policy: Annotated[Policy, Field(strict=False, description=f"one of {', '.join(Policy)}")] = Policy.REFUSE
+    speed_scale: Annotated[float, Field(description=f"between {SLOWEST:g} and 1 (0 stands for 1)")] = 1.0
+
+    @field_validator("speed_scale")
+    @classmethod
+    def _share(cls, scale: float) -> float:
+        if scale != 0.0 and not SLOWEST <= scale <= 1.0:
+            raise ValueError("out of range")
+        return scale or 1.0
+
+
+class StreamRequest(ServoRequest):
+    """The newest setpoint or torques of a group, one per joint, good for the time of the lease."""
+
+    group: Text
+    kind: Annotated[Literal["setpoint", "torque"], Field(description="one of setpoint, torque")]
+    positions: Numbers = Field(default_factory=list)
+    velocities: Numbers = Field(default_factory=list)
+    torques: Numbers = Field(default_factory=list)
+    lease_s: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=_LONGEST_LEASE_S,
+            description=f"a number above 0 and up to {_LONGEST_LEASE_S:g} [s], the time after which a silent sender "
+            "is given up on",
+        ),
+    ]
+    owner: Text = ""
+
+
+class CancelRequest(ServoRequest):
+    """End a goal, by the number of the request that asked for it."""
+
+    goal: Annotated[int, Field(description="a whole number")]
+
+
+class PauseRequest(ServoRequest):
+    """Halt a group on its path; all of them if none is named."""
+
+    group: Text = ""
+
+
+class ResumeRequest(ServoRequest):
+    """Go on after a pause or a protective stop; all groups if none is named."""
+
+    group: Text = ""
+
+
+class SetSpeedRequest(ServoRequest):
+    """Share of the planned speed, for this motion and those after it."""
+
+    group: Text
+    scale: Annotated[float, Field(ge=SLOWEST, le=1, description=f"a number from {SLOWEST:g} to 1")]
+
+
+class SetGripperRequest(ServoRequest):
+    """Let jaws go to an opening [m], with a force [N]; 0: all that the gripper can give."""
+
+    gripper: Text
+    opening: Annotated[float, Field(description="a number [m]")]
+    force: Amount = 0.0
+
+
+class SetControllerRequest(ServoRequest):
+    """Let another control law take over a group."""
+
+    group: Text
+    controller: Text
+
+
+class SetPayloadRequest(ServoRequest):
+    """What the wrist of a group carries: mass [kg], centre [m], inertia about it [kg m2]."""
+
+    group: Text
+    mass: Amount
+    center: Annotated[list[Finite], Field(min_length=3, max_length=3, description="3 finite numbers")]
+    inertia: Annotated[
+        list[Finite], Field(min_length=6, max_length=6, description="6 finite numbers (xx, xy, xz, yy, yz, zz)")
+    ]
+
+
+class ProtectiveStopRequest(ServoRequest):
+    """Decelerate on the paths and hold."""
+
+    reason: Text
+
+
+class EstopRequest(ServoRequest):
+    """Stop at once."""
+
+    reason: Text
+
+
+REQUESTS: Mapping[str, type[ServoRequest]] = {
+    "reserve": ReserveRequest,
+    "release": ReleaseRequest,
+    "renew": RenewRequest,
+    "repartition": RepartitionRequest,
+    "power_on": TransitionRequest,
+    "power_off": TransitionRequest,
+    "enable_motion": TransitionRequest,
+    "disable_motion": TransitionRequest,
+    "move": MoveRequest,
+    "stream": StreamRequest,
+    "cancel": CancelRequest,
+    "pause": PauseRequest,
+    "resume": ResumeRequest,
+    "set_speed": SetSpeedRequest,
+    "set_gripper": SetGripperRequest,
+    "set_controller": SetControllerRequest,
+    "set_payload": SetPayloadRequest,
+    "protective_stop": ProtectiveStopRequest,
+    "estop": EstopRequest,
+    "reset": TransitionRequest,
+}
+"""The model of every request that the servo knows, by its name."""
+
+
+def request_message(number: int, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """A request as JSON data; ``number`` is what the answer carries."""
+    return {"id": number, "request": name, "arguments": arguments}
+
+
+def request_id(message: Mapping[str, Any]) -> int:
+    """Number of a request, 0 if it has none."""
+    number = message.get("id", 0)
+    return number if isinstance(number, int) else 0
+
+
+def parse_request(message: Mapping[str, Any], max_points: int) -> tuple[str, ServoRequest]:
+    """Name and arguments of a request from JSON data.
+
+    Args:
+        message: The data.
+        max_points: How many points a path may have.
+
+    Raises:
+        NotFoundError: The servo knows no such request.
+        DataError: An argument is missing, too much, or not what it should be; it is named.
+    """
+    name = message.get("request")
+    if not isinstance(name, str) or name not in REQUESTS:
+        raise NotFoundError(kind="request", name=str(name), known=REQUESTS)
+    model, given = REQUESTS[name], message.get("arguments", {})
+    if not isinstance(given, dict):
+        raise DataError(f"{name}: the arguments are not an object but {reprlib.repr(given)}", request=name)
+    try:
+        return name, model.model_validate(given, context={"max_points": max_points})
+    except ValidationError as error:
+        fault = faults(error, model)[0]
+        raise DataError(_sentence(name, model, given, fault), request=name, argument=fault.field) from None
+
+
+def _sentence(name: str, model: type[ServoRequest], given: Mapping[str, Any], fault: Fault) -> str:
+    """What is wrong with a request; fields with a description are not what that says."""
+    where, value, here = fault.location, reprlib.repr(fault.value), model
+    below: Any = given
+    for rank, part in enumerate(where):
+        if isinstance(part, int):
+            here = TimedPoint
+        elif where[:rank] == ("path",):
+            here = _PATHS[part]
+            continue
+        elif part not in here.model_fields or (fault.kind == "missing" and rank == len(where) - 1):
+            return _fields(name, model, here, given, fault)
+        elif (what := here.model_fields[part].description) is not None:
+            place = _place(where[:rank]) if rank > 0 else name
+            return f"{place + ': ' if place else ''}{part} {reprlib.repr(below[part])} is not {what}"
+        below = below[part]
+    match fault.kind:
+        case "union_tag_not_found" | "union_tag_invalid":
+            return f"path: kind {reprlib.repr(below.get('kind'))} is not one of {', '.join(_PATHS)}"
+        case "value_error":
+            return f"{_place(where[:4]).partition(': ')[0]}: {fault.words}" if "poses" in where[:-1] else fault.words
+        case "list_type":
+            return f"{_place(where)}: {value} is not a list"
+        case "float_type":
+            return f"{_place(where)}: {value} is not a number"
+    if where == ("path",):
+        return f"a path is an object with a kind, not {value}"
+    return f"{_place(where)} is an object with time and positions, not {value}"
+
+
+def _fields(
+    name: str, model: type[ServoRequest], here: type[ServoRequest], given: Mapping[str, Any], fault: Fault
+) -> str:
+    """Fields that are missing or too many, and those that there are."""
+    needed = [field for field, info in here.model_fields.items() if info.is_required() or field == "kind"]
+    order = [*needed, *(f"[{field}]" for field in here.model_fields if field not in needed)]
+    if here is model:
+        return f"{name} takes {', '.join(order) or 'no arguments'}, not {', '.join(sorted(given)) or 'none'}"
+    place, field = _place(fault.location[:-1]) or f"path of kind {fault.location[1]}", fault.location[-1]
+    wrong = f"{field} is missing" if fault.kind == "missing" else f"unknown {field}"
+    return f"{place}: {wrong}; it takes {', '.join(order)}"
+
+
+def _place(where: Location) -> str:
+    """``("path", "trajectory", "points", 0, "velocities", 3)`` as ``point 1: velocities``."""
+    words: list[str] = []
+    for part in where[2:] if where[:1] == ("path",) else where:
+        if isinstance(part, str):
+            words.append(part)
+        elif words[-1] == "points":
+            words[-1] = f"point {part + 1}"
+        elif words[-1] == "poses":
+            words[-1] = f"pose {part + 1} of the line: the pose"
+    return ": ".join(words)

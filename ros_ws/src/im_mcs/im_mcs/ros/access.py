@@ -1,0 +1,223 @@
+"""What the servers of the node work with: the configuration in force, its groups, and the way to the servo."""
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+from im_cell.robot import load_cell
+from im_core.errors import ImError
+from im_core.names import results_dir
+from im_core.ros.calls import run_in_thread
+from im_core.ros.node import ManagedNode
+from im_mcs.client.evidence import write_evidence
+from im_mcs.client.groups import all_groups, group_in_force
+from im_mcs.client.kinematics import Kinematics
+from im_mcs.client.servo_client import OnProgress, ServoClient, ServoReply
+from im_mcs.limits.configuration import Group, McsConfig
+from im_mcs.model import CellModel
+from im_mcs.ros.lifecycle import Lifecycle
+from im_mcs.ros.servo_keeper import ServoKeeper
+from im_mcs.state import Event, State, next_state
+
+Started = Callable[[int], None]
+"""Told the number of a request that has been sent."""
+
+_EVIDENCE = "mcs"
+_LIFECYCLE = {Event.POWER_ON: "activate", Event.POWER_OFF: "deactivate"}
+
+
+class Refusals:
+    """Counts refused messages by topic, and says each sentence once; fit for several threads.
+
+    Args:
+        logger: Of the node.
+    """
+
+    def __init__(self, logger: RcutilsLogger) -> None:
+        self._logger = logger
+        self._lock = threading.Lock()
+        self._counts: Counter[str] = Counter()
+        self._last: dict[str, str] = {}
+
+    def add(self, topic: str, error: ImError) -> None:
+        """A message on ``topic`` was refused, or what it asked for ended badly."""
+        with self._lock:
+            self._counts[topic] += 1
+            told = self._last.get(topic) == error.message
+            self._last[topic] = error.message
+        if not told:
+            self._logger.warning(f"{topic}: {error.message}")
+
+    def counts(self) -> dict[str, int]:
+        """Number of refused messages by topic."""
+        with self._lock:
+            return dict(self._counts)
+
+
+class McsAccess:
+    """MCS in the eyes of the node's servers.
+
+    Attributes:
+        node: The node that offers them.
+        config: Configuration, with the preset in force.
+        cell: Parameters of the cell.
+        model: Its kinematics, for the node's thread.
+        kinematics: Kinematic questions, for any thread.
+        lifecycle: Of the node; its transitions go through the servo.
+        keeper: Looks after the servo process.
+        refusals: Messages on topics that were refused: nobody waits there for an answer.
+
+    Args:
+        node: The node.
+        config: Configuration.
+        config_file: Where it came from; None: the one of the package.
+        changed: Called in the node's loop after every change of state.
+    """
+
+    def __init__(
+        self, node: ManagedNode, config: McsConfig, config_file: Path | None, changed: Callable[[], None]
+    ) -> None:
+        self.node, self.config = node, config
+        self.cell = load_cell()
+        self.model = CellModel(self.cell)
+        self.kinematics = Kinematics(config, CellModel(self.cell))
+        self.refusals = Refusals(node.get_logger())
+        self._changed = changed
+        self.lifecycle = Lifecycle(
+            node,
+            {
+                "configure": self._configure,
+                "cleanup": self._cleanup,
+                "activate": lambda: self._power(Event.POWER_ON),
+                "deactivate": lambda: self._power(Event.POWER_OFF),
+                "shutdown": self._shutdown,
+            },
+        )
+        self.keeper = ServoKeeper(node, self.lifecycle, config_file, config.safety.servo_silence_s, changed)
+
+    @property
+    def state(self) -> State:
+        """Present state of MCS."""
+        return self.keeper.state
+
+    @property
+    def group_names(self) -> list[str]:
+        """Groups of all presets; each has its servers and topics whatever preset is in force."""
+        return all_groups(self.config)
+
+    def client(self) -> ServoClient:
+        """The way to the servo.
+
+        Raises:
+            StateError: MCS is unconfigured.
+        """
+        return self.keeper.client()
+
+    def group(self, name: str) -> Group:
+        """A group of the preset in force.
+
+        Raises:
+            StateError: MCS is unconfigured, or the group is one of another preset.
+            NotFoundError: No preset has such a group.
+        """
+        self.client()
+        return group_in_force(self.config, name)
+
+    def index(self, group: Group) -> NDArray[np.intp]:
+        """Ranks of a group's joints among all, shape (n,)."""
+        return np.array([self.model.index(joint) for joint in group.joints], dtype=np.intp)
+
+    async def request(
+        self,
+        event: Event,
+        arguments: dict[str, Any] | None = None,
+        started: Started | None = None,
+        on_progress: OnProgress | None = None,
+    ) -> dict[str, Any]:
+        """Ask the servo and await its answer.
+
+        Args:
+            event: What is asked for.
+            arguments: What the event needs.
+            started: Told the number of the request.
+            on_progress: Told how far it is, in another thread.
+
+        Raises:
+            ImError: The servo refuses, or what was asked for ended badly; where there is a record of the last two
+                seconds, the message names its file.
+        """
+        promise = self.node.promise()
+        client = self.client()
+        number = client.send(event, arguments, promise.set_result, on_progress)
+        if started is not None:
+            started(number)
+        reply = await promise
+        assert isinstance(reply, ServoReply)
+        self.keeper.follow()
+        self._changed()
+        if reply.error is not None:
+            raise await self._with_evidence(client, reply.error, reply.results)
+        return reply.results
+
+    async def transition(self, event: Event) -> None:
+        """Go through a transition of the state table, together with the lifecycle.
+
+        Raises:
+            ImError: It is refused, or ended badly.
+        """
+        self.client()
+        if event in _LIFECYCLE:
+            next_state(self.state, event)
+            await self.lifecycle.change(_LIFECYCLE[event])
+            self.keeper.follow()
+        elif event in (Event.ESTOP, Event.PROTECTIVE_STOP):
+            await self.request(event, {"reason": f"request on /mcs/{event.value}"})
+        else:
+            await self.request(event)
+
+    async def repartition(self, preset: str) -> None:
+        """Divide the joints into groups anew.
+
+        Raises:
+            ImError: There is no such preset, or the state does not allow it.
+        """
+        config = self.config.with_preset(preset)
+        await self.request(Event.REPARTITION, {"preset": preset})
+        self.config = config
+        self.kinematics = Kinematics(config, CellModel(self.cell))
+        self._changed()
+
+    async def _power(self, event: Event) -> None:
+        await self.request(event)
+
+    async def _configure(self) -> None:
+        next_state(self.state, Event.CONFIGURE)
+        await self.keeper.start(self.config)
+        self._changed()
+
+    async def _cleanup(self) -> None:
+        next_state(self.state, Event.CLEANUP)
+        self.keeper.close()
+
+    async def _shutdown(self) -> None:
+        self.keeper.close()
+
+    async def _with_evidence(self, client: ServoClient, error: ImError, results: dict[str, Any]) -> ImError:
+        """An error; where it has evidence, that is written and its file named in message and facts."""
+        record = client.evidence(int(results.get("evidence", 0)))
+        if record is None:
+            return error
+        folder, joints = results_dir() / _EVIDENCE, tuple(self.model.names)
+        try:
+            path = await run_in_thread(self.node, write_evidence, folder, record, error, joints)
+        except ImError as trouble:
+            self.node.get_logger().warning(trouble.message)
+            return error
+        facts = {**error.facts, "evidence": str(path)}
+        return ImError.restored(error.code, f"{error.message}; the last seconds are in {path}", facts)

@@ -1,0 +1,207 @@
+"""Requests of clients: checked against state and reservations, then done."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol
+
+from im_core.errors import ImError, StateError
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.model import ControlledModel, Payload
+from im_mcs.planning.goals import Goal
+from im_mcs.protocol.requests import (
+    CancelRequest,
+    EstopRequest,
+    MoveRequest,
+    PauseRequest,
+    ProtectiveStopRequest,
+    ReleaseRequest,
+    RenewRequest,
+    RepartitionRequest,
+    ReserveRequest,
+    ResumeRequest,
+    ServoRequest,
+    SetControllerRequest,
+    SetGripperRequest,
+    SetPayloadRequest,
+    SetSpeedRequest,
+    StreamRequest,
+    TransitionRequest,
+    parse_request,
+    request_id,
+)
+from im_mcs.servo.answers import Answers
+from im_mcs.servo.control_loop import ControlLoop
+from im_mcs.servo.gripper import Grippers
+from im_mcs.servo.group import ControlledGroup
+from im_mcs.servo.torque_stream import Ended
+from im_mcs.state import Event
+from im_mcs.state.manager import StateManager
+from im_mcs.testbed import Measured
+
+
+class Machine(Protocol):
+    """What requests act on: :class:`im_mcs.servo.core.Mcs`, attributes and methods as there."""
+
+    config: McsConfig
+    manager: StateManager
+    groups: dict[str, ControlledGroup]
+    loop: ControlLoop
+    grippers: Grippers
+    control_model: ControlledModel
+    answers: Answers
+    measured: Measured
+
+    def repartition(self, preset: str) -> None:
+        """Divide the joints into the groups of another preset."""
+        ...
+
+    def protective_stop(self, fault: ImError) -> None:
+        """Let all groups decelerate on their paths and hold."""
+        ...
+
+    def estop(self, fault: ImError) -> None:
+        """Stop at once."""
+        ...
+
+    def end_torque_streams(self, ended: Iterable[Ended]) -> None:
+        """The laws of groups that a client has driven by torques take over."""
+        ...
+
+
+class Dispatch:
+    """What each request does.
+
+    Args:
+        mcs: The machine.
+    """
+
+    def __init__(self, mcs: Machine) -> None:
+        self._mcs = mcs
+        self._manager = mcs.manager
+        self._max_points = mcs.config.planning.max_points
+
+    def run(self, message: Mapping[str, Any]) -> None:
+        """Do what one request asks for; refusals are answered, never raised."""
+        number = request_id(message)
+        try:
+            name, request = parse_request(message, self._max_points)
+            replied_later = self._do(number, Event(name), request)
+        except ImError as error:
+            self._mcs.answers.reply(number, error)
+        else:
+            if not replied_later:
+                self._mcs.answers.reply(number, None)
+
+    def _do(self, number: int, event: Event, request: ServoRequest) -> bool:
+        """Do what is asked for; whether its answer comes when that has ended."""
+        mcs, manager = self._mcs, self._manager
+        match request:
+            case ReserveRequest():
+                manager.reserve(request.group, request.owner, request.lease_s)
+                return False
+            case ReleaseRequest():
+                manager.release(request.group)
+                return False
+            case RenewRequest():
+                manager.renew(request.owner)
+                return False
+            case RepartitionRequest():
+                mcs.repartition(request.preset)
+                return False
+            case EstopRequest():
+                mcs.estop(StateError(request.reason))
+                return False
+            case TransitionRequest():
+                manager.begin(event, lambda error: mcs.answers.reply(number, error))
+                return True
+        manager.check(event)
+        match request:
+            case MoveRequest():
+                manager.reservations.require_lease(request.group)
+                mcs.loop.torque_streams.require_free(request.group)
+                mcs.groups[request.group].request(self._goal(number), request)
+                return True
+            case StreamRequest():
+                return self._stream(number, request)
+            case SetGripperRequest():
+                opening, force = request.opening, request.force
+                mcs.grippers.move(number, request.gripper, opening, force, mcs.measured.gripper)
+                return True
+            case CancelRequest():
+                self._cancel(request.goal)
+            case PauseRequest():
+                groups = self._named(request.group)
+                for group in groups:
+                    mcs.loop.torque_streams.require_free(group.name)
+                for group in groups:
+                    group.pause()
+            case ResumeRequest():
+                groups = self._named(request.group)
+                for group in groups:
+                    manager.reservations.require_lease(group.name)
+                for group in groups:
+                    group.resume()
+            case SetSpeedRequest():
+                self._one(request.group).set_speed(request.scale)
+            case SetControllerRequest():
+                self._one(request.group).switch(request.controller)
+            case SetPayloadRequest():
+                self._set_payload(request)
+            case ProtectiveStopRequest():
+                reason = request.reason
+                mcs.protective_stop(ImError(f"protective stop: {reason}", code="protective_stop", reason=reason))
+        return False
+
+    def _stream(self, number: int, request: StreamRequest) -> bool:
+        """Take streaming setpoints or torques; whether they opened a goal, which is answered at its end."""
+        mcs = self._mcs
+        self._manager.reservations.require_owner(request.group, request.owner)
+        group, goal = mcs.groups[request.group], self._goal(number)
+        if request.kind == "torque":
+            return mcs.loop.torque_streams.take_torques(group, goal, request)
+        mcs.loop.torque_streams.require_free(request.group)
+        return group.stream(goal, request)
+
+    def _cancel(self, goal: int) -> None:
+        mcs = self._mcs
+        if mcs.grippers.cancel(goal, _cancelled(""), mcs.measured.gripper):
+            return
+        driven = mcs.loop.torque_streams.cancel(goal)
+        if driven is not None:
+            mcs.end_torque_streams(mcs.loop.torque_streams.end_streams(_cancelled(driven), (driven,)))
+            return
+        for group in mcs.groups.values():
+            try:
+                group.cancel(goal, _cancelled(group.name))
+            except StateError:
+                continue
+            return
+        raise StateError(f"goal {goal} is not under way", goal=goal)
+
+    def _set_payload(self, request: SetPayloadRequest) -> None:
+        group, config = self._one(request.group).name, self._mcs.config
+        wrist = config.groups[group].wrist
+        if wrist is None:
+            raise StateError(f"group '{group}' has no wrist that could carry a payload", group=group)
+        limits = config.payload
+        payload = Payload.checked(request.mass, request.center, request.inertia, limits.rated_kg, limits.reach_m)
+        ticks = round(config.switching.handover_s / config.servo.period_s)
+        self._mcs.control_model.set_payload(wrist, payload, ticks)
+        for engaged in self._mcs.loop.engaged:  # of the transporter, too: every joint below carries it
+            engaged.monitor.restart()
+
+    def _goal(self, number: int) -> Goal:
+        return Goal(number, self._mcs.measured.tick)
+
+    def _one(self, name: str) -> ControlledGroup:
+        self._manager.reservations.require(name)
+        return self._mcs.groups[name]
+
+    def _named(self, name: str) -> list[ControlledGroup]:
+        """A reserved group, or all of them for an empty name."""
+        names = [name] if name else self._manager.reservations.groups
+        return [self._one(name) for name in names]
+
+
+def _cancelled(group: str) -> ImError:
+    """The fault of a cancelled motion of a group; empty: of a gripper."""
+    return ImError("the motion was cancelled", code="cancelled", group=group)

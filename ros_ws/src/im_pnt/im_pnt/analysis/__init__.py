@@ -1,1 +1,0 @@
-"""What can be said of a net before it runs: bounds, deadlocks, dead transitions, invariants; alone or composed."""

@@ -1,0 +1,10 @@
+"""Nets in several processes: remote places, requests, and the link that crosses exactly once.
+
+:class:`Exchange` delivers tokens, requests and replies between the nets of a process, and hands what is for others to a
+:class:`Transport`; :class:`Link` is what carries it, over two :mod:`.streams` of :mod:`.packets` for each process.
+"""
+
+from im_pnt.distributed.exchange import Exchange, Transport
+from im_pnt.distributed.link import Link
+
+__all__ = ["Exchange", "Link", "Transport"]

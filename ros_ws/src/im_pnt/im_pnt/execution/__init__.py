@@ -1,0 +1,15 @@
+"""One net in execution: two-phase firing driven by events (paper, section 6), without ROS and without other nets.
+
+| to learn | open |
+|---|---|
+| what a user of a net calls | :mod:`.executor` |
+| how events are taken and firings follow, in one loop | :mod:`.event_loop`, :mod:`.events` |
+| which transitions are enabled, and what a token carries | :mod:`.marking` |
+| which of two enabled transitions fires | :mod:`.conflicts` |
+| what a firing does | :mod:`.firing` |
+| what it works for: commands, requests, the tape | :mod:`.jobs` |
+| how actions are begun, ended and cancelled; what their functions are told | :mod:`.actions`, :mod:`.functions` |
+| what becomes of an action of which nobody knows | :mod:`.doubt` |
+| what is told to observers and to other nets; what to the journal | :mod:`.notification`, :mod:`.record` |
+| time, and the operator | :mod:`.timers`, :mod:`.operator` |
+"""

@@ -1,0 +1,248 @@
+"""What a net tells: its observer each firing, numbered, and other nets of tokens and replies."""
+
+import enum
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, Protocol, overload
+
+from im_core.errors import ImError
+from im_pnt.execution.jobs import Job, Lineage, Request
+from im_pnt.execution.operator import Mode
+from im_pnt.model.net import RemotePlace, Transition
+
+
+class Phase(enum.IntEnum):
+    """Phase of a firing, numbered as in ``im_msgs/msg/Firing``. Instantaneous transitions have an END only.
+
+    CANCEL: an action was asked to end early and winds down. DOUBT: nobody has said yet what became of it.
+    """
+
+    START = 0
+    END = 1
+    FAILED = 2
+    CANCEL = 3
+    DOUBT = 4
+
+
+class Firing(NamedTuple):
+    """One firing of the expanded net.
+
+    Attributes:
+        net: Name of the net.
+        transition: Transition as written, or the one of a coordination structure (``accept.s``, ``t_f.s``, ...).
+        sequence: Counts the firings of the net from 1.
+        phase: What happened.
+        symbol: Symbol read from the tape, or the first one written to it; empty if none.
+        command_id: Command it was done for, 0 if none.
+        message: Why it failed, is cancelled or in doubt.
+        duration: Wall time since START [s], 0 for instantaneous transitions.
+        progress: Progress of the command 0..1, negative where unknown.
+    """
+
+    net: str
+    transition: str
+    sequence: int
+    phase: Phase
+    symbol: str
+    command_id: int
+    message: str
+    duration: float
+    progress: float
+
+
+class Observer:
+    """Is told what a net does; does nothing with it. Override what is of interest."""
+
+    def fired(self, firings: Sequence[Firing]) -> None:
+        """Called with the firings of one net since the last call, in order: once a turn, and before anything leaves."""
+
+    def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
+        """Called when an action reports progress; from whatever thread it does."""
+
+    def emitted(self, net: str, symbol: str, lineage: Lineage) -> None:
+        """Called for each symbol written to the output tape."""
+
+    def troubled(self, net: str, text: str) -> None:
+        """Called for what should be in a log: refused tokens, late completions, guards that fail."""
+
+    def chose(
+        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
+    ) -> None:
+        """Called for each choice among strategies, before the firing.
+
+        Args:
+            net: Name of the net.
+            places: Input places of the transition taken that others contend for.
+            probabilities: Of each contending transition.
+            entropy: Of the choice [nats].
+            taken: The transition that fires.
+        """
+
+    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+        """Called when the mode, the pause or the transitions that wait to be confirmed have changed."""
+
+
+class Outlet(Protocol):
+    """Where tokens for other nets and replies to callers go."""
+
+    def send_token(self, net: str, target: RemotePlace, count: int) -> None:
+        """Sends tokens to a place of another net."""
+
+    def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
+        """Answers a request."""
+
+
+Fired = Firing | tuple[Firing, float]
+"""A firing that is not numbered yet: as far as it is known beforehand, and its duration where it has one [s]."""
+
+
+class Firings(Sequence[Firing]):
+    """Firings of one net in order, made when they are looked at.
+
+    Args:
+        first: Sequence number of the first.
+        fired: The firings, not numbered.
+    """
+
+    __slots__ = ("fired", "first")
+
+    def __init__(self, first: int, fired: list[Fired]) -> None:
+        self.first, self.fired = first, fired
+
+    def __len__(self) -> int:
+        return len(self.fired)
+
+    @overload
+    def __getitem__(self, index: int) -> Firing: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Firing]: ...
+    def __getitem__(self, index: int | slice) -> Firing | Sequence[Firing]:
+        if isinstance(index, slice):
+            return list(self)[index]
+        position = range(len(self.fired))[index]
+        return _numbered(self.fired[position], self.first + position)
+
+    def __iter__(self) -> Iterator[Firing]:
+        return map(_numbered, self.fired, range(self.first, self.first + len(self.fired)))
+
+
+def _numbered(fired: Fired, sequence: int) -> Firing:
+    if isinstance(fired, Firing):
+        net, transition, _, phase, symbol, command_id, message, duration, progress = fired
+    else:
+        (net, transition, _, phase, symbol, command_id, message, _, progress), duration = fired
+    return Firing(net, transition, sequence, phase, symbol, command_id, message, duration, progress)
+
+
+class Notifier:
+    """Numbers the firings of a net, and tells of them in batches.
+
+    Args:
+        net: Name of the net.
+        observer: Whom.
+
+    Attributes:
+        fired: Firings that were not told yet; what is appended counts as fired.
+    """
+
+    def __init__(self, net: str, observer: Observer) -> None:
+        self.fired: list[Fired] = []
+        self._net, self._observer = net, observer
+        self._told = 0
+        self._thread: int | None = None
+
+    @property
+    def sequence(self) -> int:
+        """Number of the last firing."""
+        return self._told + len(self.fired)
+
+    @sequence.setter
+    def sequence(self, sequence: int) -> None:
+        self._told = sequence - len(self.fired)
+
+    @property
+    def observer(self) -> Observer:
+        """Whom it tells; who takes the place of another is told of what fires from then on."""
+        return self._observer
+
+    @observer.setter
+    def observer(self, observer: Observer) -> None:
+        self.flush()
+        self._observer = observer
+
+    def begin(self) -> None:
+        """Notes that the loop of the net runs in this thread now."""
+        self._thread = threading.get_ident()
+
+    def flush(self) -> None:
+        """Tells of what has fired since the last time."""
+        if self.fired:
+            firings = Firings(self._told + 1, self.fired[:])
+            self._told += len(self.fired)
+            self.fired.clear()
+            self._observer.fired(firings)
+
+    def foreseen(self, transition: str, phase: Phase) -> Firing:
+        """Returns a firing that nothing belongs to, as it is known beforehand."""
+        return Firing(self._net, transition, 0, phase, "", 0, "", 0.0, -1.0)
+
+    def note(
+        self,
+        transition: str,
+        phase: Phase,
+        lineage: Lineage,
+        *,
+        symbol: str = "",
+        duration: float = 0.0,
+        message: str = "",
+    ) -> None:
+        """Counts a firing.
+
+        Args:
+            transition: Transition as written, or the one of a coordination structure.
+            phase: What happened.
+            lineage: What it was done for.
+            symbol: Symbol read from the tape, or written to it.
+            duration: Time since START [s].
+            message: Why it failed, is cancelled or in doubt.
+        """
+        job = lineage.job
+        command, progress = (job.command.id, job.progress) if job is not None else (0, -1.0)
+        self.fired.append(Firing(self._net, transition, 0, phase, symbol, command, message, duration, progress))
+
+    def progressed(self, lineage: Lineage, text: str, fraction: float) -> None:
+        """Takes a report of progress."""
+        if lineage.job is not None and fraction >= 0.0:
+            lineage.job.progress = fraction
+        if threading.get_ident() == self._thread:
+            self.flush()
+        self.observer.progressed(self._net, lineage.job, text, fraction)
+
+    def emitted(self, symbol: str, lineage: Lineage) -> None:
+        """Tells of a symbol on the output tape."""
+        self.flush()
+        self.observer.emitted(self._net, symbol, lineage)
+
+    def troubled(self, text: str) -> None:
+        """Complains."""
+        self.flush()
+        self.observer.troubled(self._net, text)
+
+    def chose(self, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str) -> None:
+        """Tells of a choice among strategies; the entropy is in nats."""
+        self.flush()
+        self.observer.chose(self._net, places, probabilities, entropy, taken)
+
+    def operated(self, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+        """Tells how the net is operated now."""
+        self.flush()
+        self.observer.operated(self._net, mode, paused, proposed)
+
+
+def failure_of(job: Job | None, transition: Transition, failure: ImError | None = None) -> ImError:
+    """Why a job failed: the failure at hand, the last one of the job, or only where it ended."""
+    if failure is not None:
+        return failure
+    if job is not None and job.last_failure is not None:
+        return job.last_failure
+    return ImError(f"the net ended it at transition {transition.name}", code="net", transition=transition.name)

@@ -1,0 +1,274 @@
+"""What a net in execution tells its journal.
+
+The ``record`` of an executor (None: no journal) is called with one entry *before* what it tells is done: before tokens
+move, before an action begins, before tokens and replies leave, before a client is answered. Where it raises, nothing
+was done. An entry is an event of the inbox when it is taken, a firing of the expanded net, or what a net decides beside
+firing. Applying the entries in their order (:meth:`.firing.FiringRule.apply`) gives the same marking, lineages, tape,
+jobs, activities and numbers; how they are written down is the business of :mod:`im_pnt.journal.codec`.
+
+1. A state is restored where there is one, and each entry since is replayed, before anything is posted. That starts
+   nothing, asks no guard, sends nothing and tells no observer.
+2. ``activity(number)`` finds the activity that a request of the exchange's own records belongs to.
+3. ``resume()``: requests that the exchange has in its book go on waiting (``Runner.waits``), those that it has not
+   are started again, for they had not left; an activity that had ended ends; every other comes in doubt and is asked
+   about.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from im_core.errors import ImError
+from im_pnt.errors import NetError
+from im_pnt.execution.events import (
+    CommandCancelled,
+    CommandWritten,
+    ModeSet,
+    PauseSet,
+    RequestArrived,
+    RequestCancelled,
+    TokenArrived,
+)
+from im_pnt.execution.jobs import Job, JobData
+
+
+class ActivityEnded(NamedTuple):
+    """An action has ended (not: a plain function), known by the number of its activity."""
+
+    number: int
+    error: ImError | None
+    results: dict[str, object]
+
+
+class TransitionFired(NamedTuple):
+    """A transition that only moves tokens, one of a coordination structure, or ``t.start``, which makes an activity."""
+
+    transition: str
+
+
+class PhaseFired(NamedTuple):
+    """``t.cancel``, ``t.lost`` or ``t.lost.cancelling`` of an activity; ``error`` says why."""
+
+    number: int
+    transition: str
+    error: ImError
+
+
+class JobChange(NamedTuple):
+    """How the data of a job have changed: differences of memory and results (None: none), and the progress."""
+
+    memory: list[object] | None
+    results: list[object] | None
+    progress: float
+
+
+class EndFired(NamedTuple):
+    """``t.end*``, ``t.failed*`` or ``t.given_up`` of an activity.
+
+    Attributes:
+        number: Number of the activity.
+        transition: The one that fires.
+        error: Why the action failed, None if it has not.
+        data: What its job holds now, or how that has changed; None: it has not.
+    """
+
+    number: int
+    transition: str
+    error: ImError | None
+    data: JobData | JobChange | None
+
+
+class GuardBroke(NamedTuple):
+    """A guard broke that was asked about a job, known by its number."""
+
+    job: int
+    error: ImError
+
+
+class JobForgotten(NamedTuple):
+    """The net came to rest and left a command open, known by the number of its job."""
+
+    job: int
+    error: ImError
+
+
+NetEntry = (
+    TransitionFired
+    | PhaseFired
+    | EndFired
+    | CommandWritten
+    | CommandCancelled
+    | RequestArrived
+    | RequestCancelled
+    | TokenArrived
+    | ActivityEnded
+    | ModeSet
+    | PauseSet
+    | GuardBroke
+    | JobForgotten
+)
+Record = Callable[[NetEntry], None]
+
+
+# JSON data.
+
+
+def plain(value: object, where: str) -> object:
+    """Returns a copy of a value as JSON data; a tuple becomes a list.
+
+    Args:
+        value: The value.
+        where: What it is, for the message.
+
+    Raises:
+        NetError: It has a part that JSON cannot carry; names the part.
+    """
+    try:
+        return _plain(value, where)
+    except RecursionError:
+        raise NetError(f"{where} is nested too deeply, or contains itself; a journal cannot keep it") from None
+
+
+def _plain(value: object, where: str) -> object:
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return float(value)
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{where}[{number}]") for number, item in enumerate(value)]
+    if isinstance(value, dict):
+        for key in value:
+            if not isinstance(key, str):
+                raise NetError(f"{where} has the key {key!r}; a journal keeps dictionaries whose keys are strings")
+        return {key: _plain(item, f"{where}.{key}") for key, item in value.items()}
+    raise NetError(
+        f"{where} is {value!r:.80} ({type(value).__name__}); a journal keeps None, bool, int, finite float, str, "
+        "list and dict",
+        where=where,
+    )
+
+
+def plain_dict(value: object, where: str) -> dict[str, object]:
+    """Returns a copy of a dictionary as JSON data.
+
+    Raises:
+        NetError: It is no dictionary, or has a part that JSON cannot carry.
+    """
+    copy = plain(value, where)
+    if not isinstance(copy, dict):
+        raise NetError(f"{where} is {value!r:.80}, not a dictionary")
+    return copy
+
+
+# The data of a job. What has not changed since it was written is not written again.
+
+
+def data_of(job: Job) -> JobData:
+    """Returns memory, results and progress of a job as JSON data.
+
+    Raises:
+        NetError: They have a part that JSON cannot carry.
+    """
+    return JobData(plain_dict(job.memory, "ctx.memory"), plain_dict(job.results, "ctx.result"), float(job.progress))
+
+
+def recorded_data(job: Job) -> JobData:
+    """Returns the data of a job that were written last."""
+    return job.recorded or JobData({}, {}, -1.0)
+
+
+def changed_data(job: Job) -> JobData | JobChange | None:
+    """Returns the data of a job when they are written first, then how they have changed, None where they have not.
+
+    Raises:
+        NetError: They have a part that JSON cannot carry.
+    """
+    data, before = data_of(job), job.recorded
+    if before is None:
+        job.recorded = data
+        return data
+    memory, results = difference(before.memory, data.memory), difference(before.results, data.results)
+    if memory is None and results is None and data.progress == before.progress:
+        return None
+    job.recorded = data
+    return JobChange(memory, results, data.progress) if before.memory or before.results else data
+
+
+def take_data(job: Job, data: JobData | JobChange) -> None:
+    """Gives a job its data, or the changes of its data.
+
+    Raises:
+        NetError: The changes are none.
+    """
+    if isinstance(data, JobChange):
+        memory, results, progress = data
+        kept = recorded_data(job)
+        job.recorded = JobData(_renewed_dict(kept.memory, memory), _renewed_dict(kept.results, results), progress)
+    else:
+        job.recorded = data
+    restore_data(job)
+
+
+def restore_data(job: Job) -> None:
+    """Gives a job the data that were written last."""
+    memory, results, job.progress = recorded_data(job)
+    for mine, kept in ((job.memory, memory), (job.results, results)):
+        mine.clear()
+        mine.update(plain_dict(kept, "what was written"))
+
+
+def difference(old: object, new: object) -> list[object] | None:
+    """Returns how JSON data differ.
+
+    Returns:
+        ``["set", value]``; ``["keys", {key: difference}, [keys that are gone]]`` of a dictionary; ``["items", {index:
+        difference}, [items that were appended]]`` of a list; None where they are equal.
+    """
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys: dict[str, object] = {}
+        for key, value in new.items():
+            change = difference(old[key], value) if key in old else ["set", value]
+            if change is not None:
+                keys[key] = change
+        gone = [key for key in old if key not in new]
+        return ["keys", keys, gone] if keys or gone else None
+    if isinstance(old, list) and isinstance(new, list) and len(old) <= len(new):
+        items: dict[str, object] = {}
+        for index, (before, after) in enumerate(zip(old, new, strict=False)):
+            change = difference(before, after)
+            if change is not None:
+                items[str(index)] = change
+        return ["items", items, new[len(old) :]] if items or len(old) < len(new) else None
+    return None if type(old) is type(new) and old == new else ["set", new]
+
+
+def renewed(old: object, change: object) -> object:
+    """Returns JSON data with a difference to others; the old ones are not used any more.
+
+    Raises:
+        NetError: The difference does not fit.
+    """
+    match change:
+        case ["set", value]:
+            return value
+        case ["keys", dict(keys), list(gone)] if isinstance(old, dict):
+            for key in gone:
+                old.pop(key, None)
+            for key, part in keys.items():
+                old[key] = renewed(old.get(key), part)
+            return old
+        case ["items", dict(items), list(added)] if isinstance(old, list):
+            for index, part in items.items():
+                if not (index.isdecimal() and int(index) < len(old)):
+                    raise NetError(f"there is no item {index} that could have changed")
+                old[int(index)] = renewed(old[int(index)], part)
+            old.extend(added)
+            return old
+    raise NetError(f"{str(change)[:200]} is no change of {str(old)[:200]}")
+
+
+def _renewed_dict(old: dict[str, object], change: list[object] | None) -> dict[str, object]:
+    new = old if change is None else renewed(old, change)
+    if not isinstance(new, dict):
+        raise NetError(f"{str(change)[:200]} makes no dictionary")
+    return new

@@ -1,0 +1,60 @@
+"""Seam to those who prove nets: no net runs unverified, and execution does not know how one verifies.
+
+:mod:`im_pnt_analysis.verify` is the verifier of this workspace; whatever answers to these protocols may take its
+place.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from im_pnt.model.net import Net
+
+KINDS = ("growth", "overflow", "deadlock", "lost_command", "held_resource")
+"""Kinds of refusals."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counterexample:
+    """What goes wrong, and the shortest way there.
+
+    Attributes:
+        kind: One of :data:`KINDS`.
+        reason: One sentence.
+        sequence: Transitions to fire from the initial marking, by their names in the composition.
+        marking: Marked places where it goes wrong.
+        repeat: Transitions that can be repeated for ever after the sequence (unbounded nets).
+    """
+
+    kind: str
+    reason: str
+    sequence: tuple[str, ...]
+    marking: dict[str, int]
+    repeat: tuple[str, ...] = ()
+
+
+class Verification(Protocol):
+    """Whether nets may run together."""
+
+    @property
+    def states(self) -> int | None:
+        """Number of reachable markings; None where they were not counted."""
+
+    @property
+    def time_s(self) -> float:
+        """How long the verification took [s]."""
+
+    @property
+    def refusals(self) -> Sequence[Counterexample]:
+        """What forbids to run the nets."""
+
+    def require_ok(self) -> None:
+        """Accepts or refuses.
+
+        Raises:
+            VerificationError: The nets must not run; carries the shortest firing sequence that shows why.
+        """
+
+
+Verifier = Callable[[Sequence[Net]], Verification]
+"""Verifies nets, alone or composed; raises NetError where they do not fit together."""

@@ -1,0 +1,45 @@
+"""What can be said of nets before they run: may they, how long will they take, and what would happen.
+
+For whoever writes nets or decides whether to load them. Knows ``im_core`` and the model, files and verdict types of
+``im_pnt``; nothing of ROS. Folders, from the lowest: ``structure`` (what the arcs tell), ``composition`` (several nets
+as one, closed by their environment), ``search`` and ``symbolic`` (markings, listed or in decision diagrams),
+``verify`` (may they run: ``verify.verdict.verify``), ``timed`` (stochastic nets), ``simulation``, and the command
+``pnt`` in ``cli``.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from im_pnt_analysis.composition.compose import compose
+    from im_pnt_analysis.search.reachability import SearchLimits
+    from im_pnt_analysis.simulation.replay import FiringSequence, replay
+    from im_pnt_analysis.simulation.simulate import simulate, summarise
+    from im_pnt_analysis.timed.durations import CommandDuration, expected_command
+    from im_pnt_analysis.timed.measurement import compare
+    from im_pnt_analysis.timed.steady import steady_state
+    from im_pnt_analysis.verify.report import Report
+    from im_pnt_analysis.verify.verdict import verify_to_load
+
+__all__ = ["CommandDuration", "FiringSequence", "Report", "SearchLimits", "compare", "compose", "expected_command"]
+__all__ += ["replay", "simulate", "steady_state", "summarise", "verify_to_load"]
+
+_FACE = {
+    "composition.compose": ("compose",),
+    "search.reachability": ("SearchLimits",),
+    "simulation.replay": ("FiringSequence", "replay"),
+    "simulation.simulate": ("simulate", "summarise"),
+    "timed.durations": ("CommandDuration", "expected_command"),
+    "timed.measurement": ("compare",),
+    "timed.steady": ("steady_state",),
+    "verify.report": ("Report",),
+    "verify.verdict": ("verify_to_load",),
+}
+
+
+def __getattr__(name: str) -> object:
+    """Imports what is asked for, and not the numerical libraries of all the rest."""
+    for module, names in _FACE.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__} has no {name}")

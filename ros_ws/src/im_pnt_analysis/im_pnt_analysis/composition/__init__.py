@@ -1,0 +1,1 @@
+"""Several nets as one, with what surrounds them."""

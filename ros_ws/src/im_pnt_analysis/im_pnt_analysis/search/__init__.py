@@ -1,0 +1,1 @@
+"""Explicit search of reachable markings."""

@@ -1,0 +1,1 @@
+"""Playing nets: with imagined actions, or along a given firing sequence."""

@@ -1,0 +1,1 @@
+"""What the arcs of a net tell without a search: semiflows, siphons, traps, bounds, reductions."""

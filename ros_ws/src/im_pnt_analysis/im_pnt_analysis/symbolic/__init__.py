@@ -1,0 +1,1 @@
+"""State spaces too large to list, as decision diagrams."""

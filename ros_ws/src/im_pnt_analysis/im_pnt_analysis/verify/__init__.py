@@ -1,0 +1,1 @@
+"""The verdict on nets: may they run, and if not, the firing sequence that shows why."""

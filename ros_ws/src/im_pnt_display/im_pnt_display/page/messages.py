@@ -1,0 +1,99 @@
+"""What nodes tell of their nets, as plain data for the page. What makes no sense is refused with a sentence."""
+
+import math
+from collections.abc import Sequence
+
+from pydantic import BaseModel, ValidationError
+
+from im_core.config import ModelT, faults
+from im_core.errors import ImError
+from im_pnt.execution.notification import Phase
+from im_pnt.netfile import parse_net
+from im_pnt_analysis.simulation.replay import FiringSequence
+from im_pnt_display.page.counterexample import drawn_counterexample
+from im_pnt_display.page.state import net_content
+
+LARGEST = 2_000_000
+"""Characters of a text that is read; a net of 1,000 places has 50,000."""
+
+
+class _Description(BaseModel):
+    yaml: str
+
+
+class _Refusal(BaseModel):
+    reason: str = ""
+    nets: list[str] = []
+    sequence: list[str] = []
+    repeat: list[str] = []
+
+
+def described_net(name: str, text: str, node: str) -> dict[str, object]:
+    """Reads a net, and draws it.
+
+    Args:
+        name: Its name.
+        text: JSON as in ``/pnt/nets``; the text of the net is under ``yaml``.
+        node: Who tells it, for complaints.
+
+    Raises:
+        ImError: It is no net, or another one.
+    """
+    net = parse_net(_read(_Description, text).yaml, node)
+    if net.name != name:
+        raise ImError(f"it is net {net.name}", code="input")
+    return net_content(net)
+
+
+def counterexample(text: str) -> dict[str, object]:
+    """Reads why a net was refused, and draws it; empty where there is nothing to play.
+
+    Args:
+        text: JSON as in ``/pnt/refusals``: the texts of the nets, the sequence, what is repeated, and the reason.
+
+    Raises:
+        ImError: One of them is no net, or the sequence does not fit to them.
+    """
+    refusal = _read(_Refusal, text)
+    nets = [parse_net(net, "refused net") for net in refusal.nets]
+    if not nets:
+        return {}
+    firings = FiringSequence(tuple(refusal.sequence), tuple(refusal.repeat), refusal.reason)
+    return drawn_counterexample(nets, firings)
+
+
+def token_counts(places: Sequence[str], tokens: Sequence[int]) -> dict[str, int]:
+    """Reads the tokens of places, as in ``/pnt/markings``.
+
+    Raises:
+        ImError: There are not as many numbers as places.
+    """
+    if len(places) != len(tokens):
+        raise ImError(f"it has {len(places)} places and {len(tokens)} numbers of tokens", code="input")
+    return {place: int(count) for place, count in zip(places, tokens, strict=True)}
+
+
+def phase_name(phase: int) -> str:
+    """Returns the name of a phase of ``/pnt/firings``; of one that is not known, its number."""
+    return Phase(phase).name if phase in list(Phase) else str(phase)
+
+
+def finite(name: str, value: float) -> float:
+    """Returns a number of a message.
+
+    Raises:
+        ImError: It is none; JSON could not say it, and no page could read it.
+    """
+    if not math.isfinite(value):
+        raise ImError(f"its {name} is {value}", code="input")
+    return value
+
+
+def _read(model: type[ModelT], text: str) -> ModelT:
+    if len(text) > LARGEST:
+        raise ImError(f"it has {len(text)} characters; {LARGEST} are read", code="input")
+    try:
+        return model.model_validate_json(text, strict=True)
+    except ValidationError as error:
+        fault = faults(error, model)[0]
+        raise ImError(f"{fault.field or 'all of it'}: {fault.words}", code="input") from error

@@ -1,0 +1,28 @@
+"""Package im_pnt_display."""
+
+from setuptools import find_packages, setup
+
+setup(
+    name="im_pnt_display",
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"im_pnt_display": ["page/static/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/im_pnt_display"]),
+        ("share/im_pnt_display", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="im maintainers",
+    maintainer_email="maintainers@example.org",
+    description="Drawing of Petri net transducers and the web page that shows them live.",
+    license="MIT",
+    entry_points={
+        "console_scripts": [
+            "pnt_display = im_pnt_display.ros.node:main",
+        ],
+        "im_pnt.commands": ["draw = im_pnt_display.cli:add"],
+        "im_pnt.counterexamples": ["drawings = im_pnt_display.page.counterexample:drawn_counterexample"],
+    },
+)

@@ -1,0 +1,183 @@
+"""Ports of the Services that look at images: snap, spots, circles, lines, fiducials."""
+
+import json
+from dataclasses import replace
+from typing import ClassVar
+
+from im_msgs.msg import Ellipse, Fiducial, LineSegment
+from im_msgs.srv import CircleFind, FiducialPose, LineFind, Snap, SpotFind, SpotFindStereo
+from im_vss.edges import EllipseFit, LineFit
+from im_vss.ros.messages import (
+    from_region,
+    quaternion,
+    to_camera_info,
+    to_candidates,
+    to_header,
+    to_image,
+    to_spot,
+    to_time,
+)
+from im_vss.ros.ports.port import Port
+from im_vss.services.svc_circle_find import CircleFindRequest, CircleFindResult
+from im_vss.services.svc_fiducial_pose import FiducialPoseRequest, FiducialPoseResult, SeenFiducial
+from im_vss.services.svc_line_find import LineFindRequest, LineFindResult
+from im_vss.services.svc_snap import SnapRequest, SnapResult
+from im_vss.services.svc_spot_find import SpotFindRequest, SpotFindResult
+from im_vss.services.svc_spot_find_stereo import SpotFindStereoRequest, SpotFindStereoResult
+
+
+class SnapPort(Port):
+    """`im_msgs/srv/Snap`."""
+
+    kind: ClassVar[type] = Snap
+
+    def request(self, message: Snap.Request) -> SnapRequest:
+        """Cameras and exposure."""
+        return SnapRequest(tuple(message.cameras), message.exposure)
+
+    def answer(self, result: SnapResult, response: Snap.Response) -> None:
+        """Images and camera infos, of the same stamps."""
+        for frame in result.frames:
+            entry = self.rig.book[frame.camera]
+            response.images.append(to_image(entry.frame, frame.stamp_ns, frame.image))
+            response.camera_infos.append(to_camera_info(entry, frame.stamp_ns))
+        response.timing_json = json.dumps(result.timing)
+
+
+class SpotFindPort(Port):
+    """`im_msgs/srv/SpotFind`."""
+
+    kind: ClassVar[type] = SpotFind
+
+    def request(self, message: SpotFind.Request) -> SpotFindRequest:
+        """Cameras and exposure."""
+        return SpotFindRequest(tuple(message.cameras), message.exposure)
+
+    def answer(self, result: SpotFindResult, response: SpotFind.Response) -> None:
+        """A spot, or the cause of its absence, and the candidates, for each camera."""
+        response.spots = [to_spot(spot) for spot in result.spots]
+        response.candidates = [to_candidates(spot) for spot in result.spots]
+        response.timing_json = json.dumps(result.timing)
+
+
+class SpotFindStereoPort(Port):
+    """`im_msgs/srv/SpotFindStereo`."""
+
+    kind: ClassVar[type] = SpotFindStereo
+
+    def request(self, message: SpotFindStereo.Request) -> SpotFindStereoRequest:
+        """Cameras and exposure."""
+        return SpotFindStereoRequest(tuple(message.cameras), message.exposure)
+
+    def answer(self, result: SpotFindStereoResult, response: SpotFindStereo.Response) -> None:
+        """The point, or why there is none; what each camera saw."""
+        stereo = result.stereo
+        response.cause, response.epipolar_distance = stereo.cause, stereo.epipolar_px
+        response.point.header = to_header("world", result.spots[0].stamp_ns)
+        if stereo.point is not None:
+            response.found = True
+            place = response.point.point
+            place.x, place.y, place.z = (float(value) for value in stereo.point.position)
+            response.covariance = stereo.point.covariance.ravel()
+        for seen, chosen in zip(result.spots, stereo.spots, strict=True):
+            response.candidates.append(to_candidates(seen))
+            finding = seen.finding if chosen is None else replace(seen.finding, spot=chosen, cause="")
+            response.spots.append(to_spot(replace(seen, finding=finding)))
+        response.timing_json = json.dumps(result.timing)
+
+
+class CircleFindPort(Port):
+    """`im_msgs/srv/CircleFind`."""
+
+    kind: ClassVar[type] = CircleFind
+
+    def request(self, message: CircleFind.Request) -> CircleFindRequest:
+        """Camera, region and radii."""
+        region = from_region(message.region)
+        return CircleFindRequest(message.camera, message.exposure, region, message.radius_min, message.radius_max)
+
+    def answer(self, result: CircleFindResult, response: CircleFind.Response) -> None:
+        """The ellipses."""
+        response.stamp = to_time(result.stamp_ns)
+        response.circles = [to_ellipse(circle) for circle in result.found]
+        response.cause = "" if result.found else "nothing in the image is a circle of the given size"
+        response.timing_json = json.dumps(result.timing)
+
+
+def to_ellipse(circle: EllipseFit) -> Ellipse:
+    """A circle as a message; `fit.contrast` is positive where the outside is the brighter side."""
+    return Ellipse(
+        u=circle.u,
+        v=circle.v,
+        covariance=circle.covariance.ravel(),
+        major=circle.major,
+        minor=circle.minor,
+        angle=circle.angle,
+        dark=circle.fit.contrast > 0.0,
+        rms=circle.rms,
+        coverage=circle.coverage,
+    )
+
+
+class LineFindPort(Port):
+    """`im_msgs/srv/LineFind`."""
+
+    kind: ClassVar[type] = LineFind
+
+    def request(self, message: LineFind.Request) -> LineFindRequest:
+        """Camera, region and length."""
+        return LineFindRequest(message.camera, message.exposure, from_region(message.region), message.length_min)
+
+    def answer(self, result: LineFindResult, response: LineFind.Response) -> None:
+        """The lines."""
+        response.stamp = to_time(result.stamp_ns)
+        response.lines = [to_segment(line) for line in result.found]
+        response.cause = "" if result.found else "nothing in the image is a straight edge of the given length"
+        response.status.message = result.remark
+        response.timing_json = json.dumps(result.timing)
+
+
+def to_segment(line: LineFit) -> LineSegment:
+    """A line as a message."""
+    return LineSegment(
+        start=line.start,
+        end=line.end,
+        covariance=line.edge.fit.covariance.ravel(),
+        rms=line.rms,
+        contrast=line.edge.fit.contrast,
+        points=line.edge.points,
+    )
+
+
+class FiducialPosePort(Port):
+    """`im_msgs/srv/FiducialPose`."""
+
+    kind: ClassVar[type] = FiducialPose
+
+    def request(self, message: FiducialPose.Request) -> FiducialPoseRequest:
+        """Cameras and numbers."""
+        return FiducialPoseRequest(tuple(message.cameras), tuple(message.ids), message.exposure)
+
+    def answer(self, result: FiducialPoseResult, response: FiducialPose.Response) -> None:
+        """The plates."""
+        response.fiducials = [self._fiducial(seen) for seen in result.found]
+        response.cause = result.cause
+        response.timing_json = json.dumps(result.timing)
+
+    def _fiducial(self, seen: SeenFiducial) -> Fiducial:
+        fit, pose = seen.fit, seen.fit.pose
+        message = Fiducial(
+            camera=seen.camera,
+            id=fit.target.id,
+            name=fit.target.name,
+            corners=fit.corners.ravel(),
+            rms=pose.rms_px,
+            ambiguity=fit.ambiguity,
+        )
+        message.pose.header = to_header(self.rig.book[seen.camera].frame, seen.stamp_ns)
+        message.pose.pose.covariance = pose.covariance.ravel()
+        target = message.pose.pose.pose
+        target.position.x, target.position.y, target.position.z = (float(value) for value in pose.translation)
+        q = target.orientation
+        q.x, q.y, q.z, q.w = quaternion(pose.rotation)
+        return message

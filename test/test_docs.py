@@ -1,0 +1,50 @@
+"""What the docs name exists: each file and test of the paper's table, each path and link of the other pages."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+
+
+def places(name):
+    """Where ``im_x/...`` may be: below the package's sources, or its tests; else below the root."""
+    package, _, rest = name.partition("/")
+    source = ROOT / "ros_ws" / "src" / package
+    return (source / package / rest, source / rest) if source.is_dir() else (ROOT / name,)
+
+
+def is_there(name):
+    return any(place.exists() or any(place.parent.glob(place.name)) for place in places(name))
+
+
+def test_each_row_of_the_paper_has_its_file_and_its_test():
+    rows = [line.split("|") for line in (ROOT / "docs" / "paper.md").read_text().splitlines() if line.startswith("| ")]
+    rows = [row for row in rows if not row[1].strip().startswith("in the paper")]
+    assert len(rows) > 30
+    for row in rows:
+        tests = [name for name in re.findall(r"`([^`]+\.py)`", row[3]) if "/test_" in name]
+        assert tests, f"no test in the row of {row[1]}"
+        named = [name for cell in row[2:4] for name in re.findall(r"`([^`]+)`", cell)]
+        missing = [name for name in named if re.search(r"\.(py|yaml)$|/$", name) and not is_there(name)]
+        assert not missing, f"in the row of {row[1]}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_paths_and_links_lead_somewhere(page):
+    text = page.read_text()
+    links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
+    assert not [link for link in links if link and not (page.parent / link).exists()]
+    # Neither names of interfaces, such as im_msgs/srv/LoadNet, nor the page's own im_x.
+    paths = re.findall(r"`((?:ros_ws|scripts|test|bench|docs|im_(?!msgs|x)[a-z_]+)/[\w./*-]+)`", text)
+    paths = [path for path in paths if "/im_x/" not in path]
+    assert not [path for path in paths if not is_there(path)]
+    modules = re.findall(r"python -m ((?:im_[a-z_]+|bench)[\w.]*)", text)
+    missing = []
+    for module in modules:
+        path = module.replace(".", "/")
+        if not is_there(f"{path}.py") and not is_there(f"{path}/__main__.py"):
+            missing.append(module)
+    assert not missing
