@@ -1,6 +1,7 @@
 """Data sets that are written are read back as the same problem."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,6 +25,41 @@ def test_a_problem_comes_back_from_its_data_set():
     np.testing.assert_allclose(read.spot_covariances, written.spot_covariances, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(read.lengths.spots, written.lengths.spots)
     np.testing.assert_allclose(read.lengths.spot_covariances, written.lengths.spot_covariances, rtol=1e-12, atol=1e-15)
+
+
+def test_whole_covariances_of_spots_images_of_any_size_and_unknown_noise_come_back():
+    written = make_scene(replace(DESIGN, anisotropy=3.0), 3).problem
+    written = replace(written, image_sizes=((640, 480), (1280, 1024)), noise_to_estimate=("image",))
+    content = json.loads(json.dumps(dataset_of(written), allow_nan=False))
+    assert "sigma_u_px" not in content
+    (read,) = problems(content)
+    assert read.image_sizes == written.image_sizes
+    assert read.noise_to_estimate == written.noise_to_estimate
+    np.testing.assert_array_equal(read.spot_covariances, written.spot_covariances)
+
+
+def test_noise_that_is_null_is_to_be_estimated():
+    content = dataset_of(make_scene(DESIGN, 3).problem)
+    (read,) = problems({**content, "sigma_u_px": None, "cov_x_m2": None})
+    assert read.noise_to_estimate == ("image", "robot")
+    (read,) = problems({**content, "cov_x_m2": None})
+    assert read.noise_to_estimate == ("robot",)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sigma_u_p": 1}, r"the data set has the field 'sigma_u_p'.*did you mean 'sigma_u_px'"),
+        ({"trials": [{"x_base_m": [], "u_pix": []}]}, r"trials\[0\] has the field 'u_pix'.*did you mean 'u_px'"),
+        ({"image_size": [[640, 480], [640, 0]]}, r"image_size\[1\] is 640 x 0, whole numbers"),
+        ({"image_size": [[640, 480]]}, r"image_size has 1 elements, 2 are needed"),
+        ({"cov_u_px2": [[[[1, 0], [0, 1]]] * 14] * 2}, "cov_u_px2 and sigma_u_px are both given"),
+        ({"noise_to_estimate": ["lens"]}, r"noise_to_estimate\[0\] is 'lens', a list of 'image' and 'robot'"),
+    ],
+)
+def test_what_the_format_does_not_have_is_refused(change, message):
+    with pytest.raises(DataError, match=message):
+        problems({**dataset_of(make_scene(DESIGN, 4).problem), **change})
 
 
 @pytest.mark.parametrize(

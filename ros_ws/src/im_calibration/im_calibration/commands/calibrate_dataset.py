@@ -15,14 +15,16 @@ from im_core.files import write_whole
 _QUIET_S = 2.0
 
 _EPILOG = """\
-IN.json (format vislab-calib-1) holds, for n poses of the robot and c cameras:
-  image_size [w, h]              sigma_u_px[c][n] [px]       cov_x_m2[n][3][3] [m^2]
+IN.json (format vislab-calib-1, field by field in docs/calibration.md) holds, for n poses of the robot and c cameras:
+  image_size [w, h], or [[w, h], ...], one a camera
+  sigma_u_px[c][n] [px], or cov_u_px2[c][n][2][2] [px^2]     noise of the spots; null: not known, estimate it
+  cov_x_m2[n][3][3] [m^2]                                    noise of the positions; null: not known, estimate it
   wrist_R_base[n][3][3], led_offset_nominal_known, led_offset_prior_sd_m [m]
   J_joint[n][3][k], joint_offset_prior_sd_rad [rad]          where joint offsets are to be estimated
   trials[].x_base_m[n][3] [m]    trials[].u_px[c][n] = [u, v] [px], or null where the LED was not seen
   known_lengths.length_m[k], .sd_m[k] [m], .sigma_u_px[c][k] [px], trials[].length_u_px[c][k][2] [px] or null:
                                  two LEDs at a known distance, which show whether the robot's metre is right
-Truth, held-out points and bounds that such a file may hold as well are not read.
+Truth, held-out points and bounds that such a file may hold as well are not read; any other field is refused.
 
 OUT.json holds an entry for each trial, in order:
   cameras[].K, D, R_cam_base, t_cam_base_m   led_offset_error_m   joint_offsets_rad   chi2_per_dof   p_value

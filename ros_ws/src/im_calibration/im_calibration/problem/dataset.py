@@ -1,20 +1,19 @@
 """Calibration data sets in the format ``vislab-calib-1``, one problem a trial; the truth in them is not looked at.
 
-What is wrong in one is named by its place, such as ``trials[2].u_px[0][17]``.
+``docs/calibration.md`` documents the format. What is wrong in a data set is named by its place, such as
+``trials[2].u_px[0][17]``; a field that the format does not have is refused.
 """
 
 import json
 from collections.abc import Mapping
-from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainValidator,
     StrictBool,
@@ -23,103 +22,32 @@ from pydantic import (
     model_validator,
 )
 
-from im_calibration.problem.problem import CalibrationProblem, KnownLengths
+from im_calibration.problem.fields import Lists, Names, kind_of, number, positive
+from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem, KnownLengths
 from im_cell.workspace import Workspace
-from im_core.config import FieldError, Model, faults, field_name
-from im_core.errors import DataError
+from im_core.config import Fault, FieldError, Model, faults, field_name
+from im_core.errors import DataError, nearest
 
 Array = NDArray[np.float64]
 
 SCHEMA = "vislab-calib-1"
 
 _LARGEST_IMAGE = 100_000
-_LARGEST_NUMBER = 1e12
+_UNSTATED_SPOT_PX = 1.0
+_ROUNDING = 1e-12
 
 
-class Lists:
-    """Validator of nested lists of numbers, which makes an array of them.
-
-    Args:
-        lengths: From the outside in; a letter stands for a number that the first field with that letter decides.
-        holes: Whether the innermost lists may be null; they become NaN.
-        optional: Whether the whole may be null.
-    """
-
-    def __init__(self, *lengths: int | str, holes: bool = False, optional: bool = False) -> None:
-        self._lengths, self._holes, self._optional = lengths, holes, optional
-
-    def __call__(self, value: object, info: ValidationInfo) -> Array | None:
-        """The array; list after list is laid out flat, so that large data sets take no longer than they must."""
-        if value is None and self._optional:
-            return None
-        decided: dict[str, int] = info.context if info.context is not None else {}
-        elements: list[Any] = [value]
-        shape: list[int] = []
-        empty = np.zeros(1, dtype=bool)
-        for depth, length in enumerate(self._lengths):
-            wanted = length if isinstance(length, int) else decided.get(length)
-            or_null = self._holes and depth == len(self._lengths) - 1
-            if or_null and wanted is not None:
-                empty = np.repeat(np.array([element is None for element in elements], dtype=bool), wanted)
-                hole = [np.nan] * wanted
-                elements = [hole if element is None else element for element in elements]
-            for i, element in enumerate(elements):
-                if type(element) is not list:
-                    a_list = "a list" + f" of {wanted}" * (wanted is not None) + " or null" * or_null
-                    raise _misplaced(i, shape, f"is {_kind(element)}, {a_list} is needed")
-                if wanted is None:
-                    wanted = decided[str(length)] = len(element)
-                if len(element) != wanted:
-                    raise _misplaced(i, shape, f"has {len(element)} elements, {wanted} are needed")
-            shape.append(wanted or 0)
-            elements = list(chain.from_iterable(elements))
-        for kind in set(map(type, elements)):
-            if kind is bool or not issubclass(kind, int | float):
-                i = next(i for i, element in enumerate(elements) if type(element) is kind)
-                raise _misplaced(i, shape, f"is {_kind(elements[i])}, a number is needed")
-        try:
-            array = np.array(elements, dtype=float)
-        except OverflowError:  # an integer that no floating-point number holds
-            array = np.array([element if abs(element) < _LARGEST_NUMBER else np.inf for element in elements])
-        for i in map(int, np.flatnonzero(~(np.abs(array) <= _LARGEST_NUMBER) & ~empty)):
-            raise _misplaced(i, shape, f"is {array[i]:g}, a finite number of sensible size is needed")
-        return array.reshape(shape)
-
-
-class Names:
-    """Validator of an optional list of different names, as many as a letter of :class:`Lists` stands for."""
-
-    def __init__(self, length: str) -> None:
-        self._length = length
-
-    def __call__(self, names: object, info: ValidationInfo) -> tuple[str, ...] | None:
-        """The names."""
-        if names is None:
-            return None
-        if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
-            raise ValueError("must be a list of names")
-        wanted = (info.context or {}).get(self._length)
-        if len(names) != wanted or len(set(names)) != len(names):
-            raise ValueError(f"must be {wanted} different names, got {', '.join(names)}")
-        return tuple(names)
-
-
-def _number(value: object, info: ValidationInfo) -> float | None:
-    array = Lists(optional=True)(value, info)
-    return None if array is None else float(array)
-
-
-def _image_size(size: Array) -> tuple[int, int]:
-    width, height = size
-    if not all(side == int(side) and 1 <= side <= _LARGEST_IMAGE for side in size):
-        raise ValueError(f"is {width:g} x {height:g}, whole numbers of pixels from 1 are needed")
-    return int(width), int(height)
-
-
-def _positive(sigma: Array) -> Array:
-    for place in np.argwhere(sigma <= 0.0):
-        raise FieldError(tuple(int(i) for i in place), f"is {sigma[tuple(place)]:g}, it must be > 0 [px]")
-    return sigma
+def _image_size(size: object, info: ValidationInfo) -> Array | None:
+    """Width and height of all images, shape (1, 2), or of each camera's, shape (c, 2)."""
+    each = isinstance(size, list) and bool(size) and isinstance(size[0], list)
+    sizes = Lists("c", 2)(size, info) if each else Lists(2)(size, info)
+    if sizes is None:
+        return None
+    for i, (width, height) in enumerate(np.atleast_2d(sizes)):
+        if not all(side == int(side) and 1 <= side <= _LARGEST_IMAGE for side in (width, height)):
+            sentence = f"is {width:g} x {height:g}, whole numbers of pixels from 1 are needed"
+            raise FieldError((i,) if each else (), sentence)
+    return np.atleast_2d(sizes)
 
 
 def _same_schema(schema: object) -> object:
@@ -135,25 +63,38 @@ def _any_trials(trials: object) -> object:
 
 
 class _Section(Model):
-    """Base of the objects of a data set, which may hold more than is read."""
-
-    model_config = ConfigDict(extra="ignore")
+    """Base of the objects of a data set."""
 
     @model_validator(mode="before")
     @classmethod
     def _is_object(cls, content: object) -> object:
         if not isinstance(content, Mapping):
             first = next(field.alias or name for name, field in cls.model_fields.items())
-            raise ValueError(f"is {_kind(content)}, an object with the field {first!r} is needed")
+            raise ValueError(f"is {kind_of(content)}, an object with the field {first!r} is needed")
         return content
 
 
 class LengthTable(_Section):
-    """Known lengths [m], how well they are known [m], and the standard deviations of their spots [px]."""
+    """Known lengths [m], how well they are known [m], and the noise of their spots [px], [px^2]."""
 
     length_m: Annotated[Array, PlainValidator(Lists("k"))]
     sd_m: Annotated[Array, PlainValidator(Lists("k"))]
-    sigma_u_px: Annotated[Array, PlainValidator(Lists("c", "k"))]
+    sigma_u_px: Annotated[Array | None, PlainValidator(Lists("c", "k", optional=True)), AfterValidator(positive)] = None
+    cov_u_px2: Annotated[Array | None, PlainValidator(Lists("c", "k", 2, 2, 2, optional=True))] = None
+
+    @model_validator(mode="after")
+    def _one_noise(self) -> Self:
+        if (self.sigma_u_px is None) == (self.cov_u_px2 is None):
+            raise FieldError(("sigma_u_px",), "or cov_u_px2 is needed, one of the two")
+        return self
+
+    @property
+    def spot_covariances(self) -> Array:
+        """Covariances of the spots of both LEDs, shape (c, k, 2, 2, 2) [px^2]."""
+        if self.cov_u_px2 is not None:
+            return self.cov_u_px2
+        assert self.sigma_u_px is not None
+        return np.asarray(self.sigma_u_px[..., None, None, None] ** 2 * np.tile(np.eye(2), (2, 1, 1)))
 
 
 class Trial(_Section):
@@ -162,29 +103,48 @@ class Trial(_Section):
     x_base_m: Annotated[Array, PlainValidator(Lists("n", 3))]
     u_px: Annotated[Array, PlainValidator(Lists("c", "n", 2, holes=True))]
     length_u_px: Annotated[Array | None, PlainValidator(Lists("c", "k", 2, 2, holes=True, optional=True))] = None
+    truth: Any = None
 
 
 class DataSet(_Section):
-    """A data set; ``calibrate_dataset --help`` says what its fields mean. Those before decide the lengths of others."""
+    """A data set. Fields before decide the lengths of others; those of type Any are for people and are not read."""
 
     schema_name: Annotated[str, PlainValidator(_same_schema), Field(alias="schema")]
-    cov_x_m2: Annotated[Array, PlainValidator(Lists("n", 3, 3))]
-    sigma_u_px: Annotated[Array, PlainValidator(Lists("c", "n")), AfterValidator(_positive)]
-    image_size: Annotated[tuple[int, int], PlainValidator(Lists(2)), AfterValidator(_image_size)]
+    cov_x_m2: Annotated[Array | None, PlainValidator(Lists("n", 3, 3, optional=True))]
+    sigma_u_px: Annotated[Array | None, PlainValidator(Lists("c", "n", optional=True)), AfterValidator(positive)] = None
+    cov_u_px2: Annotated[Array | None, PlainValidator(Lists("c", "n", 2, 2, optional=True))] = None
+    noise_to_estimate: tuple[Literal["image", "robot"], ...] = ()
+    image_size: Annotated[Array, PlainValidator(_image_size)]
     led_offset_nominal_known: StrictBool = True
-    led_offset_prior_sd_m: Annotated[float | None, PlainValidator(_number)] = None
-    joint_offset_prior_sd_rad: Annotated[float | None, PlainValidator(_number)] = None
+    led_offset_prior_sd_m: Annotated[float | None, PlainValidator(number)] = None
+    joint_offset_prior_sd_rad: Annotated[float | None, PlainValidator(number)] = None
     J_joint: Annotated[Array | None, PlainValidator(Lists("n", 3, "joints", optional=True))] = None
     wrist_rotations: Annotated[
         Array | None, PlainValidator(Lists("n", 3, 3, optional=True)), Field(alias="wrist_R_base")
     ] = None
-    camera_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("c"))] = None
-    pose_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("n"))] = None
     known_lengths: LengthTable | None = None
     trials: Annotated[tuple[Trial, ...], BeforeValidator(_any_trials)]
+    camera_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("c"))] = None
+    pose_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("n"))] = None
+    name: Any = None
+    description: Any = None
+    pixel_convention: Any = None
+    distortion_model: Any = None
+    n_points: Any = None
+    n_cameras: Any = None
+    n_trials: Any = None
+    truth: Any = None
+    heldout_points_base_m: Any = None
+    bounds_crlb_rms: Any = None
+    reference_rms: Any = None
+    expect: Any = None
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
+        if not {"sigma_u_px", "cov_u_px2"} & self.model_fields_set:
+            raise ValueError("has no field 'sigma_u_px' or 'cov_u_px2', null where the noise is not known")
+        if self.sigma_u_px is not None and self.cov_u_px2 is not None:
+            raise FieldError(("cov_u_px2",), "and sigma_u_px are both given, one says all")
         if not self.led_offset_nominal_known:
             unknown = "where the LED offset is not known"
             if self.led_offset_prior_sd_m is None:
@@ -202,35 +162,64 @@ class DataSet(_Section):
         return self
 
     def problem(self, trial: Trial) -> CalibrationProblem:
-        """The problem of a trial.
+        """The problem of a trial; noise that is not stated is of a size that the calibration will find.
 
         Raises:
             DataError: A value cannot be.
         """
-        n, c = len(self.cov_x_m2), len(self.sigma_u_px)
+        c, n = trial.u_px.shape[:2]
         joint_prior = self.joint_offset_prior_sd_rad or 0.0
+        sizes = np.broadcast_to(self.image_size, (c, 2)).astype(int)
+        spot_covariances = self._spot_covariances(c, n)
         return CalibrationProblem(
             camera_names=self.camera_names or tuple(f"camera_{j}" for j in range(c)),
-            image_sizes=(self.image_size,) * c,
+            image_sizes=tuple((int(width), int(height)) for width, height in sizes),
             positions=trial.x_base_m,
-            position_covariances=self.cov_x_m2,
+            position_covariances=self._position_covariances(trial, spot_covariances),
             wrist_rotations=np.tile(np.eye(3), (n, 1, 1)) if self.wrist_rotations is None else self.wrist_rotations,
             spots=trial.u_px,
-            spot_covariances=self.sigma_u_px[..., None, None] ** 2 * np.eye(2),
+            spot_covariances=spot_covariances,
             led_offset_prior_sd=0.0 if self.led_offset_nominal_known else self.led_offset_prior_sd_m or 0.0,
             joint_offset_prior_sd=joint_prior,
             joint_jacobians=self.J_joint if joint_prior else None,
             workspace=_box_around(trial.x_base_m),
             pose_names=self.pose_names or (),
             lengths=self._lengths(trial),
+            noise_to_estimate=self._noise_to_estimate,
         )
+
+    @property
+    def _noise_to_estimate(self) -> tuple[str, ...]:
+        unstated = set(self.noise_to_estimate)
+        if self.sigma_u_px is None and self.cov_u_px2 is None:
+            unstated.add("image")
+        if self.cov_x_m2 is None:
+            unstated.add("robot")
+        return tuple(source for source in NOISE_SOURCES if source in unstated)
+
+    def _spot_covariances(self, c: int, n: int) -> Array:
+        if self.cov_u_px2 is not None:
+            return self.cov_u_px2
+        sigma = np.full((c, n), _UNSTATED_SPOT_PX) if self.sigma_u_px is None else self.sigma_u_px
+        return np.asarray(sigma[..., None, None] ** 2 * np.eye(2))
+
+    def _position_covariances(self, trial: Trial, spot_covariances: Array) -> Array:
+        """As stated; else as large as the noise of the spots is when seen from a camera."""
+        if self.cov_x_m2 is not None:
+            return self.cov_x_m2
+        seen = ~np.isnan(trial.u_px[..., 0])
+        if not seen.any():
+            return np.tile(np.eye(3), (trial.u_px.shape[1], 1, 1))
+        spot = np.sqrt(np.median(np.trace(spot_covariances[seen], axis1=1, axis2=2)) / 2.0)
+        pixels, metres = np.nanstd(trial.u_px[seen], axis=0).max(), np.std(trial.x_base_m, axis=0).max()
+        variance = (spot * metres / pixels) ** 2 if pixels > 0.0 and metres > 0.0 else 1.0
+        return np.tile(variance * np.eye(3), (trial.u_px.shape[1], 1, 1))
 
     def _lengths(self, trial: Trial) -> KnownLengths | None:
         known, spots = self.known_lengths, trial.length_u_px
         if known is None or spots is None:
             return None
-        covariances = known.sigma_u_px[..., None, None, None] ** 2 * np.tile(np.eye(2), (2, 1, 1))
-        return KnownLengths(known.length_m, known.sd_m, spots, covariances)
+        return KnownLengths(known.length_m, known.sd_m, spots, known.spot_covariances)
 
 
 def load_problems(path: Path) -> tuple[CalibrationProblem, ...]:
@@ -269,13 +258,19 @@ def problems(content: object) -> tuple[CalibrationProblem, ...]:
     try:
         data = DataSet.model_validate(content, context={})
     except ValidationError as error:
-        first = faults(error, DataSet)[0]  # others may only follow from it
+        first = _first_fault(faults(error, DataSet))
         place = field_name(first.location) or "the data set"
+        above = field_name(first.location[:-1]) or "the data set"
         sentence = f"{place} {first.words}"
         if first.kind == "missing":
-            sentence = f"{field_name(first.location[:-1]) or 'the data set'} has no field {first.location[-1]!r}"
+            sentence = f"{above} has no field {first.location[-1]!r}"
+        elif first.kind == "extra_forbidden":
+            unknown = str(first.location[-1])
+            sentence = f"{above} has the field {unknown!r}, which the format does not{nearest(unknown, first.known)}"
         elif first.kind == "bool_type":
             sentence = f"{place} is {first.value!r}, true or false is needed"
+        elif first.kind in ("literal_error", "tuple_type"):
+            sentence = f"{place} is {first.value!r}, a list of {' and '.join(map(repr, NOISE_SOURCES))} is needed"
         raise DataError(f"{sentence}.", field=field_name(first.location)) from error
     found = []
     for i, trial in enumerate(data.trials):
@@ -289,23 +284,18 @@ def problems(content: object) -> tuple[CalibrationProblem, ...]:
 def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
     """A data set of one trial, without truth; the inverse of :func:`problems`.
 
-    The format has one standard deviation a spot: the root of the mean variance of its coordinates.
-
     Args:
         problem: The observations.
-
-    Raises:
-        DataError: The images differ in size; the format has one size for all cameras.
     """
-    if len(set(problem.image_sizes)) > 1:
-        raise DataError(f"a data set has one image size for all cameras, not {sorted(set(problem.image_sizes))}")
+    sizes = [list(size) for size in problem.image_sizes]
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "camera_names": list(problem.camera_names),
         "pose_names": list(problem.pose_names),
-        "image_size": list(problem.image_sizes[0]),
+        "image_size": sizes[0] if len(set(problem.image_sizes)) == 1 else sizes,
         "cov_x_m2": problem.position_covariances.tolist(),
-        "sigma_u_px": _sigma(problem.spot_covariances).tolist(),
+        **_spot_noise(problem.spot_covariances, problem.detected),
+        "noise_to_estimate": list(problem.noise_to_estimate),
         "wrist_R_base": problem.wrist_rotations.tolist(),
         "led_offset_nominal_known": problem.led_offset_prior_sd == 0.0,
         "led_offset_prior_sd_m": problem.led_offset_prior_sd,
@@ -317,23 +307,24 @@ def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
             "joint_offset_prior_sd_rad": problem.joint_offset_prior_sd,
         }
     if (lengths := problem.lengths) is not None:
+        one_noise = _spot_noise(lengths.spot_covariances, lengths.detected)
+        sigma = np.array(one_noise.get("sigma_u_px", []))
+        if sigma.ndim == 3 and np.array_equal(sigma[..., 0], sigma[..., 1]):
+            noise: dict[str, Any] = {"sigma_u_px": sigma[..., 0].tolist()}
+        else:
+            noise = {"cov_u_px2": lengths.spot_covariances.tolist()}
         content["known_lengths"] = {
             "length_m": lengths.lengths.tolist(),
             "sd_m": lengths.standard_deviations.tolist(),
-            "sigma_u_px": _sigma(lengths.spot_covariances.mean(axis=2)).tolist(),
+            **noise,
         }
         content["trials"][0]["length_u_px"] = [_spots(row) for row in lengths.spots]
     return content
 
 
-def _misplaced(number: int, shape: list[int], sentence: str) -> FieldError:
-    """What is wrong with one of the elements of lists of a shape, counted through."""
-    return FieldError(tuple(int(i) for i in np.unravel_index(number, shape)) if shape else (), sentence)
-
-
-def _kind(value: object) -> str:
-    names = {dict: "an object", list: "a list", str: "a text", bool: "a truth value", type(None): "null"}
-    return names.get(type(value), "a number")
+def _first_fault(found: list[Fault]) -> Fault:
+    """A field too many is told before those that are missing, for one may be the other misspelt."""
+    return next((fault for fault in found if fault.kind == "extra_forbidden"), found[0])
 
 
 def _placed(place: str, error: DataError) -> DataError:
@@ -356,9 +347,15 @@ def _refuse_constant(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON")
 
 
-def _sigma(covariances: Array) -> Array:
-    """Standard deviation of a coordinate, shape (...), of covariances, shape (..., 2, 2) [px]."""
-    return np.asarray(np.sqrt(np.trace(covariances, axis1=-2, axis2=-1) / 2.0))
+def _spot_noise(covariances: Array, detected: NDArray[np.bool_]) -> dict[str, Any]:
+    """Standard deviations where they say all, else covariances; 1 px where there is neither spot nor covariance."""
+    given = np.isfinite(covariances).all(axis=(-2, -1)) | detected
+    covariances = np.where(given[..., None, None], covariances, np.eye(2))
+    sigma = np.sqrt(covariances[..., 0, 0])
+    round_ones = sigma[..., None, None] ** 2 * np.eye(2)
+    if np.all(np.abs(covariances - round_ones) <= _ROUNDING * sigma[..., None, None] ** 2):
+        return {"sigma_u_px": sigma.tolist()}
+    return {"cov_u_px2": covariances.tolist()}
 
 
 def _spots(spots: Array) -> list[list[list[float] | None]]:

@@ -14,6 +14,9 @@ Mask = NDArray[np.bool_]
 MINIMUM_SPOTS = 7
 """Fewest spots of a camera: 14 unknowns need 14 image coordinates."""
 
+NOISE_SOURCES = ("image", "robot")
+"""What stated noise is of: the spots, and the positions by the robot."""
+
 
 @dataclass(frozen=True)
 class KnownLengths:
@@ -85,6 +88,7 @@ class CalibrationProblem:
         pose_names: One label a pose; empty: "0", "1", ...
         workspace: Where errors are predicted.
         lengths: Pairs of LEDs at known distances, which judge the robot's scale; None: there are none.
+        noise_to_estimate: Those of :data:`NOISE_SOURCES` whose covariances are known up to a common factor only.
     """
 
     camera_names: tuple[str, ...]
@@ -101,6 +105,7 @@ class CalibrationProblem:
     pose_names: tuple[str, ...] = ()
     workspace: Workspace = field(default_factory=Workspace)
     lengths: KnownLengths | None = None
+    noise_to_estimate: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes and values.
@@ -117,6 +122,8 @@ class CalibrationProblem:
             raise DataError(f"Each camera may be given once, got {', '.join(self.camera_names)}.")
         if len(self.image_sizes) != c or any(side < 1 for size in self.image_sizes for side in size):
             raise DataError(f"Image sizes are {self.image_sizes}, {c} pairs of positive numbers are needed.")
+        if not set(self.noise_to_estimate) <= set(NOISE_SOURCES):
+            raise DataError(f"noise_to_estimate is {self.noise_to_estimate}, it may hold {', '.join(NOISE_SOURCES)}.")
         shapes = {
             "positions": (n, 3),
             "position_covariances": (n, 3, 3),

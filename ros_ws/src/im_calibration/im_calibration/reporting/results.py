@@ -23,9 +23,9 @@ def write_results(
 ) -> tuple[Path, ...]:
     """Write ``report.json``, ``summary.txt``, three plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
 
-    ``observations.json`` is the data set, for ``calibrate_dataset`` and ``next_best_pose``; the format needs images of
-    one size. Each file appears whole or not at all. Camera files and poses, see :mod:`im_cell.calibration_files`, are
-    written for a successful calibration only.
+    ``observations.json`` is the data set, for ``calibrate_dataset`` and ``next_best_pose``. Each file appears whole or
+    not at all. Camera files and poses, see :mod:`im_cell.calibration_files`, are written for a successful calibration
+    only.
 
     Args:
         directory: Where; made if missing.
@@ -44,9 +44,8 @@ def write_results(
     contents = {
         "report.json": (json.dumps(report, indent=2, allow_nan=False) + "\n").encode(),
         "summary.txt": summary(report).encode(),
+        "observations.json": (json.dumps(dataset_of(problem), allow_nan=False) + "\n").encode(),
     }
-    if len(set(problem.image_sizes)) == 1:
-        contents["observations.json"] = (json.dumps(dataset_of(problem), allow_nan=False) + "\n").encode()
     if calibration.success:
         for camera in calibration.cameras:
             contents[f"{camera.name}.yaml"] = _camera_file(camera, rectified)
