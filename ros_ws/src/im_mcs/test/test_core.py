@@ -186,7 +186,7 @@ def test_wrong_moves_are_refused_and_nothing_moves(bench, cell, target, change, 
 
 def test_unknown_requests_and_arguments_are_refused(bench):
     refused(bench.ask("dance"), "no request 'dance'")
-    refused(bench.ask("reserve"), "reserve takes group, [owner], [lease_s], not none")
+    refused(bench.ask("reserve"), "reserve takes group, [owner], [lease_s], [sender], not none")
     refused(bench.ask("power_on", loud=True), "power_on takes no arguments, not loud")
 
 

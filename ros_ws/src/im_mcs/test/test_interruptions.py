@@ -9,6 +9,7 @@ DT = 0.0045
 JERK_FACTOR = 2.0
 LAWS = ["im_mcs.control.computed_torque:ComputedTorque", "im_mcs.control.pid_gravity:PidGravity"]
 OWNER = {"left": "ann", "right": "bob"}
+ALL = {"names": list(OWNER.values())}
 KINDS = [
     "estop", "pause", "resume", "cancel", "silence", "repartition", "set_controller", "protective_stop", "set_speed",
     "replace", "append", "stream", "torque",
@@ -99,15 +100,17 @@ class Run:
         return {"kind": "joint", "points": points.tolist(), "blend": 0.0}
 
     def move(self, group, policy="replace"):
-        self.goals.append(self.ticks(1, "move", group=group, path=self.path(group), policy=policy))
+        self.goals.append(self.ticks(1, "move", group=group, path=self.path(group), policy=policy, sender=ALL))
 
     def interrupt(self, kind):
         group = str(self.random.choice(["left", "right"]))
         match kind:
             case "estop" | "protective_stop":
                 self.ticks(1, kind, reason="at random")
-            case "pause" | "resume":
+            case "pause":
                 self.ticks(1, kind, group=str(self.random.choice(["", group])))
+            case "resume":
+                self.ticks(1, kind, group=str(self.random.choice(["", group])), sender=ALL)
             case "cancel":
                 self.ticks(1, "cancel", goal=self.goals[-1])
             case "silence":
@@ -118,13 +121,13 @@ class Run:
                 self.ask_until_rest("disable_motion")
                 self.ask("power_off")
                 for name in self.mcs.manager.reservations.groups:
-                    self.ask("release", group=name)
+                    self.ask("release", group=name, sender=ALL)
                 preset = "3x6" if self.mcs.config.preset == "2x9" else "2x9"
                 assert self.ask("repartition", preset=preset)["success"]
             case "set_controller":
-                self.ticks(1, kind, group=group, controller=str(self.random.choice(LAWS)))
+                self.ticks(1, kind, group=group, controller=str(self.random.choice(LAWS)), sender=ALL)
             case "set_speed":
-                self.ticks(1, kind, group=group, scale=float(self.random.uniform(0.2, 1.0)))
+                self.ticks(1, kind, group=group, scale=float(self.random.uniform(0.2, 1.0)), sender=ALL)
             case "replace" | "append":
                 self.move(group, kind)
             case "stream":
@@ -163,7 +166,7 @@ def test_two_hundred_interruptions(bench, seed):
         done[kind] += 1
         run.ticks(int(random.integers(1, 30)))
         if random.random() < 0.5:
-            run.ticks(1, "resume")
+            run.ticks(1, "resume", sender=ALL)
     assert min(done.values()) >= 5
     succeeded = [e for e in bench.events if e["event"] == "reply" and e["id"] in run.goals and e["success"]]
     assert succeeded

@@ -58,6 +58,9 @@ def drive(bench, torques, /, **more):
     return bench.send("stream", **{**given, "lease_s": 0.05, **more})
 
 
+ANN = {"names": ["ann"]}
+
+
 @pytest.fixture
 def owned(bench):
     bench.ask("reserve", group="left", owner="ann")
@@ -75,7 +78,8 @@ def test_the_owner_drives_torques_until_its_lease_lapses(owned, model, cell):
     for _ in range(20):
         assert owned.reply(drive(owned, push))["success"]
     assert owned.driver.v[3] > 0.05
-    assert "driven by torques" in owned.reply(owned.send("move", group="left", path=path(cell)))["error"]["message"]
+    refused = owned.reply(owned.send("move", group="left", path=path(cell), sender=ANN))
+    assert "driven by torques" in refused["error"]["message"]
     while owned.reply(first) is None:
         owned.mcs.tick([])
         assert np.abs(owned.mcs.setpoint[0] - owned.mcs.measured.q).max() < 1e-12

@@ -17,19 +17,24 @@ EVENTS = [event for event in Event if event not in (Event.CONFIGURE, Event.CLEAN
 ROWS = {(row.source, row.event): row.target for row in TABLE}
 
 
+BY = {"sender": {"names": ["tester"]}}
+
+
 def arguments(event, q, state=None):
     return {
         Event.RESERVE: {"group": "right" if state is State.RESERVED else "left", "owner": "tester"},
-        Event.RELEASE: {"group": "left"},
+        Event.RELEASE: {"group": "left", **BY},
+        Event.TAKE_OVER: {"group": "left", "owner": "other"},
+        Event.RESUME: BY,
         Event.RENEW: {"owner": "tester"},
         Event.REPARTITION: {"preset": "3x6" if state is State.COLD else "2x9"},
-        Event.MOVE: {"group": "left", "path": {"kind": "joint", "points": [(q + 0.05).tolist()]}},
+        Event.MOVE: {"group": "left", "path": {"kind": "joint", "points": [(q + 0.05).tolist()]}, **BY},
         Event.STREAM: {"group": "left", "kind": "setpoint", "positions": q.tolist(), "owner": "tester", "lease_s": 0.1},
         Event.CANCEL: {"goal": 77},
-        Event.SET_SPEED: {"group": "left", "scale": 0.5},
+        Event.SET_SPEED: {"group": "left", "scale": 0.5, **BY},
         Event.SET_GRIPPER: {"gripper": "left_gripper", "opening": 0.01},
-        Event.SET_CONTROLLER: {"group": "left", "controller": LAW},
-        Event.SET_PAYLOAD: {"group": "left", "mass": 1.0, "center": [0, 0, 0.1], "inertia": [0.0] * 6},
+        Event.SET_CONTROLLER: {"group": "left", "controller": LAW, **BY},
+        Event.SET_PAYLOAD: {"group": "left", "mass": 1.0, "center": [0, 0, 0.1], "inertia": [0.0] * 6, **BY},
         Event.PROTECTIVE_STOP: {"reason": "test"},
         Event.ESTOP: {"reason": "test"},
     }.get(event, {})

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from im_core.errors import NotFoundError, StateError
+from im_mcs.protocol.requests import Sender
 from im_mcs.state import Reservations, State
 
 LEFT = slice(0, 9)
+ANN = Sender(names=["ann"])
 
 
 def joint_path(*points):
@@ -45,13 +47,91 @@ def test_a_lease_runs_from_receipt_and_is_renewed():
     assert [r.group for r in groups.lapse(3 * 10**9 + 1)] == ["left"]
     assert groups.lapse(4 * 10**9) == []  # told once
     with pytest.raises(StateError, match=r"'left' .owner 'ann'. has lapsed"):
-        groups.require_lease("left")
+        groups.require_driver("left", ANN)
     with pytest.raises(StateError, match=r"owner 'eve' has reserved no group .owners: 'ann', 'bob'"):
         groups.renew("eve", 0)
     groups.renew("ann", 4 * 10**9)
-    groups.require_owner("left", "ann")
+    groups.require_driver("left", ANN)
     with pytest.raises(StateError, match="driven by its owner 'ann' only, not by 'bob'"):
-        groups.require_owner("left", "bob")
+        groups.require_driver("left", Sender(names=["bob"]))
+
+
+LAW = "im_mcs.control.computed_torque:ComputedTorque"
+CHANGES = {
+    "move": {"path": None},
+    "stream": {"kind": "setpoint", "positions": None, "lease_s": 0.1},
+    "resume": {},
+    "set_speed": {"scale": 0.5},
+    "set_controller": {"controller": LAW},
+    "set_payload": {"mass": 1.0, "center": [0.0, 0.0, 0.1], "inertia": [0.0] * 6},
+    "release": {},
+}
+"""What only the owner of a group may ask, and how."""
+
+
+def asked_by(request, names, client, cell):
+    """Arguments of a request of somebody; a stream names its owner itself."""
+    given = {"group": "left", **CHANGES[request]}
+    if request == "move":
+        given["path"] = joint_path(cell.home[LEFT] + 0.01)
+    if request == "stream":
+        return {**given, "positions": cell.home[LEFT].tolist(), "owner": names[0] if names else ""}
+    return {**given, "sender": {"names": names, "client": client}}
+
+
+@pytest.mark.parametrize("request_name", CHANGES)
+@pytest.mark.parametrize(("names", "client"), [(["bob", "/bob"], "0b"), ([], "0b"), ([], ""), (["an"], "")])
+def test_a_stranger_neither_moves_nor_changes_nor_releases_a_group(bench, cell, request_name, names, client):
+    bench.ask("reserve", group="left", owner="ann", sender={"client": "0a"})
+    if request_name != "release":
+        bench.ask("power_on")
+        bench.ask("enable_motion")
+    before = bench.mcs.setpoint.copy()
+    asked = asked_by(request_name, names, client, cell)
+    refused(bench.ask(request_name, **asked), "group 'left' is driven by its owner 'ann' only", "/mcs/take_over")
+    assert bench.mcs.manager.reservations.of("left").owner == "ann"
+    np.testing.assert_array_equal(bench.mcs.setpoint, before)
+
+
+@pytest.mark.parametrize("request_name", [name for name in CHANGES if name != "stream"])
+@pytest.mark.parametrize(("names", "client"), [(["ann"], ""), ([], "0a"), (["/x/y", "ann"], "0b")])
+def test_the_owner_is_known_by_name_and_by_the_process_that_reserved(bench, cell, request_name, names, client):
+    bench.ask("reserve", group="left", owner="ann", sender={"client": "0a"})
+    if request_name != "release":
+        bench.ask("power_on")
+        bench.ask("enable_motion")
+    reply = bench.ask(request_name, **asked_by(request_name, names, client, cell))
+    assert reply["success"], reply
+
+
+def test_anyone_may_stop_what_another_moves(bench, cell):
+    bench.ask("reserve", group="left", owner="ann", sender={"client": "0a"})
+    bench.ask("power_on")
+    bench.ask("enable_motion")
+    for stop in ("pause", "protective_stop", "estop"):
+        given = {"group": "left"} if stop == "pause" else {"reason": "a hand"}
+        assert bench.reply(bench.send(stop, **given))["success"]
+
+
+def test_an_operator_takes_a_group_over_and_gives_it_back(bench, cell):
+    bench.ask("reserve", group="left", owner="ann", lease_s=5.0, sender={"client": "0a"})
+    bench.ask("power_on")
+    bench.ask("enable_motion")
+    far = joint_path(cell.home[LEFT] + 0.3)
+    mine = bench.send("move", group="left", path=far, sender={"names": ["ann"]})
+    for _ in range(200):
+        bench.mcs.tick([])
+    refused(bench.reply(bench.send("take_over", group="right", owner="bob")), "'right' is not reserved")
+    assert bench.reply(mine) is None
+    taken = bench.ask("take_over", group="left", owner="bob", sender={"client": "0b"})
+    assert taken["results"] == {"owner": "ann"}
+    refused(bench.reply(mine), "group 'left' was taken over for 'bob'")
+    assert bench.mcs.manager.state is State.MOTION
+    assert bench.mcs.groups["left"].monitor.at_rest
+    refused(bench.ask("move", group="left", path=far, sender={"names": ["ann"], "client": "0a"}), "its owner 'bob'")
+    assert bench.ask("move", group="left", path=far, sender={"client": "0b"})["success"]
+    assert bench.ask("take_over", group="left", owner="")["results"] == {"owner": "bob"}
+    assert bench.ask("move", group="left", path=joint_path(cell.home[LEFT]))["success"]
 
 
 def test_a_dead_client_s_groups_stop_on_the_path_and_hold(bench, cell):
@@ -61,8 +141,9 @@ def test_a_dead_client_s_groups_stop_on_the_path_and_hold(bench, cell):
     bench.ask("enable_motion")
     bench.ask("renew", owner="planner")
     far, home = cell.home[LEFT] + 0.3, cell.home[9:] + 0.1
-    mine = bench.send("move", group="left", path=joint_path(far, cell.home[LEFT], far))
-    other = bench.ask("move", group="right", path=joint_path(home))
+    planner, other = {"names": ["planner"]}, {"names": ["other"]}
+    mine = bench.send("move", group="left", path=joint_path(far, cell.home[LEFT], far), sender=planner)
+    other = bench.ask("move", group="right", path=joint_path(home), sender=other)
     assert other["success"]
     error = bench.reply(mine)["error"]
     assert error["code"] == "lease"
@@ -70,9 +151,9 @@ def test_a_dead_client_s_groups_stop_on_the_path_and_hold(bench, cell):
     assert bench.reply(mine)["results"]["evidence"] >= 1
     assert bench.mcs.manager.state is State.MOTION
     assert bench.mcs.groups["left"].monitor.at_rest
-    refused(bench.ask("move", group="left", path=joint_path(far)), "'planner'", "has lapsed")
+    refused(bench.ask("move", group="left", path=joint_path(far), sender=planner), "'planner'", "has lapsed")
     assert bench.ask("renew", owner="planner")["success"]
-    again = bench.send("move", group="left", path=joint_path(cell.home[LEFT]))
+    again = bench.send("move", group="left", path=joint_path(cell.home[LEFT]), sender=planner)
     assert bench.reply(again) is None
 
 
@@ -104,7 +185,7 @@ def test_a_group_that_both_partitions_have_stays_reserved_and_stays_itself(confi
     presets["pair"] = {"left": presets["3x6"]["left"], "carts": presets["3x6"]["transporter"]}
     bench = make_bench(frictionless.model_copy(update={"presets": presets, "preset": "3x6"}))
     bench.ask("reserve", group="left", owner="ann")
-    bench.ask("set_speed", group="left", scale=0.5)
+    bench.ask("set_speed", group="left", scale=0.5, sender={"names": ["ann"]})
     left = bench.mcs.groups["left"]
     assert bench.ask("repartition", preset="pair")["success"]
     assert bench.mcs.groups["left"] is left

@@ -44,8 +44,8 @@ class MotionCoordinator(PntNode):
         self.sources.follow(MCS_STATE, McsState, qos.LATCHED)
 
     async def group_to_reserve(self, ctx: ActionContext) -> dict[str, object]:
-        """The arm that is to move."""
-        return {"group": await group_of(ctx, self.dom)}
+        """The arm that is to move, for this node alone."""
+        return {"group": await group_of(ctx, self.dom), "owner": self.get_fully_qualified_name()}
 
     async def group_held(self, ctx: ActionContext) -> dict[str, object]:
         """The arm that MCS holds."""

@@ -24,6 +24,7 @@ from std_msgs.msg import UInt8
 from im_core import clock
 from im_core.errors import ImError, NotFoundError
 from im_core.ros import qos
+from im_core.ros.callers import client_of
 from im_core.ros.coroutines import Alarms, Coroutines, Promise, Work
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
@@ -92,7 +93,8 @@ class ManagedNode(Node):
     ) -> Service:
         """As in rclpy, with queues for many clients, and introspection as the node's parameter says.
 
-        The callback may be a coroutine.
+        The callback may be a coroutine. It may also return a function: that is given who called, as
+        :func:`im_core.ros.callers.client_of` says, and returns what the callback would have returned.
         """
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
@@ -104,6 +106,8 @@ class ManagedNode(Node):
 
     def _send_when_done(self, service: Service, send: Callable[..., None], response: Any, header: Any) -> None:
         """Send what a service's callback returned; the events executor would take a coroutine for the response."""
+        if callable(response):
+            response = response(client_of(header))
         if not inspect.iscoroutine(response):
             send(response, header)
             return

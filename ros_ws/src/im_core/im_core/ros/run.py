@@ -32,7 +32,7 @@ class Spinner:
 
     def __init__(self, nodes: Sequence[rclpy.node.Node]) -> None:
         self.nodes = list(nodes)
-        self.executor = EventsExecutor()
+        self.executor = EventsExecutor(context=self.nodes[0].context)
         for node in self.nodes:
             self.executor.add_node(node)
         self._end = Future()

@@ -33,13 +33,22 @@ SLOWEST = 0.01
 _LONGEST_LEASE_S = 10.0
 _OFF_UNIT = 0.01
 
+LARGEST = 1e6
+"""No number in a request is larger: joules, newtons, metres or seconds, it would be none of this cell."""
+LONGEST_TEXT = 256
+"""No text in a request is longer [characters]."""
+_MOST_NUMBERS = 64
+_BOUND = f", up to {LARGEST:g}"
+
 # Descriptions say what a value is: they are what refusals say that it is not.
-Text = Annotated[str, Field(description="a text")]
-Amount = Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0")]
-Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0 [s]")]
-Metres = Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0 [m]")]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Numbers = Annotated[list[float], Field(description="a list of numbers")]
+Text = Annotated[str, Field(max_length=LONGEST_TEXT, description=f"a text of up to {LONGEST_TEXT} characters")]
+Amount = Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0{_BOUND}")]
+Seconds = Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0 [s]{_BOUND}")]
+Metres = Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0 [m]{_BOUND}")]
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Numbers = Annotated[
+    list[float], Field(max_length=_MOST_NUMBERS, description=f"a list of numbers, of up to {_MOST_NUMBERS}")
+]
 
 
 class Policy(StrEnum):
@@ -83,6 +92,8 @@ def unit_pose(numbers: list[float]) -> list[float]:
         raise ValueError(f"the pose has {len(numbers)} values, not 7 (x, y, z, qx, qy, qz, qw)")
     if not all(math.isfinite(number) for number in numbers):
         raise ValueError(f"the pose {numbers} has a value that is not a finite number")
+    if max(map(abs, numbers)) > LARGEST:
+        raise ValueError(f"the pose {numbers} has a value beyond {LARGEST:g}")
     orientation = numbers[3:]
     length = math.hypot(*orientation)
     if abs(length - 1.0) > _OFF_UNIT:
@@ -112,7 +123,7 @@ class JointMove(_Path):
 
     kind: Literal["joint"] = "joint"
     points: Annotated[NDArray[np.float64], _rows(list[list[float]])]
-    blend: Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0 [rad or m]")] = 0.0
+    blend: Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0 [rad or m]{_BOUND}")] = 0.0
 
 
 class LineMove(_Path):
@@ -126,7 +137,7 @@ class LineMove(_Path):
 
     kind: Literal["line"] = "line"
     poses: list[Annotated[list[float], AfterValidator(unit_pose)]]
-    speed: Annotated[float, Field(ge=0, allow_inf_nan=False, description="a finite number >= 0 [m/s]")] = 0.0
+    speed: Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0 [m/s]{_BOUND}")] = 0.0
     blend: Metres = 0.0
 
 
@@ -214,18 +225,43 @@ _PATHS: Mapping[str, type[ServoRequest]] = {"joint": JointMove, "line": LineMove
 # requests
 
 
+class Sender(ServoRequest):
+    """Who asks: whether a group is his is decided by this.
+
+    Attributes:
+        client: The process that asks, as :mod:`im_core.ros.callers` knows it; empty: not known.
+        names: What it goes by: its nodes, and an owner that the request names.
+    """
+
+    client: Text = ""
+    names: Annotated[list[Text], Field(max_length=_MOST_NUMBERS, description="a list of texts")] = Field(
+        default_factory=list
+    )
+
+
+NOBODY = Sender()
+"""Who asks without saying who he is."""
+By = Annotated[Sender, Field(description="who asks: client and names")]
+
+
 class ReserveRequest(ServoRequest):
     """Give a group its slots, for an owner, until a lease of testbed time lapses [s]; 0: never."""
 
     group: Text
     owner: Text = ""
     lease_s: Seconds = 0.0
+    sender: By = NOBODY
+
+
+class TakeOverRequest(ReserveRequest):
+    """Take a group away from its owner: what it does ends on its path, and it is reserved for another owner."""
 
 
 class ReleaseRequest(ServoRequest):
     """Take the slots of a group back."""
 
     group: Text
+    sender: By = NOBODY
 
 
 class RenewRequest(ServoRequest):
@@ -251,6 +287,7 @@ class MoveRequest(ServoRequest):
     path: Annotated[Move, Field(discriminator="kind")]
     policy: Annotated[Policy, Field(strict=False, description=f"one of {', '.join(Policy)}")] = Policy.REFUSE
     speed_scale: Annotated[float, Field(description=f"between {SLOWEST:g} and 1 (0 stands for 1)")] = 1.0
+    sender: By = NOBODY
 
     @field_validator("speed_scale")
     @classmethod
@@ -296,6 +333,7 @@ class ResumeRequest(ServoRequest):
     """Go on after a pause or a protective stop; all groups if none is named."""
 
     group: Text = ""
+    sender: By = NOBODY
 
 
 class SetSpeedRequest(ServoRequest):
@@ -303,6 +341,7 @@ class SetSpeedRequest(ServoRequest):
 
     group: Text
     scale: Annotated[float, Field(ge=SLOWEST, le=1, description=f"a number from {SLOWEST:g} to 1")]
+    sender: By = NOBODY
 
 
 class SetGripperRequest(ServoRequest):
@@ -318,6 +357,7 @@ class SetControllerRequest(ServoRequest):
 
     group: Text
     controller: Text
+    sender: By = NOBODY
 
 
 class SetPayloadRequest(ServoRequest):
@@ -329,6 +369,7 @@ class SetPayloadRequest(ServoRequest):
     inertia: Annotated[
         list[Finite], Field(min_length=6, max_length=6, description="6 finite numbers (xx, xy, xz, yy, yz, zz)")
     ]
+    sender: By = NOBODY
 
 
 class ProtectiveStopRequest(ServoRequest):
@@ -345,6 +386,7 @@ class EstopRequest(ServoRequest):
 
 REQUESTS: Mapping[str, type[ServoRequest]] = {
     "reserve": ReserveRequest,
+    "take_over": TakeOverRequest,
     "release": ReleaseRequest,
     "renew": RenewRequest,
     "repartition": RepartitionRequest,

@@ -2,7 +2,7 @@
 
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from im_cell.robot import load_cell
 from im_core.errors import ImError
 from im_core.names import results_dir
-from im_core.ros.calls import run_in_thread
+from im_core.ros.callers import nodes_of
+from im_core.ros.calls import pause, run_in_thread
 from im_core.ros.node import ManagedNode
 from im_mcs.client.evidence import write_evidence
 from im_mcs.client.groups import all_groups, group_in_force
@@ -29,6 +30,7 @@ Started = Callable[[int], None]
 """Told the number of a request that has been sent."""
 
 _EVIDENCE = "mcs"
+_INTRODUCTIONS, _INTRODUCTION_S = 20, 0.05
 _LIFECYCLE = {Event.POWER_ON: "activate", Event.POWER_OFF: "deactivate"}
 
 
@@ -60,6 +62,30 @@ class Refusals:
             return dict(self._counts)
 
 
+class TakeOvers:
+    """Every time that a group was taken away from its owner: said in the log, and kept for ``/diagnostics``.
+
+    Args:
+        logger: Of the node.
+    """
+
+    def __init__(self, logger: RcutilsLogger) -> None:
+        self._logger = logger
+        self._newest: dict[str, str] = {}
+
+    def add(self, group: str, before: str, owner: str, by: Sequence[str]) -> str:
+        """Group, its owner before and now, and who did it, by name; as a sentence."""
+        was, now = (f"'{name}'" if name else "anyone" for name in (before, owner))
+        sentence = f"group '{group}', until now of {was}, is taken over for {now} by {', '.join(by)}"
+        self._newest[group] = sentence
+        self._logger.warning(sentence)
+        return sentence
+
+    def newest(self) -> dict[str, str]:
+        """The newest one of each group, as a sentence."""
+        return dict(self._newest)
+
+
 class McsAccess:
     """MCS in the eyes of the node's servers.
 
@@ -72,6 +98,7 @@ class McsAccess:
         lifecycle: Of the node; its transitions go through the servo.
         keeper: Looks after the servo process.
         refusals: Messages on topics that were refused: nobody waits there for an answer.
+        take_overs: Groups that were taken away from their owners.
 
     Args:
         node: The node.
@@ -88,6 +115,7 @@ class McsAccess:
         self.model = CellModel(self.cell)
         self.kinematics = Kinematics(config, CellModel(self.cell))
         self.refusals = Refusals(node.get_logger())
+        self.take_overs = TakeOvers(node.get_logger())
         self._changed = changed
         self.lifecycle = Lifecycle(
             node,
@@ -132,6 +160,24 @@ class McsAccess:
     def index(self, group: Group) -> NDArray[np.intp]:
         """Ranks of a group's joints among all, shape (n,)."""
         return np.array([self.model.index(joint) for joint in group.joints], dtype=np.intp)
+
+    async def sender(self, client: str, *names: str) -> dict[str, Any]:
+        """Who asks, in the arguments of a request.
+
+        A process that has just begun is given a moment to be known by name.
+
+        Args:
+            client: As :func:`im_core.ros.callers.client_of` says; empty: not known.
+            *names: Owners that the request names; empty ones do not count.
+        """
+        nodes = nodes_of(self.node, client)
+        for _ in range(_INTRODUCTIONS if client else 0):
+            if nodes:
+                break
+            await pause(self.node, _INTRODUCTION_S)
+            nodes = nodes_of(self.node, client)
+        shown = [name for node in nodes for name in (node, node.removeprefix("/"))]
+        return {"client": client, "names": [*filter(None, names), *shown]}
 
     async def request(
         self,

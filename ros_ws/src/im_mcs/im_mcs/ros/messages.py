@@ -160,9 +160,13 @@ def text(value: bytes) -> str:
 
 
 def diagnostics(
-    state: State, snapshot: NDArray[np.void], silence_s: float, refused: Mapping[str, int]
+    state: State,
+    snapshot: NDArray[np.void],
+    silence_s: float,
+    refused: Mapping[str, int],
+    taken_over: Mapping[str, str],
 ) -> DiagnosticArray:
-    """How the servo loop keeps time, and what was refused on topics."""
+    """How the servo loop keeps time, what was refused on topics, and which groups were taken over."""
     status = DiagnosticStatus(name="mcs: servo", hardware_id="testbed", message=state.value)
     linked = bool(snapshot["linked"])
     status.level = DiagnosticStatus.OK if linked and state is not State.ESTOPPED else DiagnosticStatus.ERROR
@@ -184,7 +188,10 @@ def diagnostics(
     commands = DiagnosticStatus(name="mcs: refused messages", hardware_id="testbed", message=f"{sum(refused.values())}")
     commands.level = DiagnosticStatus.WARN if refused else DiagnosticStatus.OK
     commands.values = [KeyValue(key=topic, value=str(count)) for topic, count in sorted(refused.items())]
-    message = DiagnosticArray(status=[status, commands])
+    owners = DiagnosticStatus(name="mcs: groups taken over", hardware_id="testbed", message=f"{len(taken_over)}")
+    owners.level = DiagnosticStatus.WARN if taken_over else DiagnosticStatus.OK
+    owners.values = [KeyValue(key=group, value=sentence) for group, sentence in sorted(taken_over.items())]
+    message = DiagnosticArray(status=[status, commands, owners])
     message.header.stamp = time(int(snapshot["stamp_ns"]))
     return message
 

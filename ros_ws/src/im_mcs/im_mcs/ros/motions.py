@@ -9,6 +9,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
 from im_core.ros import qos
+from im_core.ros.callers import client_of
 from im_mcs.client.servo_client import OnProgress
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess, Started
@@ -30,12 +31,13 @@ class Motions:
         self._paths = {group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in groups}
 
     async def run(
-        self, arguments: dict[str, Any], started: Started | None = None, on_progress: OnProgress | None = None
+        self, arguments: dict[str, Any], client: str = "", started: Started | None = None, on_progress: OnProgress | None = None
     ) -> dict[str, Any]:
         """Move a group and await the end.
 
         Args:
             arguments: Of the MOVE request.
+            client: Who asks for it, as :meth:`Goals.client` says; empty: who has said no name, as on a topic.
             started: Told the number of the request.
             on_progress: Told how far it is, in another thread.
 
@@ -61,7 +63,8 @@ class Motions:
                     on_progress(*told)
 
         try:
-            return await self._mcs.request(Event.MOVE, arguments, begin, progress)
+            sender = await self._mcs.sender(client)
+            return await self._mcs.request(Event.MOVE, {**arguments, "sender": sender}, begin, progress)
         finally:
             for number in numbers:
                 self._under_way.pop(number, None)
@@ -87,6 +90,21 @@ class Motions:
         self._paths[group].publish(messages.group_path(self._mcs.config.groups[group].joints, path, stamp_ns))
 
 
+class CalledActionServer(ActionServer):
+    """An action server that knows whose its goals are: ``clients``, by the number of the goal, until they end."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        self.clients: dict[bytes, str] = {}
+        ActionServer.__init__(self, *args, **options)
+
+    async def _execute_goal_request(self, request_header_and_message: tuple[Any, Any]) -> None:
+        header, request = request_header_and_message
+        goal = bytes(request.goal_id.uuid)
+        if goal not in self._goal_handles:  # one that has that number keeps its sender
+            self.clients[goal] = client_of(header)
+        await ActionServer._execute_goal_request(self, request_header_and_message)
+
+
 class Goals:
     """Actions, and the numbers of requests by goal, so that a cancelled goal decelerates.
 
@@ -97,11 +115,11 @@ class Goals:
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
         self._numbers: dict[bytes, int] = {}
-        self._servers: list[ActionServer] = []
+        self._servers: list[CalledActionServer] = []
 
     def serve(self, action: type, name: str, execute: Callable[[ServerGoalHandle], Awaitable[Any]]) -> None:
         """Offer an action whose goals are all accepted: what cannot be done ends at once, and its result says why."""
-        server = ActionServer(
+        server = CalledActionServer(
             self._mcs.node,
             action,
             name,
@@ -111,13 +129,21 @@ class Goals:
         )
         self._servers.append(server)
 
+    def client(self, handle: ServerGoalHandle) -> str:
+        """Who sent a goal, as :func:`im_core.ros.callers.client_of` says."""
+        goal = bytes(handle.goal_id.uuid)
+        return next((server.clients[goal] for server in self._servers if goal in server.clients), "")
+
     def begin_goal(self, handle: ServerGoalHandle, number: int) -> None:
         """The servo knows the goal by ``number``."""
         self._numbers[bytes(handle.goal_id.uuid)] = number
 
     def end_goal(self, handle: ServerGoalHandle) -> None:
         """The goal has ended."""
-        self._numbers.pop(bytes(handle.goal_id.uuid), None)
+        goal = bytes(handle.goal_id.uuid)
+        self._numbers.pop(goal, None)
+        for server in self._servers:
+            server.clients.pop(goal, None)
 
     def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         """Callback of an action server: the motion decelerates on its path and ends as cancelled."""

@@ -38,6 +38,7 @@ class MoveServer:
         try:
             results = await self._motions.run(
                 self._arguments(group, handle.request),
+                client=self._goals.client(handle),
                 started=partial(self._goals.begin_goal, handle),
                 on_progress=partial(self._feedback, handle),
             )

@@ -95,7 +95,8 @@ class McsNode(ManagedNode):
     def _publish_diagnostics(self) -> None:
         if self._mcs.keeper.running:
             client = self._mcs.client()
-            self._topics.diagnostics(self._mcs.state, client.snapshot(), client.silence_s(), self._mcs.refusals)
+            mcs, silence_s = self._mcs, client.silence_s()
+            self._topics.diagnostics(mcs.state, client.snapshot(), silence_s, mcs.refusals, mcs.take_overs)
             if self._last is not None and not self._fresh:  # testbed time may stand still: once more, for latecomers
                 self._show([self._last])
             self._fresh = False

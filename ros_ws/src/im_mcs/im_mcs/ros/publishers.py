@@ -17,7 +17,7 @@ from im_core.ros import qos
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.ros import messages
-from im_mcs.ros.access import Refusals
+from im_mcs.ros.access import Refusals, TakeOvers
 from im_mcs.state import State
 from im_msgs.msg import McsState
 
@@ -54,9 +54,13 @@ class Publishers:
             last = samples[-1]
             self._tf.publish(TFMessage(transforms=self._frames.moving(np.array(last["q"]), last["stamp_ns"])))
 
-    def diagnostics(self, state: State, snapshot: NDArray[np.void], silence_s: float, refusals: Refusals) -> None:
+    def diagnostics(
+        self, state: State, snapshot: NDArray[np.void], silence_s: float, refusals: Refusals, take_overs: TakeOvers
+    ) -> None:
         """``/diagnostics``; ``silence_s``: since the servo's last sign of life [s]."""
-        self._diagnostics.publish(messages.diagnostics(state, snapshot, silence_s, refusals.counts()))
+        self._diagnostics.publish(
+            messages.diagnostics(state, snapshot, silence_s, refusals.counts(), take_overs.newest())
+        )
 
 
 class Frames:

@@ -42,7 +42,7 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 class StateServices:
-    """``/mcs/reserve``, ``release``, ``renew``, ``set_partition``, and a ``std_srvs/Trigger`` an event.
+    """``/mcs/reserve``, ``take_over``, ``release``, ``renew``, ``set_partition``, and a ``std_srvs/Trigger`` an event.
 
     Args:
         access: MCS.
@@ -51,33 +51,45 @@ class StateServices:
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
         access.node.create_service(ReserveGroup, "/mcs/reserve", answering(self._reserve))
+        access.node.create_service(ReserveGroup, "/mcs/take_over", answering(self._take_over))
         access.node.create_service(ReserveGroup, "/mcs/release", answering(self._release))
         access.node.create_service(RenewLease, "/mcs/renew", answering(self._renew))
         access.node.create_service(SetPartition, "/mcs/set_partition", answering(self._set_partition))
         for event in _TRIGGERS:
             access.node.create_service(Trigger, f"/mcs/{event.value}", answering(self._on_trigger(event)))
 
-    async def _reserve(self, request: ReserveGroup.Request, _: object) -> str:
+    async def _reserve(self, request: ReserveGroup.Request, _: object, client: str) -> str:
+        await self._mcs.request(Event.RESERVE, await self._reservation(request, client))
+        return f"MCS is {self._mcs.state.value}"
+
+    async def _take_over(self, request: ReserveGroup.Request, _: object, client: str) -> str:
+        arguments = await self._reservation(request, client)
+        results = await self._mcs.request(Event.TAKE_OVER, arguments)
+        return self._mcs.take_overs.add(
+            request.group, results["owner"], request.owner, arguments["sender"]["names"] or [client]
+        )
+
+    async def _release(self, request: ReserveGroup.Request, _: object, client: str) -> str:
+        self._mcs.group(request.group)
+        sender = await self._mcs.sender(client, request.owner)
+        await self._mcs.request(Event.RELEASE, {"group": request.group, "sender": sender})
+        return f"MCS is {self._mcs.state.value}"
+
+    async def _reservation(self, request: ReserveGroup.Request, client: str) -> dict[str, Any]:
         self._mcs.group(request.group)
         messages.check_finite(lease=request.lease)
-        arguments = {"group": request.group, "owner": request.owner, "lease_s": request.lease}
-        await self._mcs.request(Event.RESERVE, arguments)
-        return f"MCS is {self._mcs.state.value}"
+        sender = await self._mcs.sender(client)
+        return {"group": request.group, "owner": request.owner, "lease_s": request.lease, "sender": sender}
 
-    async def _release(self, request: ReserveGroup.Request, _: object) -> str:
-        self._mcs.group(request.group)
-        await self._mcs.request(Event.RELEASE, {"group": request.group})
-        return f"MCS is {self._mcs.state.value}"
-
-    async def _renew(self, request: RenewLease.Request, _: object) -> str:
+    async def _renew(self, request: RenewLease.Request, *_: object) -> str:
         await self._mcs.request(Event.RENEW, {"owner": request.owner})
         return f"the lease of '{request.owner}' is renewed"
 
-    async def _set_partition(self, request: SetPartition.Request, _: object) -> str:
+    async def _set_partition(self, request: SetPartition.Request, *_: object) -> str:
         await self._mcs.repartition(request.preset)
         return f"the groups are {', '.join(self._mcs.config.groups)}"
 
-    def _on_trigger(self, event: Event) -> Callable[[Any, Any], Awaitable[str]]:
+    def _on_trigger(self, event: Event) -> Callable[[Any, Any, str], Awaitable[str]]:
         async def work(*_: object) -> str:
             await self._mcs.transition(event)
             return f"MCS is {self._mcs.state.value}"
@@ -94,29 +106,35 @@ class MotionServices:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        access.node.create_service(GroupCommand, "/mcs/pause", answering(self._on_group(Event.PAUSE, "pauses")))
-        access.node.create_service(GroupCommand, "/mcs/resume", answering(self._on_group(Event.RESUME, "goes on")))
+        access.node.create_service(GroupCommand, "/mcs/pause", answering(self._pause))
+        access.node.create_service(GroupCommand, "/mcs/resume", answering(self._resume))
         access.node.create_service(SetSpeed, "/mcs/set_speed", answering(self._set_speed))
         access.node.create_service(SetPayload, "/mcs/set_payload", answering(self._set_payload))
         access.node.create_service(SetController, "/mcs/set_controller", answering(self._set_controller))
         access.node.create_service(SetGripper, "/mcs/set_gripper", answering(self._set_gripper))
 
-    def _on_group(self, event: Event, verb: str) -> Callable[[Any, Any], Awaitable[str]]:
-        async def work(request: GroupCommand.Request, _: object) -> str:
-            if request.group:
-                self._mcs.group(request.group)
-            await self._mcs.request(event, {"group": request.group})
-            return f"{request.group or 'every group'} {verb}"
+    async def _pause(self, request: GroupCommand.Request, *_: object) -> str:
+        """Anyone may: to stop is always allowed."""
+        if request.group:
+            self._mcs.group(request.group)
+        await self._mcs.request(Event.PAUSE, {"group": request.group})
+        return f"{request.group or 'every group'} pauses"
 
-        return work
+    async def _resume(self, request: GroupCommand.Request, _: object, client: str) -> str:
+        if request.group:
+            self._mcs.group(request.group)
+        sender = await self._mcs.sender(client)
+        await self._mcs.request(Event.RESUME, {"group": request.group, "sender": sender})
+        return f"{request.group or 'every group'} goes on"
 
-    async def _set_speed(self, request: SetSpeed.Request, _: object) -> str:
+    async def _set_speed(self, request: SetSpeed.Request, _: object, client: str) -> str:
         self._mcs.group(request.group)
         messages.check_finite(scale=request.scale)
-        await self._mcs.request(Event.SET_SPEED, {"group": request.group, "scale": request.scale})
+        arguments = {"group": request.group, "scale": request.scale, "sender": await self._mcs.sender(client)}
+        await self._mcs.request(Event.SET_SPEED, arguments)
         return f"{request.group} moves at {request.scale:g} of the planned speed"
 
-    async def _set_payload(self, request: SetPayload.Request, _: object) -> str:
+    async def _set_payload(self, request: SetPayload.Request, _: object, client: str) -> str:
         payload = request.payload
         center = {f"payload.com.{axis}": getattr(payload.com, axis) for axis in "xyz"}
         inertia = {f"payload.{name}": getattr(payload, name) for name in _INERTIA}
@@ -127,17 +145,19 @@ class MotionServices:
             "mass": payload.m,
             "center": list(center.values()),
             "inertia": list(inertia.values()),
+            "sender": await self._mcs.sender(client),
         }
         await self._mcs.request(Event.SET_PAYLOAD, arguments)
         return f"{request.group} carries {payload.m:g} kg"
 
-    async def _set_controller(self, request: SetController.Request, _: object) -> str:
-        arguments = {"group": request.group, "controller": request.controller}
+    async def _set_controller(self, request: SetController.Request, _: object, client: str) -> str:
         self._mcs.group(request.group)
+        sender = await self._mcs.sender(client)
+        arguments = {"group": request.group, "controller": request.controller, "sender": sender}
         await self._mcs.request(Event.SET_CONTROLLER, arguments)
         return f"{request.controller} takes over {request.group}"
 
-    async def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response) -> str:
+    async def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response, _: str) -> str:
         opening = 0.0 if request.close else self._mcs.cell.gripper.stroke
         messages.check_finite(force=request.force)
         arguments = {"gripper": request.gripper, "opening": opening, "force": request.force}
@@ -233,19 +253,22 @@ class KinematicsServices:
         return response
 
 
-def answering(work: Callable[[Any, Any], Awaitable[str]]) -> Callable[[Any, Any], Awaitable[Any]]:
+def answering(work: Callable[[Any, Any, str], Awaitable[str]]) -> Callable[[Any, Any], Callable[[str], Any]]:
     """A callback that says what ``work`` says, or why it could not be done.
 
     Args:
-        work: Given request and response; it may fill what else the response has.
+        work: Given request, response and the client that asks; it may fill what else the response has.
     """
 
-    async def serve(request: Any, response: Any) -> Any:
-        try:
-            response.message = await work(request, response)
-            response.success = True
-        except ImError as error:
-            response.success, response.message = False, error.message
-        return response
+    def serve(request: Any, response: Any) -> Callable[[str], Any]:
+        async def answer(client: str) -> Any:
+            try:
+                response.message = await work(request, response, client)
+                response.success = True
+            except ImError as error:
+                response.success, response.message = False, error.message
+            return response
+
+        return answer
 
     return serve

@@ -49,6 +49,7 @@ class TrajectoryServer:
         try:
             await self._motions.run(
                 self._arguments(group, _of_goal(handle.request)),
+                client=self._goals.client(handle),
                 started=partial(self._goals.begin_goal, handle),
                 on_progress=partial(self._feedback, group, handle),
             )

@@ -18,12 +18,14 @@ from im_mcs.protocol.requests import (
     RepartitionRequest,
     ReserveRequest,
     ResumeRequest,
+    Sender,
     ServoRequest,
     SetControllerRequest,
     SetGripperRequest,
     SetPayloadRequest,
     SetSpeedRequest,
     StreamRequest,
+    TakeOverRequest,
     TransitionRequest,
     parse_request,
     request_id,
@@ -95,11 +97,14 @@ class Dispatch:
         """Do what is asked for; whether its answer comes when that has ended."""
         mcs, manager = self._mcs, self._manager
         match request:
+            case TakeOverRequest():
+                self._take_over(number, request)
+                return True
             case ReserveRequest():
-                manager.reserve(request.group, request.owner, request.lease_s)
+                manager.reserve(request.group, request.owner, request.lease_s, request.sender)
                 return False
             case ReleaseRequest():
-                manager.release(request.group)
+                manager.release(request.group, request.sender)
                 return False
             case RenewRequest():
                 manager.renew(request.owner)
@@ -116,7 +121,7 @@ class Dispatch:
         manager.check(event)
         match request:
             case MoveRequest():
-                manager.reservations.require_lease(request.group)
+                manager.reservations.require_driver(request.group, request.sender)
                 mcs.loop.torque_streams.require_free(request.group)
                 mcs.groups[request.group].request(self._goal(number), request)
                 return True
@@ -137,13 +142,13 @@ class Dispatch:
             case ResumeRequest():
                 groups = self._named(request.group)
                 for group in groups:
-                    manager.reservations.require_lease(group.name)
+                    manager.reservations.require_driver(group.name, request.sender)
                 for group in groups:
                     group.resume()
             case SetSpeedRequest():
-                self._one(request.group).set_speed(request.scale)
+                self._owned(request.group, request.sender).set_speed(request.scale)
             case SetControllerRequest():
-                self._one(request.group).switch(request.controller)
+                self._owned(request.group, request.sender).switch(request.controller)
             case SetPayloadRequest():
                 self._set_payload(request)
             case ProtectiveStopRequest():
@@ -154,7 +159,7 @@ class Dispatch:
     def _stream(self, number: int, request: StreamRequest) -> bool:
         """Take streaming setpoints or torques; whether they opened a goal, which is answered at its end."""
         mcs = self._mcs
-        self._manager.reservations.require_owner(request.group, request.owner)
+        self._manager.reservations.require_driver(request.group, Sender(names=[request.owner]))
         group, goal = mcs.groups[request.group], self._goal(number)
         if request.kind == "torque":
             return mcs.loop.torque_streams.take_torques(group, goal, request)
@@ -178,7 +183,7 @@ class Dispatch:
         raise StateError(f"goal {goal} is not under way", goal=goal)
 
     def _set_payload(self, request: SetPayloadRequest) -> None:
-        group, config = self._one(request.group).name, self._mcs.config
+        group, config = self._owned(request.group, request.sender).name, self._mcs.config
         wrist = config.groups[group].wrist
         if wrist is None:
             raise StateError(f"group '{group}' has no wrist that could carry a payload", group=group)
@@ -192,14 +197,25 @@ class Dispatch:
     def _goal(self, number: int) -> Goal:
         return Goal(number, self._mcs.measured.tick)
 
-    def _one(self, name: str) -> ControlledGroup:
-        self._manager.reservations.require(name)
+    def _take_over(self, number: int, request: TakeOverRequest) -> None:
+        """A group changes its owner; what the one before wanted of it ends on the path, and the answer says whose."""
+        mcs, name = self._mcs, request.group
+        before = self._manager.take_over(name, request.owner, request.lease_s, request.sender)
+        fault = StateError(f"group '{name}' was taken over for '{request.owner}'", group=name, owner=request.owner)
+        mcs.end_torque_streams(mcs.loop.torque_streams.end_streams(fault, (name,)))
+        mcs.groups[name].stop(fault)
+        mcs.answers.reply(number, None, {"owner": before})
+
+    def _owned(self, name: str, sender: Sender) -> ControlledGroup:
+        self._manager.reservations.require_owner(name, sender)
         return self._mcs.groups[name]
 
     def _named(self, name: str) -> list[ControlledGroup]:
         """A reserved group, or all of them for an empty name."""
         names = [name] if name else self._manager.reservations.groups
-        return [self._one(name) for name in names]
+        for each in names:
+            self._manager.reservations.require(each)
+        return [self._mcs.groups[each] for each in names]
 
 
 def _cancelled(group: str) -> ImError:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_mcs.limits.configuration import Servo
+from im_mcs.protocol.requests import NOBODY, Sender
 from im_mcs.state.reservation import Reservations
 from im_mcs.state.table import ANYTIME, Event, State, next_state
 from im_mcs.testbed.driver import Measured
@@ -115,33 +116,51 @@ class StateManager:
             )
         return target
 
-    def reserve(self, group: str, owner: str = "", lease_s: float = 0.0) -> None:
+    def reserve(self, group: str, owner: str = "", lease_s: float = 0.0, sender: Sender = NOBODY) -> None:
         """Give a group its slots.
 
         Args:
             group: Name of the group.
             owner: Who uses it; empty: anyone.
             lease_s: Testbed time until it lapses unless renewed [s]; 0: never.
+            sender: Who reserves it.
 
         Raises:
             StateError: Not allowed now, a slot is owned by another group, or does not answer.
             NotFoundError: There is no such group.
         """
         target = self.check(Event.RESERVE)
-        self.reservations.reserve(group, owner, lease_s, self.measured.stamp_ns)
+        self.reservations.reserve(group, owner, lease_s, self.measured.stamp_ns, sender)
         if not np.isfinite(self.measured.q[self._index[group]]).all():
             self.reservations.release(group)
             raise StateError(f"group '{group}' cannot be reserved: a slot of it gives no reading", group=group)
         self.state = target
 
-    def release(self, group: str) -> None:
-        """Take a group's slots back.
+    def take_over(self, group: str, owner: str, lease_s: float, sender: Sender) -> str:
+        """Reserve a group for another owner than it has; arguments as :meth:`reserve`.
+
+        Returns:
+            Whose it was.
 
         Raises:
             StateError: Not allowed now, or the group is not reserved.
             NotFoundError: There is no such group.
         """
+        self.check(Event.TAKE_OVER)
+        return self.reservations.take_over(group, owner, lease_s, self.measured.stamp_ns, sender)
+
+    def release(self, group: str, sender: Sender) -> None:
+        """Take a group's slots back.
+
+        Raises:
+            StateError: Not allowed now, the group is not reserved, or ``sender`` is not its owner.
+            NotFoundError: There is no such group.
+        """
         self.check(Event.RELEASE)
+        self.reservations.require_owner(group, sender)
+        self._free(group)
+
+    def _free(self, group: str) -> None:
         self.reservations.release(group)
         self.state = next_state(self.state, Event.RELEASE if self.reservations.groups else Event.RELEASE_LAST)
 
@@ -272,7 +291,7 @@ class StateManager:
     def _free_lapsed(self) -> None:
         self.reservations.lapse(self.measured.stamp_ns)
         for group in self.reservations.lapsed():
-            self.release(group)
+            self._free(group)
 
     # what a transition does over several ticks: each yields once a tick
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from im_core.errors import NotFoundError, StateError
+from im_mcs.protocol.requests import NOBODY, Sender
 
 
 @dataclass
@@ -12,7 +13,8 @@ class Reservation:
 
     Attributes:
         group: Name of the group.
-        owner: Who reserved it; empty: anyone may use it.
+        owner: Whose it is, by name; empty: anyone may use it.
+        client: The process that reserved it for that owner; empty: not known.
         lease_s: Testbed time after which it lapses unless renewed [s]; 0: never.
         until_ns: When that is, testbed time [ns].
         lapsed: Whether it has; the group then takes no motions until its owner renews the lease.
@@ -23,6 +25,12 @@ class Reservation:
     lease_s: float
     until_ns: int
     lapsed: bool = False
+    client: str = ""
+
+    def serves(self, sender: Sender) -> bool:
+        """Whether who asks is the owner: by name, or as the process that reserved."""
+        known = bool(self.client) and self.client == sender.client
+        return known or self.owner == "" or self.owner in sender.names
 
     @property
     def who(self) -> str:
@@ -54,7 +62,9 @@ class Reservations:
         """The reservation of a group, if it has one."""
         return self._held.get(group)
 
-    def reserve(self, group: str, owner: str = "", lease_s: float = 0.0, now_ns: int = 0) -> None:
+    def reserve(
+        self, group: str, owner: str = "", lease_s: float = 0.0, now_ns: int = 0, sender: Sender = NOBODY
+    ) -> None:
         """Give all slots of ``group`` to it, or none.
 
         Args:
@@ -62,13 +72,14 @@ class Reservations:
             owner: Who uses it; empty: anyone.
             lease_s: Testbed time until it lapses unless renewed [s]; 0: never.
             now_ns: Testbed time [ns].
+            sender: Who reserves it.
 
         Raises:
             NotFoundError: No such group.
             StateError: The group is reserved already, or a slot belongs to another group; both sides are named.
         """
         slots = self._slots(group)
-        wanted = Reservation(group, owner, lease_s, now_ns + round(lease_s * 1e9))
+        wanted = Reservation(group, owner, lease_s, now_ns + round(lease_s * 1e9), client=sender.client)
         if (present := self._held.get(group)) is not None:
             by = f" by owner '{present.owner}'" if present.owner else ""
             raise StateError(f"group '{group}' is reserved already{by}", group=group, owner=present.owner)
@@ -82,6 +93,21 @@ class Reservations:
                         group=group,
                     )
         self._held[group] = wanted
+
+    def take_over(self, group: str, owner: str, lease_s: float, now_ns: int, sender: Sender) -> str:
+        """Give a group that is reserved to another owner, whoever has it; arguments as :meth:`reserve`.
+
+        Returns:
+            Whose it was.
+
+        Raises:
+            NotFoundError: No such group.
+            StateError: The group is not reserved.
+        """
+        self.require(group)
+        before = self._held.pop(group).owner
+        self.reserve(group, owner, lease_s, now_ns, sender)
+        return before
 
     def release(self, group: str) -> None:
         """Free the slots of ``group``.
@@ -136,34 +162,37 @@ class Reservations:
             reserved = ", ".join(self._held) or "none"
             raise StateError(f"group '{group}' is not reserved (reserved: {reserved})", group=group)
 
-    def require_lease(self, group: str) -> None:
-        """Check that ``group`` is reserved and that its lease holds.
+    def require_owner(self, group: str, sender: Sender) -> None:
+        """Check that ``group`` is reserved, and that who asks may change it.
 
         Raises:
             NotFoundError: No such group.
-            StateError: It is not reserved, or its lease has lapsed; the owner is named.
+            StateError: It is not reserved, or it is reserved for another owner, who is named.
         """
         self.require(group)
+        if not (reservation := self._held[group]).serves(sender):
+            owner, given = reservation.owner, ", ".join(f"'{name}'" for name in sender.names)
+            raise StateError(
+                f"group '{group}' is driven by its owner '{owner}' only, not by {given or 'who does not say its name'};"
+                " an operator may take it over (/mcs/take_over)",
+                group=group,
+                owner=owner,
+            )
+
+    def require_driver(self, group: str, sender: Sender) -> None:
+        """Check that ``group`` is reserved, that its lease holds, and that who asks may move it.
+
+        Raises:
+            NotFoundError: No such group.
+            StateError: As :meth:`require_owner`, or the lease has lapsed.
+        """
+        self.require_owner(group, sender)
         reservation = self._held[group]
         if reservation.lapsed:
             raise StateError(
                 f"the lease of {reservation.who} has lapsed; its owner must renew it first",
                 group=group,
                 owner=reservation.owner,
-            )
-
-    def require_owner(self, group: str, owner: str) -> None:
-        """Check that ``owner`` may drive the slots of ``group``.
-
-        Raises:
-            NotFoundError: No such group.
-            StateError: It is not reserved, its lease has lapsed, or it is reserved for another owner, who is named.
-        """
-        self.require_lease(group)
-        present = self._held[group].owner
-        if present not in ("", owner):
-            raise StateError(
-                f"group '{group}' is driven by its owner '{present}' only, not by '{owner}'", group=group, owner=present
             )
 
     def check_repartition(self, groups: Mapping[str, Sequence[str]], preset: str) -> None:

@@ -32,6 +32,7 @@ class Event(StrEnum):
     RELEASE = "release"
     RELEASE_LAST = "release the last group"
     RENEW = "renew"
+    TAKE_OVER = "take_over"
     REPARTITION = "repartition"
     POWER_ON = "power_on"
     POWER_OFF = "power_off"
@@ -77,11 +78,12 @@ class StateTransition:
 
 _FREE = "every slot answers, none is owned by another group"
 _RESERVED = "the group is reserved"
-_OWNER = "the group is reserved, and its lease holds"
+_OWNER = "by the owner of the group"
+_HOLDS = "by the owner of the group, whose lease holds"
 _UNDER_WAY = "the goal is under way or waits"
 _SAME = "the reserved groups have the same joints in it"
 _CARRIED = "gravity torque present before the brakes release"
-_LAW = "the group is reserved, and has such a law"
+_LAW = "by the owner of the group, which has such a law"
 
 TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.UNCONFIGURED, Event.CONFIGURE, State.COLD, "configuration valid, testbed answers"),
@@ -89,35 +91,38 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.COLD, Event.RESERVE, State.RESERVED, _FREE),
     StateTransition(State.COLD, Event.REPARTITION, State.COLD, "there is such a preset"),
     StateTransition(State.RESERVED, Event.RESERVE, State.RESERVED, _FREE),
-    StateTransition(State.RESERVED, Event.RELEASE, State.RESERVED, _RESERVED),
-    StateTransition(State.RESERVED, Event.RELEASE_LAST, State.COLD, _RESERVED),
+    StateTransition(State.RESERVED, Event.RELEASE, State.RESERVED, _OWNER),
+    StateTransition(State.RESERVED, Event.RELEASE_LAST, State.COLD, _OWNER),
     StateTransition(State.RESERVED, Event.RENEW, State.RESERVED, "the owner has reserved a group"),
+    StateTransition(State.RESERVED, Event.TAKE_OVER, State.RESERVED, _RESERVED),
     StateTransition(State.RESERVED, Event.REPARTITION, State.RESERVED, _SAME),
     StateTransition(State.RESERVED, Event.POWER_ON, State.ACTIVE, "power on, brakes on; measured state valid"),
     StateTransition(State.RESERVED, Event.SET_CONTROLLER, State.RESERVED, _LAW),
-    StateTransition(State.RESERVED, Event.SET_PAYLOAD, State.RESERVED, _RESERVED),
-    StateTransition(State.RESERVED, Event.SET_SPEED, State.RESERVED, _RESERVED),
+    StateTransition(State.RESERVED, Event.SET_PAYLOAD, State.RESERVED, _OWNER),
+    StateTransition(State.RESERVED, Event.SET_SPEED, State.RESERVED, _OWNER),
     StateTransition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, _CARRIED),
     StateTransition(State.ACTIVE, Event.POWER_OFF, State.RESERVED),
     StateTransition(State.ACTIVE, Event.RENEW, State.ACTIVE, "the owner has reserved a group"),
+    StateTransition(State.ACTIVE, Event.TAKE_OVER, State.ACTIVE, _RESERVED),
     StateTransition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE),
     StateTransition(State.ACTIVE, Event.CANCEL, State.ACTIVE, _UNDER_WAY),
     StateTransition(State.ACTIVE, Event.SET_CONTROLLER, State.ACTIVE, _LAW),
-    StateTransition(State.ACTIVE, Event.SET_PAYLOAD, State.ACTIVE, _RESERVED),
-    StateTransition(State.ACTIVE, Event.SET_SPEED, State.ACTIVE, _RESERVED),
+    StateTransition(State.ACTIVE, Event.SET_PAYLOAD, State.ACTIVE, _OWNER),
+    StateTransition(State.ACTIVE, Event.SET_SPEED, State.ACTIVE, _OWNER),
     StateTransition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, "at rest first"),
     StateTransition(State.MOTION, Event.RENEW, State.MOTION, "the owner has reserved a group"),
-    StateTransition(State.MOTION, Event.MOVE, State.MOTION, _OWNER),
-    StateTransition(State.MOTION, Event.STREAM, State.MOTION, "by the owner of the group, whose lease holds"),
+    StateTransition(State.MOTION, Event.TAKE_OVER, State.MOTION, _RESERVED),
+    StateTransition(State.MOTION, Event.MOVE, State.MOTION, _HOLDS),
+    StateTransition(State.MOTION, Event.STREAM, State.MOTION, _HOLDS),
     StateTransition(State.MOTION, Event.CANCEL, State.MOTION, _UNDER_WAY),
     StateTransition(State.MOTION, Event.PAUSE, State.MOTION, _RESERVED),
-    StateTransition(State.MOTION, Event.RESUME, State.MOTION, _OWNER),
-    StateTransition(State.MOTION, Event.SET_SPEED, State.MOTION, _RESERVED),
+    StateTransition(State.MOTION, Event.RESUME, State.MOTION, _HOLDS),
+    StateTransition(State.MOTION, Event.SET_SPEED, State.MOTION, _OWNER),
     StateTransition(State.MOTION, Event.SET_GRIPPER, State.MOTION),
     StateTransition(State.MOTION, Event.SET_CONTROLLER, State.MOTION, _LAW),
-    StateTransition(State.MOTION, Event.SET_PAYLOAD, State.MOTION, _RESERVED),
+    StateTransition(State.MOTION, Event.SET_PAYLOAD, State.MOTION, _OWNER),
     StateTransition(State.MOTION, Event.PROTECTIVE_STOP, State.MOTION, "decelerates on the path and holds"),
     StateTransition(State.MOTION, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone; nothing moves"),
