@@ -57,7 +57,7 @@ def refused_on(client, topic, diagnostics):
 
 def test_strangers_are_refused_and_the_owner_is_served(client, newcomer):
     client.to_motion(owner="ann")
-    stranger, sentence = newcomer("eve"), "group 'left' is driven by its owner 'ann' only, not by '/eve', 'eve'"
+    stranger, sentence = newcomer("eve"), "group 'left' is driven by its owner 'ann' only, not by '/eve'"
     before = client.group_state().q_rest
     assert sentence in stranger.move(client.home + 0.1).status.message
     assert sentence in follow(stranger)[1]
@@ -83,7 +83,7 @@ def test_strangers_are_refused_and_the_owner_is_served(client, newcomer):
     assert client.call(GroupCommand, "resume", group="left").success
     assert client.trigger("disable_motion").success
     assert client.trigger("power_off").success
-    for owner, names in (("", "'/eve', 'eve'"), ("eva", "'eva', '/eve', 'eve'")):
+    for owner, names in (("", "'/eve'"), ("eva", "'eva', '/eve'")):
         answer = stranger.call(ReserveGroup, "release", group="left", owner=owner)
         assert f"its owner 'ann' only, not by {names}" in answer.message
     assert client.call(ReserveGroup, "release", group="left").success
@@ -100,7 +100,7 @@ def test_nobody_knows_who_speaks_on_a_topic_of_trajectories(client):
     assert client.group_state().q_rest == before
     assert client.call(ReserveGroup, "take_over", group="left").success
     publisher.publish(trajectory(client))
-    client.until(lambda: client.group_state().at_rest and client.group_state().q_rest[3] > before[3] + 0.01)
+    client.until(lambda: client.group_state().q[3] > before[3] + 0.01)
 
 
 def test_a_command_line_reserves_for_a_node_which_moves(client, newcomer):
@@ -110,7 +110,7 @@ def test_a_command_line_reserves_for_a_node_which_moves(client, newcomer):
     assert client.trigger("power_on").success
     assert client.trigger("enable_motion").success
     move_group = newcomer("move_group")
-    assert "its owner 'move_group' only, not by '/listener'" in follow(client)[1].replace("'/mcs', ", "")
+    assert "its owner 'move_group' only, not by '/listener'" in follow(client)[1]
     assert follow(move_group) == (0, "")
     assert move_group.call(SetSpeed, "set_speed", group="left", scale=1.0).success
 
@@ -121,7 +121,7 @@ def test_an_operator_takes_over_which_is_logged_and_shown(client, newcomer):
     assert not client.call(ReserveGroup, "take_over", group="right").success
     _, result = client.start_far_move()
     answer = operator.call(ReserveGroup, "take_over", group="left", owner="panel")
-    assert answer.message == "group 'left', until now of 'ann', is taken over for 'panel' by /panel, panel"
+    assert answer.message == "group 'left', until now of 'ann', is taken over for 'panel' by /panel"
     assert "group 'left' was taken over for 'panel'" in result().status.message
     assert "its owner 'panel' only" in client.move(client.home).status.message
     client.until(lambda: any(v.value == answer.message for m in diagnostics for s in m.status for v in s.values))

@@ -94,7 +94,7 @@ def test_a_stranger_neither_moves_nor_changes_nor_releases_a_group(bench, cell, 
 
 
 @pytest.mark.parametrize("request_name", [name for name in CHANGES if name != "stream"])
-@pytest.mark.parametrize(("names", "client"), [(["ann"], ""), ([], "0a"), (["/x/y", "ann"], "0b")])
+@pytest.mark.parametrize(("names", "client"), [(["ann"], ""), ([], "0a"), (["/x/y", "/ann"], "0b")])
 def test_the_owner_is_known_by_name_and_by_the_process_that_reserved(bench, cell, request_name, names, client):
     bench.ask("reserve", group="left", owner="ann", sender={"client": "0a"})
     if request_name != "release":

@@ -1,8 +1,8 @@
 """Who called: the process behind a request of a service or of an action.
 
-Every request of DDS carries the identity of its writer, whose first twelve bytes are those of the participant: a context
-of ROS, in nearly all cases a process. ``rclpy`` keeps it, but shows the sequence number only; it is read here from the
-memory of the header, and believed only if the sequence number beside it is the one that ``rclpy`` shows.
+Every request of DDS carries the identity of its writer, whose first twelve bytes are those of the participant: a
+context of ROS, in nearly all cases a process. ``rclpy`` keeps it, but shows the sequence number only; it is read here
+from the memory of the header, and believed only if the sequence number beside it is the one that ``rclpy`` shows.
 
 The graph tells which nodes a participant has: each of them publishes :data:`TOPICS_OF_ALL`.
 """

@@ -176,8 +176,7 @@ class McsAccess:
                 break
             await pause(self.node, _INTRODUCTION_S)
             nodes = nodes_of(self.node, client)
-        shown = [name for node in nodes for name in (node, node.removeprefix("/"))]
-        return {"client": client, "names": [*filter(None, names), *shown]}
+        return {"client": client, "names": [*filter(None, names), *nodes]}
 
     async def request(
         self,

@@ -93,9 +93,7 @@ class Lifecycle:
         self._node.default_callback_group.add_entity(service)
         self._node._services.append(service)  # as rclpy's own lifecycle node does: the executor finds it there
 
-    async def _change_state(
-        self, request: ChangeState.Request, response: ChangeState.Response
-    ) -> ChangeState.Response:
+    async def _change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         labels = {number: label for number, label, *_ in self._machine.available_transitions}
         label = request.transition.label or labels.get(request.transition.id) or _LABELS.get(request.transition.id, "")
         try:

@@ -31,7 +31,11 @@ class Motions:
         self._paths = {group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in groups}
 
     async def run(
-        self, arguments: dict[str, Any], client: str = "", started: Started | None = None, on_progress: OnProgress | None = None
+        self,
+        arguments: dict[str, Any],
+        client: str = "",
+        started: Started | None = None,
+        on_progress: OnProgress | None = None,
     ) -> dict[str, Any]:
         """Move a group and await the end.
 

@@ -30,7 +30,8 @@ class Reservation:
     def serves(self, sender: Sender) -> bool:
         """Whether who asks is the owner: by name, or as the process that reserved."""
         known = bool(self.client) and self.client == sender.client
-        return known or self.owner == "" or self.owner in sender.names
+        named = _plain(self.owner) in map(_plain, sender.names)
+        return known or named or self.owner == ""
 
     @property
     def who(self) -> str:
@@ -218,3 +219,8 @@ class Reservations:
         if group not in self._groups:
             raise NotFoundError(kind="group", name=group, known=sorted(self._groups))
         return self._groups[group]
+
+
+def _plain(name: str) -> str:
+    """A name without the slash that those of nodes begin with."""
+    return name.removeprefix("/")
