@@ -103,7 +103,7 @@ def test_a_start_to_come_is_waited_for(ready):
             "point 2: position of left_j1 is nan",
         ),
         (
-            lambda r: r.trajectory.points[0].velocities.extend([math.inf] * 9),
+            lambda r: [p.velocities.extend([x] * 9) for p, x in zip(r.trajectory.points, (math.inf, 0.0), strict=True)],
             Result.INVALID_GOAL,
             "point 1: velocity of left_track is inf",
         ),

@@ -1,42 +1,29 @@
 """Trajectories with times, as ``FollowJointTrajectory`` and ``/<group>/joint_trajectory`` bring them."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from im_core.errors import DataError, ImError, NotFoundError
-from im_mcs.client.points import JointsError, joint_order, ordered
+from im_mcs.client.points import JointsError, joint_order
 
 UNSET = 0.0
 """A tolerance that is not given: the server's own holds."""
 UNBOUNDED = -1.0
 """A tolerance that is switched off."""
+STREAM_S = 0.5
+"""A point no further ahead than this, alone on the topic, is a setpoint of a stream [s]."""
+_AT_REST = 1e-6
 
 
 class OldStampError(ImError):
     """A trajectory that ends before now."""
 
     default_code = "old_stamp"
-
-
-@dataclass(frozen=True)
-class Waypoint:
-    """A point of a trajectory, in the order of its sender.
-
-    Attributes:
-        time_s: After the start of the trajectory [s].
-        positions: Shape (n,) [rad or m].
-        velocities: Shape (n,) or empty [rad/s or m/s].
-        accelerations: Shape (n,) or empty [rad/s^2 or m/s^2].
-        effort: Not supported: must be empty.
-    """
-
-    time_s: float
-    positions: Sequence[float]
-    velocities: Sequence[float] = ()
-    accelerations: Sequence[float] = ()
-    effort: Sequence[float] = ()
 
 
 @dataclass(frozen=True)
@@ -73,21 +60,99 @@ class TimedTrajectory:
 
     Attributes:
         joints: Names that its values are for, in any order.
-        points: In the order of time.
+        times: After the start, shape (m,) [s].
+        q: Positions, shape (m, k) [rad or m].
+        v: Velocities, shape (m, k) [rad/s or m/s], if there are any.
+        a: Accelerations, shape (m, k) [rad/s^2 or m/s^2], if there are any.
         start_s: Testbed time at which it begins [s]; 0: at once.
         tolerances: What is allowed.
     """
 
     joints: Sequence[str]
-    points: Sequence[Waypoint]
+    times: NDArray[np.float64]
+    q: NDArray[np.float64]
+    v: NDArray[np.float64] | None = None
+    a: NDArray[np.float64] | None = None
     start_s: float = 0.0
     tolerances: GoalTolerances = field(default_factory=GoalTolerances)
 
 
+@dataclass(frozen=True)
+class Accepted:
+    """What is accepted of trajectories beyond whole ones that end at rest.
+
+    Attributes:
+        partial_joints: Some of the joints only; the others hold.
+        end_velocity: A velocity in the last point; the motion decelerates behind it.
+    """
+
+    partial_joints: bool = False
+    end_velocity: bool = False
+
+
+STRICT = Accepted()
+
+
+@dataclass(frozen=True)
+class Present:
+    """What a group does when a trajectory comes for it.
+
+    Attributes:
+        now_s: Testbed time [s].
+        q: Setpoint, shape (n,) [rad or m].
+        at_rest: Whether it stands still there.
+    """
+
+    now_s: float
+    q: NDArray[np.float64]
+    at_rest: bool
+
+
+@dataclass(frozen=True)
+class Course:
+    """Points in time, in the order of the group.
+
+    Attributes:
+        times: From now on, shape (m,) [s].
+        q: Positions, shape (m, n) [rad or m].
+        v: Velocities, shape (m, n), if there are any.
+        a: Accelerations, shape (m, n), if there are any.
+    """
+
+    times: NDArray[np.float64]
+    q: NDArray[np.float64]
+    v: NDArray[np.float64] | None
+    a: NDArray[np.float64] | None
+
+    def since(self, first: int, delay_s: float) -> "Course":
+        """The points from one on, later by ``delay_s`` [s]."""
+        v, a = (None if x is None else x[first:] for x in (self.v, self.a))
+        return Course(self.times[first:] + delay_s, self.q[first:], v, a)
+
+    def held(self, time_s: float, q: NDArray[np.float64]) -> "Course":
+        """The same, and before it a point at rest at ``q``, shape (n,)."""
+        v, a = (None if x is None else np.vstack([np.zeros_like(q), x]) for x in (self.v, self.a))
+        return Course(np.append(time_s, self.times), np.vstack([q, self.q]), v, a)
+
+    def points(self) -> list[dict[str, Any]]:
+        """Its points, as a MOVE request has them."""
+        none: list[list[float]] = [[] for _ in self.times]
+        v, a = (none if x is None else x.tolist() for x in (self.v, self.a))
+        names = ("time", "positions", "velocities", "accelerations")
+        rows = zip(self.times.tolist(), self.q.tolist(), v, a, strict=True)
+        return [dict(zip(names, row, strict=True)) for row in rows]
+
+
 def trajectory_path(
-    group: str, joints: Sequence[str], trajectory: TimedTrajectory, now_s: float, at_rest: Sequence[float] | None
-) -> dict[str, Any]:
-    """The ``path`` argument of a MOVE request.
+    group: str,
+    joints: Sequence[str],
+    trajectory: TimedTrajectory,
+    present: Present,
+    accepted: Accepted = STRICT,
+    *,
+    stream: bool = False,
+) -> tuple[Course, dict[str, Any]]:
+    """What a group is to follow, and the other fields of the ``path`` of a MOVE request.
 
     A start to come shifts all times; a group at rest stays where it is until then. Of a trajectory that began before
     now, the points to come are followed, as the joint trajectory controller of ros2_control does.
@@ -96,84 +161,115 @@ def trajectory_path(
         group: Name of the group.
         joints: Its joints, in order.
         trajectory: What is asked for.
-        now_s: Testbed time [s].
-        at_rest: Where the group is held, shape (n,) [rad or m]; None while it moves.
+        present: What the group does now.
+        accepted: What is accepted.
+        stream: Whether a single point that is not far ahead is a setpoint of a stream: met as soon as limits allow, and
+            left with its velocity until the next one comes.
 
     Raises:
         JointsError: The joints are not the group's.
         OldStampError: The trajectory ends before now.
-        DataError: No points, a wrong size, an effort, a time that does not grow, a value that is not finite, or a
+        DataError: No points, a time that does not grow, a value that is not finite, a velocity at the end, or a
             tolerance that is none.
     """
-    order = joint_order(group, joints, _named(group, trajectory.joints))
-    points = [_point(number, point, order, joints) for number, point in enumerate(trajectory.points, start=1)]
-    if not points:
+    course = _course(group, joints, trajectory, present.q, accepted)
+    streams = stream and len(course.times) == 1 and course.times[0] <= STREAM_S
+    if not (streams or accepted.end_velocity):
+        _check_end(course, joints)
+    delay_s = trajectory.start_s - present.now_s if trajectory.start_s != 0.0 else 0.0
+    _check_age(trajectory, present.now_s, delay_s)
+    course = course.since(int(np.argmax(course.times + delay_s >= 0.0)), delay_s)
+    alone = len(course.times) == 1
+    late = alone and bool(streams or course.times[0] == 0.0)
+    if delay_s > 0.0 and present.at_rest and course.times[0] > delay_s:
+        course = course.held(delay_s, present.q)
+    tolerances = trajectory.tolerances
+    return course, {
+        "kind": "trajectory",
+        **_bounds(group, joints, tolerances.path, "path"),
+        **_bounds(group, joints, tolerances.goal, "goal"),
+        "goal_time_tolerance": _goal_time(tolerances.goal_time_s),
+        "may_be_late": late and len(course.times) == 1,
+    }
+
+
+def joint_ranks(
+    group: str, joints: Sequence[str], names: Sequence[str], accepted: Accepted
+) -> tuple[list[int], list[str]]:
+    """Where each joint of a group stands among the names that are given and those that are missing; the latter.
+
+    Raises:
+        JointsError: The names are not the group's, or not all that are needed.
+    """
+    if not names:
+        raise JointsError(f"the trajectory for group '{group}' names no joints", group=group)
+    missing = [joint for joint in joints if joint not in names] if accepted.partial_joints else []
+    return joint_order(group, joints, [*names, *missing]), missing
+
+
+def _course(
+    group: str, joints: Sequence[str], trajectory: TimedTrajectory, held: NDArray[np.float64], accepted: Accepted
+) -> Course:
+    """The points in the order of the group; joints that are not named hold."""
+    order, missing = joint_ranks(group, joints, trajectory.joints, accepted)
+    if not len(trajectory.times):
         raise DataError(f"the trajectory for group '{group}' has no points")
-    _check_times(points)
-    delay_s = trajectory.start_s - now_s if trajectory.start_s != 0.0 else 0.0
-    if points[-1]["time"] + delay_s < 0.0:
-        end_s = trajectory.start_s + points[-1]["time"]
+    _check_times(trajectory.times)
+    rest = held[[joints.index(joint) for joint in missing]]
+
+    def whole(values: NDArray[np.float64], others: NDArray[np.float64], what: str) -> NDArray[np.float64]:
+        columns = np.hstack([values, np.tile(others, (len(values), 1))])[:, order]
+        _check_finite(columns, joints, what)
+        return columns
+
+    still = np.zeros_like(rest)
+    return Course(
+        trajectory.times,
+        whole(trajectory.q, rest, "position"),
+        None if trajectory.v is None else whole(trajectory.v, still, "velocity"),
+        None if trajectory.a is None else whole(trajectory.a, still, "acceleration"),
+    )
+
+
+def _check_finite(values: NDArray[np.float64], joints: Sequence[str], what: str) -> None:
+    if not np.isfinite(values).all():
+        number, k = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        value, joint = float(values[number, k]), joints[k]
+        raise DataError(f"point {number + 1}: {what} of {joint} is {value}, not a finite number", joint=joint)
+
+
+def _check_times(times: NDArray[np.float64]) -> None:
+    if times[0] < 0.0:
+        raise DataError(f"point 1: time_from_start {times[0]:g} s is not >= 0", point=1)
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if late.size:
+        k = int(late[0])
+        raise DataError(
+            f"point {k + 2}: time_from_start {times[k + 1]:g} s does not come after that of the point before,"
+            f" {times[k]:g} s",
+            point=k + 2,
+        )
+
+
+def _check_end(course: Course, joints: Sequence[str]) -> None:
+    if course.v is not None and np.abs(course.v[-1]).max() > _AT_REST:
+        k = int(np.argmax(np.abs(course.v[-1])))
+        raise DataError(
+            f"a trajectory ends at rest; {joints[k]} has velocity {course.v[-1, k]:.6g} in its last point"
+            " (the parameter allow_nonzero_velocity_at_trajectory_end allows it)",
+            joint=joints[k],
+        )
+
+
+def _check_age(trajectory: TimedTrajectory, now_s: float, delay_s: float) -> None:
+    end_s = trajectory.start_s + float(trajectory.times[-1])
+    if trajectory.times[-1] + delay_s < 0.0:
         raise OldStampError(
             f"the trajectory ends at {end_s:.3f} s, {now_s - end_s:.3f} s before now ({now_s:.3f} s);"
             " give the header a stamp to come, or 0 for now",
             end=end_s,
             now=now_s,
         )
-    points = [{**point, "time": point["time"] + delay_s} for point in points]
-    if delay_s > 0.0 and at_rest is not None:
-        points = [_hold(delay_s, at_rest, points[0]), *points] if points[0]["time"] > delay_s else points
-    tolerances = trajectory.tolerances
-    return {
-        "kind": "trajectory",
-        "points": points if delay_s >= 0.0 else _to_come(points),
-        **_bounds(group, joints, tolerances.path, "path"),
-        **_bounds(group, joints, tolerances.goal, "goal"),
-        "goal_time_tolerance": _goal_time(tolerances.goal_time_s),
-    }
-
-
-def _named(group: str, joints: Sequence[str]) -> Sequence[str]:
-    if not joints:
-        raise JointsError(f"the trajectory for group '{group}' names no joints", group=group)
-    return joints
-
-
-def _point(number: int, point: Waypoint, order: Sequence[int], joints: Sequence[str]) -> dict[str, Any]:
-    if len(point.effort):
-        raise DataError(f"point {number} has efforts; only positions, velocities and accelerations can be followed")
-    what = f"point {number}: "
-    return {
-        "time": point.time_s,
-        "positions": ordered(point.positions, order, joints, what + "position"),
-        "velocities": ordered(point.velocities, order, joints, what + "velocity") if len(point.velocities) else [],
-        "accelerations": (
-            ordered(point.accelerations, order, joints, what + "acceleration") if len(point.accelerations) else []
-        ),
-    }
-
-
-def _hold(time_s: float, q: Sequence[float], like: Mapping[str, Any]) -> dict[str, Any]:
-    """A point at rest at ``q`` that gives what the point ``like`` gives."""
-    still = {name: [0.0] * len(q) if like[name] else [] for name in ("velocities", "accelerations")}
-    return {"time": time_s, "positions": list(q), **still}
-
-
-def _check_times(points: Sequence[Mapping[str, Any]]) -> None:
-    before = -math.inf
-    for number, point in enumerate(points, start=1):
-        if point["time"] < 0.0:
-            raise DataError(f"point {number}: time_from_start {point['time']:g} s is not >= 0", point=number)
-        if point["time"] <= before:
-            raise DataError(
-                f"point {number}: time_from_start {point['time']:g} s does not come after that of the point before,"
-                f" {before:g} s",
-                point=number,
-            )
-        before = point["time"]
-
-
-def _to_come(points: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [point for point in points if point["time"] >= 0.0]
 
 
 def _bounds(group: str, joints: Sequence[str], tolerances: Sequence[Tolerance], where: str) -> dict[str, list[float]]:

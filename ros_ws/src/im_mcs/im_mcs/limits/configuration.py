@@ -121,6 +121,7 @@ class Planning(Model):
 
     synchrony: Synchrony = Synchrony.PHASE
     max_points: int = Field(ge=1, description="points of one path")
+    max_trajectory_points: int = Field(ge=1, description="points of one trajectory with times")
     line: Line
 
 

@@ -11,14 +11,13 @@ from im_mcs.planning.context import PlanContext
 from im_mcs.protocol.requests import JointMove, Move, StreamRequest, TrajectoryMove
 
 _ROUNDING = 1e-6
-_AT_REST = 1e-6
 
 
 def check_move(context: PlanContext, move: Move) -> None:
     """Check a path against the joints of a group.
 
     Raises:
-        DataError: A wrong size, a value that is not finite, a motion that does not end at rest.
+        DataError: A wrong size, a value that is not finite.
         LimitError: A position, velocity or acceleration is beyond its limit; names joint, value, limit and unit.
     """
     if isinstance(move, JointMove):
@@ -30,12 +29,6 @@ def check_move(context: PlanContext, move: Move) -> None:
             _check_derivative(context, points.v, motion.velocity, "velocities", "velocity", "/s")
         if points.a is not None:
             _check_derivative(context, points.a, motion.acceleration, "accelerations", "acceleration", "/s2")
-        if points.v is not None and np.abs(points.v[-1]).max() > _AT_REST:
-            k = int(np.argmax(np.abs(points.v[-1])))
-            joint = context.limits.names[context.index[k]]
-            raise DataError(
-                f"a trajectory ends at rest; {joint} has velocity {points.v[-1, k]:.6g} in its last point", joint=joint
-            )
 
 
 def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

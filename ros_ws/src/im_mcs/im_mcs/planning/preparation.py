@@ -5,6 +5,7 @@ from typing import Protocol
 from im_mcs.planning.context import PlanContext, Start
 from im_mcs.planning.joint import JointPreparation
 from im_mcs.planning.line.line import LinePreparation
+from im_mcs.planning.meeting import MeetingPreparation
 from im_mcs.planning.spline import SplinePreparation
 from im_mcs.planning.trajectory import Trajectory
 from im_mcs.protocol.requests import JointMove, LineMove, Move
@@ -40,4 +41,6 @@ def prepare(context: PlanContext, move: Move, start: Start) -> Preparation:
         return JointPreparation(context, move, start)
     if isinstance(move, LineMove):
         return LinePreparation(context, start().q, move)
+    if move.may_be_late:
+        return MeetingPreparation(context, move, start)
     return SplinePreparation(context, move, start)

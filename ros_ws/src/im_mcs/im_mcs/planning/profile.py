@@ -13,11 +13,12 @@ from ruckig import Trajectory as RuckigTrajectory
 
 from im_core.errors import DataError
 from im_mcs.limits.motion_limits import MotionLimits, Synchrony
-from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.planning.polynomial import PiecewisePolynomial, powers
 from im_mcs.planning.trajectory import Setpoint
 
 _RUCKIG = {Synchrony.PHASE: Synchronization.Phase, Synchrony.TIME: Synchronization.Time}
 _SHORTEST_S = 1e-9
+_STILL = 1e-6
 
 
 def request(start: Setpoint, limits: MotionLimits, synchrony: Synchrony = Synchrony.PHASE) -> InputParameter:
@@ -56,6 +57,34 @@ def to_rest(start: Setpoint, limits: MotionLimits) -> PiecewisePolynomial:
     asked.control_interface = ControlInterface.Velocity
     asked.target_velocity = [0.0] * len(start.q)
     return _solve(asked, f"to rest from velocity {start.v.tolist()}")
+
+
+def to_meet(
+    start: Setpoint, q: NDArray[np.float64], v: NDArray[np.float64], limits: MotionLimits, least_s: float
+) -> PiecewisePolynomial:
+    """Motion from any state to ``q`` with velocity ``v``, shape (n,) each: the quickest that takes ``least_s`` [s].
+
+    Raises:
+        DataError: Ruckig finds no trajectory.
+    """
+    asked = request(start, limits)
+    asked.target_position, asked.target_velocity = q.tolist(), v.tolist()
+    asked.minimum_duration = least_s
+    return _solve(asked, f"to {q.tolist()} with velocity {v.tolist()}")
+
+
+def with_run_out(trajectory: PiecewisePolynomial, limits: MotionLimits) -> PiecewisePolynomial:
+    """A trajectory, and behind its end, if it still moves there, the quickest deceleration to rest.
+
+    Raises:
+        DataError: Ruckig finds no trajectory.
+    """
+    end = Setpoint(*(powers(trajectory.lengths[-1:])[0] @ trajectory.coefficients[-1]))
+    if np.abs(end.v).max() <= _STILL:
+        return trajectory
+    run_out = to_rest(end, limits)
+    run_out.points = [trajectory.points[-1]] * len(run_out.points)
+    return trajectory.followed_by([run_out])
 
 
 def along(

@@ -7,7 +7,8 @@ where they have accelerations too; the point before the first is the present set
   and no limit allows it. Here they are joined by the spline that is continuous to acceleration: velocities and
   accelerations at the points are those of the cubic spline that ends at rest; the first and the last piece are
   quintics, which begin with the motion under way and end without acceleration.
-- *The last point* is at rest: an acceleration given there is taken as 0.
+- *The last point*: an acceleration given there is taken as 0. Where it has a velocity, the motion goes on and
+  decelerates to rest, as quickly as limits allow; there the arm would be told to stop dead.
 
 A cubic spline has jumps of acceleration at its points, as there; its position, velocity and acceleration are held to
 the limits, its jerk cannot be.
@@ -23,8 +24,10 @@ from im_core.errors import LimitError
 from im_mcs.planning.context import PlanContext
 from im_mcs.planning.envelope import check_envelope
 from im_mcs.planning.polynomial import PiecewisePolynomial, cubic, quintic
+from im_mcs.planning.profile import with_run_out
 from im_mcs.planning.trajectory import Setpoint, Trajectory
-from im_mcs.protocol.requests import TimedPoints, TrajectoryMove
+from im_mcs.protocol.points import TimedPoints
+from im_mcs.protocol.requests import TrajectoryMove
 
 _PIECES_A_SLICE = 12
 
@@ -40,6 +43,7 @@ class SplinePreparation:
 
     def __init__(self, context: PlanContext, move: TrajectoryMove, start: Callable[[], Setpoint]) -> None:
         self._context, self._points, self._start = context, move.points, start
+        self._limits = context.limits.motion.of(context.index)
         self._checked = 0
 
     def step(self) -> Trajectory | None:
@@ -49,7 +53,7 @@ class SplinePreparation:
             LimitError: The spline goes beyond a limit, or the first point is at time 0 and elsewhere.
         """
         start = self._start()
-        spline = _spline(*self._with_start(start), given=self._points)
+        spline = with_run_out(_spline(*self._with_start(start), given=self._points), self._limits)
         if self._checked < len(spline.lengths):
             # from the end: what depends on the state at which it takes over comes last
             last = len(spline.lengths) - self._checked

@@ -7,9 +7,8 @@ What depends on the cell (the joints of a group, their limits) is not checked he
 import math
 import reprlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +16,19 @@ from pydantic import (
     AfterValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
     GetPydanticSchema,
     ValidationError,
     ValidationInfo,
     field_validator,
+    model_validator,
 )
 from pydantic_core import core_schema
 
 from im_core.config import Fault, Model, faults
 from im_core.errors import DataError, NotFoundError
 from im_core.yamltext import Location
+from im_mcs.protocol.points import TimedPoints, shared_points
 
 SLOWEST = 0.01
 """Smallest scale of speed: a motion slowed down further would seem to stand, and never end."""
@@ -105,10 +107,14 @@ def unit_pose(numbers: list[float]) -> list[float]:
 class _Path(ServoRequest):
     """What kinds of paths have in common: not more points than are allowed, which is known while it is validated."""
 
+    _limit: ClassVar[str] = "max_points"
+
     @field_validator("points", "poses", mode="before", check_fields=False)
     @classmethod
     def _count(cls, given: object, info: ValidationInfo) -> object:
-        most = (info.context or {}).get("max_points")
+        most = (info.context or {}).get(cls._limit)
+        if isinstance(given, dict) and "memory" in given and cls._limit == "max_trajectory_points":
+            return shared_points(given, most)
         if isinstance(given, list) and (not given or (most is not None and len(given) > most)):
             many = f"{len(given)} {info.field_name}"
             what = {"LineMove": f"line through {many}", "JointMove": f"path of {many}"}.get(
@@ -150,35 +156,31 @@ class TimedPoint(ServoRequest):
     accelerations: list[float] = Field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class TimedPoints:
-    """Positions at times.
-
-    Attributes:
-        times: Strictly increasing, shape (m,) [s].
-        q: Positions, shape (m, n).
-        v: Velocities, shape (m, n), if they are given.
-        a: Accelerations, shape (m, n), if they are given.
-    """
-
-    times: NDArray[np.float64]
-    q: NDArray[np.float64]
-    v: NDArray[np.float64] | None
-    a: NDArray[np.float64] | None
-
-
 def _timed(points: list[TimedPoint]) -> TimedPoints:
     times = np.array([point.time for point in points])
-    late = np.flatnonzero(np.diff(times) <= 0.0)
+    v, a = (_derivative(name, [getattr(point, name) for point in points]) for name in ("velocities", "accelerations"))
+    return TimedPoints(times, _array([point.positions for point in points]), v, a)
+
+
+def _in_order(points: TimedPoints) -> TimedPoints:
+    late = np.flatnonzero(np.diff(points.times) <= 0.0)
     if late.size:
-        k = int(late[0])
+        k, times = int(late[0]), points.times
         raise ValueError(
             f"times must increase: point {k + 2} is at {times[k + 1]:g} s, not after point {k + 1} at {times[k]:g} s"
         )
-    v, a = (_derivative(name, [getattr(point, name) for point in points]) for name in ("velocities", "accelerations"))
-    if a is not None and v is None:
+    if points.a is not None and points.v is None:
         raise ValueError("the trajectory has accelerations but no velocities; give both, or velocities alone")
-    return TimedPoints(times, _array([point.positions for point in points]), v, a)
+    return points
+
+
+def _points(_: object, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    """A list of points, or points that have been found in memory."""
+    listed = core_schema.no_info_after_validator_function(_timed, handler.generate_schema(list[TimedPoint]))
+    either = core_schema.no_info_wrap_validator_function(
+        lambda given, check: given if isinstance(given, TimedPoints) else check(given), listed
+    )
+    return core_schema.no_info_after_validator_function(_in_order, either)
 
 
 def _derivative(name: str, rows: list[list[float]]) -> NDArray[np.float64] | None:
@@ -200,22 +202,24 @@ class TrajectoryMove(_Path):
         goal_tolerance: Bound of the error at the end, shape (n,) or empty; 0: not set, below 0: none.
         goal_velocity_tolerance: The same of the velocity.
         goal_time_tolerance: Time allowed beyond the end to be within it [s]; 0: as long as settling may take.
+        may_be_late: Its one point, which moves on with its velocity, is met as soon after its time as limits allow.
     """
 
+    _limit: ClassVar[str] = "max_trajectory_points"
     kind: Literal["trajectory"] = "trajectory"
-    points: Annotated[
-        TimedPoints,
-        GetPydanticSchema(
-            lambda _, handler: core_schema.no_info_after_validator_function(
-                _timed, handler.generate_schema(list[TimedPoint])
-            )
-        ),
-    ]
+    points: Annotated[TimedPoints, GetPydanticSchema(_points)]
     path_tolerance: list[float] = Field(default_factory=list)
     path_velocity_tolerance: list[float] = Field(default_factory=list)
     goal_tolerance: list[float] = Field(default_factory=list)
     goal_velocity_tolerance: list[float] = Field(default_factory=list)
     goal_time_tolerance: Seconds = 0.0
+    may_be_late: bool = False
+
+    @model_validator(mode="after")
+    def _alone(self) -> Self:
+        if self.may_be_late and len(self.points.times) > 1:
+            raise ValueError(f"a trajectory of {len(self.points.times)} points cannot be late, only one of 1 point")
+        return self
 
 
 Move = JointMove | LineMove | TrajectoryMove
@@ -421,16 +425,18 @@ def request_id(message: Mapping[str, Any]) -> int:
     return number if isinstance(number, int) else 0
 
 
-def parse_request(message: Mapping[str, Any], max_points: int) -> tuple[str, ServoRequest]:
+def parse_request(message: Mapping[str, Any], max_points: int, max_trajectory_points: int) -> tuple[str, ServoRequest]:
     """Name and arguments of a request from JSON data.
 
     Args:
         message: The data.
-        max_points: How many points a path may have.
+        max_points: How many points a path may have, and
+        max_trajectory_points: a trajectory.
 
     Raises:
         NotFoundError: The servo knows no such request.
         DataError: An argument is missing, too much, or not what it should be; it is named.
+        LinkError: The memory that holds the points of a trajectory is not there.
     """
     name = message.get("request")
     if not isinstance(name, str) or name not in REQUESTS:
@@ -438,8 +444,9 @@ def parse_request(message: Mapping[str, Any], max_points: int) -> tuple[str, Ser
     model, given = REQUESTS[name], message.get("arguments", {})
     if not isinstance(given, dict):
         raise DataError(f"{name}: the arguments are not an object but {reprlib.repr(given)}", request=name)
+    limits = {"max_points": max_points, "max_trajectory_points": max_trajectory_points}
     try:
-        return name, model.model_validate(given, context={"max_points": max_points})
+        return name, model.model_validate(given, context=limits)
     except ValidationError as error:
         fault = faults(error, model)[0]
         raise DataError(_sentence(name, model, given, fault), request=name, argument=fault.field) from None

@@ -36,6 +36,7 @@ class Motions:
         client: str = "",
         started: Started | None = None,
         on_progress: OnProgress | None = None,
+        path: dict[str, Any] | None = None,
     ) -> dict[str, Any]:
         """Move a group and await the end.
 
@@ -44,6 +45,7 @@ class Motions:
             client: Who asks for it, as :meth:`Goals.client` says; empty: who has said no name, as on a topic.
             started: Told the number of the request.
             on_progress: Told how far it is, in another thread.
+            path: What to show of a path that is not in the arguments itself.
 
         Raises:
             ImError: The motion is refused, or ended badly.
@@ -62,7 +64,7 @@ class Motions:
             with suppress(ImError):  # the servo may have ended since; then nobody needs to be told
                 if not shown:
                     shown.append(True)
-                    self._show(group, arguments["path"])
+                    self._show(group, path or arguments["path"])
                 if on_progress is not None:
                     on_progress(*told)
 

@@ -1,22 +1,38 @@
 """``/<group>/follow_joint_trajectory`` and ``/<group>/joint_trajectory``, as ros2_control's controller has them."""
 
+import itertools
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration
-from builtin_interfaces.msg import Time as TimeMessage
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import JointTolerance
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action.server import ServerGoalHandle
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from im_core.errors import DataError, ImError
+from im_core import names
+from im_core.errors import ImError
 from im_core.ros import qos
-from im_mcs.client.trajectory import GoalTolerances, TimedTrajectory, Tolerance, Waypoint, trajectory_path
+from im_core.ros.calls import run_in_thread
+from im_core.shm import SharedBlock
+from im_mcs.client.trajectory import (
+    Accepted,
+    Course,
+    GoalTolerances,
+    Present,
+    TimedTrajectory,
+    joint_ranks,
+    trajectory_path,
+)
+from im_mcs.client.wire import UUID_BYTES, CdrReader, check_points, read_head, read_tolerances, read_trajectory
+from im_mcs.protocol.points import TimedPoints, share_points
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
+from im_mcs.ros.goal_bytes import GoalBytes, with_goals_as_bytes
 from im_mcs.ros.motions import Goals, Motions, fail
 
 _Result = FollowJointTrajectory.Result
@@ -26,10 +42,43 @@ _ERROR_CODES = {
     "path_tolerance": _Result.PATH_TOLERANCE_VIOLATED,
     "goal_tolerance": _Result.GOAL_TOLERANCE_VIOLATED,
 }
+_OPTIONS = {
+    "allow_partial_joints_goal": "Accept trajectories of some of a group's joints; the others hold. "
+    "In force from the next one on.",
+    "allow_nonzero_velocity_at_trajectory_end": "Accept trajectories whose last point has a velocity; the motion "
+    "decelerates to rest behind it. In force from the next one on.",
+}
+# up to here the points of a trajectory are read at once and sent as they are; they are what is shown of longer ones
+_FEW = 200
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A trajectory, ready to be sent.
+
+    Attributes:
+        course: What to follow.
+        path: The other fields of the path.
+    """
+
+    course: Course
+    path: dict[str, Any]
+
+    @property
+    def shown(self) -> dict[str, Any]:
+        """The path, with every so many points of a long one."""
+        course, many = self.course, len(self.course.times)
+        if many > _FEW:
+            every = np.linspace(0, many - 1, _FEW).astype(np.intp)
+            v, a = (None if x is None else x[every] for x in (course.v, course.a))
+            course = Course(course.times[every], course.q[every], v, a)
+        return {**self.path, "points": course.points()}
 
 
 class TrajectoryServer:
     """The action and the topic of every group of every preset; what is new replaces what is under way.
+
+    Parameters: ``allow_partial_joints_goal``, ``allow_nonzero_velocity_at_trajectory_end``, as the controller has them.
 
     Args:
         access: MCS.
@@ -39,22 +88,44 @@ class TrajectoryServer:
     def __init__(self, access: McsAccess, motions: Motions) -> None:
         self._mcs, self._motions = access, motions
         self._goals = Goals(access)
+        self._heard: Counter[str] = Counter()
+        self._numbers = itertools.count(1)
+        for name, what in _OPTIONS.items():
+            access.node.declare_parameter(name, False, ParameterDescriptor(description=what))
+        action = with_goals_as_bytes(FollowJointTrajectory, lambda: self._most_points)
         for group in access.group_names:
-            self._goals.serve(FollowJointTrajectory, f"/{group}/follow_joint_trajectory", partial(self._execute, group))
+            self._goals.serve(action, f"/{group}/follow_joint_trajectory", partial(self._execute, group))
             topic = f"/{group}/joint_trajectory"
-            access.node.create_subscription(JointTrajectory, topic, partial(self._take, group, topic), qos.EVENTS)
+            access.node.create_subscription(
+                JointTrajectory, topic, partial(self._take, group, topic), qos.EVENTS, raw=True
+            )
+
+    @property
+    def _accepted(self) -> Accepted:
+        partial_joints, end_velocity = (bool(self._mcs.node.get_parameter(name).value) for name in _OPTIONS)
+        return Accepted(partial_joints, end_velocity)
+
+    @property
+    def _most_points(self) -> int:
+        return self._mcs.config.planning.max_trajectory_points
 
     async def _execute(self, group: str, handle: ServerGoalHandle) -> _Result:
         result = _Result()
         try:
-            await self._motions.run(
-                self._arguments(group, _of_goal(handle.request)),
+            goal: GoalBytes = handle.request
+            check_points(goal.points, self._most_points)
+            asked = await self._read(group, CdrReader(goal.data, UUID_BYTES), is_goal=True)
+            assert asked is not None
+            await self._run(
+                group,
+                asked,
                 client=self._goals.client(handle),
                 started=partial(self._goals.begin_goal, handle),
                 on_progress=partial(self._feedback, group, handle),
             )
         except ImError as error:
-            result.error_code = _ERROR_CODES.get(error.code, _Result.INVALID_GOAL)
+            cancelled = error.code == "cancelled" and handle.is_cancel_requested
+            result.error_code = _Result.SUCCESSFUL if cancelled else _ERROR_CODES.get(error.code, _Result.INVALID_GOAL)
             result.error_string = error.message
             fail(handle, error)
         else:
@@ -64,28 +135,64 @@ class TrajectoryServer:
             self._goals.end_goal(handle)
         return result
 
-    def _take(self, group: str, topic: str, message: JointTrajectory) -> None:
-        self._mcs.node.spawn(self._follow(group, topic, message))
+    def _take(self, group: str, topic: str, message: bytes) -> None:
+        self._heard[topic] += 1
+        self._mcs.node.spawn(self._follow(group, topic, message, self._heard[topic]))
 
-    async def _follow(self, group: str, topic: str, message: JointTrajectory) -> None:
+    async def _follow(self, group: str, topic: str, message: bytes, number: int) -> None:
         try:
-            if message.points:
-                await self._motions.run(self._arguments(group, _of_message(message)))
-            else:
-                self._mcs.group(group)
+            asked = await self._read(group, CdrReader(message), is_goal=False)
+            if self._heard[topic] > number:
+                return  # it took long to read, and another has come meanwhile
+            if asked is None:
                 await self._motions.stop(group)
+            else:
+                await self._run(group, asked)
         except ImError as error:
             if error.code not in ("cancelled", "replaced"):
                 self._mcs.refusals.add(topic, error)
 
-    def _arguments(self, group: str, trajectory: TimedTrajectory) -> dict[str, Any]:
+    async def _read(self, group: str, cdr: CdrReader, *, is_goal: bool) -> _Asked | None:
+        """Read what is asked for; a long trajectory in a thread, so that the node goes on.
+
+        Returns:
+            The trajectory, or None if a message on the topic has no points: a wish to stop.
+        """
+        description = self._mcs.group(group)
+        head = read_head(cdr, self._most_points)
+        if not is_goal and not head.points:
+            return None
+        joint_ranks(group, description.joints, head.joints, self._accepted)
+
+        def read() -> _Asked:
+            trajectory = read_trajectory(cdr, head)
+            tolerances = read_tolerances(cdr) if is_goal else GoalTolerances()
+            return self._asked(group, replace(trajectory, tolerances=tolerances), stream=not is_goal)
+
+        return read() if head.points <= _FEW else await run_in_thread(self._mcs.node, read)
+
+    def _asked(self, group: str, trajectory: TimedTrajectory, *, stream: bool) -> _Asked:
         description = self._mcs.group(group)
         snapshot = self._mcs.client().snapshot()
         index = self._mcs.index(description)
-        at_rest = snapshot["setpoint"][index].tolist() if snapshot["at_rest"][index].all() else None
-        now_s = int(snapshot["stamp_ns"]) * 1e-9
-        path = trajectory_path(group, description.joints, trajectory, now_s, at_rest)
-        return {"group": group, "path": path, "policy": "replace", "speed_scale": 0.0}
+        present = Present(
+            int(snapshot["stamp_ns"]) * 1e-9, snapshot["setpoint"][index], bool(snapshot["at_rest"][index].all())
+        )
+        return _Asked(*trajectory_path(group, description.joints, trajectory, present, self._accepted, stream=stream))
+
+    async def _run(self, group: str, asked: _Asked, **told: Any) -> None:
+        """Have a trajectory followed, and await the end; ``told`` is for :meth:`Motions.run`."""
+        many = len(asked.course.times) > _FEW
+        block, points = await run_in_thread(self._mcs.node, self._share, asked.course) if many else (None, None)
+        shown = asked.shown
+        path = {**shown, "points": points} if many else shown
+        arguments = {"group": group, "path": path, "policy": "replace", "speed_scale": 0.0}
+        with nullcontext() if block is None else closing(block):
+            await self._motions.run(arguments, path=shown, **told)
+
+    def _share(self, course: Course) -> tuple[SharedBlock, dict[str, Any]]:
+        name = f"{names.instance()}_mcs_points_{next(self._numbers)}"
+        return share_points(name, TimedPoints(course.times, course.q, course.v, course.a))
 
     def _feedback(self, group: str, handle: ServerGoalHandle, *_: object) -> None:
         snapshot = self._mcs.client().snapshot()
@@ -93,8 +200,7 @@ class TrajectoryServer:
         index = self._mcs.index(description)
         message = FollowJointTrajectory.Feedback(joint_names=list(description.joints))
         message.header.stamp = messages.time(int(snapshot["stamp_ns"]))
-        names = ("setpoint", "setpoint_v", "setpoint_a")
-        wanted = [snapshot[name][index] for name in names]
+        wanted = [snapshot[name][index] for name in ("setpoint", "setpoint_v", "setpoint_a")]
         actual = [snapshot[name][index] for name in ("q", "v")]
         message.desired = _point(wanted)
         message.actual = _point(actual)
@@ -108,36 +214,3 @@ def _point(values: Sequence[np.ndarray]) -> JointTrajectoryPoint:
     for name, value in zip(("positions", "velocities", "accelerations"), values, strict=False):
         setattr(point, name, value)
     return point
-
-
-def _of_goal(goal: FollowJointTrajectory.Goal) -> TimedTrajectory:
-    for name in ("joint_names", "points"):
-        if getattr(goal.multi_dof_trajectory, name):
-            raise DataError("multi_dof_trajectory is not empty; the joints here have one degree of freedom each")
-    for name in ("component_path_tolerance", "component_goal_tolerance"):
-        if getattr(goal, name):
-            raise DataError(f"{name} is not empty; the joints here have one degree of freedom each")
-    tolerances = GoalTolerances(
-        [_tolerance(t) for t in goal.path_tolerance],
-        [_tolerance(t) for t in goal.goal_tolerance],
-        _seconds(goal.goal_time_tolerance),
-    )
-    return _of_message(goal.trajectory, tolerances)
-
-
-def _of_message(message: JointTrajectory, tolerances: GoalTolerances | None = None) -> TimedTrajectory:
-    points = [
-        Waypoint(_seconds(p.time_from_start), p.positions, p.velocities, p.accelerations, p.effort)
-        for p in message.points
-    ]
-    return TimedTrajectory(
-        list(message.joint_names), points, _seconds(message.header.stamp), tolerances or GoalTolerances()
-    )
-
-
-def _tolerance(message: JointTolerance) -> Tolerance:
-    return Tolerance(message.name, message.position, message.velocity, message.acceleration)
-
-
-def _seconds(message: Duration | TimeMessage) -> float:
-    return float(message.sec + 1e-9 * message.nanosec)

@@ -79,13 +79,14 @@ class Dispatch:
     def __init__(self, mcs: Machine) -> None:
         self._mcs = mcs
         self._manager = mcs.manager
-        self._max_points = mcs.config.planning.max_points
+        planning = mcs.config.planning
+        self._most = planning.max_points, planning.max_trajectory_points
 
     def run(self, message: Mapping[str, Any]) -> None:
         """Do what one request asks for; refusals are answered, never raised."""
         number = request_id(message)
         try:
-            name, request = parse_request(message, self._max_points)
+            name, request = parse_request(message, *self._most)
             replied_later = self._do(number, Event(name), request)
         except ImError as error:
             self._mcs.answers.reply(number, error)

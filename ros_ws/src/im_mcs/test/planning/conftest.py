@@ -80,7 +80,8 @@ class Rig:
     def parse(self, name: str, **arguments: Any) -> tuple[str, Any]:
         """Name and arguments of a request to the group, as the servo reads them."""
         message = {"request": name, "arguments": {"group": self.group.name, **arguments}}
-        return parse_request(message, self.context.config.planning.max_points)
+        planning = self.context.config.planning
+        return parse_request(message, planning.max_points, planning.max_trajectory_points)
 
     def request(self, path: dict[str, Any], **arguments: Any) -> int:
         _, request = self.parse("move", path=path, **arguments)
