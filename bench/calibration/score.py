@@ -46,7 +46,7 @@ def cramer_rao(scene: SyntheticScene) -> ExpectedError:
     problem, layout, truth = scene.problem, ParameterLayout.of(scene.problem), true_unknowns(scene)
     line = linearise(truth, problem, layout, problem.detected & ~scene.outliers)
     information = np.einsum("nia,nij,njb->ab", line.jacobians, np.linalg.inv(line.covariances), line.jacobians)
-    stated = np.diag(layout.prior_precision - layout.lens_precision)
+    stated = np.diag(layout.stated_precision)
     covariance = covariance_of(information + stated).matrix
     return expected_error(truth, covariance, problem.image_sizes, problem.workspace)
 

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from im_calibration.errors import InconsistentDataError
@@ -12,7 +11,8 @@ from im_calibration.estimation.gates import Gated
 from im_calibration.estimation.projection import project
 from im_calibration.estimation.search import best_explanation
 from im_calibration.estimation.unknowns import PER_CAMERA, ParameterLayout, Unknowns
-from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection
+from im_calibration.judgement.agreement import CameraAgreement, camera_agreements
+from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
 from im_calibration.judgement.checks import Checks, check
 from im_calibration.judgement.expected import expected_error, rms
 from im_calibration.judgement.scale import Scale, measure_scale
@@ -57,12 +57,19 @@ def _calibrate(problem: CalibrationProblem) -> Calibration:
     if not np.isfinite(gated.fit.chi2):
         raise InconsistentDataError("No set of cameras explains the spots.")
     checks = check(gated, sorted_problem, layout)
+    agreements = camera_agreements(gated.fit.linearisation, gated.used)
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
-    return _describe(problem, layout, gated, checks)
+    return _describe(problem, layout, gated, checks, agreements)
 
 
-def _describe(problem: CalibrationProblem, layout: ParameterLayout, gated: Gated, checks: Checks) -> Calibration:
+def _describe(
+    problem: CalibrationProblem,
+    layout: ParameterLayout,
+    gated: Gated,
+    checks: Checks,
+    agreements: tuple[CameraAgreement, ...],
+) -> Calibration:
     fit, used, unknowns = gated.fit, gated.used, gated.fit.unknowns
     covariance = covariance_of(fit.information)
     robot_positions = unknowns.robot_positions(problem)
@@ -76,7 +83,8 @@ def _describe(problem: CalibrationProblem, layout: ParameterLayout, gated: Gated
         model = _camera_model(unknowns, c, problem.image_sizes[c])
         cameras.append(CameraEstimate(name, model, covariance.matrix[block, block], int(used[c].sum()), rms_px))
     # What a lens prior contributes is no freedom of the fit: its share of what is known of a parameter counts back.
-    from_prior = float((np.diag(covariance.matrix) * layout.lens_precision).sum())
+    prior = layout.prior(unknowns)
+    from_prior = float((covariance.matrix * prior.lens_information).sum())
     dof = round(2 * int(used.sum()) - PER_CAMERA * layout.cameras + from_prior)
     calibration = Calibration(
         cameras=tuple(cameras),
@@ -86,7 +94,8 @@ def _describe(problem: CalibrationProblem, layout: ParameterLayout, gated: Gated
         covariance=covariance.matrix,
         chi2=fit.chi2,
         dof=dof,
-        p_value=float(scipy.stats.chi2.sf(fit.chi2, dof)) if dof > 0 else float("nan"),
+        p_value=chance_of(fit.chi2, dof),
+        lens_prior_chi2=prior.lens_chi2,
         used=used,
         residuals=residuals,
         residual_covariances=spread,
@@ -97,8 +106,8 @@ def _describe(problem: CalibrationProblem, layout: ParameterLayout, gated: Gated
         checks=checks,
         scale=_scale(problem, unknowns, covariance.matrix, used),
     )
-    by_data = covariance_of(fit.information - np.diag(layout.lens_precision))
-    return replace(calibration, verdicts=judge(calibration, problem, layout, by_data))
+    by_data = covariance_of(fit.information - prior.lens_information)
+    return replace(calibration, verdicts=judge(calibration, problem, layout, by_data, agreements))
 
 
 def _scale(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array, used: Mask) -> Scale | None:

@@ -78,8 +78,7 @@ def test_noise_free_data_give_the_truth_back():
     np.testing.assert_allclose(fit.unknowns.intrinsics[:, :4], truth.intrinsics[:, :4], atol=2e-2)
     np.testing.assert_allclose(fit.unknowns.translations, truth.translations, atol=2e-4)
     np.testing.assert_allclose(fit.unknowns.led_offset, truth.led_offset, atol=1e-5)
-    deviation = fit.unknowns.prior_vector(layout)
-    assert fit.chi2 - deviation @ (layout.prior_precision * deviation) < 1e-2
+    assert fit.chi2 - layout.prior(fit.unknowns).chi2 < 1e-2
 
 
 def test_it_finds_the_maximum_that_scipy_finds_on_the_full_problem():

@@ -24,7 +24,7 @@ TRUSTED_SHARE = 0.6
 """Least share of the spots that has to agree; less is not a matter of outliers."""
 
 _AMBIGUOUS = 9.0
-_FREE_POSITION = 1.0
+_FREE_PX = 200.0  # standard deviation by which an LED that may be anywhere moves in the images
 _ROUNDS = 20
 _STEPS = 30
 _LEAST_SHARE, _WORST_SHARE = 0.5, 0.1
@@ -58,7 +58,7 @@ class Prediction:
         covariance = scale * self.covariances[pose][np.ix_(rows, rows)]
         if free:
             moved = self.by_point[pose][rows]
-            covariance = covariance + _FREE_POSITION**2 * moved @ moved.T
+            covariance = covariance + (_FREE_PX / float(np.linalg.norm(moved, axis=1).max())) ** 2 * moved @ moved.T
         errors = self.errors[pose][rows]
         return float(errors @ np.linalg.solve(covariance, errors))
 

@@ -5,9 +5,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-NEAREST_DEPTH = 0.05
-"""Points nearer than this [m] to the plane of the optical centre count as not projectable."""
-
 
 def project(intrinsics: Array, rotations: Array, translations: Array, points: Array) -> tuple[Array, Array, Array]:
     """Project points into each of c cameras (`plumb_bob` with k3 = 0).
@@ -63,7 +60,7 @@ def image(intrinsics: Array, rotations: Array, translations: Array, points: Arra
 
 def _ideal(in_camera: Array) -> tuple[Array, Array, Array]:
     """Ideal image coordinates x, y and depth, NaN behind the camera, each of shape (c, n)."""
-    depth = np.where(in_camera[..., 2] > NEAREST_DEPTH, in_camera[..., 2], np.nan)
+    depth = np.where(in_camera[..., 2] > 0.0, in_camera[..., 2], np.nan)
     return in_camera[..., 0] / depth, in_camera[..., 1] / depth, depth
 
 

@@ -19,6 +19,8 @@ from im_calibration.problem.problem import CalibrationProblem
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_NEAREST_SHARE = 0.03  # of the typical depth: nearer, hardly anything of the geometry is linear
+
 
 @dataclass(frozen=True)
 class Linearisation:
@@ -90,11 +92,11 @@ def image_residuals(unknowns: Unknowns, problem: CalibrationProblem, used: Mask)
     return by_pose(np.where(used[..., None], problem.spots - pixels, 0.0))
 
 
-def projectable(unknowns: Unknowns, problem: CalibrationProblem, nearest: float = 0.1) -> Mask:
-    """Where the estimated LED position is more than `nearest` [m] in front of a camera, shape (c, n)."""
+def projectable(unknowns: Unknowns, problem: CalibrationProblem) -> Mask:
+    """Where the estimated LED position is in front of a camera, not much nearer than most of them, shape (c, n)."""
     points = unknowns.led_positions(problem)
     depth = np.einsum("cx,nx->cn", unknowns.rotations[:, 2], points) + unknowns.translations[:, 2, None]
-    return np.asarray(depth > nearest)
+    return np.asarray(depth > _NEAREST_SHARE * np.maximum(np.median(depth, axis=1), 0.0)[:, None])
 
 
 def by_pose(spots: Array) -> Array:

@@ -159,8 +159,7 @@ class _Cost:
         image = np.einsum("nci,ncij,ncj->", residuals, self._image_weights, residuals)
         moved = unknowns.displacements
         position = np.einsum("ni,nij,nj->", moved, self._position_weights, moved)
-        prior = unknowns.prior_vector(self._layout)
-        return float(image + position + prior @ (self._layout.prior_precision * prior))
+        return float(image + position + self._layout.prior(unknowns).chi2)
 
     def relaxed(self, unknowns: Unknowns) -> Unknowns:
         """The same cameras with the LED positions that suit them best, to first order."""
@@ -184,6 +183,7 @@ def _normal_equations(
 ) -> tuple[Array, Array]:
     """Information matrix and right-hand side, priors included."""
     weighted = (weights @ line.jacobians).reshape(-1, layout.size)
-    information = line.jacobians.reshape(-1, layout.size).T @ weighted + np.diag(layout.prior_precision)
-    gradient = weighted.T @ line.residuals.ravel() - layout.prior_precision * unknowns.prior_vector(layout)
+    prior = layout.prior(unknowns)
+    information = line.jacobians.reshape(-1, layout.size).T @ weighted + prior.information
+    gradient = weighted.T @ line.residuals.ravel() + prior.gradient
     return (information + information.T) / 2.0, gradient

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
-from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, lens_reach, rotation_exp
 from im_calibration.problem.problem import MINIMUM_SPOTS, CalibrationProblem
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
         )
     points, pixels = positions[seen], problem.spots[c][seen]
     extent = core_extent(points)
-    if extent[1] <= max(_THIN * extent[0], 1e-9):
+    if extent[1] <= _THIN * extent[0]:
         raise DegenerateDataError(
             f"The LED positions seen by {name} lie on a line or in a point.",
             "Spread the poses over a volume.",
@@ -101,7 +101,23 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
         )
     if found is None:
         raise InconsistentDataError(f"No camera explains where {name} saw the LED.", camera=name)
-    return PinholeStart(*found)
+    return _centred(PinholeStart(*found), (width, height))
+
+
+def _centred(camera: PinholeStart, image_size: tuple[int, int]) -> PinholeStart:
+    """The camera of a long lens, turned so that its principal point is the middle of the image.
+
+    A long lens shows hardly more of the principal point than a turn of the camera does, so that linear equations find
+    it anywhere, and no descent finds back from there.
+    """
+    fx, fy, cx, cy = camera.intrinsics
+    if lens_reach(fx, image_size) == 1.0:
+        return camera
+    middle = (np.array(image_size) - 1.0) / 2.0
+    x, y = (middle - (cx, cy)) / (fx, fy)
+    slope = float(np.hypot(x, y))
+    turn = rotation_exp(np.array([[y, -x, 0.0]]) * (np.arctan(slope) / max(slope, 1e-300)))[0]
+    return PinholeStart(np.array([fx, fy, *middle]), turn @ camera.rotation, turn @ camera.translation)
 
 
 def robust_extent(points: Array) -> Array:
@@ -118,7 +134,7 @@ def core_extent(points: Array) -> Array:
     for _ in range(_CORE_ROUNDS):
         centre = core.mean(axis=0)
         values, axes = np.linalg.eigh(np.cov((core - centre).T, ddof=0))
-        across = (points - centre) @ axes / np.sqrt(np.maximum(values, 1e-12 + 1e-9 * values[-1]))
+        across = (points - centre) @ axes / np.sqrt(np.maximum(values, max(1e-9 * values[-1], 1e-300)))
         distance = np.linalg.norm(across, axis=1)
         core = points[distance <= np.quantile(distance, _CORE_SHARE)]
     values = np.linalg.eigvalsh(np.cov((core - core.mean(axis=0)).T, ddof=0))

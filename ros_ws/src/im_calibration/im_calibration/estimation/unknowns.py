@@ -15,9 +15,51 @@ CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "rx", "ry",
 PER_CAMERA = len(CAMERA_PARAMETERS)
 
 LENS_PRIOR_SD = {"cx": 0.075, "cy": 0.075, "k1": 0.7, "k2": 1.5, "p1": 0.015, "p2": 0.015}
-"""What any machine-vision lens keeps to: the principal point near the middle of the image [image widths], moderate
-distortion [-]. Far wider than what data of a good design say, so that it matters only where they say little: there the
-likelihood is so flat and bent that its maximum runs away to lenses nobody can buy."""
+"""What any machine-vision lens keeps to whose image ends :data:`LENS_RADIUS` from the axis: the principal point near
+the middle of the image [image widths], moderate distortion [-]. Far wider than what data of a good design say, so that
+it matters only where they say little: there the likelihood is so flat and bent that its maximum runs away to lenses
+nobody can buy."""
+
+LENS_POWERS = {"cx": 1, "cy": 1, "k1": 2, "k2": 4, "p1": 1, "p2": 1}
+"""The power of the radius with which a term's effect grows, relative to the radius itself; the principal point of a
+long lens is off as an angle."""
+
+LENS_RADIUS = 0.6
+"""Distance from the axis [-], of a tangent, at which a term's effect on the image is judged, or at the corner of the
+image if that is nearer. Farther out the terms of a wide lens are large and cancel each other."""
+
+
+def lens_reach(focal_px: float, image_size: tuple[int, int]) -> float:
+    """How far from the axis the effect of lens terms is judged, as a share of :data:`LENS_RADIUS`.
+
+    A term k of power m moves a point there by ``k * (reach * LENS_RADIUS)^m`` of its distance from the middle of the
+    image: what is said of terms is said of this effect in the image, whatever the focal length.
+
+    Args:
+        focal_px: Focal length [px].
+        image_size: Width and height [px].
+    """
+    corner = float(np.hypot(*image_size)) / 2.0 / focal_px
+    return min(1.0, corner / LENS_RADIUS)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the unknowns beforehand, at a value of them.
+
+    Attributes:
+        chi2: Squared deviation from the prior means, in standard deviations.
+        gradient: Half its negative derivative by the unknowns, shape (size,).
+        information: Its Gauss-Newton normal matrix, shape (size, size).
+        lens_chi2: The part of `chi2` that concerns cameras, and no data set states.
+        lens_information: The same part of `information`, shape (size, size).
+    """
+
+    chi2: float
+    gradient: Array
+    information: Array
+    lens_chi2: float
+    lens_information: Array
 
 
 @dataclass(frozen=True)
@@ -28,13 +70,16 @@ class ParameterLayout:
         cameras: Number of cameras.
         led: Whether the LED offset is estimated.
         joints: Number of joint offsets that are estimated.
+        image_sizes: Width and height of each image [px].
         prior_mean: Prior means, 0 where there is no prior, shape (size,).
-        prior_precision: Inverse prior variances, 0 where there is no prior, shape (size,).
+        prior_precision: Inverse prior variances, 0 where there is no prior, shape (size,); of lens terms, those of an
+            image that ends at :data:`LENS_RADIUS`.
     """
 
     cameras: int
     led: bool
     joints: int
+    image_sizes: tuple[tuple[int, int], ...]
     prior_mean: Array
     prior_precision: Array
 
@@ -57,7 +102,7 @@ class ParameterLayout:
             precision[PER_CAMERA * c : PER_CAMERA * c + 3] = problem.led_offset_prior_sd**-2
         if joints:
             precision[-joints:] = problem.joint_offset_prior_sd**-2
-        return ParameterLayout(c, led, joints, mean, precision)
+        return ParameterLayout(c, led, joints, problem.image_sizes, mean, precision)
 
     @property
     def size(self) -> int:
@@ -65,9 +110,30 @@ class ParameterLayout:
         return len(self.prior_precision)
 
     @property
-    def lens_precision(self) -> Array:
-        """Inverse variances of the lens priors alone, 0 elsewhere, shape (size,)."""
-        return np.asarray(np.where(np.arange(self.size) < PER_CAMERA * self.cameras, self.prior_precision, 0.0))
+    def stated_precision(self) -> Array:
+        """Inverse prior variances that the data set states: of LED and joint offsets, 0 elsewhere, shape (size,)."""
+        return np.asarray(np.where(np.arange(self.size) < PER_CAMERA * self.cameras, 0.0, self.prior_precision))
+
+    def prior(self, unknowns: "Unknowns") -> Prior:
+        """The prior at a value of the unknowns; that of lens terms is one of their effect, and thus of fx as well."""
+        deviation, precision = unknowns.prior_vector(self), self.prior_precision.copy()
+        slopes = np.zeros((self.size, self.size))  # of the whitened deviation by fx, less that by the term itself
+        for c, size in enumerate(self.image_sizes):
+            focal, first = float(unknowns.intrinsics[c, 0]), PER_CAMERA * c
+            reach = lens_reach(focal, size)
+            if reach == 1.0:
+                continue
+            for name, power in LENS_POWERS.items():
+                term = first + CAMERA_PARAMETERS.index(name)
+                precision[term] *= reach ** (2 * power)
+                slopes[term, first] = -power * deviation[term] / focal
+        jacobian = slopes * np.sqrt(precision)[:, None]
+        cross = slopes * precision[:, None]
+        information = np.diag(precision) + cross + cross.T + jacobian.T @ jacobian
+        gradient = -precision * deviation - cross.T @ deviation
+        chi2, stated = float(deviation @ (precision * deviation)), self.stated_precision
+        lens_chi2 = chi2 - float(deviation @ (stated * deviation))
+        return Prior(chi2, gradient, information, lens_chi2, information - np.diag(stated))
 
     @property
     def led_slice(self) -> slice:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from im_calibration.judgement.checks import Checks
@@ -90,6 +91,7 @@ class Calibration:
         chi2: Squared Mahalanobis length of the residuals of the used spots and of the priors.
         dof: Degrees of freedom of `chi2`.
         p_value: Probability of a `chi2` this large or larger if the model and the noise are as stated.
+        lens_prior_chi2: The part of `chi2` by which the lenses differ from usual ones.
         used: Which spots count, shape (c, n).
         residuals: Measured minus predicted spots, NaN where not seen, shape (c, n, 2) [px].
         residual_covariances: Their covariances by image and position noise, shape (c, n, 2, 2) [px^2].
@@ -109,6 +111,7 @@ class Calibration:
     chi2: float
     dof: int
     p_value: float
+    lens_prior_chi2: float
     used: Mask
     residuals: Array
     residual_covariances: Array
@@ -135,6 +138,11 @@ class Calibration:
         return self.chi2 / self.dof if self.dof > 0 else float("nan")
 
     @property
+    def p_value_of_data(self) -> float:
+        """As `p_value`, of the data alone: that a lens is unlike others speaks against no data."""
+        return chance_of(self.chi2 - self.lens_prior_chi2, self.dof)
+
+    @property
     def standard_deviations(self) -> Array:
         """Standard deviation of each unknown, shape (size,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
@@ -149,6 +157,11 @@ class Calibration:
         errors = [f"{self.expected.reprojection_rms_px:.3f} px", f"{self.expected.triangulation_rms_mm:.2f} mm"]
         known = " and ".join(error for error in errors if not error.startswith("nan"))
         return f"{text}; expect {known} RMS in the workspace." if known else f"{text}; none of them sees the workspace."
+
+
+def chance_of(chi2: float, dof: int) -> float:
+    """Probability of a chi-square this large or larger, NaN without redundancy."""
+    return float(scipy.stats.chi2.sf(chi2, dof)) if dof > 0 else float("nan")
 
 
 def _told(kind: str, verdicts: tuple[Verdict, ...]) -> str:

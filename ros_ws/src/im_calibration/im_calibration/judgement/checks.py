@@ -63,7 +63,7 @@ def _split_half(gated: Gated, problem: CalibrationProblem, layout: ParameterLayo
             return float("nan"), float("nan")
         # Both halves share their priors, so that only what the data make of them can differ.
         posterior = covariance_of(fit.information).matrix
-        by_data = posterior @ (fit.information - np.diag(layout.prior_precision)) @ posterior
+        by_data = posterior @ (fit.information - layout.prior(fit.unknowns).information) @ posterior
         found = fit.unknowns
         images.append(image(found.intrinsics, found.rotations, found.translations, points))
         variances.append(expected_error(found, by_data, problem.image_sizes, problem.workspace).reprojection_px ** 2)

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from im_calibration.estimation.covariance import Covariance
 from im_calibration.estimation.gates import FALSE_ALARM, TRUSTED_SHARE
 from im_calibration.estimation.start import FLAT, core_extent, robust_extent
-from im_calibration.estimation.unknowns import CAMERA_PARAMETERS, PER_CAMERA, ParameterLayout
+from im_calibration.estimation.unknowns import CAMERA_PARAMETERS, LENS_POWERS, PER_CAMERA, ParameterLayout, lens_reach
+from im_calibration.judgement.agreement import CameraAgreement
 from im_calibration.judgement.calibration import Calibration, Verdict
 from im_calibration.judgement.scale import Scale
 from im_calibration.problem.problem import CalibrationProblem
@@ -19,18 +20,22 @@ UNOBSERVABLE, MISFIT = "UNOBSERVABLE", "MISFIT"
 _FEWEST_SPOTS = 9
 _SAME_WRIST = 0.05
 _UNLIKELY = 1e-3
-_FEWEST_MOVED = 6
+_FEWEST_MOVED, _MOVED_SHARE = 6, 0.1
 _DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejections together are a misfit as well
 _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outliers; with some, less bad residuals do
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
 _LARGEST_CELL_M = 50.0
 _FOCAL_LIMIT = 0.07
-_CENTRE_LIMIT = 0.15
-_LIMITS = {"k1": 1.0, "k2": 12.0, "p1": 0.05, "p2": 0.05, "rx": 0.15, "ry": 0.15, "rz": 0.15}
+_TURN_LIMIT = 0.15
+_LENS_LIMITS = {"cx": 0.15, "cy": 0.15, "k1": 1.0, "k2": 12.0, "p1": 0.05, "p2": 0.05}
 
 
 def judge(
-    calibration: Calibration, problem: CalibrationProblem, layout: ParameterLayout, covariance: Covariance
+    calibration: Calibration,
+    problem: CalibrationProblem,
+    layout: ParameterLayout,
+    covariance: Covariance,
+    agreements: tuple[CameraAgreement, ...],
 ) -> tuple[Verdict, ...]:
     """Reasons not to trust an estimate; none for a good one.
 
@@ -39,9 +44,10 @@ def judge(
         problem: What it was made from.
         layout: Places of the unknowns.
         covariance: Covariance of the unknowns by the data alone, without the priors of the lens.
+        agreements: How well each camera agrees with the robot and the other cameras.
     """
     verdicts = []
-    misfit = _misfit(calibration, problem)
+    misfit = _misfit(calibration, problem, agreements)
     for c in range(layout.cameras):
         doubtful = misfit is not None
         verdict = _few_spots(calibration, problem, c, doubtful) or _flat(calibration, problem, c, doubtful)
@@ -95,8 +101,12 @@ def _flat(calibration: Calibration, problem: CalibrationProblem, c: int, misfit:
 def _unknown(calibration: Calibration, covariance: Covariance, c: int) -> Verdict | None:
     """Parameters whose standard deviation is beyond what any use of a camera bears."""
     camera = calibration.cameras[c]
-    limits = dict.fromkeys(("fx", "fy"), _FOCAL_LIMIT * float(camera.model.K[0, 0]))
-    limits |= dict.fromkeys(("cx", "cy"), _CENTRE_LIMIT * camera.model.width) | _LIMITS
+    focal, size = float(camera.model.K[0, 0]), (camera.model.width, camera.model.height)
+    reach = lens_reach(focal, size)
+    # Of a long lens, focal length and distance differ by as little in the image as its field is deep.
+    limits = dict.fromkeys(("fx", "fy"), _FOCAL_LIMIT * focal / reach) | dict.fromkeys(("rx", "ry", "rz"), _TURN_LIMIT)
+    for name, limit in _LENS_LIMITS.items():
+        limits[name] = (limit * size[0] if name in ("cx", "cy") else limit) * reach ** -LENS_POWERS[name]
     block = slice(PER_CAMERA * c, PER_CAMERA * (c + 1))
     deviations = dict(zip(CAMERA_PARAMETERS, covariance.standard_deviations[block], strict=True))
     lost = dict(zip(CAMERA_PARAMETERS, covariance.null[block], strict=True))
@@ -136,30 +146,34 @@ def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: P
     )
 
 
-def _misfit(calibration: Calibration, problem: CalibrationProblem) -> Verdict | None:
+def _misfit(
+    calibration: Calibration, problem: CalibrationProblem, agreements: tuple[CameraAgreement, ...]
+) -> Verdict | None:
     """Residuals that the stated noise cannot explain."""
     detected, used = problem.detected.sum(axis=1), calibration.used.sum(axis=1)
     near = sum(rejection.sigmas < _NEAR_SIGMAS for rejection in calibration.rejections)
-    noisy = calibration.p_value < next(chance for fewest, chance in _NEAR_CHANCES if near >= fewest)
-    trusted = _DOUBTED_SHARE if calibration.p_value < _DOUBTED_CHANCE else TRUSTED_SHARE
+    chance = calibration.p_value_of_data
+    noisy = chance < next(limit for fewest, limit in _NEAR_CHANCES if near >= fewest)
+    trusted = _DOUBTED_SHARE if chance < _DOUBTED_CHANCE else TRUSTED_SHARE
     contradictory = np.flatnonzero(used < trusted * detected)
     moved = [c for c in range(len(calibration.cameras)) if _moved_alike(calibration, problem, c)]
-    if not len(contradictory) and not noisy and not moved:
+    outside = _outside_image(problem)
+    if not len(contradictory) and not noisy and not moved and not outside:
         return None
     reasons = []
     if noisy:
         reasons.append(
             f"The residuals are {np.sqrt(calibration.chi2_per_dof):.1f} times as large as the stated noise explains "
-            f"(chi2/dof {calibration.chi2_per_dof:.2f}, p {calibration.p_value:.1g}); {_worst_camera(calibration)}."
+            f"(chi2/dof {calibration.chi2_per_dof:.2f}, p {chance:.1g}); {_worst_camera(calibration, agreements)}."
         )
-    if noisy and calibration.p_value >= _UNLIKELY:
+    if noisy and chance >= _UNLIKELY:
         reasons.append(f"{near} rejections are within {_NEAR_SIGMAS:.0f} sigma, nearer than gross outliers would be.")
     reasons += [
         f"Only {used[c]} of {detected[c]} spots of {problem.camera_names[c]} agree with each other."
         for c in contradictory
     ]
     reasons += [_moved_alike(calibration, problem, c) for c in moved]
-    reasons += _strange_units(problem)
+    reasons += _strange_units(problem) + outside
     return Verdict(
         MISFIT,
         (),
@@ -170,11 +184,16 @@ def _misfit(calibration: Calibration, problem: CalibrationProblem) -> Verdict | 
 
 
 def _strange_units(problem: CalibrationProblem) -> list[str]:
-    """What a misfit is likely to come from: positions that are no metres, spots that are not in the image."""
-    strange = []
+    """What a misfit may come from: positions that are no metres."""
     spread = np.median(np.linalg.norm(problem.positions - np.median(problem.positions, axis=0), axis=1))
-    if spread > _LARGEST_CELL_M:
-        strange.append(f"Half of the LED positions are {spread:.0f} m and more from their median: are they metres?")
+    if spread <= _LARGEST_CELL_M:
+        return []
+    return [f"Half of the LED positions are {spread:.0f} m and more from their median: are they metres?"]
+
+
+def _outside_image(problem: CalibrationProblem) -> list[str]:
+    """Cameras most spots of which are not in their image: its size is another one, whatever fits."""
+    strange = []
     for c, (name, size) in enumerate(zip(problem.camera_names, problem.image_sizes, strict=True)):
         seen = problem.spots[c][problem.detected[c]]
         outside = int(np.any((seen < -0.5) | (seen > np.array(size) - 0.5), axis=1).sum())
@@ -186,20 +205,29 @@ def _strange_units(problem: CalibrationProblem) -> list[str]:
 
 
 def _moved_alike(calibration: Calibration, problem: CalibrationProblem, c: int) -> str:
-    """Rejected spots that lie off all alike: no outliers, but a camera that moved; empty if they do not."""
+    """Rejected spots that lie off all alike: no outliers, but a camera that moved; empty if they do not.
+
+    A spot counts where the common shift decides: with it the spot is off by more than noise, without it it is not.
+    """
     rejected = problem.detected[c] & ~calibration.used[c]
     residuals, spread = calibration.residuals[c][rejected], calibration.residual_covariances[c][rejected]
     if len(residuals) < _FEWEST_MOVED:
         return ""
     shift = np.median(residuals, axis=0)
-    left = residuals - shift
-    alike = (left * np.linalg.solve(spread, left[..., None])[..., 0]).sum(axis=1) < scipy.stats.chi2.isf(FALSE_ALARM, 2)
-    if alike.sum() < max(_FEWEST_MOVED, TRUSTED_SHARE * len(residuals)):
+    gate = scipy.stats.chi2.isf(FALSE_ALARM, 2)
+    alike = (_squared(residuals, spread) > gate) & (_squared(residuals - shift, spread) < gate)
+    enough = max(_FEWEST_MOVED, TRUSTED_SHARE * len(residuals), _MOVED_SHARE * problem.detected[c].sum())
+    if alike.sum() < enough:
         return ""
     return (
         f"{int(alike.sum())} of {len(residuals)} rejected spots of {problem.camera_names[c]} lie off by the same "
         f"({shift[0]:.1f}, {shift[1]:.1f}) px, as if it had moved."
     )
+
+
+def _squared(errors: Array, covariances: Array) -> Array:
+    """Squared Mahalanobis lengths, shape (m,), of errors, shape (m, 2)."""
+    return np.asarray((errors * np.linalg.solve(covariances, errors[..., None])[..., 0]).sum(axis=1))
 
 
 def _wrong_scale(scale: Scale) -> Verdict | None:
@@ -223,17 +251,11 @@ def _wrong_scale(scale: Scale) -> Verdict | None:
     )
 
 
-def _worst_camera(calibration: Calibration) -> str:
-    """The camera whose own residuals are least likely."""
-    chances = []
-    for c, camera in enumerate(calibration.cameras):
-        used = calibration.used[c]
-        residuals, spread = calibration.residuals[c][used], calibration.residual_covariances[c][used]
-        chi2 = float((residuals * np.linalg.solve(spread, residuals[..., None])[..., 0]).sum())
-        dof = max(1, 2 * camera.spots_used - PER_CAMERA)
-        reason = f"{camera.name} is worst with chi2/dof {chi2 / dof:.2f}"
-        chances.append((float(scipy.stats.chi2.logsf(chi2, dof)), reason))
-    return min(chances)[1]
+def _worst_camera(calibration: Calibration, agreements: tuple[CameraAgreement, ...]) -> str:
+    """The camera whose spots are least likely, given those of the others."""
+    worst = min(range(len(agreements)), key=lambda c: agreements[c].log_chance)
+    given = " given what the others saw" if len(agreements) > 1 else ""
+    return f"{calibration.cameras[worst].name} is worst with chi2/dof {agreements[worst].chi2_per_dof:.2f}{given}"
 
 
 def _camera_names(camera: str, names: tuple[str, ...]) -> tuple[str, ...]:

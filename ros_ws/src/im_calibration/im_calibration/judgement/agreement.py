@@ -1,0 +1,59 @@
+"""How well each camera agrees with the robot and with the other cameras: who is it that a misfit complains of."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from im_calibration.estimation.residuals import Linearisation
+from im_calibration.estimation.unknowns import PER_CAMERA
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class CameraAgreement:
+    """What the joint chi-square owes to one camera.
+
+    Attributes:
+        chi2: Squared Mahalanobis length of its residuals, given those of the other cameras.
+        dof: Its degrees of freedom.
+    """
+
+    chi2: float
+    dof: int
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """Reduced chi-square."""
+        return self.chi2 / self.dof
+
+    @property
+    def log_chance(self) -> float:
+        """Logarithm of the probability of a `chi2` this large or larger."""
+        return float(scipy.stats.chi2.logsf(self.chi2, self.dof))
+
+
+def camera_agreements(line: Linearisation, used: Mask) -> tuple[CameraAgreement, ...]:
+    """How well each camera agrees with what the robot and the other cameras say.
+
+    Cameras share the uncertain positions of the LED, so that each may agree with the robot by itself while they
+    contradict each other: what counts is by how much the joint chi-square drops without the camera.
+
+    Args:
+        line: The problem at the estimate.
+        used: Which spots count, shape (c, n).
+    """
+    everyone = _chi2(line.residuals, line.covariances)
+    found = []
+    for c, spots in enumerate(used):
+        others = np.delete(np.arange(line.residuals.shape[1]), (2 * c, 2 * c + 1))
+        rest = _chi2(line.residuals[:, others], line.covariances[:, others[:, None], others])
+        found.append(CameraAgreement(everyone - rest, max(1, 2 * int(spots.sum()) - PER_CAMERA)))
+    return tuple(found)
+
+
+def _chi2(residuals: Array, covariances: Array) -> float:
+    return float((residuals * np.linalg.solve(covariances, residuals[..., None])[..., 0]).sum())
