@@ -60,7 +60,8 @@ def test_a_servo_that_hangs_is_named_and_waited_for_by_nobody(client, servo):
             client.until(lambda: end.read_state().brakes.all() and not end.read_state().power)
     finally:
         os.kill(pid, signal.SIGCONT)
-    client.until(lambda: client.state() == "estopped" and client.states[-1].reason not in ("", sentence))
+    client.until(lambda: client.state() == "estopped" and sentence not in client.states[-1].reason)
+    assert client.states[-1].reason
     client.until(lambda: servo() == pid)
     assert client.trigger("reset").success
     client.to_motion()

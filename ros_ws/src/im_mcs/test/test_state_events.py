@@ -1,9 +1,12 @@
 """Every state and every request, through the whole of MCS."""
 
+import math
+
 import pytest
 
 from im_mcs.state import TABLE, Event, State
 from im_mcs.state.table import allowed_in
+from im_mcs.testbed.driver import ReportedFault
 
 LAW = "im_mcs.control.computed_torque:ComputedTorque"
 WAYS = {
@@ -116,3 +119,20 @@ def test_while_a_transition_is_under_way_only_estop_and_renew_are_heard(bench, c
     assert seen(bench.mcs)[0] == before[0]
     assert bench.ask("renew", owner="tester")["success"]
     assert bench.mcs.manager.state is State.MOTION
+
+
+def test_reset_names_what_is_broken_and_what_stopped(bench):
+    bench.to_motion("left")
+    bench.ask("estop", reason="a hand")
+    assert bench.ask("estop", reason="another")["success"]
+    assert "a hand" in bench.mcs.manager.cause
+    home = bench.driver.q.copy()
+    bench.driver.q[4] = math.nan
+    bench.driver.faults = lambda: [ReportedFault("brake_stuck", 10), ReportedFault("power_loss")]
+    message = bench.ask("reset")["error"]["message"]
+    assert "no reading of left_j2, power_loss, brake_stuck of right_rotation; the cause of the stop: a hand" in message
+    assert bench.mcs.manager.state is State.ESTOPPED
+    bench.driver.q[:] = home
+    bench.driver.faults = list
+    assert bench.ask("reset")["success"]
+    assert bench.mcs.manager.state is State.COLD

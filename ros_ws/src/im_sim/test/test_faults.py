@@ -2,11 +2,12 @@
 
 import os
 from dataclasses import replace
+from threading import Thread
 
 import numpy as np
 import pytest
 
-from im_cell.link import Faults, HostEnd, PanelEnd, ServoEnd, TickCommand
+from im_cell.link import Faults, HostEnd, PanelEnd, ServoEnd, StopEnd, TickCommand
 from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError
 from im_core.shm import remove_all
@@ -130,6 +131,39 @@ def test_faults_and_objects_travel_over_the_link(plant):
         client.close()
         end.close()
     assert remove_all(INSTANCE) == []
+
+
+def test_the_stop_circuit_takes_the_power_whatever_the_servo_wants(plant):
+    with HostEnd.create(INSTANCE, factor=0.0) as host:
+        loop = TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
+        servo, stop = ServoEnd.attach(INSTANCE, 1.0), StopEnd.attach(INSTANCE, 1.0)
+        servo.attach_servo(os.getpid())
+        insisting = Thread(target=lambda: [servo.wait_state(5.0) and insist(servo) for _ in range(4)])
+        insisting.start()
+        loop.run_tick()
+        assert servo.read_state().power
+        assert not stop.is_cut
+        stop.cut()
+        assert host.demand()
+        with StopEnd.attach(INSTANCE, 1.0) as later:
+            assert later.is_cut
+        loop.run_tick()
+        assert not servo.read_state().power
+        assert servo.read_state().brakes.all()
+        loop.run_tick()
+        assert not servo.read_state().power, "it stays cut"
+        stop.restore()
+        loop.run_tick()
+        assert servo.read_state().power
+        insisting.join()
+        servo.close()
+        stop.close()
+    assert remove_all(INSTANCE) == []
+
+
+def insist(servo):
+    """A servo that wants power and free joints, always."""
+    servo.write_command(TickCommand(np.zeros(N), True, FREE, np.zeros(2), True, np.full(2, np.inf)))
 
 
 def test_faults_that_cannot_be_are_refused_and_change_nothing(plant):

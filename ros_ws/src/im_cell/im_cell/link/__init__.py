@@ -3,7 +3,8 @@
 It is a stand-in for the wires of a real robot: encoder readings one way, torques the other, and an exposure trigger for
 the cameras. The physics process creates the link as :class:`HostEnd`; everybody else attaches an end that can do what
 its user may do and no more: :class:`ServoEnd`, :class:`CameraEnd`, :class:`LaserEnd`, :class:`PanelEnd` (lights,
-faults, objects between the jaws), :class:`ClockEnd` (time only). Truth is to be had at the host's end alone.
+faults, objects between the jaws), :class:`StopEnd` (emergency stop), :class:`ClockEnd` (time only). Truth is to be had
+at the host's end alone.
 
 One tick, period 4.5 ms, is one handshake::
 
@@ -30,6 +31,9 @@ raise the same error, and one attaches anew.
 *Brakes.* ``brakes[i]`` true: the joint is held. Without power all torques are zero and all brakes are engaged, whatever
 the command says; ``TickState.power`` and ``TickState.brakes`` tell what is so.
 
+*Emergency stop.* ``cut`` at the :class:`StopEnd` is as if the servo commanded no power, until ``restore``; it needs no
+servo.
+
 *Grippers.* Openings in metres, forces in newtons: the command says where to go and with what force at most, the state
 where the jaws are and what they press with.
 
@@ -44,7 +48,7 @@ move at their own rate, ``laser`` says where they are. The end asks for the time
 next tick on: to test what stands above it.
 """
 
-from im_cell.link.end import ClockEnd
+from im_cell.link.end import ClockEnd, StopEnd
 from im_cell.link.host import HostEnd
 from im_cell.link.panel import PanelEnd
 from im_cell.link.servo import ServoEnd
@@ -74,6 +78,7 @@ __all__ = [
     "PanelEnd",
     "Sensors",
     "ServoEnd",
+    "StopEnd",
     "TickCommand",
     "TickState",
     "TrueState",

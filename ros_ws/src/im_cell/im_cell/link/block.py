@@ -61,6 +61,8 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             ("fault_power", "<i8"),
             ("stall_s", "<f8"),
             ("objects", "<f8", (N_GRIPPERS, 3)),
+            # the emergency stop circuit
+            ("stop", "<i8"),
             # whoever drives the laser scanner
             ("laser_command", "<f8", (4,)),
             # cameras

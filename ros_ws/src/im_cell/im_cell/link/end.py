@@ -123,3 +123,25 @@ class ClockEnd(LinkEnd):
                     raise LinkError("the testbed's physics process is gone")
             clock.sleep(_POLL_S)
         return now
+
+
+class StopEnd(ClockEnd):
+    """The emergency stop circuit: a way to the power that does not lead through the servo.
+
+    While it is cut, motors have no power and brakes are on, whatever the servo commands; it stays cut until it is
+    restored, whoever is gone meanwhile.
+    """
+
+    def cut(self) -> None:
+        """Take the power away, at the next tick; at clock factor 0, ask for that tick."""
+        self._shared.view["stop"][()] = True
+        self.request_time(1)
+
+    def restore(self) -> None:
+        """Let the servo switch power on again."""
+        self._shared.view["stop"][()] = False
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether there can be no power."""
+        return bool(self._shared.view["stop"])

@@ -86,7 +86,8 @@ class HostEnd(LinkEnd):
             timeout_s: After this wall time [s] the servo is declared gone and counted as lost.
 
         Returns:
-            The command; None if there is no servo, or none any more.
+            The command, without power while the emergency stop circuit is cut; None if there is no servo, or none any
+            more.
         """
         shared, view = self._shared, self._shared.view
         if not self.servo_attached():
@@ -106,7 +107,7 @@ class HostEnd(LinkEnd):
             return None
         return TickCommand(
             tau=view["command_tau"].copy(),
-            power=bool(view["command_power"]),
+            power=bool(view["command_power"]) and not bool(view["stop"]),
             brakes=view["command_brakes"].copy(),
             gripper=view["command_gripper"].copy(),
             wants_time=bool(view["command_wants_time"]),

@@ -1,7 +1,7 @@
 """The servo's end of the testbed link."""
 
 from im_cell.link.end import LinkEnd
-from im_cell.link.values import TickCommand, TickState
+from im_cell.link.values import Faults, TickCommand, TickState
 from im_core.errors import LinkError
 from im_core.shm import ProcessId
 
@@ -69,6 +69,10 @@ class ServoEnd(LinkEnd):
             if before % 2 == 0 and int(sequence) == before:
                 return state
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
+
+    def faults(self) -> Faults:
+        """What the testbed itself reports to be broken, as the drives of a robot do."""
+        return self._shared.faults()
 
     def write_command(self, command: TickCommand) -> None:
         """Answer the current tick.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from im_cell.robot import load_cell
-from im_core.errors import ImError
-from im_core.names import results_dir
+from im_core import names
+from im_core.errors import ImError, StateError
 from im_core.ros.callers import nodes_of
 from im_core.ros.calls import pause, run_in_thread
 from im_core.ros.node import ManagedNode
@@ -20,6 +20,7 @@ from im_mcs.client.evidence import write_evidence
 from im_mcs.client.groups import all_groups, group_in_force
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, ServoClient, ServoReply
+from im_mcs.client.stop_circuits import StopCircuits
 from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.model import CellModel
 from im_mcs.ros.lifecycle import Lifecycle
@@ -127,7 +128,9 @@ class McsAccess:
                 "shutdown": self._shutdown,
             },
         )
-        self.keeper = ServoKeeper(node, self.lifecycle, config_file, config.safety.servo_silence_s, changed)
+        circuits = StopCircuits(config.testbed.drivers, names.instance())
+        silence_s = config.safety.servo_silence_s
+        self.keeper = ServoKeeper(node, self.lifecycle, config_file, silence_s, circuits, changed)
 
     @property
     def state(self) -> State:
@@ -210,21 +213,27 @@ class McsAccess:
             raise await self._with_evidence(client, reply.error, reply.results)
         return reply.results
 
-    async def transition(self, event: Event) -> None:
-        """Go through a transition of the state table, together with the lifecycle.
+    async def transition(self, event: Event) -> str:
+        """Go through a transition of the state table, together with the lifecycle; where that led, as a sentence.
 
         Raises:
             ImError: It is refused, or ended badly.
         """
+        if event is Event.ESTOP:
+            return await self.keeper.estop(f"request on /mcs/{event.value}")
+        if event is Event.RESET:
+            await self.keeper.reset(self.request)
+            return f"MCS is {self.state.value}"
         self.client()
         if event in _LIFECYCLE:
             next_state(self.state, event)
             await self.lifecycle.change(_LIFECYCLE[event])
             self.keeper.follow()
-        elif event in (Event.ESTOP, Event.PROTECTIVE_STOP):
+        elif event is Event.PROTECTIVE_STOP:
             await self.request(event, {"reason": f"request on /mcs/{event.value}"})
         else:
             await self.request(event)
+        return f"MCS is {self.state.value}"
 
     async def repartition(self, preset: str) -> None:
         """Divide the joints into groups anew.
@@ -243,6 +252,8 @@ class McsAccess:
 
     async def _configure(self) -> None:
         next_state(self.state, Event.CONFIGURE)
+        if cause := self.keeper.stop_cause:
+            raise StateError(f"configure is refused: an emergency stop is latched ({cause}); reset it (/mcs/reset)")
         await self.keeper.start(self.config)
         self._changed()
 
@@ -258,7 +269,7 @@ class McsAccess:
         record = client.evidence(int(results.get("evidence", 0)))
         if record is None:
             return error
-        folder, joints = results_dir() / _EVIDENCE, tuple(self.model.names)
+        folder, joints = names.results_dir() / _EVIDENCE, tuple(self.model.names)
         try:
             path = await run_in_thread(self.node, write_evidence, folder, record, error, joints)
         except ImError as trouble:

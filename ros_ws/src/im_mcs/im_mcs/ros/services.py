@@ -91,8 +91,7 @@ class StateServices:
 
     def _on_trigger(self, event: Event) -> Callable[[Any, Any, str], Awaitable[str]]:
         async def work(*_: object) -> str:
-            await self._mcs.transition(event)
-            return f"MCS is {self._mcs.state.value}"
+            return await self._mcs.transition(event)
 
         return work
 

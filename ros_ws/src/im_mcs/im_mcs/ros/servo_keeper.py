@@ -1,25 +1,29 @@
 """The servo process in the life of the node: start, signs of life, end, and what changes there."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 from im_cell.link import ClockEnd
 from im_core import clock, names
 from im_core.errors import ImError, LinkError, StateError
 from im_core.process import ChildProcess
+from im_core.ros.calls import wait
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_mcs.client.servo_client import OnState, ServoClient
+from im_mcs.client.stop_circuits import StopCircuits
 from im_mcs.client.time_source import FlowingTime, TestbedTime
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.ros.lifecycle import Lifecycle
-from im_mcs.state import UNCONFIGURED_MESSAGE, State, lifecycle_of
+from im_mcs.state import UNCONFIGURED_MESSAGE, Event, State, lifecycle_of
 from im_mcs.testbed.driver import asks_for_time
 
 POLL_S = 0.02
 """How often the node looks after it [s]."""
+_ESTOP_ANSWER_S = 0.2
 
 
 class ServoOwner:
@@ -84,6 +88,7 @@ class ServoKeeper:
         lifecycle: Of the node; follows what happens in the servo.
         config_file: Configuration of the servo; None: that of the package.
         silence_s: Wall time without a sign of life of the servo, after which requests are refused [s].
+        circuits: The second way to the power.
         changed: Called in the node's loop after every change of state.
     """
 
@@ -93,9 +98,12 @@ class ServoKeeper:
         lifecycle: Lifecycle,
         config_file: Path | None,
         silence_s: float,
+        circuits: StopCircuits,
         changed: Callable[[], None],
     ) -> None:
         self._node, self._lifecycle = node, lifecycle
+        self._circuits = circuits
+        self._stop_cause = ""
         self._silence_s = silence_s
         self._reason = ""
         self._hang: LinkError | None = None
@@ -113,12 +121,23 @@ class ServoKeeper:
     @property
     def reason(self) -> str:
         """Why MCS is in its state, e.g. what caused an emergency stop; that the servo hangs, if it does; or empty."""
-        return self._reason if self._hang is None else self._hang.message
+        if self._owner is not None and self._hang is None:
+            return self._reason or self._stop_cause
+        what = self._reason if self._hang is None else self._hang.message
+        latched = f"an emergency stop is latched ({self._stop_cause}); reset it (/mcs/reset)"
+        return "; ".join(filter(None, (what, latched if self._stop_cause else "")))
+
+    @property
+    def stop_cause(self) -> str:
+        """Why an emergency stop is latched, or empty; it outlives the servo process."""
+        return self._stop_cause
 
     @property
     def state(self) -> State:
-        """Present state of MCS."""
-        return State.UNCONFIGURED if self._owner is None else self._owner.client.state()
+        """Present state of MCS; after an emergency stop estopped, whatever a servo that hangs has said last."""
+        if self._owner is None:
+            return State.UNCONFIGURED
+        return State.ESTOPPED if self._stop_cause else self._owner.client.state()
 
     def client(self) -> ServoClient:
         """The way to the servo.
@@ -127,7 +146,7 @@ class ServoKeeper:
             StateError: MCS is unconfigured.
         """
         if self._owner is None:
-            reason = f" ({self._reason})" if self._reason else ""
+            reason = f" ({self.reason})" if self.reason else ""
             raise StateError(UNCONFIGURED_MESSAGE + reason, state=State.UNCONFIGURED.value)
         return self._owner.client
 
@@ -144,7 +163,7 @@ class ServoKeeper:
         except ImError:
             owner.close()
             raise
-        self._owner = owner
+        self._take_owner(owner)
 
     async def start(self, config: McsConfig) -> None:
         """As :meth:`start_blocking`, while the node goes on.
@@ -161,7 +180,63 @@ class ServoKeeper:
             raise
         finally:
             self._starting = None
+        self._take_owner(owner)
+
+    async def estop(self, reason: str) -> str:
+        """Stop at once, whatever state MCS is in, and latch it; what has been done, as a sentence.
+
+        The servo stops in its next tick. If it does not say so soon, power goes by the stop circuits.
+        """
+        self._latch(reason)
+        if self._owner is None:
+            return f"{self.reason}; {self._circuits.cut()}"
+        promise = self._node.promise()
+        try:
+            self._owner.client.send(Event.ESTOP, {"reason": reason}, promise.set_result)
+            reply = await wait(self._node, promise, _ESTOP_ANSWER_S, "the servo process to stop")
+            error = reply.error
+        except ImError as trouble:
+            error = trouble
+        self.follow()
+        if error is None:
+            return f"MCS is {self.state.value}"
+        done = self._circuits.cut()
+        self._node.get_logger().error(f"emergency stop without the servo: {error.message}; {done}")
+        return f"MCS is {self.state.value}; the servo did not answer: {error.message}; {done}"
+
+    async def reset(self, request: Callable[[Event, dict[str, Any]], Awaitable[object]]) -> None:
+        """End an emergency stop, if its cause is gone; nothing moves.
+
+        Args:
+            request: Asks the servo and awaits its answer.
+
+        Raises:
+            ImError: The cause is not gone, or there is nothing to reset.
+        """
+        if self._owner is None:
+            if not self._stop_cause:
+                self.client()
+        else:
+            if self._stop_cause and self._owner.client.state() is not State.ESTOPPED:
+                await request(Event.ESTOP, {"reason": self._stop_cause})  # it has not heard of it, and shall
+            await request(Event.RESET, {})
+        self._circuits.restore()
+        self._stop_cause = ""
+        self._changed()
+
+    def _latch(self, cause: str) -> None:
+        """Remember an emergency stop; the first cause stays."""
+        if not self._stop_cause:
+            self._stop_cause = cause
+            self._changed()
+
+    def _take_owner(self, owner: ServoOwner) -> None:
+        """A servo process is there; it is told of an emergency stop that was latched meanwhile, or found."""
         self._owner = owner
+        if not self._stop_cause and self._circuits.is_cut():
+            self._latch("the emergency stop circuit was found cut")
+        if self._stop_cause:
+            owner.client.send(Event.ESTOP, {"reason": self._stop_cause})
 
     def close(self) -> None:
         """End the servo process; the testbed brakes by itself."""
@@ -202,6 +277,8 @@ class ServoKeeper:
             lifecycle.follow("cleanup")
         while self._changes:
             state, self._reason = self._changes.popleft()
+            if state is State.ESTOPPED:
+                self._latch(self._reason)
             text = f"MCS is {state.value}" + (f": {self._reason}" if self._reason else "")
             logger = self._node.get_logger()
             logger.warning(text) if self._reason else logger.info(text)

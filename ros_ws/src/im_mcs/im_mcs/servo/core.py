@@ -145,11 +145,7 @@ class Mcs:
             self.answers.drop_goal(goal, fault, self.measured.tick)
 
     def estop(self, fault: ImError) -> None:
-        """Stop at once, by the ways of the state manager.
-
-        Raises:
-            StateError: There is nothing to stop: power is off already.
-        """
+        """Stop at once, by the ways of the state manager."""
         self.manager.estop(fault.message, **fault.facts)
 
     def lose_testbed(self, error: LinkError) -> None:
@@ -210,6 +206,18 @@ class Mcs:
     def settled(self) -> bool:
         """Whether every engaged group is at rest or given up on."""
         return all(group.settled for group in self.loop.engaged)
+
+    def broken(self) -> list[str]:
+        """What is broken now: readings that are missing or too old, and what hardware reports."""
+        m, names, bound_s = self.measured, self.model.names, self.config.safety.driver_age_estop_s
+        missing = [names[rank] for rank in np.flatnonzero(~np.isfinite(m.q))]
+        old = [names[rank] for rank in np.flatnonzero(m.age_s > bound_s)]
+        said = [f"no reading of {', '.join(missing)}"] * bool(missing)
+        said += [f"a reading older than {bound_s:g} s of {', '.join(old)}"] * bool(old)
+        try:
+            return said + self._testbed.faults()
+        except LinkError as error:
+            return [*said, error.message]
 
     def _watch(self) -> bool:
         """Let the watches look; whether the owner gives no sign of life, so that power must go."""

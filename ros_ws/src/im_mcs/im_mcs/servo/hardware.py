@@ -58,6 +58,14 @@ class GuardedTestbed:
         """
         _guard("write", lambda: self._testbed.write(drive))
 
+    def faults(self) -> list[str]:
+        """What hardware itself reports to be broken.
+
+        Raises:
+            LinkError: Some does not answer.
+        """
+        return _guard("faults", self._testbed.faults)
+
     def after_tick(self, tick: int) -> None:
         """Return once the hardware has taken the answer to ``tick``, where that can be known.
 

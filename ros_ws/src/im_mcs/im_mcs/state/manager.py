@@ -16,6 +16,8 @@ from im_mcs.testbed.driver import Measured
 
 OnEnd = Callable[[ImError | None], None]
 
+_FRESH_TICKS = 2
+
 
 class Arms(Protocol):
     """What the state manager asks of the layers above the slots."""
@@ -38,6 +40,10 @@ class Arms(Protocol):
 
     def settled(self) -> bool:
         """Whether every engaged group is at rest, or has been given up on."""
+        ...
+
+    def broken(self) -> Sequence[str]:
+        """What is broken now, as far as readings and hardware say; each in a few words."""
         ...
 
 
@@ -250,14 +256,15 @@ class StateManager:
     def estop(self, reason: str, **facts: object) -> None:
         """Stop at once: setpoints dropped, goals ended, brakes on, power off; latched.
 
+        There is no state in which it is refused; after another one, the cause is that of the first.
+
         Args:
             reason: Why.
             **facts: Named values the reason speaks of.
-
-        Raises:
-            StateError: There is nothing to stop: power is off already.
         """
         target = self.check(Event.ESTOP)
+        if self.state is State.ESTOPPED:
+            return
         error = StateError(f"emergency stop: {reason}", reason=reason)
         error.facts.update(facts)
         running, self._running = self._running, None
@@ -367,11 +374,17 @@ class StateManager:
         yield from self._ticks(self._settings.brake_lead_ticks)
 
     def _reset(self, target: State) -> Generator[None, None, None]:
-        """Forget reservations and cause; nothing moves."""
+        """Forget reservations and cause, if nothing is broken; nothing moves.
+
+        What is judged are readings from after the request: of what has just been mended, the present ones are old.
+        """
+        yield from self._ticks(_FRESH_TICKS)
+        if broken := ", ".join(self._arms.broken()):
+            sentence = f"reset is refused while there is {broken}; the cause of the stop: {self.cause}"
+            raise StateError(sentence, request=Event.RESET.value, broken=broken)
         self.reservations.release_all()
         self.cause = ""
         self.state = target
-        yield from ()
 
     @staticmethod
     def _ticks(count: int) -> Generator[None, None, None]:

@@ -90,6 +90,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.COLD, Event.CLEANUP, State.UNCONFIGURED),
     StateTransition(State.COLD, Event.RESERVE, State.RESERVED, _FREE),
     StateTransition(State.COLD, Event.REPARTITION, State.COLD, "there is such a preset"),
+    StateTransition(State.COLD, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.RESERVED, Event.RESERVE, State.RESERVED, _FREE),
     StateTransition(State.RESERVED, Event.RELEASE, State.RESERVED, _OWNER),
     StateTransition(State.RESERVED, Event.RELEASE_LAST, State.COLD, _OWNER),
@@ -125,7 +126,8 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.MOTION, Event.SET_PAYLOAD, State.MOTION, _OWNER),
     StateTransition(State.MOTION, Event.PROTECTIVE_STOP, State.MOTION, "decelerates on the path and holds"),
     StateTransition(State.MOTION, Event.ESTOP, State.ESTOPPED),
-    StateTransition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone; nothing moves"),
+    StateTransition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone, nothing is broken; nothing moves"),
+    StateTransition(State.ESTOPPED, Event.ESTOP, State.ESTOPPED, "the first cause stays"),
 )
 
 UNCONFIGURED_MESSAGE = "MCS is unconfigured; configure it first (ros2 lifecycle set /mcs configure)"

@@ -1,8 +1,8 @@
-"""Contract of a channel driver: what MCS needs of hardware, simulated or real."""
+"""Contract of a channel driver: what MCS needs of hardware, simulated or real; and what a driver may offer besides."""
 
 import inspect
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol, cast
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +105,72 @@ class ChannelDriver(Protocol):
     def close(self) -> None:
         """Leave the hardware with power off and brakes on."""
         ...
+
+
+class ReportedFault(NamedTuple):
+    """Something that hardware itself reports to be broken.
+
+    Attributes:
+        what: In a word or two, e.g. ``brake_open``.
+        channel: Of the joint, if it is of one.
+    """
+
+    what: str
+    channel: int | None = None
+
+
+@runtime_checkable
+class SelfReporting(Protocol):
+    """A driver whose hardware says what is broken: an emergency stop is not reset while it does."""
+
+    def faults(self) -> Sequence[ReportedFault]:
+        """What is broken now.
+
+        Raises:
+            LinkError: The hardware does not answer.
+        """
+        ...
+
+
+class StopCircuit(Protocol):
+    """A way to the power that does not lead through the servo: it works while that hangs, or is not there.
+
+    A driver that has one says so by a static method ``stop_circuit(instance: str) -> StopCircuit``.
+    """
+
+    def cut(self) -> None:
+        """Power off and brakes on, whatever the servo wants, until :meth:`restore`.
+
+        Raises:
+            LinkError: There is no hardware.
+        """
+        ...
+
+    def restore(self) -> None:
+        """Let the servo switch power on again.
+
+        Raises:
+            LinkError: There is no hardware.
+        """
+        ...
+
+    def is_cut(self) -> bool:
+        """Whether it is cut, perhaps since before this process.
+
+        Raises:
+            LinkError: There is no hardware.
+        """
+        ...
+
+
+def find_stop_circuit(name: str, instance: str) -> StopCircuit | None:
+    """The stop circuit of the driver ``module:Class``, if it has one.
+
+    Raises:
+        ConfigError: There is no such module or class.
+    """
+    make = getattr(find_driver(name), "stop_circuit", None)
+    return None if make is None else cast(StopCircuit, make(instance))
 
 
 def load_driver(name: str, settings: Mapping[str, object], *, instance: str, timeout_s: float) -> ChannelDriver:

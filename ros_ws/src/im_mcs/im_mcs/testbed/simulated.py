@@ -2,10 +2,12 @@
 
 import os
 
-from im_cell.link import ServoEnd, TickCommand
+import numpy as np
+
+from im_cell.link import ServoEnd, StopEnd, TickCommand
 from im_core import clock
 from im_core.errors import LinkError
-from im_mcs.testbed.driver import Drive, Measured
+from im_mcs.testbed.driver import Drive, Measured, ReportedFault
 
 _POLL_S = 20e-6
 _LOOK_S = 0.1
@@ -65,6 +67,18 @@ class SimulatedDriver:
         """
         self._link.write_command(TickCommand(*drive))
 
+    def faults(self) -> list[ReportedFault]:
+        """What has been injected."""
+        faults = self._link.faults()
+        kinds = ("encoder_nan", "encoder_frozen", "brake_stuck", "brake_open")
+        broken = [ReportedFault(kind, int(joint)) for kind in kinds for joint in np.flatnonzero(getattr(faults, kind))]
+        return broken + [ReportedFault("power_loss")] * faults.power_loss
+
+    @staticmethod
+    def stop_circuit(instance: str) -> "SimulatedStop":
+        """The testbed's emergency stop."""
+        return SimulatedStop(instance)
+
     def after_tick(self, tick: int) -> None:
         """Wait until physics has completed ``tick``; it takes a fraction of a millisecond on an idle computer.
 
@@ -83,3 +97,41 @@ class SimulatedDriver:
         """Leave the handshake; the testbed brakes by itself."""
         self._link.detach_servo()
         self._link.close()
+
+
+class SimulatedStop:
+    """The emergency stop of the simulated testbed, of whichever runs when it is used.
+
+    Args:
+        instance: Which machine on this host.
+    """
+
+    def __init__(self, instance: str) -> None:
+        self._instance = instance
+
+    def cut(self) -> None:
+        """Power off and brakes on, until :meth:`restore`.
+
+        Raises:
+            LinkError: There is no testbed.
+        """
+        with StopEnd.attach(self._instance, 0.0) as end:
+            end.cut()
+
+    def restore(self) -> None:
+        """Let the servo switch power on again.
+
+        Raises:
+            LinkError: There is no testbed.
+        """
+        with StopEnd.attach(self._instance, 0.0) as end:
+            end.restore()
+
+    def is_cut(self) -> bool:
+        """Whether it is cut.
+
+        Raises:
+            LinkError: There is no testbed.
+        """
+        with StopEnd.attach(self._instance, 0.0) as end:
+            return end.is_cut

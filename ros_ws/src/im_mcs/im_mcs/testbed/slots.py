@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
 from im_mcs.limits.slots import Kind, Slot, Testbed
-from im_mcs.testbed.driver import ChannelDriver, Drive, Measured, load_driver
+from im_mcs.testbed.driver import ChannelDriver, Drive, Measured, SelfReporting, load_driver
 
 _COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}
 
@@ -120,6 +120,14 @@ class TestbedInterface:
         for part in self._parts:
             part.driver.write(part.drive(drive))
 
+    def faults(self) -> list[str]:
+        """What hardware itself reports to be broken, e.g. ``brake_open of left_j2``.
+
+        Raises:
+            LinkError: Some does not answer.
+        """
+        return [fault for part in self._parts for fault in part.faults()]
+
     def after_tick(self, tick: int) -> None:
         """Return once the hardware has taken the answer to ``tick``, where that can be known."""
         for part in self._parts:
@@ -138,6 +146,7 @@ class _Part:
         self.driver = driver
         self._name = name
         self.joints = self._places("joint", slots)
+        self._channels = {s.channel: s.name for s in slots if s.kind == "joint" and s.driver == name}
         self.grippers = self._places("gripper", slots)
         self.wrenches = self._places("wrench", slots)
 
@@ -148,6 +157,13 @@ class _Part:
             list(places) == list(channels) == list(range(count))
             for (places, channels), count in zip((self.joints, self.grippers, self.wrenches), counts, strict=True)
         )
+
+    def faults(self) -> list[str]:
+        """What its hardware reports to be broken, of joints that have a slot and of no joint."""
+        reported = self.driver.faults() if isinstance(self.driver, SelfReporting) else []
+        of_none = [fault.what for fault in reported if fault.channel is None]
+        of_joints = [(fault.what, self._channels.get(fault.channel)) for fault in reported if fault.channel is not None]
+        return of_none + [f"{what} of {joint}" for what, joint in of_joints if joint is not None]
 
     def drive(self, drive: Drive) -> Drive:
         """The part of ``drive`` that is this driver's, in the order of its channels."""

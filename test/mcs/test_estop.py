@@ -1,0 +1,129 @@
+"""An emergency stop in every state, with and without a servo that listens; and what a reset waits for."""
+
+import os
+import signal
+
+import pytest
+
+from im_cell.link import PanelEnd, ServoEnd, StopEnd
+from im_core import names
+from im_core.ros.calls import call_blocking
+from im_msgs.srv import InjectFault, ReserveGroup
+
+CAUSE = "request on /mcs/estop"
+
+
+@pytest.fixture
+def panel():
+    with PanelEnd.attach(names.instance(), 1.0) as end:
+        yield end
+
+
+@pytest.fixture
+def testbed():
+    with ServoEnd.attach(names.instance(), 1.0) as end:
+        yield end
+
+
+def dead(testbed):
+    """Whether there is no power and every brake holds."""
+    state = testbed.read_state()
+    return state.brakes.all() and not state.power
+
+
+def test_cold(client):
+    assert client.trigger("estop").message == "MCS is estopped"
+    client.until(lambda: client.state() == "estopped" and CAUSE in client.states[-1].reason)
+    for request in (lambda: client.call(ReserveGroup, "reserve", group="left"), lambda: client.trigger("power_on")):
+        assert "is refused in state estopped; allowed here: reset, estop" in request().message
+    assert client.trigger("estop").success  # once more
+    assert client.trigger("reset").message == "MCS is cold"
+    client.to_motion()
+
+
+def test_unconfigured(client):
+    assert client.change("cleanup")
+    answer = client.trigger("estop")
+    assert answer.success
+    assert CAUSE in answer.message
+    assert "the stop circuit of testbed is cut" in answer.message
+    client.until(lambda: client.state() == "unconfigured" and f"latched ({CAUSE})" in client.states[-1].reason)
+    assert not client.change("configure")
+    assert client.lifecycle() == "unconfigured"
+    assert client.trigger("reset").message == "MCS is unconfigured"
+    assert "configure it first" in client.trigger("reset").message  # nothing is latched any more
+    client.until(lambda: not client.states[-1].reason)
+    assert client.change("configure")
+    client.until(lambda: client.state() == "cold")
+    client.to_motion()  # the circuit is whole
+
+
+def test_it_outlives_the_servo(client, panel):
+    """Power is off, but nobody has reset: a servo that is started anew finds that out."""
+    assert client.trigger("estop").success
+    os.kill(panel.servo_pid, signal.SIGKILL)
+    client.until(lambda: client.state() == "unconfigured")
+    assert not client.change("configure")
+    assert client.trigger("reset").success
+    assert client.change("configure")
+    client.until(lambda: client.state() == "cold")
+
+
+def test_a_circuit_that_is_found_cut_is_an_estop(client):
+    assert client.change("cleanup")
+    with StopEnd.attach(names.instance(), 1.0) as circuit:
+        circuit.cut()
+        assert client.change("configure")
+        client.until(lambda: client.state() == "estopped" and "circuit was found cut" in client.states[-1].reason)
+        assert client.lifecycle() == "inactive"
+        assert client.trigger("reset").success
+        assert not circuit.is_cut
+
+
+def test_a_servo_that_has_just_begun_to_hang_is_not_waited_for(client, panel, testbed):
+    client.to_motion()
+    _, result = client.start_far_move(speed_scale=0.02)
+    pid = panel.servo_pid
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        answer = client.trigger("estop")
+        assert answer.success
+        assert answer.message.startswith("MCS is estopped; the servo did not answer: ")
+        assert answer.message.endswith("the stop circuit of testbed is cut")
+        client.until(lambda: dead(testbed))
+        client.until(lambda: client.state() == "estopped")
+        assert client.lifecycle() == "inactive"
+        assert not client.trigger("reset").success
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    assert not result().success
+    client.until(lambda: panel.servo_pid == pid)
+    client.until(lambda: client.trigger("reset").success)
+    client.to_motion()
+
+
+@pytest.mark.parametrize(
+    ("fault", "joint", "sentence"),
+    [
+        ("encoder_nan", "left_j2", "encoder_nan of left_j2"),
+        ("encoder_frozen", "right_j3", "encoder_frozen of right_j3"),
+        ("brake_stuck", "left_j1", "brake_stuck of left_j1"),
+        ("brake_open", "right_j1", "brake open of right_j1"),
+        ("power_loss", "", "power_loss"),
+    ],
+)
+def test_reset_waits_until_what_is_broken_is_mended(client, panel, fault, joint, sentence):
+    service = client.node.create_client(InjectFault, "/testbed/inject_fault")
+
+    def inject(active):
+        request = InjectFault.Request(fault=fault, joint=joint, active=active)
+        assert call_blocking(service, request, 5.0, "fault").success
+        panel.wait_tick(panel.request_time(2), 5.0)
+
+    assert client.trigger("estop").success
+    inject(True)
+    answer = client.trigger("reset")
+    inject(False)
+    assert not answer.success
+    assert sentence in answer.message
+    assert client.trigger("reset").success
