@@ -7,17 +7,21 @@ from numpy.typing import NDArray
 
 from im_calibration.errors import InconsistentDataError
 from im_calibration.estimation.covariance import covariance_of
-from im_calibration.estimation.gates import Gated
+from im_calibration.estimation.gates import TRUSTED_SHARE, Gated
+from im_calibration.estimation.noise import NoiseFactors, noise_factors
 from im_calibration.estimation.projection import project
 from im_calibration.estimation.search import best_explanation
+from im_calibration.estimation.solve import Fit
+from im_calibration.estimation.unknown_noise import find_noise
 from im_calibration.estimation.unknowns import PER_CAMERA, ParameterLayout, Unknowns
 from im_calibration.judgement.agreement import CameraAgreement, camera_agreements
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
 from im_calibration.judgement.checks import Checks, check
 from im_calibration.judgement.expected import expected_error, rms
+from im_calibration.judgement.noise import UNLIKELY, Noise, noise_of
 from im_calibration.judgement.scale import Scale, measure_scale
 from im_calibration.judgement.verdicts import judge
-from im_calibration.problem.problem import CalibrationProblem
+from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem
 from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
@@ -49,18 +53,39 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
         ) from error
 
 
-def _calibrate(problem: CalibrationProblem) -> Calibration:
-    order = _canonical_order(problem)
+def _calibrate(stated: CalibrationProblem) -> Calibration:
+    order = _canonical_order(stated)
+    layout = ParameterLayout.of(stated)
+    found = find_noise(stated.taking(order), layout, stated.noise_to_estimate) if stated.noise_to_estimate else None
+    problem = stated if found is None else stated.with_noise(*found.scale)
     sorted_problem = problem.taking(order)
-    layout = ParameterLayout.of(problem)
-    gated = best_explanation(sorted_problem, layout)
+    gated = best_explanation(sorted_problem, layout) if found is None else found.gated
     if not np.isfinite(gated.fit.chi2):
         raise InconsistentDataError("No set of cameras explains the spots.")
+    factors = _factors(gated, sorted_problem, layout) if found is None else found.factors
     checks = check(gated, sorted_problem, layout)
     agreements = camera_agreements(gated.fit.linearisation, gated.used)
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
-    return _describe(problem, layout, gated, checks, agreements)
+    noise = noise_of(stated, gated.used, factors, (1.0, 1.0) if found is None else found.scale)
+    return _describe(problem, layout, gated, checks, agreements, noise)
+
+
+def _factors(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> NoiseFactors:
+    """What the residuals say about the stated noise; where it is too small, gates have cut them off, and must widen."""
+    dof = _freedom(gated.fit, gated.used, layout)
+    few = bool(np.any(gated.used.sum(axis=1) < TRUSTED_SHARE * problem.detected.sum(axis=1)))
+    chi2 = gated.fit.chi2 - layout.prior(gated.fit.unknowns).lens_chi2
+    if few or chance_of(chi2, dof) < UNLIKELY:
+        return find_noise(problem, layout, NOISE_SOURCES).factors
+    return noise_factors(gated.fit.unknowns, problem, layout, gated.used)
+
+
+def _freedom(fit: Fit, used: Mask, layout: ParameterLayout) -> int:
+    """Degrees of freedom of chi-square; what a lens prior contributes is none, its share of what is known counts."""
+    prior = layout.prior(fit.unknowns)
+    from_prior = float((covariance_of(fit.information).matrix * prior.lens_information).sum())
+    return round(2 * int(used.sum()) - PER_CAMERA * layout.cameras + from_prior)
 
 
 def _describe(
@@ -69,6 +94,7 @@ def _describe(
     gated: Gated,
     checks: Checks,
     agreements: tuple[CameraAgreement, ...],
+    noise: Noise,
 ) -> Calibration:
     fit, used, unknowns = gated.fit, gated.used, gated.fit.unknowns
     covariance = covariance_of(fit.information)
@@ -82,10 +108,8 @@ def _describe(
         rms_px = rms(np.linalg.norm(residuals[c][used[c]], axis=1))
         model = _camera_model(unknowns, c, problem.image_sizes[c])
         cameras.append(CameraEstimate(name, model, covariance.matrix[block, block], int(used[c].sum()), rms_px))
-    # What a lens prior contributes is no freedom of the fit: its share of what is known of a parameter counts back.
     prior = layout.prior(unknowns)
-    from_prior = float((covariance.matrix * prior.lens_information).sum())
-    dof = round(2 * int(used.sum()) - PER_CAMERA * layout.cameras + from_prior)
+    dof = _freedom(fit, used, layout)
     calibration = Calibration(
         cameras=tuple(cameras),
         led_offset_error=unknowns.led_offset,
@@ -105,6 +129,7 @@ def _describe(
         expected=expected_error(unknowns, covariance.matrix, problem.image_sizes, problem.workspace),
         checks=checks,
         scale=_scale(problem, unknowns, covariance.matrix, used),
+        noise=noise,
     )
     by_data = covariance_of(fit.information - prior.lens_information)
     return replace(calibration, verdicts=judge(calibration, problem, layout, by_data, agreements))

@@ -3,10 +3,12 @@
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from im_calibration.commands import command
 from im_calibration.problem.dataset import load_problems
+from im_calibration.problem.problem import NOISE_SOURCES
 from im_calibration.reporting.report import answer
 from im_core.clock import monotonic
 from im_core.errors import DataError
@@ -30,12 +32,15 @@ OUT.json holds an entry for each trial, in order:
   cameras[].K, D, R_cam_base, t_cam_base_m   led_offset_error_m   joint_offsets_rad   chi2_per_dof   p_value
   flags: UNOBSERVABLE (the poses cannot tell some parameters; verdicts[] names them) and
          MISFIT (the stated noise cannot explain the residuals); both with what to do about it in verdicts[].advice
+  noise: factors by which the noise of image and robot differs from the stated one (factor, low to high: 95 %), whether
+         they can be told apart, what the estimate stands on, and a remark where the stated noise is wrong
   covariance of all parameters, outlier[c][n], checks, expected_error with its map, scale by the known lengths
 
 exit codes: 0 OUT.json is written, whatever the flags; 1 IN.json or OUT.json cannot be used, and OUT.json is as before;
             2 wrong arguments; 130 interrupted
 
-example:  scripts/run.sh im_calibration calibrate_dataset data.json cameras.json
+examples: scripts/run.sh im_calibration calibrate_dataset data.json cameras.json
+          scripts/run.sh im_calibration calibrate_dataset --noise estimated data.json cameras.json
 """
 
 
@@ -53,12 +58,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("input", type=Path, metavar="IN.json", help="data set")
     parser.add_argument("output", type=Path, metavar="OUT.json", help="where the answers go, whole or not at all")
+    parser.add_argument(
+        "--noise",
+        choices=("stated", "estimated"),
+        default="stated",
+        help="estimated: take the stated noise of image and robot for right up to a factor each, and estimate the "
+        "factors; what is null in IN.json always is (%(default)s)",
+    )
     options = parser.parse_args(arguments)
-    return command.run("calibrate_dataset", lambda: _calibrate(options.input, options.output))
+    return command.run("calibrate_dataset", lambda: _calibrate(options.input, options.output, options.noise))
 
 
-def _calibrate(source: Path, target: Path) -> None:
+def _calibrate(source: Path, target: Path, noise: str) -> None:
     problems = load_problems(source)
+    if noise == "estimated":
+        problems = tuple(replace(problem, noise_to_estimate=NOISE_SOURCES) for problem in problems)
     if target.is_dir() or not target.parent.is_dir():
         raise DataError(f"{target}: a file in an existing directory is needed.", file=str(target))
     if target.exists() and target.samefile(source):

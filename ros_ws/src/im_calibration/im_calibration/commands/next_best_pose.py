@@ -68,6 +68,7 @@ def _choose(data: Path, poses: Path, trial: int, count: int) -> tuple[NextPose, 
     calibration = calibrate(problem)
     if not calibration.success:  # the figures stand on the stated noise, and on what the data say now
         print(f"next_best_pose: doubtful, for the data are: {calibration.message}", file=sys.stderr)
+    problem = problem.with_noise(*calibration.noise.scale)
     return next_best_poses(calibration, problem, load_candidates(poses, problem), count)
 
 

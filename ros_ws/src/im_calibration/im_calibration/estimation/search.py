@@ -19,12 +19,13 @@ from im_calibration.estimation.start import FLAT, core_extent, start
 from im_calibration.estimation.unknowns import PER_CAMERA, ParameterLayout, Unknowns
 from im_calibration.problem.problem import MINIMUM_SPOTS, CalibrationProblem
 
+REDUNDANT_SPOTS = 25
+"""Spots of a camera from which on the gates have not been seen to end in a wrong set."""
+
 _PARTS, _MOST_PARTS = 6, 18
 _PART = 0.67
 _SEED = 1989
 _UNLIKELY = 1e-3
-_REDUNDANT_SPOTS = 25
-"""Spots of a camera from which on the gates have not been seen to end in a wrong set."""
 
 
 def best_explanation(problem: CalibrationProblem, layout: ParameterLayout) -> Gated:
@@ -38,11 +39,11 @@ def best_explanation(problem: CalibrationProblem, layout: ParameterLayout) -> Ga
         DegenerateDataError: A camera has too few spots, or the positions lie on a line.
         InconsistentDataError: No camera explains the spots.
     """
-    best = fit_with_gates(_robust_start(problem, layout), problem, layout)
+    best = fit_with_gates(robust_start(problem, layout), problem, layout)
     all_believed = np.array_equal(best.used, problem.detected) and _plausible(best, problem, layout)
-    if all_believed or best.used.sum(axis=1).min() >= _REDUNDANT_SPOTS:
+    if all_believed or best.used.sum(axis=1).min() >= REDUNDANT_SPOTS:
         return best
-    few = len(problem.positions) < _REDUNDANT_SPOTS
+    few = len(problem.positions) < REDUNDANT_SPOTS
     least = unexplained(best, problem)
     for i, unknowns in enumerate(_starts_from_parts(problem, layout, best.fit.unknowns)):
         if i >= _PARTS and (not few or _plausible(best, problem, layout)):
@@ -70,7 +71,7 @@ def _plausible(gated: Gated, problem: CalibrationProblem, layout: ParameterLayou
     return bool(believed and gated.fit.chi2 < scipy.stats.chi2.isf(_UNLIKELY, freedom))
 
 
-def _robust_start(problem: CalibrationProblem, layout: ParameterLayout) -> Unknowns:
+def robust_start(problem: CalibrationProblem, layout: ParameterLayout) -> Unknowns:
     """Robust fit from a linear start; with unknown offsets started again from those found, and the better one kept."""
     fits = [robust_fit(start(problem, layout), problem, layout, problem.detected)]
     if layout.led or layout.joints:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from im_calibration.judgement.checks import Checks
 from im_calibration.judgement.expected import ExpectedError
+from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
 from im_cell.camera_model import CameraModel
 
@@ -101,6 +102,7 @@ class Calibration:
         expected: Errors to expect in the workspace.
         checks: How well parts of the data predict each other.
         scale: What known lengths say about the robot's scale; None without any.
+        noise: What is known about the noise.
     """
 
     cameras: tuple[CameraEstimate, ...]
@@ -121,6 +123,7 @@ class Calibration:
     expected: ExpectedError
     checks: Checks
     scale: Scale | None
+    noise: Noise
 
     @property
     def success(self) -> bool:
@@ -149,7 +152,13 @@ class Calibration:
 
     @property
     def message(self) -> str:
-        """The outcome in a sentence or two."""
+        """The outcome in a few sentences."""
+        misfit = any(verdict.kind == "MISFIT" for verdict in self.verdicts)
+        condition = "If nothing else is wrong: " if misfit and self.noise.remark else ""
+        return f"{self._outcome} {condition}{self.noise.remark}".rstrip()
+
+    @property
+    def _outcome(self) -> str:
         if self.verdicts:
             return " ".join(_told(kind, self.verdicts) for kind in dict.fromkeys(v.kind for v in self.verdicts))
         names = ", ".join(camera.name for camera in self.cameras)

@@ -176,6 +176,19 @@ class CalibrationProblem:
         """Where a camera saw the LED, shape (c, n)."""
         return np.asarray(~np.isnan(self.spots[..., 0]))
 
+    def with_noise(self, image: float, robot: float) -> "CalibrationProblem":
+        """The problem with other stated noise; that of the spots of known lengths stays.
+
+        Args:
+            image: Factor on the standard deviations of the spots.
+            robot: Factor on those of the positions.
+        """
+        return replace(
+            self,
+            spot_covariances=image**2 * self.spot_covariances,
+            position_covariances=robot**2 * self.position_covariances,
+        )
+
     def taking(self, poses: NDArray[np.intp]) -> "CalibrationProblem":
         """The problem of some poses, in the order given.
 

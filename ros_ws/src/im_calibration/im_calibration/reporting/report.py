@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.estimation.unknowns import CAMERA_PARAMETERS
 from im_calibration.judgement.calibration import Calibration, CameraEstimate
+from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
 from im_calibration.pipeline import calibrate
 from im_calibration.problem.problem import CalibrationProblem
@@ -58,6 +59,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
             for v in calibration.verdicts
         ],
         "scale": None if calibration.scale is None else _scale(calibration.scale),
+        "noise": _noise(calibration.noise),
         "checks": {name: number(value) for name, value in asdict(calibration.checks).items()},
         "expected_error": {
             "triangulation_mm": number(calibration.expected.triangulation_rms_mm),
@@ -75,6 +77,27 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
 
 def _scale(scale: Scale) -> dict[str, Any]:
     return {name: number(value) for name, value in asdict(scale).items()}
+
+
+def _noise(noise: Noise) -> dict[str, Any]:
+    factors = {
+        name: {"factor": number(factor.value), "low": number(factor.low), "high": number(factor.high)}
+        for name, factor in (
+            ("image", noise.factors.image),
+            ("robot", noise.factors.robot),
+            ("common", noise.factors.common),
+        )
+    }
+    return {
+        **factors,
+        "separable": noise.factors.separable,
+        "p_value": number(noise.factors.p_value),
+        "estimated": list(noise.estimated),
+        "scaled_by": {"image": noise.scale[0], "robot": noise.scale[1]},
+        "sigma_image_px": number(noise.image_px * noise.scale[0]),
+        "sigma_robot_m": number(noise.robot_m * noise.scale[1]),
+        "remark": noise.remark,
+    }
 
 
 def _camera(camera: CameraEstimate) -> dict[str, Any]:
@@ -119,6 +142,7 @@ def summary(report: Mapping[str, Any]) -> str:
         f"expected error      {_expected(report['expected_error'])}, RMS over the workspace",
         f"held-out poses      {_found(report['checks'], 'held_out')}",
         f"two halves          {_found(report['checks'], 'split_half')}",
+        f"noise               {_noise_text(report['noise'])}",
         "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
     ]
     if report["scale"]:
@@ -175,6 +199,17 @@ def _expected(errors: dict[str, Any]) -> str:
 def _found(checks: Mapping[str, float | None], name: str) -> str:
     """A check beside what to expect of it."""
     return f"{_text(checks[f'{name}_px'], '.3f')} px, {_text(checks[f'{name}_expected_px'], '.3f')} px expected"
+
+
+def _noise_text(noise: Mapping[str, Any]) -> str:
+    """The noise that the estimate stands on, and what the residuals say of what was stated."""
+    used = f"{noise['sigma_image_px']:.3g} px, {1e3 * noise['sigma_robot_m']:.3g} mm"
+    source = f"estimated ({', '.join(noise['estimated'])})" if noise["estimated"] else "as stated"
+    factors = ", ".join(
+        f"{name} {_text(noise[name]['low'], '.2f')} to {_text(noise[name]['high'], '.2f')}"
+        for name in ("image", "robot", "common")
+    )
+    return f"{used}, {source}; by the residuals, times the stated one: {factors}"
 
 
 def _text(value: float | None, form: str) -> str:
@@ -235,6 +270,7 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         "standard_deviations": numbers(result.standard_deviations),
         "covariance": [numbers(row) for row in np.asarray(result.covariance)],
         "scale": report["scale"],
+        "noise": report["noise"],
         "checks": report["checks"],
         "expected_error": report["expected_error"],
     }

@@ -1,0 +1,281 @@
+"""Variance components: by which factors the noise of image and robot differs from what is stated, and how surely.
+
+The residuals of a pose have the covariance ``theta_u U + theta_x X``, U stated for the spots and X what the stated
+covariance of the position makes of them. The factors maximise the restricted likelihood, in which the unknowns are
+integrated out, so that their number does not make the noise look small. Fisher scoring on it is what Helmert's and
+Foerstner's estimators of variance components iterate to. Intervals are of the profile likelihood, since a factor may be
+bounded from one side only: where a robot is far better than what its images show, data say "at most".
+
+Sources: Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten" (1979); Harville, "Maximum
+likelihood approaches to variance component estimation" (1977); Venzon and Moolgavkar, "A method for computing profile-
+likelihood-based confidence intervals" (1988).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+import scipy.stats
+from numpy.typing import NDArray
+
+from im_calibration.estimation.residuals import linearise
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CHANCE = 0.95
+_LIMIT = 2.0 * np.log(1e4)  # of the logarithm of a variance factor
+_STEPS, _CONVERGED, _HALVINGS = 60, 1e-6, 8
+_FAR = 6.0
+_IMAGE, _ROBOT = np.array([True, False]), np.array([False, True])
+_BOTH = np.array([True, True])
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Standard deviation of a noise over the stated one.
+
+    Attributes:
+        value: Of greatest likelihood; 0 and infinity stand for beyond 10,000.
+        low: Lower end of the 95 % interval; 0: the data set no lower bound.
+        high: Upper end of it; infinity: the data set no upper bound.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data bound it from both sides."""
+        return bool(self.low > 0.0 and np.isfinite(self.high))
+
+
+@dataclass(frozen=True)
+class NoiseFactors:
+    """What the residuals say about the stated noise.
+
+    Attributes:
+        image: Factor on the noise of the spots.
+        robot: Factor on the noise of the positions.
+        common: Factor on both, if it is the same.
+        p_value: Probability of data that speak this much or more against the stated noise if it is right.
+        scale: Factors on image and robot to go on with, see :func:`noise_factors`.
+    """
+
+    image: Factor
+    robot: Factor
+    common: Factor
+    p_value: float
+    scale: tuple[float, float]
+
+    @property
+    def separable(self) -> bool:
+        """Whether the data tell the noise of the image from that of the robot."""
+        return self.image.determined and self.robot.determined
+
+
+class NoiseLikelihood:
+    """Restricted likelihood of the variance factors, linearised at a fit.
+
+    Args:
+        unknowns: The fit.
+        problem: The observations.
+        layout: Places of the unknowns.
+        used: Which spots count, shape (c, n).
+    """
+
+    def __init__(self, unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask) -> None:
+        line = linearise(unknowns, problem, layout, used)
+        robot = line.by_point @ problem.position_covariances @ np.swapaxes(line.by_point, 1, 2)
+        lower = np.linalg.cholesky(line.covariances - robot)
+        half = np.linalg.solve(lower, robot)
+        values, axes = np.linalg.eigh(np.linalg.solve(lower, np.swapaxes(half, 1, 2)))
+        turned = np.swapaxes(axes, 1, 2)
+        self._robot = np.maximum(values, 0.0).ravel()  # variance by the robot over that by the image, row by row
+        self._unused = 2 * int(used.size - used.sum())
+        self._residuals = (turned @ np.linalg.solve(lower, line.residuals[..., None])).ravel()
+        jacobians = (turned @ np.linalg.solve(lower, line.jacobians)).reshape(len(self._robot), -1)
+        weighted = jacobians / (1.0 + self._robot)[:, None]
+        prior = layout.prior(unknowns)
+        scale = 1.0 / np.sqrt(np.maximum((weighted * jacobians).sum(axis=0) + np.diag(prior.information), 1e-300))
+        self._jacobians = jacobians * scale
+        self._prior = prior.information * scale * scale[:, None]
+        self._pull = -prior.gradient * scale
+        self._ridge = 1e-12 * np.eye(len(scale))  # directions that no data determine carry no noise either
+
+    @property
+    def robot_matters(self) -> bool:
+        """Whether there is any stated noise of the robot."""
+        return bool(self._robot.max(initial=0.0) > 0.0)
+
+    def deviance(self, logs: Array) -> float:
+        """Minus twice the logarithm of the likelihood of variance factors, but for a constant.
+
+        Args:
+            logs: Logarithms of the factors on the variances of image and robot, shape (2,).
+        """
+        variances = np.exp(logs[0]) + np.exp(logs[1]) * self._robot
+        information, pull = self._normal(variances)
+        lower = np.linalg.cholesky(information)
+        moved = np.linalg.solve(lower, pull)
+        constant = float(np.log(variances).sum()) - self._unused * float(logs[0])
+        quadratic = float((self._residuals**2 / variances).sum() - moved @ moved)
+        return constant + 2.0 * float(np.log(np.diag(lower)).sum()) + quadratic
+
+    def slope(self, logs: Array) -> tuple[Array, Array]:
+        """Gradient of the deviance, shape (2,), and its expected second derivatives, shape (2, 2)."""
+        parts = np.stack((np.full_like(self._robot, np.exp(logs[0])), np.exp(logs[1]) * self._robot))
+        variances = parts.sum(axis=0)
+        information, pull = self._normal(variances)
+        inverse = np.linalg.inv(information)
+        left = self._residuals - self._jacobians @ (inverse @ pull)
+        shares = parts / variances
+        spread = [inverse @ (self._jacobians.T * (share / variances)) @ self._jacobians for share in shares]
+        counts = shares.sum(axis=1) - np.array([self._unused, 0.0])
+        taken = np.array([np.trace(part) for part in spread])
+        gradient = counts - taken - (shares / variances * left**2).sum(axis=1)
+        expected = np.zeros((2, 2))
+        for k in range(2):
+            for m in range(2):
+                both = inverse @ (self._jacobians.T * (shares[k] * shares[m] / variances)) @ self._jacobians
+                expected[k, m] = (shares[k] * shares[m]).sum() - 2.0 * np.trace(both) + (spread[k] * spread[m].T).sum()
+        expected[0, 0] -= self._unused
+        return gradient, expected
+
+    def _normal(self, variances: Array) -> tuple[Array, Array]:
+        weighted = self._jacobians / variances[:, None]
+        information = weighted.T @ self._jacobians + self._prior + self._ridge
+        return information, weighted.T @ self._residuals - self._pull
+
+    def maximum(self, logs: Array, free: Mask) -> tuple[Array, float]:
+        """Factors of greatest likelihood, the ones that are not free as they are, and their deviance.
+
+        Args:
+            logs: Where to begin, shape (2,).
+            free: Which to move, shape (2,).
+        """
+        return self._descend(logs, np.eye(2)[free])
+
+    def common(self, logs: Array) -> tuple[Array, float]:
+        """As :meth:`maximum` with one factor on both."""
+        return self._descend(logs, np.ones((1, 2)))
+
+    def _descend(self, logs: Array, directions: Array) -> tuple[Array, float]:
+        """Fisher scoring along some directions, shape (m, 2)."""
+        least = self.deviance(logs)
+        for _ in range(_STEPS):
+            gradient, expected = self.slope(logs)
+            curvature = directions @ expected @ directions.T
+            ridge = 1e-6 * max(1.0, float(np.trace(curvature))) * np.eye(len(directions))
+            step = -np.linalg.solve(curvature + ridge, directions @ gradient) @ directions
+            step = np.clip(step, -2.0, 2.0)
+            for _ in range(_HALVINGS):
+                candidate = np.clip(logs + step, -_LIMIT, _LIMIT)
+                deviance = self.deviance(candidate)
+                if deviance <= least:
+                    break
+                step = step / 2.0
+            else:
+                return logs, least
+            gained, logs, least = least - deviance, candidate, deviance
+            if gained < _CONVERGED:
+                break
+        return logs, least
+
+
+def noise_factors(
+    unknowns: Unknowns,
+    problem: CalibrationProblem,
+    layout: ParameterLayout,
+    used: Mask,
+    free: tuple[str, ...] = NOISE_SOURCES,
+) -> NoiseFactors:
+    """Factors on the stated noise of image and robot by the residuals of a fit.
+
+    Those to go on with are, where the data tell both noises, these. A noise of which they only know a bound keeps its
+    size if that is within the bound, and takes the bound if not. Where neither is known, both are taken to be larger by
+    the same factor, which makes no difference to the cameras: noises that cannot be told apart have the same effect.
+
+    Args:
+        unknowns: The fit.
+        problem: The observations.
+        layout: Places of the unknowns.
+        used: Which spots count, shape (c, n).
+        free: Which of :data:`NOISE_SOURCES` may differ from what is stated.
+    """
+    likelihood = NoiseLikelihood(unknowns, problem, layout, used)
+    stated = likelihood.deviance(np.zeros(2))
+    if not likelihood.robot_matters:
+        free = tuple(source for source in free if source != "robot")
+    if len(free) < len(NOISE_SOURCES):
+        return _one_factor(likelihood, stated, np.array([source in free for source in NOISE_SOURCES]))
+    same, same_deviance = likelihood.common(np.zeros(2))
+    common = _interval(same[0], same_deviance, lambda at: likelihood.deviance(np.full(2, at)))
+    starts = (same, same - _FAR * _IMAGE, same - _FAR * _ROBOT)
+    best, least = min((likelihood.maximum(start, _BOTH) for start in starts), key=lambda found: found[1])
+
+    def given(fixed: Mask, at: float) -> tuple[Array, float]:
+        return likelihood.maximum(np.where(fixed, at, best), ~fixed)
+
+    image = _interval(best[0], least, lambda at: given(_IMAGE, at)[1])
+    robot = _interval(best[1], least, lambda at: given(_ROBOT, at)[1])
+    logs = best
+    if image.determined and not robot.determined:
+        logs = given(_ROBOT, 2.0 * np.log(np.clip(1.0, robot.low, robot.high)))[0]
+    elif robot.determined and not image.determined:
+        logs = given(_IMAGE, 2.0 * np.log(np.clip(1.0, image.low, image.high)))[0]
+    elif not image.determined:
+        logs = same if common.determined else np.zeros(2)
+    return NoiseFactors(image, robot, common, _chance(stated - least, 2), _deviations(logs))
+
+
+def _one_factor(likelihood: NoiseLikelihood, stated: float, free: Mask) -> NoiseFactors:
+    """As :func:`noise_factors` where at most one of the noises is not as stated."""
+    as_stated = Factor(1.0, 1.0, 1.0)
+    if not free.any():
+        return NoiseFactors(as_stated, as_stated, as_stated, 1.0, (1.0, 1.0))
+    best, least = likelihood.maximum(np.zeros(2), free)
+    factor = _interval(best[free][0], least, lambda at: likelihood.deviance(np.where(free, at, 0.0)))
+    image, robot = (factor if each else as_stated for each in free)
+    scale = _deviations(best if factor.determined else np.zeros(2))
+    return NoiseFactors(image, robot, factor, _chance(stated - least, 1), scale)
+
+
+def _deviations(logs: Array) -> tuple[float, float]:
+    """Factors on standard deviations by the logarithms of those on variances."""
+    return float(np.exp(logs[0] / 2.0)), float(np.exp(logs[1] / 2.0))
+
+
+def _chance(gained: float, parameters: int) -> float:
+    """Probability of a gain in deviance by some parameters that are not needed."""
+    return float(scipy.stats.chi2.sf(max(0.0, gained), parameters))
+
+
+def _interval(best: float, least: float, deviance: Callable[[float], float]) -> Factor:
+    """A factor and where the deviance is larger by the quantile of chi-square on either side.
+
+    Args:
+        best: Logarithm of the variance factor of greatest likelihood.
+        least: Deviance there.
+        deviance: Of a logarithm.
+    """
+    allowed = least + float(scipy.stats.chi2.ppf(_CHANCE, 1))
+    ends = []
+    for side in (-1.0, 1.0):
+        inner, stride = best, 0.1
+        while True:
+            outer = inner + side * stride
+            if abs(outer) > _LIMIT:
+                ends.append(side * np.inf)
+                break
+            if deviance(outer) > allowed:
+                ends.append(float(scipy.optimize.brentq(lambda at: deviance(at) - allowed, inner, outer, xtol=1e-3)))
+                break
+            inner, stride = outer, 2.0 * stride
+    value = best if abs(best) < 0.99 * _LIMIT else np.sign(best) * np.inf
+    low, value, high = np.exp(np.array([ends[0], value, ends[1]]) / 2.0)
+    return Factor(float(value), float(low), float(high))
