@@ -12,6 +12,7 @@ import pytest
 import rclpy
 import yaml
 from rclpy.action import ActionServer
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from im_core import clock
@@ -86,19 +87,31 @@ class Cell(ManagedNode):
         super().__init__("mcs")
         self.problems, self.moves, self.looks = [], 0, 0
         self.hidden, self.late = set(), set()
+        self.lights, self.switched = {"left_led": False, "right_led": True}, []
+        self._lights = self.create_publisher(String, "/testbed/lights", qos.LATCHED)
+        self.tell_lights()
         self.create_publisher(McsState, "/mcs/state", qos.LATCHED).publish(
             McsState(state="motion", reserved_groups=["left"])
         )
         for name in ("disable_motion", "power_off"):
             self.create_service(Trigger, f"/mcs/{name}", self._succeed)
         self.create_service(ReserveGroup, "/mcs/release", self._succeed)
-        self.create_service(SetLight, "/testbed/set_light", self._succeed)
+        self.create_service(SetLight, "/testbed/set_light", self._set_light)
         self.create_service(CheckPath, "/mcs/check_path", self._succeed)
         self.create_service(GetGroupState, "/mcs/get_group_state", self._state)
         self.create_service(InverseKinematics, "/mcs/inverse_kinematics", self._configuration)
         self.create_service(SpotFind, "/vss/spot_find", self._spots)
         self.create_service(Calibrate, "/vss/calibrate", self._calibrate)
         self._move = ActionServer(self, Move, "/left/move", self._moved)
+
+    def tell_lights(self):
+        self._lights.publish(String(data=json.dumps(self.lights)))
+
+    def _set_light(self, request, response):
+        self.switched.append((request.name, request.on))
+        self.lights[request.name] = request.on
+        self.tell_lights()
+        return self._succeed(request, response)
 
     def _succeed(self, request, response):
         response.success = True
@@ -188,6 +201,7 @@ def report(answer):
 def test_a_pose_costs_at_most_ten_calls_whichever_it_is(cast):
     answer = cast.calibrate()
     assert answer.success, answer.message
+    assert cast.cell.switched == [("left_led", True), ("left_led", False)]
     poses = cast.dom.poses()
     assert len(poses) == POSES - 1
     costs = [len(pose) for pose in poses]
@@ -214,10 +228,22 @@ def test_poses_that_cannot_be_used_are_left_out_with_their_reasons(cast):
     assert "before the arm came to rest" in reasons[cast.names[4]]
 
 
+def test_a_light_that_was_on_is_on_after_a_calibration_that_failed(cast):
+    cast.cell.lights["left_led"] = True
+    cast.cell.tell_lights()
+    cast.cell.hidden = set(range(100))
+    answer = cast.calibrate()
+    assert not answer.success
+    assert "no camera sees the light" in answer.message
+    assert cast.cell.lights == {"left_led": True, "right_led": True}
+    assert len(cast.cell.switched) == 2
+
+
 @pytest.mark.parametrize("victim", ["dispatcher", "vision_coordinator"])
 def test_what_was_observed_outlives_whoever_keeps_it(cast, victim, wait_until):
     """The client of a dispatcher that dies gets no answer; the report is written all the same."""
-    cast.cell.hidden = {3}
+    cast.cell.hidden, cast.cell.lights["left_led"] = {3}, True
+    cast.cell.tell_lights()
     cast.dom.at_pose[6] = lambda: cast.restart(victim)
     service = cast.client.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
     wait_until(service.service_is_ready, "the dispatcher", 20.0)
@@ -226,6 +252,8 @@ def test_what_was_observed_outlives_whoever_keeps_it(cast, victim, wait_until):
     wait_until(lambda: cast.cell.problems, "the calibration", 60.0)
     written = cast.folder / "results" / "latest" / "report.json"
     wait_until(written.exists, "the report")
+    wait_until(lambda: len(cast.cell.switched) > 1, "the light")
+    assert cast.cell.lights == {"left_led": True, "right_led": True}
     found = json.loads(written.read_text())
     seen = [name for number, name in enumerate(cast.names, 1) if number != 3]
     assert [observation.pose for observation in cast.cell.problems[-1].observations] == seen

@@ -3,19 +3,27 @@
 import sys
 
 import numpy as np
+from std_msgs.msg import String
 
 from im_calibration.light import MeasuredRest, rotation_of
 from im_cell.robot import load_cell
 from im_coordinators.ros.calibration import CAMERAS, cameras_of
-from im_coordinators.vision import another_look_may_help, require_spot
+from im_coordinators.vision import another_look_may_help, is_lit, require_spot
+from im_core import clock
 from im_core.config import package_file
-from im_core.errors import DataError
-from im_core.ros import run
+from im_core.errors import DataError, WaitTimeoutError
+from im_core.ros import qos, run
+from im_core.ros.calls import pause
 from im_msgs.msg import CameraNames, GroupState, Observation, ObservationSet, Rejection, SpotSet
 from im_msgs.srv import Calibrate, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, idempotent, woken_by
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+
+LIGHTS = "/testbed/lights"
+LIGHTS_S, PAUSE_S = 5.0, 0.02
+LIGHTS_FOUND = "lights_found"
+"""Data object: the lights as they were before the calibration under way."""
 
 
 class VisionCoordinator(PntNode):
@@ -26,7 +34,8 @@ class VisionCoordinator(PntNode):
             "vision_coordinator",
             [package_file("im_coordinators", "nets/vision_coordinator.yaml")],
             functions={
-                "light": self.light,
+                "light_on": self.light_on,
+                "light_as_found": self.light_as_found,
                 "forget_cameras": self.forget_cameras,
                 "nominal_exposure": self.nominal_exposure,
                 "longer_exposure": self.longer_exposure,
@@ -39,16 +48,41 @@ class VisionCoordinator(PntNode):
             asks={"keep_observation": idempotent(self.keep_observation)},
             verifier=verify_to_load,
         )
+        self.sources.follow(LIGHTS, String, qos.LATCHED)
         self._long_exposure = float(self.declare_parameter("long_exposure", 0.018).value)
         self._led_offset = np.array(load_cell().led.offset)
 
-    async def light(self, ctx: ActionContext) -> dict[str, object]:
-        """The light that the cameras are to look for."""
-        return {"name": (await self.dom.get(CAMERAS, CameraNames)).light}
+    async def light_on(self, ctx: ActionContext) -> dict[str, object]:
+        """Has the light on that the cameras are to look for.
+
+        What the lights were is kept first, and once: this is done again where it is in doubt whether it was done.
+        """
+        if not await self.dom.is_valid(LIGHTS_FOUND):
+            await self.dom.put(LIGHTS_FOUND, await self._lights())
+        return {"name": (await self.dom.get(CAMERAS, CameraNames)).light, "on": True}
+
+    async def light_as_found(self, ctx: ActionContext) -> dict[str, object]:
+        """Has that light as it was before; where it was not touched, as it is."""
+        name = (await self.dom.get(CAMERAS, CameraNames)).light
+        kept = await self.dom.is_valid(LIGHTS_FOUND)
+        lights = await self.dom.get(LIGHTS_FOUND, String) if kept else await self._lights()
+        return {"name": name, "on": is_lit(lights.data, name)}
 
     async def forget_cameras(self, ctx: ActionContext, answer: SetLight.Response) -> None:
         """Ends the calibration: what moves next is no longer to carry its light."""
+        if await self.dom.is_valid(LIGHTS_FOUND):
+            await self.dom.invalidate(LIGHTS_FOUND)
         await self.dom.invalidate(CAMERAS)
+
+    async def _lights(self) -> String:
+        """What the testbed last said of its lights; a coordinator that has just begun waits until it hears it."""
+        deadline = clock.monotonic() + LIGHTS_S
+        while (message := self.sources.last(LIGHTS)) is None:
+            if clock.monotonic() > deadline:
+                raise WaitTimeoutError(what=f"{LIGHTS}, to leave the lights as they are", seconds=LIGHTS_S)
+            await pause(self, PAUSE_S)
+        found: String = message
+        return found
 
     async def nominal_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """The request for a spot at the exposure of the cameras' configuration."""
