@@ -51,6 +51,7 @@ def test_the_first_point_is_there_at_once(machine):
     assert answer.found, answer.cause
     point = np.array([answer.point.point.x, answer.point.point.y, answer.point.point.z])
     assert np.linalg.norm(point - machine.light_at_home()) < 0.003
+    assert answer.status.message.endswith("does not say how well ceiling_left and ceiling_right are known")
     machine.until(lambda: all(infos.values()))
 
 

@@ -14,6 +14,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 from tf2_msgs.msg import TFMessage
 
+from im_cell.calibration_files import read_calibration
 from im_cell.camera_model import CameraModel
 from im_core import clock
 from im_core.ros import qos
@@ -53,7 +54,7 @@ def test_light_off_is_not_found_with_its_cause(machine):
     answer = machine.call(SpotFind, "/vss/spot_find", cameras=CEILING)
     assert answer.success
     assert [(spot.found, spot.cause) for spot in answer.spots] == [
-        (False, "no light seen: it is off, blocked or out of view")
+        (False, "no light seen: left_led and right_led are off, /testbed/set_light switches them on")
     ] * 2
 
 
@@ -136,12 +137,33 @@ def test_snap(machine):
     assert all(len(image.data) == 640 * 480 and np.std(image.data) > 3.0 for image in answer.images)
 
 
+ABSURD = [
+    ([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], sentence)
+    for fx, fy, cx, cy, sentence in (
+        (0.0, 600.0, 320.0, 240.0, "fx is 0 px, it must be within 32 and 64000, 0.05 to 100 image widths"),
+        (-600.0, 600.0, 320.0, 240.0, "fx is -600 px, it must be within 32 and 64000"),
+        (600.0, float("nan"), 320.0, 240.0, "fy is nan px, it must be within 32 and 64000"),
+        (600.0, 1e9, 320.0, 240.0, "fy is 1e+09 px, it must be within 32 and 64000"),
+        (600.0, 600.0, 1700.0, 240.0, "cx is 1700 px, it must be within -320 and 960, at most 0.5 image widths"),
+        (600.0, 600.0, 320.0, -300.0, "cy is -300 px, it must be within -240 and 720, at most 0.5 image heights"),
+    )
+]
+
+
 def test_camera_infos_are_set_checked_and_kept(machine):
-    info = machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0]
-    assert (info.k[0], list(info.d)) == (600.0, [0.0] * 5)
-    info.k[0], info.d = 611.5, [-0.2, 0.03, 1e-4, 0.0, 0.0]
+    """Latched, and zero as the convention is for a camera of which nothing is known."""
+    latched = machine.listen(CameraInfo, "/table/camera_info", qos.LATCHED)
+    machine.until(lambda: latched)
+    for info in (latched[0], machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0]):
+        assert (info.width, info.height, info.header.frame_id) == (640, 480, "table_optical_frame")
+        assert not any([*info.k, *info.r, *info.p, *info.d])
+    info.k, info.d = [611.5, 0.0, 320.0, 0.0, 612.5, 240.0, 0.0, 0.0, 1.0], [-0.2, 0.03, 1e-4, 0.0, 0.0]
     answer = machine.call(SetCameraInfo, "/table/set_camera_info", camera_info=info)
     assert answer.success, answer.status_message
+    machine.until(lambda: latched[-1].k[0] == 611.5)
+    later = machine.listen(CameraInfo, "/table/camera_info", qos.LATCHED)
+    machine.until(lambda: later)
+    assert [told.k[0] for told in later] == [611.5]
     assert machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0].k[0] == 611.5
     folder = Path(answer.status_message.removeprefix("table has new intrinsics; written to "))
     stored = yaml.safe_load((folder / "table.yaml").read_text())
@@ -153,6 +175,7 @@ def test_camera_infos_are_set_checked_and_kept(machine):
         ({"d": [float("nan")] * 5}, "not finite"),
         ({"d": [0.0] * 8}, "4 or 5 coefficients"),
         ({"distortion_model": "equidistant"}, "'equidistant' is not 'plumb_bob'"),
+        *(({"k": K}, sentence) for K, sentence in ABSURD),
     ):
         wrong = machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0]
         for field, value in change.items():
@@ -216,6 +239,16 @@ def test_calibrate_applies_and_writes(machine, tmp_path):
         return found.header.frame_id == "world" and np.allclose([seen.x, seen.y, seen.z], position, atol=0.02)
 
     machine.until(placed, 5.0)
+    machine.light(on=True)
+    seen = machine.call(SpotFindStereo, "/vss/spot_find_stereo", cameras=CEILING)
+    assert (seen.found, seen.status.message) == (True, ""), seen.cause
+    place, covariance = seen.point.point, np.reshape(seen.covariance, (3, 3))
+    error = machine.light_at_home() - (place.x, place.y, place.z)
+    assert error @ np.linalg.solve(covariance, error) < 30.0
+    kept = read_calibration(machine.vss._book._directory, machine.vss._rig.cell)
+    assert kept.covariance.cameras == tuple(CEILING)
+    written = read_calibration(tmp_path / "result", machine.vss._rig.cell).covariance
+    assert np.array_equal(written.matrix, kept.covariance.matrix)
     answer = machine.call(
         Calibrate, "/vss/calibrate", cameras=CEILING, observations=observations_of(truth, 4), apply=True
     )

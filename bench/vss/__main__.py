@@ -7,12 +7,13 @@ from dataclasses import replace
 from functools import partial
 
 from bench.figures import Line, measure, measured_by_machine, report
-from bench.vss import cameras
+from bench.vss import cameras, coverage
 from im_core.errors import ImError
 
 PARTS = {
     "cameras": "frames a second of the simulated cameras alone, through each renderer, and the steps of a frame",
     "frames": "frames a second of /vss/snap on a running machine, through each renderer",
+    "coverage": "how often the truth is in the 95 % regions stated, from the calibration of the cameras on",
     "services": "each Service's answers a second on a running machine, one client and several; where the time goes",
 }
 
@@ -53,6 +54,7 @@ def _work(options: argparse.Namespace) -> dict[str, Callable[[], list[Line]]]:
     return {
         "cameras": lambda: [line for name in renderers for line in _or_why(name, partial(cameras.lines, name))],
         "frames": lambda: [line for name in renderers for line in _or_why(name, partial(_frames, name))],
+        "coverage": coverage.lines,
         "services": lambda: _machine_lines("services", options.renderer or "auto"),
     }
 

@@ -13,6 +13,13 @@ from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 
+_PINHOLE = ("fx", "fy", "cx", "cy")
+_POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
+PARAMETERS = (*_PINHOLE, "k1", "k2", "p1", "p2", "k3", *_POSE)
+"""What describes a camera: pinhole [px], lens [-], turn in the camera frame [rad], shift [m]."""
+_LENS_STEP = 1e-5
+"""Of central differences by the lens, in which an image is linear or nearly so."""
+
 _UNDISTORT_ITERATIONS = 30
 _UNDISTORT_TOLERANCE = 1e-13
 
@@ -176,14 +183,39 @@ class CameraModel:
         Returns:
             Jacobians, shape (..., 2, 3) [px/m].
         """
+        return np.asarray(self._by_camera_point(self.to_camera(x_world)) @ self.R_cam_base)
+
+    def project_by_parameters(self, x_world: ArrayLike) -> Array:
+        """Derivative of :meth:`project` with respect to :data:`PARAMETERS`.
+
+        Args:
+            x_world: Points in the world, in front of the camera, shape (..., 3) [m].
+
+        Returns:
+            Jacobians, shape (..., 2, 15) [px by the unit of each parameter]; a small turn r makes the camera's rotation
+            ``exp(r) @ R_cam_base``.
+        """
         x_cam = self.to_camera(x_world)
+        xn = x_cam[..., :2] / x_cam[..., 2:]
+        xd, by_point = distort(xn, self.D), self._by_camera_point(x_cam)
+        lens = [distort(xn, self.D + step) - distort(xn, self.D - step) for step in _LENS_STEP * np.eye(len(self.D))]
+        # A small turn r moves a point by r x (R X), hence the row vector (R X) x d.
+        turn = np.cross((x_cam - self.t_cam_base)[..., None, :], by_point)
+        focal = np.zeros((*xd.shape, 2))
+        focal[..., 0, 0], focal[..., 1, 1] = xd[..., 0], xd[..., 1]
+        centre = np.broadcast_to(np.eye(2), focal.shape)
+        by_lens = self.K[:2, :2] @ (np.stack(lens, axis=-1) / (2.0 * _LENS_STEP))
+        return np.concatenate((focal, centre, by_lens, turn, by_point), axis=-1)
+
+    def _by_camera_point(self, x_cam: Array) -> Array:
+        """Derivative of pixels by points in the optical frame, shape (..., 3) -> (..., 2, 3) [px/m]."""
         inverse_depth = 1.0 / x_cam[..., 2]
         xn = x_cam[..., :2] * inverse_depth[..., None]
         ideal = np.zeros((*x_cam.shape[:-1], 2, 3))
         ideal[..., 0, 0] = inverse_depth
         ideal[..., 1, 1] = inverse_depth
         ideal[..., :, 2] = -xn * inverse_depth[..., None]
-        return np.asarray(self.K[:2, :2] @ distort_jacobian(xn, self.D) @ ideal @ self.R_cam_base)
+        return np.asarray(self.K[:2, :2] @ distort_jacobian(xn, self.D) @ ideal)
 
     def to_pixels(self, xd: ArrayLike) -> Array:
         """Pixels, shape (..., 2) [px], of distorted points on the plane z = 1, shape (..., 2) [-]."""

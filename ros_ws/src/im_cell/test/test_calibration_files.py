@@ -15,10 +15,12 @@ from im_cell.calibration_files import (
     CameraPose,
     LaserEstimate,
     camera_info_yaml,
+    covariance_yaml,
     extrinsics_yaml,
     laser_yaml,
     read_calibration,
 )
+from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 from im_cell.laser_model import LaserModel
 from im_cell.robot import load_cell
@@ -29,6 +31,7 @@ D = np.array([-0.2, 0.03, 1e-5, -2e-4, 1e-3])
 CAMERA = CameraModel(640, 480, [[611.5, 0.0, 320.25], [0.0, 612.5, 241.125], [0.0, 0.0, 1.0]], D)
 POSES = {"ceiling_left": CameraPose("world", *CELL.cameras["ceiling_left"].pose())}
 LASER = LaserEstimate(LaserModel(*CELL.laser.pose(), 0.0121, (1.01, 0.99), 0.003), np.diag(np.arange(1.0, 11.0) * 1e-6))
+COVARIANCE = CameraCovariance(("ceiling_left.fx", "ceiling_left.rx"), np.array([[0.25, 1e-5], [1e-5, 1e-8]]))
 FOREIGN = """\
 # made by camera_calibration
 camera_name: narrow_stereo/left
@@ -57,6 +60,7 @@ def folder(tmp_path):
     (tmp_path / "ceiling_left.yaml").write_text(camera_info_yaml("ceiling_left", CAMERA))
     (tmp_path / "extrinsics.yaml").write_text(extrinsics_yaml(POSES))
     (tmp_path / "laser.yaml").write_text(laser_yaml(LASER))
+    (tmp_path / "covariance.yaml").write_text(covariance_yaml(COVARIANCE))
     return tmp_path
 
 
@@ -116,7 +120,7 @@ def test_files_of_other_tools_are_read(tmp_path):
     [
         ("ceiling_left", "width: 640", "width: 1280", ":1: image_width: 1280: ceiling_left takes images of 640 px"),
         ("ceiling_left", "[611.5", "[.nan", ":7: camera_matrix.data[0]: nan: Input should be a finite number"),
-        ("ceiling_left", "[611.5", "[-6", ":5: camera_matrix: the focal lengths are -6 and 612.5 px, they must be > 0"),
+        ("ceiling_left", "[611.5", "[-6", ":5: camera_matrix: fx is -6 px, it must be within 32 and 64000"),
         ("ceiling_left", "[611.5, 0.0", "[611.5, 0.1", "is not [fx 0 cx; 0 fy cy; 0 0 1]"),
         ("ceiling_left", "[611.5, ", "[", ":5: camera_matrix: 3 x 3 is 9 numbers, data has 8"),
         ("ceiling_left", "plumb_bob", "equidistant", ":8: distortion_model: 'equidistant': Input should be 'plumb_"),
@@ -136,6 +140,11 @@ def test_files_of_other_tools_are_read(tmp_path):
         ("laser", "- [1.0e-06, 0.0,", "- [-1.0e-06, 0.0,", "covariance: a variance on its diagonal is not > 0"),
         ("laser", "- [1.0e-06, 0.0,", "- [1.0e-06, 1.0e-06,", "covariance: it is not symmetric and positive"),
         ("laser", "- [1.0e-06, 0.0,", "- [1.0e-06,", "covariance: it must have 10 rows of 10 numbers"),
+        ("covariance", "left.rx", "lift.rx", ":1: parameters[1]: 'ceiling_lift.rx': there is no camera 'ceiling_lift'"),
+        ("covariance", "left.rx", "left.qx", ":1: parameters[1]: 'ceiling_left.qx': a camera has fx, fy, cx, cy, k1"),
+        ("covariance", "left.rx", "left.fx", ":1: parameters[1]: 'ceiling_left.fx': given twice"),
+        ("covariance", "[0.25", "[-0.25", ":3: covariance: a variance on its diagonal is not > 0"),
+        ("covariance", "[0.25, 1.0e-05", "[0.25", ":3: covariance: it must have 2 rows of 2 numbers"),
         ("laser", "rotation:\n- [", "rotation:\n- [2", "rotation: it is no rotation matrix"),
     ],
 )  # fmt: skip
@@ -146,6 +155,14 @@ def test_wrong_files_are_refused_by_file_line_and_field(folder, file, old, new, 
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(ConfigError, match=f"(?m)^{re.escape(str(path))}.*{re.escape(sentence)}"):
         read_calibration(folder, CELL)
+
+
+def test_how_well_a_camera_is_known_counts_with_its_lens_and_pose_only(folder):
+    found = read_calibration(folder, CELL).covariance
+    assert found.parameters == COVARIANCE.parameters
+    np.testing.assert_array_equal(found.matrix, COVARIANCE.matrix)
+    (folder / "extrinsics.yaml").unlink()
+    assert read_calibration(folder, CELL).covariance.cameras == ()
 
 
 def test_a_camera_placed_twice_is_refused(folder):

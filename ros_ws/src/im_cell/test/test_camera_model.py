@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from im_cell.camera_model import CameraModel
+from im_cell.camera_model import PARAMETERS, CameraModel
 from im_core.errors import DataError
 
 K = np.array([[605.0, 0.0, 324.0], [0.0, 598.0, 236.5], [0.0, 0.0, 1.0]])
@@ -51,6 +51,23 @@ def test_arrays_of_points_as_one_by_one():
     np.testing.assert_allclose(CAMERA.project(some)[1, 2], CAMERA.project(some[1, 2]))
     np.testing.assert_allclose(CAMERA.project_jacobian(some)[2, 3], CAMERA.project_jacobian(some[2, 3]))
     np.testing.assert_allclose(CAMERA.ray(CAMERA.project(some))[0, 1], CAMERA.ray(CAMERA.project(some[0, 1])))
+
+
+@pytest.mark.parametrize("rank", range(len(PARAMETERS)))
+def test_derivative_by_each_parameter(rank):
+    """Against images in cameras that are a little other ones."""
+    points = np.random.default_rng(1).uniform([-1, -0.5, 0.6], [1, 0.5, 1.6], (5, 3))
+
+    def seen(h):
+        step = h * np.eye(len(PARAMETERS))[rank]
+        changed = CAMERA.K.copy()
+        changed[[0, 1, 0, 1], [0, 1, 2, 2]] += step[:4]
+        turned = Rotation.from_rotvec(step[9:12]).as_matrix() @ CAMERA.R_cam_base
+        camera = CameraModel(640, 480, changed, CAMERA.D + step[4:9], turned, CAMERA.t_cam_base + step[12:])
+        return camera.project(points)
+
+    numeric = (seen(1e-6) - seen(-1e-6)) / 2e-6
+    np.testing.assert_allclose(CAMERA.project_by_parameters(points)[..., rank], numeric, rtol=1e-5, atol=1e-5)
 
 
 def test_behind_the_camera_is_nowhere():

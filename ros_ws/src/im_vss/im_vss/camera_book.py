@@ -9,15 +9,18 @@ from typing import Self
 import numpy as np
 
 from im_cell.calibration_files import (
+    COVARIANCE,
     EXTRINSICS,
     CalibrationFiles,
     CameraPose,
     Rectified,
     camera_info_yaml,
+    covariance_yaml,
     extrinsics_yaml,
     frame_of,
     monocular,
 )
+from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 from im_cell.robot import Camera, Cell
 from im_core.errors import DataError, NotFoundError
@@ -120,6 +123,7 @@ class CameraBook:
             if entries[left].parent != entries[right].parent:
                 raise DataError(f"{left} and {right} are no stereo pair: they move against each other")
         self._entries: Mapping[str, CameraEntry] = _rectified(entries, self._pairs)
+        self._covariance = CameraCovariance()
         self.on_change: Callable[[], None] = lambda: None
 
     def __getitem__(self, name: str) -> CameraEntry:
@@ -137,11 +141,32 @@ class CameraBook:
         """All entries, in the order of the settings."""
         return tuple(self._entries.values())
 
-    def set_cameras(self, models: Mapping[str, CameraModel], *, intrinsics: bool = True, pose: bool = True) -> Path:
+    @property
+    def covariance(self) -> CameraCovariance:
+        """How well cameras are known, as far as is known."""
+        return self._covariance
+
+    def remark(self, cameras: Iterable[str]) -> str:
+        """What to know of covariances by some cameras, a clause; empty if they say how well all of these are known."""
+        unknown = [camera for camera in cameras if camera not in self._covariance.cameras]
+        if not unknown:
+            return ""
+        told = f"{' and '.join(unknown)} {'is' if len(unknown) == 1 else 'are'} known"
+        return f"covariances are of the pixels alone: the calibration does not say how well {told}"
+
+    def set_cameras(
+        self,
+        models: Mapping[str, CameraModel],
+        covariance: CameraCovariance | None = None,
+        *,
+        intrinsics: bool = True,
+        pose: bool = True,
+    ) -> Path:
         """Set cameras at one stroke.
 
         Args:
             models: By name.
+            covariance: How well they are known; None: nobody says.
             intrinsics: Whether intrinsics and lenses are set.
             pose: Whether poses are, relative to the cameras' parents.
 
@@ -161,7 +186,7 @@ class CameraBook:
                 if pose:
                     entry = entry.with_pose(CameraPose.of(entry.parent, model), self._directory)
                 entries[name] = entry
-            self._put(entries)
+            self._put(entries, covariance or CameraCovariance())
         self.on_change()
         return self._directory
 
@@ -195,19 +220,20 @@ class CameraBook:
                 if (pose := files.poses.get(name)) is not None:
                     entry = entry.with_pose(pose, files.folder)
                 entries[name] = entry
-            self._put(entries)
+            self._put(entries, files.covariance)
         self.on_change()
         return tuple(
             f"{name} is not in use; its calibration is passed over" for name in files.cameras if name not in entries
         )
 
-    def _put(self, changed: Mapping[str, CameraEntry]) -> None:
+    def _put(self, changed: Mapping[str, CameraEntry], anew: CameraCovariance) -> None:
         """Write, then use; under the lock."""
         entries = _rectified({**self._entries, **changed}, self._pairs)
-        self._write(entries.values())
-        self._entries = entries
+        covariance = self._covariance.updated(changed, anew)
+        self._write(entries.values(), covariance)
+        self._entries, self._covariance = entries, covariance
 
-    def _write(self, entries: Iterable[CameraEntry]) -> None:
+    def _write(self, entries: Iterable[CameraEntry], covariance: CameraCovariance) -> None:
         contents, poses = {}, {}
         for entry in entries:
             if entry.intrinsics_file is not None:
@@ -216,8 +242,12 @@ class CameraBook:
                 poses[entry.name] = CameraPose.of(entry.parent, entry.model)
         if poses:
             contents[EXTRINSICS] = extrinsics_yaml(poses)
+        if covariance.parameters:
+            contents[COVARIANCE] = covariance_yaml(covariance)
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
+            if not covariance.parameters:
+                (self._directory / COVARIANCE).unlink(missing_ok=True)
             for name, text in contents.items():
                 write_whole(self._directory / name, text)
         except OSError as error:

@@ -1,14 +1,14 @@
 """Fiducial plates in an image: their corners by the edges, and their poses by the corners."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from im_cell.camera_model import CameraModel, distort
+from im_cell.camera_model import CameraModel, distort, distort_jacobian
 from im_cell.fiducial import CELLS
 from im_cell.robot import Target
 from im_cell.sensor import SensorNoise
@@ -22,6 +22,7 @@ _SMALLEST_HALF_PX, _CELLS_HALF = 2.0, 0.5
 _ITERATIONS = 20
 _TOLERANCE = 1e-10
 _NEAREST_M = 0.01
+_POSE = 6
 _DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
 
 
@@ -101,8 +102,7 @@ def plate_poses(corners: Corners, K: Array, size: float) -> list[PlatePose]:
         K: Camera matrix, shape (3, 3) [px].
         size: Side of the square [m].
     """
-    half = size / 2.0
-    plate = np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
+    plate = _square(size)
     count, rotations, translations, _ = cv2.solvePnPGeneric(
         plate, corners.uv[:, None], K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
@@ -133,6 +133,37 @@ def _refined(rotation: Array, translation: Array, plate: Array, corners: Corners
         rms_px=float(np.sqrt((residual**2).mean())),
         chi2=float(residual @ weight @ residual),
     )
+
+
+def with_calibration(pose: PlatePose, corners: Corners, camera: CameraModel, size: float, lens: Array) -> PlatePose:
+    """A pose whose covariance also counts how well the camera is known.
+
+    The corners stay where they are in the image; where they are without the lens, and where the plate then must be,
+    moves with the parameters.
+
+    Args:
+        pose: The pose by the corners, its covariance that of the corners alone.
+        corners: Undistorted.
+        camera: Intrinsics and lens.
+        size: Side of the square [m].
+        lens: Covariance of its parameters, of which the pose does not count, shape (15, 15).
+    """
+    plate = _square(size)
+    seen = replace(camera, R_cam_base=np.eye(3), t_cam_base=np.zeros(3))
+    points = plate @ pose.rotation.T + pose.translation
+    pinhole = camera.K[:2, :2]
+    distorting = pinhole @ distort_jacobian(points[:, :2] / points[:, 2:], camera.D) @ np.linalg.inv(pinhole)
+    moved = np.linalg.solve(distorting, seen.project_by_parameters(points)).reshape(8, -1)
+    moved[:, -_POSE:] = 0.0
+    _, jacobian = _linearised(pose.rotation, pose.translation, plate, corners.uv, camera.K)
+    by_camera = pose.covariance @ jacobian.T @ np.linalg.solve(corners.covariance, moved)
+    return replace(pose, covariance=pose.covariance + by_camera @ lens @ by_camera.T)
+
+
+def _square(size: float) -> Array:
+    """Corners of a plate's square in its own frame, upper left first, clockwise as printed, shape (4, 3) [m]."""
+    half = size / 2.0
+    return np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
 
 
 def _linearised(rotation: Array, translation: Array, plate: Array, uv: Array, K: Array) -> tuple[Array, Array]:
@@ -169,7 +200,7 @@ class FiducialFit:
 
 
 def find_fiducials(
-    image: Image, camera: CameraModel, noise: SensorNoise, wanted: Mapping[int, Target]
+    image: Image, camera: CameraModel, noise: SensorNoise, wanted: Mapping[int, Target], calibration: Array
 ) -> tuple[list[FiducialFit], dict[int, str]]:
     """Find plates in an image.
 
@@ -178,6 +209,7 @@ def find_fiducials(
         camera: Intrinsics and lens.
         noise: Noise of the sensor.
         wanted: Plates by number of their code.
+        calibration: Covariance of the camera's parameters, see :data:`im_cell.camera_model.PARAMETERS`, shape (15, 15).
 
     Returns:
         What was found, by number, and for each of the others why it was not.
@@ -200,6 +232,7 @@ def find_fiducials(
             continue
         ideal = (corners.uv - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
         ambiguity = float(np.sqrt(poses[0].chi2 / max(poses[1].chi2, 1e-12))) if len(poses) > 1 else 0.0
-        found.append(FiducialFit(target, poses[0], camera.to_pixels(distort(ideal, camera.D)), ambiguity))
+        pose = with_calibration(poses[0], corners, camera, target.size, calibration)
+        found.append(FiducialFit(target, pose, camera.to_pixels(distort(ideal, camera.D)), ambiguity))
         del missed[target.id]
     return sorted(found, key=lambda fit: fit.target.id), missed

@@ -69,6 +69,8 @@ class Rig:
         controls: How each camera's sensor is set, and the exposure time that 0 stands for.
         light_position: Where the robot's pose puts the light of calibrations at a testbed time [ns]: place in the
             world, shape (3,) [m]; None if that is not known.
+        why_dark: That all wrist lights are off, and what switches them on, a clause; empty if one is on, or that is not
+            known.
         mount: Where a frame of the robot that carries a camera is now: rotation frame -> world, shape (3, 3), and
             origin, shape (3,) [m]; None if that is not known.
         laser: The laser scanner; None where there is none.
@@ -82,6 +84,7 @@ class Rig:
     monitors: Monitors = field(default_factory=Monitors)
     controls: CameraControls = field(default_factory=CameraControls)
     light_position: Callable[[int], NDArray[np.float64] | None] = lambda stamp_ns: None
+    why_dark: Callable[[], str] = lambda: ""
     mount: Callable[[str], tuple[NDArray[np.float64], NDArray[np.float64]] | None] = lambda frame: None
     laser: LaserRig | None = None
 

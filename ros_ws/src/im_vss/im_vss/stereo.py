@@ -20,22 +20,35 @@ _SHORTEST_BASELINE_M = 1e-6
 
 @dataclass(frozen=True)
 class Point:
-    """A point in the world: position, shape (3,) [m], and its covariance, shape (3, 3) [m^2]."""
+    """A point in the world.
+
+    Attributes:
+        position: Where it is, shape (3,) [m].
+        covariance: By spots and calibration together, shape (3, 3) [m^2].
+        by_spots: The spots' part of it, shape (3, 3) [m^2].
+        by_cameras: How it moves with the parameters of the c cameras, shape (3, 15 c) [m by the unit of each].
+    """
 
     position: Array
     covariance: Array
+    by_spots: Array
+    by_cameras: Array
 
 
-def triangulate(cameras: Sequence[CameraModel], spots: Sequence[Array], covariances: Sequence[Array]) -> Point:
+def triangulate(
+    cameras: Sequence[CameraModel], spots: Sequence[Array], covariances: Sequence[Array], calibration: Array
+) -> Point:
     """The point that explains its images best: Gauss-Newton from the point nearest to all rays.
 
     Args:
         cameras: Two cameras or more, with their poses.
         spots: Where each saw the point, shape (2,) [px].
         covariances: Of the spots, shape (2, 2) [px^2].
+        calibration: Covariance of the parameters of all cameras, see :data:`im_cell.camera_model.PARAMETERS`, shape
+            (15 c, 15 c).
 
     Returns:
-        The point; its covariance is that of the spots alone.
+        The point.
 
     Raises:
         DataError: The rays are parallel, or the lens model cannot be inverted at a spot.
@@ -59,7 +72,14 @@ def triangulate(cameras: Sequence[CameraModel], spots: Sequence[Array], covarian
             raise DataError("the two spots are not of a point in front of both cameras")
         if np.abs(step).max() < _TOLERANCE_M:
             break
-    return Point(position, np.linalg.inv(np.asarray(information)))
+    by_spots = np.linalg.inv(np.asarray(information))
+    by_cameras = np.hstack(
+        [
+            -by_spots @ J.T @ W @ camera.project_by_parameters(position)
+            for J, W, camera in zip(jacobians, weights, cameras, strict=True)
+        ]
+    )
+    return Point(position, by_spots + by_cameras @ calibration @ by_cameras.T, by_spots, by_cameras)
 
 
 def essential_matrix(first: CameraModel, second: CameraModel) -> Array:

@@ -8,11 +8,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from im_cell.calibration_files import CalibrationFiles, LaserEstimate, read_calibration
+from im_cell.camera_covariance import CameraCovariance
+from im_cell.camera_model import PARAMETERS
 from im_cell.laser_model import LaserModel
 from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError
 from im_vss.camera_book import CameraBook, nominal
 from im_vss.laser.book import LaserBook
+from im_vss.services.svc_calibrate import fixed_to
 
 CELL = load_cell()
 PAIR = ("ceiling_left", "ceiling_right")
@@ -77,6 +80,49 @@ def test_a_run_leaves_what_it_started_with_and_what_it_found(tmp_path):
     assert all(equal(third[name], second[name]) for name in CAMERAS)
     assert [third[name].calibrated for name in CAMERAS] == [True, False, False]  # half is not enough
     assert third["wall"].told() == f"wall: intrinsics {tmp_path}/second/wall.yaml, pose as drawn"
+
+
+def test_how_well_cameras_are_known_is_kept_and_forgotten_with_them(tmp_path):
+    """Two that were calibrated together are off together; a lens that somebody sets is of nobody knows what quality."""
+    joint = CameraCovariance(
+        ("ceiling_left.fx", "ceiling_right.fx", "wall.fx"),
+        np.array([[1.0, 0.5, 0.1], [0.5, 1.0, 0.1], [0.1, 0.1, 1.0]]),
+    )
+    first = book(tmp_path / "first")
+    assert first.remark(PAIR).endswith("does not say how well ceiling_left and ceiling_right are known")
+    first.set_cameras({name: truly(name) for name in CAMERAS}, joint)
+    assert first.remark(CAMERAS) == ""
+    first.set_cameras({"wall": truly("wall")}, CameraCovariance(("wall.fy",), np.array([[4.0]])))
+    second = book(tmp_path / "second")
+    second.adopt(read_calibration(tmp_path / "first", CELL))
+    n, fx, fy = len(PARAMETERS), PARAMETERS.index("fx"), PARAMETERS.index("fy")
+    for known in (first, second):
+        both = known.covariance.of(["ceiling_right", "wall", "ceiling_left"])
+        assert both[fx, 2 * n + fx] == both[2 * n + fx, fx] == 0.5
+        assert (both[n + fx, n + fx], both[n + fy, n + fy]) == (0.0, 4.0)
+        assert not both[:n, n : 2 * n].any()  # calibrated anew, without the others
+    second.set_cameras({"ceiling_left": truly("ceiling_left", 2)}, pose=False)
+    assert second.covariance.cameras == ("ceiling_right", "wall")
+    assert second.remark(PAIR).endswith("how well ceiling_left is known")
+    second.set_cameras({name: truly(name) for name in CAMERAS})
+    assert not (tmp_path / "second" / "covariance.yaml").exists()
+
+
+def test_a_mounted_camera_is_as_well_known_as_its_place():
+    """Against poses relative to the mount of cameras that are turned and shifted as the covariance says."""
+    rng, camera = np.random.default_rng(3), truly("wrist_left")
+    spread = rng.normal(0.0, 1e-6, (6, 6))
+    names = tuple(f"wrist_left.{name}" for name in PARAMETERS[-6:])
+    mount, origin = Rotation.from_rotvec([0.4, -0.3, 0.9]).as_matrix(), np.array([0.7, -0.4, 1.1])
+    nominal_pose = fixed_to(camera, mount, origin)
+    moved = []
+    for step in spread.T:
+        turned = Rotation.from_rotvec(step[:3]).as_matrix() @ camera.R_cam_base
+        there = fixed_to(replace(camera, R_cam_base=turned, t_cam_base=camera.t_cam_base + step[3:]), mount, origin)
+        turn = Rotation.from_matrix(there.R_cam_base @ nominal_pose.R_cam_base.T).as_rotvec()
+        moved.append(np.concatenate((turn, there.t_cam_base - nominal_pose.t_cam_base)))
+    stated = CameraCovariance(names, spread @ spread.T).on_mount("wrist_left", camera.R_cam_base @ origin)
+    np.testing.assert_allclose(stated.matrix, np.transpose(moved) @ np.array(moved), rtol=1e-3, atol=1e-16)
 
 
 def test_without_a_calibration_nothing_is_written_and_nothing_read(tmp_path):

@@ -4,11 +4,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from im_cell.camera_model import CameraModel
+from im_cell.camera_model import PARAMETERS, CameraModel
 from im_cell.fiducial import CELLS, code_of
 from im_vss.fiducial import Corners, _linearised, find_fiducials, plate_poses
 
 TRIALS = 40
+EXACT = np.zeros((len(PARAMETERS), len(PARAMETERS)))
 
 
 def test_codes_are_those_of_opencv():
@@ -27,7 +28,9 @@ def test_pose_is_within_its_covariance(plates):
     true_rotation, true_place = plates.camera.R_cam_base @ rotation, plates.camera.to_camera(centre)
     nees, chi2, errors = [], [], []
     for number in range(TRIALS):
-        found, missed = find_fiducials(plates.image(number), plates.camera, plates.settings.sensor, wanted(plates.cell))
+        found, missed = find_fiducials(
+            plates.image(number), plates.camera, plates.settings.sensor, wanted(plates.cell), EXACT
+        )
         assert list(missed) == [11]
         assert "not seen" in missed[11]
         (fit,) = found

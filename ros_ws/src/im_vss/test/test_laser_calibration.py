@@ -11,10 +11,12 @@ from im_cell.robot import load_cell
 from im_vss.laser.book import LaserBook
 from im_vss.laser.calibration import PARAMETERS, LaserSpot, calibrate
 from im_vss.settings import load_settings
+from im_vss.stereo import Point
 
 CELL = load_cell()
 SHEET = CELL.laser
 GATES = load_settings(CELL).laser.calibration
+EXACT = np.zeros((30, 30))
 TOLERANCES = np.array([SHEET.tolerance.gain, SHEET.tolerance.gain, SHEET.tolerance.offset, SHEET.tolerance.gap])
 
 
@@ -28,6 +30,11 @@ def true_scanner(rng):
     )  # fmt: skip
 
 
+def spot(angles, place, covariance):
+    """A spot by cameras that are exact."""
+    return LaserSpot(angles, Point(place, covariance, covariance, np.zeros((3, len(EXACT)))))
+
+
 def seen(true, rng, heights, count=30, spread=0.15):
     """Spots where beams end on horizontal planes, each with noise of its own covariance [m]."""
     spots = []
@@ -36,7 +43,7 @@ def seen(true, rng, heights, count=30, spread=0.15):
         start, way = true.rays(angles + rng.normal(0.0, SHEET.repeatability, 2))
         place = start + (heights[number % len(heights)] - start[2]) / way[2] * way
         covariance = np.diag([2e-4, 2e-4, 6e-4]) ** 2
-        spots.append(LaserSpot(angles, rng.multivariate_normal(place, covariance), covariance))
+        spots.append(spot(angles, rng.multivariate_normal(place, covariance), covariance))
     return spots
 
 
@@ -53,7 +60,7 @@ def test_truth_is_found_within_the_covariance_over_seeds():
     for seed in range(60):
         rng = np.random.default_rng(seed)
         true = true_scanner(rng)
-        found = calibrate(SHEET, seen(true, rng, (0.0, 0.4, 0.75, 1.2)), GATES)
+        found = calibrate(SHEET, seen(true, rng, (0.0, 0.4, 0.75, 1.2)), EXACT, GATES)
         assert found.verdicts == ()
         off = error(found, true)
         distances.append(off @ np.linalg.solve(found.covariance, off))
@@ -68,7 +75,7 @@ def test_truth_is_found_within_the_covariance_over_seeds():
 def test_a_calibrated_scanner_hits_what_a_drawn_one_misses():
     rng = np.random.default_rng(5)
     true = true_scanner(rng)
-    found = calibrate(SHEET, seen(true, rng, (0.0, 0.4, 0.75, 1.2)), GATES)
+    found = calibrate(SHEET, seen(true, rng, (0.0, 0.4, 0.75, 1.2)), EXACT, GATES)
     target = np.array([0.2, 0.9, 0.75])
 
     def miss(model):
@@ -84,10 +91,9 @@ def test_gross_errors_are_left_out_and_named():
     true = true_scanner(rng)
     spots = seen(true, rng, (0.0, 0.4, 0.75, 1.2))
     for wrong in (3, 11, 17):
-        spots[wrong] = LaserSpot(
-            spots[wrong].angles, spots[wrong].position + np.array([0.05, -0.2, 0.1]), spots[wrong].covariance
-        )
-    found = calibrate(SHEET, spots, GATES)
+        point = spots[wrong].point
+        spots[wrong] = spot(spots[wrong].angles, point.position + np.array([0.05, -0.2, 0.1]), point.covariance)
+    found = calibrate(SHEET, spots, EXACT, GATES)
     assert found.verdicts == ()
     assert np.flatnonzero(~found.used).tolist() == [3, 11, 17]
     off = error(found, true)
@@ -97,25 +103,27 @@ def test_gross_errors_are_left_out_and_named():
 @pytest.mark.parametrize("seed", range(10))
 def test_spots_in_one_plane_are_refused(seed):
     rng = np.random.default_rng(seed)
-    found = calibrate(SHEET, seen(true_scanner(rng), rng, (0.75,)), GATES)
+    found = calibrate(SHEET, seen(true_scanner(rng), rng, (0.75,)), EXACT, GATES)
     assert any("UNOBSERVABLE: all spots lie within" in verdict for verdict in found.verdicts)
 
 
 def test_too_few_spots_and_too_narrow_ones_are_refused():
     rng = np.random.default_rng(2)
     true = true_scanner(rng)
-    (verdict,) = calibrate(SHEET, seen(true, rng, (0.0, 0.75), count=9), GATES).verdicts
+    (verdict,) = calibrate(SHEET, seen(true, rng, (0.0, 0.75), count=9), EXACT, GATES).verdicts
     assert "UNOBSERVABLE: 9 spots are fewer than 10" in verdict
-    assert calibrate(SHEET, [], GATES).verdicts
-    found = calibrate(SHEET, seen(true, rng, (0.0, 0.4, 1.2), spread=0.003), GATES)
+    assert calibrate(SHEET, [], EXACT, GATES).verdicts
+    found = calibrate(SHEET, seen(true, rng, (0.0, 0.4, 1.2), spread=0.003), EXACT, GATES)
     assert any("UNOBSERVABLE" in verdict for verdict in found.verdicts)
 
 
 def test_cameras_that_lie_are_a_misfit():
     rng = np.random.default_rng(3)
     spots = seen(true_scanner(rng), rng, (0.0, 0.4, 0.75, 1.2))
-    bent = [LaserSpot(s.angles, s.position + 0.003 * np.sin(9.0 * s.position[[1, 2, 0]]), s.covariance) for s in spots]
-    assert any("MISFIT" in verdict for verdict in calibrate(SHEET, bent, GATES).verdicts)
+    points = [each.point for each in spots]
+    places = [point.position + 0.003 * np.sin(9.0 * point.position[[1, 2, 0]]) for point in points]
+    bent = [spot(s.angles, place, s.point.covariance) for s, place in zip(spots, places, strict=True)]
+    assert any("MISFIT" in verdict for verdict in calibrate(SHEET, bent, EXACT, GATES).verdicts)
 
 
 def test_the_file_holds_what_is_in_use(tmp_path):

@@ -1,8 +1,12 @@
 """Triangulation, epipolar distance and rectification."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from im_cell.camera_model import PARAMETERS
 from im_cell.robot import load_cell
 from im_core.errors import DataError
 from im_vss.camera_book import CameraBook, nominal
@@ -17,6 +21,8 @@ LEFT, RIGHT = (
     for name in ("ceiling_left", "ceiling_right")
 )  # fmt: skip
 
+EXACT = np.zeros((2 * len(PARAMETERS), 2 * len(PARAMETERS)))
+
 
 def test_point_is_within_its_covariance():
     rng = np.random.default_rng(1)
@@ -24,10 +30,27 @@ def test_point_is_within_its_covariance():
     for _ in range(400):
         true = rng.uniform([-0.8, -0.5, 0.6], [0.8, 0.5, 1.6])
         seen = [camera.project(true) + rng.multivariate_normal([0, 0], spread) for camera in (LEFT, RIGHT)]
-        point = triangulate([LEFT, RIGHT], seen, [spread, spread])
+        point = triangulate([LEFT, RIGHT], seen, [spread, spread], EXACT)
         error = point.position - true
         nees.append(error @ np.linalg.solve(point.covariance, error) / 3.0)
     assert np.mean(nees) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / 3.0 / 400))
+
+
+def test_a_point_moves_with_the_cameras_as_it_says():
+    """Against the point by cameras that are a little other ones."""
+    true = np.array([0.3, -0.2, 1.0])
+    seen, spread = [camera.project(true) for camera in (LEFT, RIGHT)], [np.eye(2)] * 2
+    point = triangulate([LEFT, RIGHT], seen, spread, EXACT)
+    other = {
+        "fx": lambda h: replace(RIGHT, K=RIGHT.K + h * np.diag([1.0, 0.0, 0.0])),
+        "k1": lambda h: replace(RIGHT, D=RIGHT.D + np.eye(5)[0] * h),
+        "ry": lambda h: replace(RIGHT, R_cam_base=Rotation.from_rotvec([0, h, 0]).as_matrix() @ RIGHT.R_cam_base),
+        "tz": lambda h: replace(RIGHT, t_cam_base=RIGHT.t_cam_base + np.eye(3)[2] * h),
+    }
+    for name, changed in other.items():
+        there, here = (triangulate([LEFT, changed(h)], seen, spread, EXACT).position for h in (1e-5, -1e-5))
+        stated = point.by_cameras[:, len(PARAMETERS) + PARAMETERS.index(name)]
+        np.testing.assert_allclose(stated, (there - here) / 2e-5, rtol=1e-4, atol=1e-6)
 
 
 def test_epipolar_distance_is_zero_for_one_point_and_the_shift_across_the_line_else():
@@ -76,4 +99,4 @@ def test_no_pair_no_rectification(tmp_path):
     with pytest.raises(DataError, match="they move against each other"):
         CameraBook(CELL, ["wall", "wrist_left"], tmp_path, [("wall", "wrist_left")])
     with pytest.raises(DataError, match="parallel"):
-        triangulate([LEFT, LEFT], [np.array([300.0, 200.0])] * 2, [np.eye(2)] * 2)
+        triangulate([LEFT, LEFT], [np.array([300.0, 200.0])] * 2, [np.eye(2)] * 2, EXACT)

@@ -10,6 +10,7 @@ from im_calibration.judgement.checks import Checks
 from im_calibration.judgement.expected import ExpectedError
 from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
+from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
@@ -129,6 +130,12 @@ class Calibration:
     def success(self) -> bool:
         """Whether nothing speaks against using the result."""
         return not self.verdicts
+
+    @property
+    def camera_covariance(self) -> CameraCovariance:
+        """How well all cameras are known together, offsets left to vary."""
+        size = sum(len(camera.covariance) for camera in self.cameras)
+        return CameraCovariance(self.parameter_names[:size], self.covariance[:size, :size])
 
     @property
     def points_used(self) -> int:

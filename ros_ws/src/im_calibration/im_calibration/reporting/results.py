@@ -9,7 +9,16 @@ from im_calibration.judgement.calibration import Calibration, CameraEstimate
 from im_calibration.problem.dataset import dataset_of
 from im_calibration.problem.problem import CalibrationProblem
 from im_calibration.reporting.report import report_of, summary
-from im_cell.calibration_files import EXTRINSICS, CameraPose, Rectified, camera_info_yaml, extrinsics_yaml
+from im_cell.calibration_files import (
+    COVARIANCE,
+    EXTRINSICS,
+    CameraPose,
+    Rectified,
+    camera_info_yaml,
+    covariance_yaml,
+    extrinsics_yaml,
+)
+from im_cell.camera_covariance import CameraCovariance
 from im_core.errors import DataError
 from im_core.files import write_whole
 
@@ -20,12 +29,13 @@ def write_results(
     problem: CalibrationProblem,
     poses: Mapping[str, CameraPose] | None = None,
     rectified: Mapping[str, Rectified] | None = None,
+    covariance: CameraCovariance | None = None,
 ) -> tuple[Path, ...]:
     """Write ``report.json``, ``summary.txt``, three plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
 
     ``observations.json`` is the data set, for ``calibrate_dataset`` and ``next_best_pose``. Each file appears whole or
-    not at all. Camera files and poses, see :mod:`im_cell.calibration_files`, are written for a successful calibration
-    only.
+    not at all. Camera files, poses and how well they are known, see :mod:`im_cell.calibration_files`, are written for a
+    successful calibration only.
 
     Args:
         directory: Where; made if missing.
@@ -33,6 +43,7 @@ def write_results(
         problem: What it was made from.
         poses: Poses of the cameras relative to what they are fixed to; None: all are fixed to the world.
         rectified: R and P of the cameras; None: all are single cameras.
+        covariance: Of the cameras with these poses; None: all are fixed to the world.
 
     Returns:
         The files.
@@ -51,6 +62,7 @@ def write_results(
             contents[f"{camera.name}.yaml"] = _camera_file(camera, rectified)
         in_world = {camera.name: CameraPose.of("world", camera.model) for camera in calibration.cameras}
         contents[EXTRINSICS] = extrinsics_yaml(poses or in_world).encode()
+        contents[COVARIANCE] = covariance_yaml(covariance or calibration.camera_covariance).encode()
     contents |= _pictures(calibration, problem)
     target = Path(directory)
     try:

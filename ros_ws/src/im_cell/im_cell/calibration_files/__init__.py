@@ -1,15 +1,17 @@
 """Calibrations as files: what one run leaves behind and the next one can be started with.
 
 A folder holds ``<camera>.yaml`` (intrinsics, in the format of ROS's `camera_info_manager`), ``extrinsics.yaml`` (poses,
-a `tf2_msgs/TFMessage` in YAML) and ``laser.yaml``; each may be absent.
+a `tf2_msgs/TFMessage` in YAML), ``covariance.yaml`` (how well both are known) and ``laser.yaml``; each may be absent.
 """
 
+from im_cell.calibration_files.covariance import COVARIANCE, covariance_yaml
 from im_cell.calibration_files.extrinsics import EXTRINSICS, CameraPose, extrinsics_yaml, frame_of
 from im_cell.calibration_files.folder import CalibrationFiles, read_calibration
-from im_cell.calibration_files.intrinsics import Rectified, camera_info_yaml, monocular
+from im_cell.calibration_files.intrinsics import Rectified, camera_info_yaml, implausible, monocular
 from im_cell.calibration_files.laser import LASER, LaserEstimate, laser_yaml
 
 __all__ = [
+    "COVARIANCE",
     "EXTRINSICS",
     "LASER",
     "CalibrationFiles",
@@ -17,8 +19,10 @@ __all__ = [
     "LaserEstimate",
     "Rectified",
     "camera_info_yaml",
+    "covariance_yaml",
     "extrinsics_yaml",
     "frame_of",
+    "implausible",
     "laser_yaml",
     "monocular",
     "read_calibration",

@@ -5,10 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from im_cell.calibration_files.covariance import COVARIANCE, read_covariance
 from im_cell.calibration_files.extrinsics import EXTRINSICS, FRAME_END, CameraPose, frame_of, read_extrinsics
 from im_cell.calibration_files.intrinsics import read_intrinsics
 from im_cell.calibration_files.laser import LASER, LaserEstimate, read_laser
-from im_cell.camera_model import CameraModel
+from im_cell.camera_covariance import CameraCovariance
+from im_cell.camera_model import PARAMETERS, CameraModel
 from im_cell.robot import Camera, Cell
 from im_core.config import fault_in
 from im_core.errors import ConfigError, NotFoundError
@@ -22,6 +24,7 @@ class CalibrationFiles:
         folder: The folder.
         intrinsics: By camera; the models have no pose.
         poses: By camera.
+        covariance: How well cameras are known of which both are given.
         laser: The laser scanner; None: as drawn.
         notes: What is odd but not wrong, one sentence each.
     """
@@ -29,6 +32,7 @@ class CalibrationFiles:
     folder: Path
     intrinsics: Mapping[str, CameraModel]
     poses: Mapping[str, CameraPose]
+    covariance: CameraCovariance = field(default_factory=CameraCovariance)
     laser: LaserEstimate | None = None
     notes: tuple[str, ...] = field(default=())
 
@@ -73,16 +77,20 @@ def read_calibration(folder: Path, cell: Cell) -> CalibrationFiles:
         )
     intrinsics: dict[str, CameraModel] = {}
     poses: dict[str, CameraPose] = {}
+    covariance = CameraCovariance()
     laser: LaserEstimate | None = None
     notes: list[str] = []
     for path in files:
         if path.name == EXTRINSICS:
             poses = _poses(path, cell.cameras)
+        elif path.name == COVARIANCE:
+            covariance = _covariance(path, cell.cameras)
         elif path.name == LASER:
             laser = read_laser(path)
         else:
             intrinsics[path.stem] = _intrinsics(path, cell.cameras, notes)
-    return CalibrationFiles(folder, intrinsics, poses, laser, tuple(notes))
+    covariance = covariance.only(intrinsics.keys() & poses.keys())
+    return CalibrationFiles(folder, intrinsics, poses, covariance, laser, tuple(notes))
 
 
 def _intrinsics(path: Path, cameras: Mapping[str, Camera], notes: list[str]) -> CameraModel:
@@ -115,6 +123,19 @@ def _poses(path: Path, cameras: Mapping[str, Camera]) -> dict[str, CameraPose]:
             raise fault_in(path, (*place, "header", "frame_id"), sentence)
         poses[name] = transform.pose
     return poses
+
+
+def _covariance(path: Path, cameras: Mapping[str, Camera]) -> CameraCovariance:
+    covariance = read_covariance(path)
+    for rank, parameter in enumerate(covariance.parameters):
+        camera, _, name = parameter.rpartition(".")
+        if camera not in cameras:
+            unknown = NotFoundError(kind="camera", name=camera, known=cameras)
+            raise fault_in(path, ("parameters", rank), f"'{parameter}': {unknown.message}")
+        if name not in PARAMETERS:
+            sentence = f"'{parameter}': a camera has {', '.join(PARAMETERS)}"
+            raise fault_in(path, ("parameters", rank), sentence)
+    return covariance
 
 
 def _reason(folder: Path) -> str:

@@ -10,9 +10,14 @@ import yaml
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
-from im_core.config import load_model
+from im_core.config import FieldError, load_model
 
 Array = NDArray[np.float64]
+
+_FOCAL_WIDTHS = 0.05, 100.0
+"""From fish eyes to telescopes."""
+_CENTRE_BESIDE = 0.5
+"""How far off an image that was cut from a larger one may have its principal point."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +68,27 @@ def _camera_matrix(matrix: Matrix) -> Matrix:
     K = matrix.array
     if np.any(K[[0, 1, 2, 2], [1, 0, 0, 1]] != 0.0) or K[2, 2] != 1.0:
         raise ValueError(f"{K.ravel().tolist()} is not [fx 0 cx; 0 fy cy; 0 0 1]")
-    if K[0, 0] <= 0.0 or K[1, 1] <= 0.0:
-        raise ValueError(f"the focal lengths are {K[0, 0]:g} and {K[1, 1]:g} px, they must be > 0")
     return matrix
+
+
+def implausible(K: Array, width: int, height: int) -> str:
+    """Why no camera has these intrinsics, a clause; empty if one may.
+
+    Args:
+        K: Camera matrix, shape (3, 3) [px].
+        width: Width of its images [px].
+        height: Height of its images [px].
+    """
+    focal, beside = _FOCAL_WIDTHS, _CENTRE_BESIDE
+    for name, value, low, high, why in (
+        ("fx", K[0, 0], focal[0] * width, focal[1] * width, f"{focal[0]:g} to {focal[1]:g} image widths"),
+        ("fy", K[1, 1], focal[0] * width, focal[1] * width, f"{focal[0]:g} to {focal[1]:g} image widths"),
+        ("cx", K[0, 2], -beside * width, (1.0 + beside) * width, f"at most {beside:g} image widths outside"),
+        ("cy", K[1, 2], -beside * height, (1.0 + beside) * height, f"at most {beside:g} image heights outside"),
+    ):
+        if not low <= value <= high:
+            return f"{name} is {value:g} px, it must be within {low:g} and {high:g}, {why}"
+    return ""
 
 
 Side = Annotated[int, pydantic.Field(ge=1)]
@@ -93,6 +116,12 @@ class IntrinsicsFile(pydantic.BaseModel):
     distortion_coefficients: Annotated[Matrix, _of_shape((1, 5), (1, 4), (5, 1), (4, 1))]
     rectification_matrix: Annotated[Matrix, _of_shape((3, 3))] | None = None
     projection_matrix: Annotated[Matrix, _of_shape((3, 4))] | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _plausible(self) -> Self:
+        if why_not := implausible(self.camera_matrix.array, self.image_width, self.image_height):
+            raise FieldError(("camera_matrix",), why_not)
+        return self
 
     @property
     def model(self) -> CameraModel:

@@ -9,6 +9,7 @@ import pydantic
 import yaml
 from numpy.typing import NDArray
 
+from im_cell.calibration_files.covariance import Rows, covariance_of
 from im_cell.laser_model import LaserModel
 from im_core.config import Model, load_model
 
@@ -39,20 +40,8 @@ def _rotation(rows: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
     return rows
 
 
-def _covariance(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-    if len(rows) != PARAMETERS or any(len(row) != PARAMETERS for row in rows):
-        raise ValueError(f"it must have {PARAMETERS} rows of {PARAMETERS} numbers")
-    S = np.array(rows)
-    if np.any(np.diag(S) <= 0.0):
-        raise ValueError("a variance on its diagonal is not > 0")
-    spread = np.sqrt(np.diag(S))
-    with np.errstate(all="ignore"):
-        correlation = S / spread / spread[:, None]
-    bounded = np.abs(correlation).max() <= 1.0 + _TOLERANCE
-    symmetric = bounded and np.allclose(correlation, correlation.T, rtol=0.0, atol=_TOLERANCE)
-    if not symmetric or np.linalg.eigvalsh(correlation).min() < -_TOLERANCE:
-        raise ValueError("it is not symmetric and positive")
-    return rows
+def _covariance(rows: Rows) -> Rows:
+    return covariance_of(rows, PARAMETERS)
 
 
 class LaserFile(Model):
@@ -72,7 +61,7 @@ class LaserFile(Model):
     gain: tuple[Positive, Positive]
     offset: float
     gap: Positive
-    covariance: Annotated[tuple[tuple[float, ...], ...], pydantic.AfterValidator(_covariance)]
+    covariance: Annotated[Rows, pydantic.AfterValidator(_covariance)]
 
     @property
     def estimate(self) -> LaserEstimate:

@@ -2,7 +2,12 @@
 
 Each spot must lie on its beam. What is left over, across the beam, is weighted by the covariance of the spot and by the
 mirrors' repeatability; gains, offset and gap are also held by the tolerances of the data sheet. The maximum of the
-posterior is found by least squares (Levenberg and Marquardt), its covariance is the inverse of the information there.
+posterior is found by least squares (Levenberg and Marquardt).
+
+All spots are seen through the same calibration of the cameras, whose errors move them together. The scanner is fitted
+to the spots as these cameras see them, so that what they see is what it hits; its covariance is the inverse of the
+information, plus what the cameras' errors move the estimate by. The part of those errors that no scanner could make is
+taken out of the misfit, as far as the cameras' covariance makes it likely.
 """
 
 from collections.abc import Sequence
@@ -17,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from im_cell.laser_model import LaserModel
 from im_cell.robot import LaserScanner
 from im_core.config import Model
+from im_vss.stereo import Point
 
 Array = NDArray[np.float64]
 
@@ -26,6 +32,8 @@ _POSE = 6
 _LOSSES = ("soft_l1", "cauchy", "linear", "linear", "linear")
 """From what has one minimum to what is most precise."""
 _MOST_EVALUATIONS = 200
+_STEP = 1e-5
+"""Of central differences, relative to what each parameter may be off."""
 _NOTHING = 1e-14
 """Information below this, relative to the most, is rounding."""
 
@@ -52,11 +60,10 @@ class CalibrationGates(Model):
 
 @dataclass(frozen=True)
 class LaserSpot:
-    """A spot: angles the mirrors reported, shape (2,) [rad], its place [m] and covariance, shape (3, 3) [m^2]."""
+    """A spot: angles the mirrors reported, shape (2,) [rad], and where two cameras see it."""
 
     angles: Array
-    position: Array
-    covariance: Array
+    point: Point
 
 
 @dataclass(frozen=True)
@@ -82,12 +89,15 @@ class LaserCalibration:
     off: Array
 
 
-def calibrate(sheet: LaserScanner, spots: Sequence[LaserSpot], gates: CalibrationGates) -> LaserCalibration:
+def calibrate(
+    sheet: LaserScanner, spots: Sequence[LaserSpot], cameras: Array, gates: CalibrationGates
+) -> LaserCalibration:
     """Estimate pose and mirrors.
 
     Args:
         sheet: The scanner as drawn, with its tolerances.
-        spots: What was seen.
+        spots: What was seen, all by the same cameras.
+        cameras: Covariance of the parameters by which the spots move, see :class:`im_vss.stereo.Point`, shape (p, p).
         gates: What is good enough.
 
     Returns:
@@ -96,7 +106,7 @@ def calibrate(sheet: LaserScanner, spots: Sequence[LaserSpot], gates: Calibratio
     used = np.ones(len(spots), dtype=np.bool_)
     rotation, position = sheet.pose()
     model = LaserModel(rotation, position, sheet.gap)
-    problem = _Problem(sheet, spots)
+    problem = _Problem(sheet, spots, cameras)
     if len(spots) < gates.fewest:
         verdict = f"UNOBSERVABLE: {len(spots)} spots are fewer than {gates.fewest}; take more, at different depths"
         unknown = np.full((len(PARAMETERS), len(PARAMETERS)), np.nan)
@@ -104,9 +114,9 @@ def calibrate(sheet: LaserScanner, spots: Sequence[LaserSpot], gates: Calibratio
             model, unknown, (verdict,), float("nan"), float("nan"), used, np.full(len(spots), np.nan)
         )
     for loss in _LOSSES:
-        model, covariance = problem.solve(model, used, loss)
-        off = problem.deviations(model)
-        within = off <= gates.outlier
+        model = problem.solve(model, used, loss)
+        judged = problem.judge(model, used, gates.outlier)
+        within = judged.off <= gates.outlier
         if loss == "soft_l1" or within.sum() < gates.fewest:
             continue
         if loss == "linear" and np.array_equal(within, used):
@@ -114,12 +124,11 @@ def calibrate(sheet: LaserScanner, spots: Sequence[LaserSpot], gates: Calibratio
         used = within
     across = problem.across(model)[used]
     dof = 2 * int(used.sum()) - _POSE  # the data sheet gives as many numbers as the mirrors have parameters
-    chi2 = (float((off[used] ** 2).sum()) + problem.prior_misfit(model)) / dof
+    chi2 = judged.chi2 / dof
     rms = float(np.sqrt((across**2).sum(axis=1).mean()))
-    places = [spot.position for spot, use in zip(spots, used, strict=True) if use]
-    return LaserCalibration(
-        model, covariance, _verdicts(np.array(places), len(spots), covariance, chi2, gates), rms, chi2, used, off
-    )
+    places = np.array([spot.point.position for spot, use in zip(spots, used, strict=True) if use])
+    verdicts = _verdicts(places, len(spots), judged.covariance, chi2, gates)
+    return LaserCalibration(model, judged.covariance, verdicts, rms, chi2, used, judged.off)
 
 
 def _verdicts(places: Array, offered: int, covariance: Array, chi2: float, gates: CalibrationGates) -> tuple[str, ...]:
@@ -152,20 +161,36 @@ def _verdicts(places: Array, offered: int, covariance: Array, chi2: float, gates
     return tuple(found)
 
 
-class _Problem:
-    """Residuals of the spots, whitened about the latest estimate."""
+@dataclass(frozen=True)
+class _Judged:
+    """Covariance of the estimate, shape (10, 10); misfit; how far each spot is off, in standard deviations, shape (n,).
 
-    def __init__(self, sheet: LaserScanner, spots: Sequence[LaserSpot]) -> None:
+    Both without what the likeliest error of the cameras explains.
+    """
+
+    covariance: Array
+    chi2: float
+    off: Array
+
+
+class _Problem:
+    """Spots and data sheet, as least squares see them."""
+
+    def __init__(self, sheet: LaserScanner, spots: Sequence[LaserSpot], cameras: Array) -> None:
+        values, axes = np.linalg.eigh(cameras)
+        root = axes[:, values > 0.0] * np.sqrt(values[values > 0.0])
         self._angles = np.array([spot.angles for spot in spots]).reshape(-1, 2)
-        self._places = np.array([spot.position for spot in spots]).reshape(-1, 3)
-        self._covariances = np.array([spot.covariance for spot in spots]).reshape(-1, 3, 3)
+        self._places = np.array([spot.point.position for spot in spots]).reshape(-1, 3)
+        self._covariances = np.array([spot.point.by_spots for spot in spots]).reshape(-1, 3, 3)
+        self._common = np.array([spot.point.by_cameras @ root for spot in spots]).reshape(len(spots), 3, root.shape[1])
         self._jitter = 2.0 * sheet.repeatability
         limits = sheet.tolerance
         self._expected = np.array([1.0, 1.0, 0.0, sheet.gap])
         self._tolerance = np.array([limits.gain, limits.gain, limits.offset, limits.gap])
+        self._scale = np.concatenate((np.full(3, 0.01), np.full(3, 0.01), self._tolerance))
 
-    def solve(self, start: LaserModel, used: NDArray[np.bool_], loss: str) -> tuple[LaserModel, Array]:
-        """The best model and its covariance, from the spots in use, shape (n,); see `_LOSSES`."""
+    def solve(self, start: LaserModel, used: NDArray[np.bool_], loss: str) -> LaserModel:
+        """The best model by the spots in use, shape (n,); see `_LOSSES`."""
         model = start
         for _ in range(2):  # weights depend on directions and distances, which hardly change
             whiten, base = self._whitening(model)[used], model
@@ -175,28 +200,51 @@ class _Problem:
                 spots = np.einsum("nij,nj->ni", whiten, self._off(moved)[used]).ravel()
                 return np.concatenate((spots, self._prior(moved)))
 
-            scale = np.concatenate((np.full(3, 0.01), np.full(3, 0.01), self._tolerance))
             fit = least_squares(
-                residuals, np.zeros(len(PARAMETERS)), x_scale=scale, loss=loss,
+                residuals, np.zeros(len(PARAMETERS)), x_scale=self._scale, loss=loss,
                 max_nfev=_MOST_EVALUATIONS, xtol=1e-12, ftol=1e-12,
             )  # fmt: skip
             model = _moved(base, fit.x)
-        jacobian = fit.jac * scale
-        information, axes = np.linalg.eigh(jacobian.T @ jacobian)
-        variance = 1.0 / np.maximum(information, _NOTHING * information[-1])
-        return model, np.asarray((axes * variance) @ axes.T * np.outer(scale, scale))
+        return model
 
-    def deviations(self, model: LaserModel) -> Array:
-        """How far each spot is off its beam, in standard deviations, shape (n,)."""
-        return np.asarray(np.linalg.norm(np.einsum("nij,nj->ni", self._whitening(model), self._off(model)), axis=1))
+    def judge(self, model: LaserModel, used: NDArray[np.bool_], outlier: float) -> _Judged:
+        """How well an estimate from the spots in use, shape (n,), is known, and how well it fits.
+
+        To first order: with residuals r of unit variance, J their derivatives by the scanner and A by the independent
+        errors z of the cameras, each of unit variance, z moves the estimate by ``-(J'J)^-1 J'A z`` and leaves
+        ``(A - J (J'J)^-1 J'A) z`` in the residuals.
+        """
+        n, whiten = len(used), self._whitening(model)
+
+        def residuals(step: Array) -> Array:
+            moved = _moved(model, step)
+            return np.concatenate((np.einsum("nij,nj->ni", whiten, self._off(moved)).ravel(), self._prior(moved)))
+
+        steps = np.diag(_STEP * self._scale)
+        jacobian = np.stack([(residuals(step) - residuals(-step)) / (2.0 * _STEP) for step in steps], axis=1)
+        common = np.zeros((len(jacobian), self._common.shape[2]))
+        common[: 2 * n] = (whiten @ self._common).reshape(2 * n, -1)
+        rows = np.append(np.repeat(used, 2), np.ones(len(self._expected), dtype=np.bool_))
+        information, axes = np.linalg.eigh(jacobian[rows].T @ jacobian[rows])
+        by_spots = (axes / np.maximum(information, _NOTHING * information[-1])) @ axes.T
+        moved = by_spots @ jacobian[rows].T @ common[rows]
+        covariance = (by_spots + moved @ moved.T) * np.outer(self._scale, self._scale)
+
+        left, found = common - jacobian @ moved, residuals(np.zeros(len(PARAMETERS)))
+        blocks, across = left[: 2 * n].reshape(n, 2, -1), found[: 2 * n].reshape(n, 2)
+        alone = np.linalg.solve(np.eye(2) + blocks @ np.swapaxes(blocks, 1, 2), across[..., None])[..., 0]
+        likely = used & (np.einsum("ni,ni->n", across, alone) <= outlier**2)
+        believed = np.append(np.repeat(likely, 2), np.ones(len(self._expected), dtype=np.bool_))
+        z = np.linalg.solve(
+            np.eye(left.shape[1]) + left[believed].T @ left[believed], left[believed].T @ found[believed]
+        )
+        rest = found - left @ z
+        off = np.linalg.norm(rest[: 2 * n].reshape(n, 2), axis=1)
+        return _Judged(covariance, float((rest[rows] ** 2).sum() + (z**2).sum()), off)
 
     def across(self, model: LaserModel) -> Array:
         """Vectors from the beams to the spots, shape (n, 3) [m]."""
         return self._off(model)
-
-    def prior_misfit(self, model: LaserModel) -> float:
-        """Squared deviation of the mirrors from the data sheet [-]."""
-        return float((self._prior(model) ** 2).sum())
 
     def _prior(self, model: LaserModel) -> Array:
         return np.asarray((np.array([*model.gain, model.offset, model.gap]) - self._expected) / self._tolerance)

@@ -15,6 +15,9 @@ from im_core.ros import qos
 
 Array = NDArray[np.float64]
 
+SWITCH = "/testbed/set_light"
+"""Service that switches the wrist lights."""
+
 
 class LightTracker:
     """Keeps the newest ``/tf`` as it came, and works it out when a position is asked for."""
@@ -31,8 +34,15 @@ class LightTracker:
         self._cell, self._light, self._usual = cell, light, light
         self._freshness_ns = freshness_s * 1e9
         self._newest: bytes | None = None
+        self._lights: dict[str, bool] = {}
         node.create_subscription(TFMessage, "/tf", self._keep, qos.SENSOR, raw=True)
         node.create_subscription(String, "/testbed/lights", self._choose, qos.LATCHED)
+
+    def why_dark(self) -> str:
+        """That all lights are off, and what switches them on, a clause; empty if one is on, or nobody has said so."""
+        if not self._lights or any(self._lights.values()):
+            return ""
+        return f"{' and '.join(self._lights)} are off, {SWITCH} switches them on"
 
     def position(self, stamp_ns: int) -> Array | None:
         """The light in the world at a testbed time [ns], shape (3,) [m]; None if the pose then is not known."""
@@ -74,5 +84,6 @@ class LightTracker:
         self._newest = message
 
     def _choose(self, message: String) -> None:
-        on = [name for name, lit in json.loads(message.data).items() if lit]
+        self._lights = json.loads(message.data)
+        on = [name for name, lit in self._lights.items() if lit]
         self._light = on[0] if len(on) == 1 else self._usual

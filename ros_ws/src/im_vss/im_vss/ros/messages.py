@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from std_msgs.msg import Header
 
+from im_cell.calibration_files import implausible
 from im_cell.camera_model import CameraModel
 from im_cell.laser_model import LaserModel
 from im_core.errors import DataError
@@ -49,10 +50,12 @@ def to_image(frame: str, stamp_ns: int, image: NDArray[np.uint8]) -> Image:
 
 
 def to_camera_info(entry: CameraEntry, stamp_ns: int) -> CameraInfo:
-    """The present calibration of a camera."""
-    model = entry.model
+    """The present calibration of a camera; K, R, P and D are zero, as the convention is, until its lens is known."""
+    model, header = entry.model, to_header(entry.frame, stamp_ns)
+    if entry.intrinsics_file is None:
+        return CameraInfo(header=header, width=model.width, height=model.height)
     return CameraInfo(
-        header=to_header(entry.frame, stamp_ns),
+        header=header,
         width=model.width,
         height=model.height,
         distortion_model="plumb_bob",
@@ -67,7 +70,7 @@ def from_camera_info(info: CameraInfo) -> CameraModel:
     """Intrinsics and lens of a camera info.
 
     Raises:
-        DataError: It is not a finite `plumb_bob` camera of 4 or 5 coefficients.
+        DataError: It is not a finite `plumb_bob` camera of 4 or 5 coefficients, or no camera is like that.
     """
     if info.distortion_model not in ("plumb_bob", ""):
         raise DataError(f"distortion model '{info.distortion_model}' is not 'plumb_bob'", model=info.distortion_model)
@@ -78,6 +81,8 @@ def from_camera_info(info: CameraInfo) -> CameraModel:
     K = np.array(info.k).reshape(3, 3)
     if not np.array_equal(K[2], [0.0, 0.0, 1.0]) or K[1, 0] != 0.0 or K[0, 1] != 0.0:
         raise DataError(f"K = {K.ravel().tolist()} is not [fx 0 cx; 0 fy cy; 0 0 1]")
+    if why_not := implausible(K, info.width, info.height):
+        raise DataError(f"{why_not} of images of {info.width} x {info.height} px")
     return CameraModel(info.width, info.height, K, D)
 
 

@@ -59,7 +59,7 @@ class VssNode(ManagedNode):
         self._take_calibration(cell, laser_book)
         self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
         self._outputs = ImageOutputs(self, self._book, laser_book)
-        self._book.on_change = laser_book.on_change = self._outputs.publish_transforms
+        self._book.on_change = laser_book.on_change = self._outputs.publish_calibrations
         frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
         setup = FrameSourceSetup(
             cell,
@@ -79,6 +79,7 @@ class VssNode(ManagedNode):
             self._source,
             self._outputs,
             light_position=tracker.position,
+            why_dark=tracker.why_dark,
             mount=lambda frame: tracker.wrist(frame.removesuffix("_wrist")),
             laser=self._laser,
         )
@@ -92,7 +93,7 @@ class VssNode(ManagedNode):
         assert self._source is not None
         assert self._vsm is not None
         self._source.wait_ready()
-        self._outputs.publish_transforms()
+        self._outputs.publish_calibrations()
         for name, entry in self._vsm.catalogue.services.items():
             port = plugins.load(entry.port, Port, "port")(self._rig)
             askers = Askers(self, f"/vss/{name}")

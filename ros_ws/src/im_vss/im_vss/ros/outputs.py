@@ -1,6 +1,9 @@
-"""Image topics of the cameras and their static transforms."""
+"""Image topics of the cameras, their camera infos and static transforms."""
+
+import threading
 
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 from tf2_msgs.msg import TFMessage
 
@@ -17,20 +20,26 @@ class ImageOutputs:
     """The :class:`im_vss.monitor.Screen` of the node: what is shown is published, if anybody looks."""
 
     def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook) -> None:
-        """Create ``image_raw``, ``camera_info`` and ``image_display`` of each camera, and ``/tf_static``."""
+        """Create ``image_raw``, ``camera_info`` and ``image_display`` of each camera, and ``/tf_static``.
+
+        Camera infos are latched: their publishers serve volatile subscribers too, and who comes later has the present
+        calibration before the next image.
+        """
         self._node = node
         self._book = book
         self._laser = laser
+        self._telling = threading.Lock()
         names = [entry.name for entry in book.entries()]
-        self._raw = self._publishers(names, Image, "image_raw")
-        self._info = self._publishers(names, CameraInfo, "camera_info")
-        self._display = self._publishers(names, Image, "image_display")
+        self._raw = self._publishers(names, Image, "image_raw", qos.IMAGES)
+        self._info = self._publishers(names, CameraInfo, "camera_info", qos.LATCHED)
+        self._display = self._publishers(names, Image, "image_display", qos.IMAGES)
         self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
 
     def raw(self, frame: Frame) -> None:
         """Publish an image as it was taken, and the camera info of the same stamp."""
-        entry = self._book[frame.camera]
-        self._info[frame.camera].publish(to_camera_info(entry, frame.stamp_ns))
+        with self._telling:  # or a calibration that comes in between would be overwritten by the one before
+            entry = self._book[frame.camera]
+            self._info[frame.camera].publish(to_camera_info(entry, frame.stamp_ns))
         if self._raw[frame.camera].get_subscription_count():
             self._raw[frame.camera].publish(to_image(entry.frame, frame.stamp_ns, frame.image))
 
@@ -39,12 +48,15 @@ class ImageOutputs:
         if self._display[camera].get_subscription_count():
             self._display[camera].publish(to_image(self._book[camera].frame, stamp_ns, image))
 
-    def publish_transforms(self) -> None:
-        """Publish where cameras and laser scanner are, as far as is known."""
+    def publish_calibrations(self) -> None:
+        """Publish what cameras are like, and where they and the laser scanner are, as far as is known."""
         stamp_ns = self._node.get_clock().now().nanoseconds
+        with self._telling:
+            for entry in self._book.entries():
+                self._info[entry.name].publish(to_camera_info(entry, stamp_ns))
         transforms = [to_transform(entry, stamp_ns) for entry in self._book.entries()]
         transforms.append(to_laser_transform(self._laser.entry.model, stamp_ns))
         self._tf_static.publish(TFMessage(transforms=transforms))
 
-    def _publishers(self, names: list[str], kind: type, topic: str) -> dict[str, Publisher]:
-        return {name: self._node.create_publisher(kind, f"/{name}/{topic}", qos.IMAGES) for name in names}
+    def _publishers(self, names: list[str], kind: type, topic: str, profile: QoSProfile) -> dict[str, Publisher]:
+        return {name: self._node.create_publisher(kind, f"/{name}/{topic}", profile) for name in names}

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from im_calibration import Calibration, CalibrationProblem, KnownLengths, report_of, write_results
 from im_cell.calibration_files import CameraPose
+from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError, StateError
 from im_vss.managers import VisionClient
@@ -103,28 +104,34 @@ class SvcCalibrate(VisionService):
         problem = self._problem(request)
         calibration: Calibration = self.tool("tool_calibrate")(client, problem)
         found = calibration.cameras if calibration.success else ()
-        mounted = {estimate.name: self._on_its_mount(estimate.name, estimate.model) for estimate in found}
+        mounted: dict[str, CameraModel] = {}
+        covariance = calibration.camera_covariance
+        for estimate in found:
+            mounted[estimate.name], covariance = self._on_its_mount(estimate.name, estimate.model, covariance)
         if request.directory is not None:
             poses = {name: CameraPose.of(self.rig.book[name].parent, model) for name, model in mounted.items()}
-            write_results(request.directory, calibration, problem, poses, self.rig.book.rectified(mounted))
+            rectified = self.rig.book.rectified(mounted)
+            write_results(request.directory, calibration, problem, poses, rectified, covariance)
         applied = request.apply and calibration.success
         if applied:
-            self.rig.book.set_cameras(mounted)
+            self.rig.book.set_cameras(mounted, covariance)
         return CalibrateResult(calibration, report_of(calibration, problem), applied, request.directory)
 
-    def _on_its_mount(self, camera: str, model: CameraModel) -> CameraModel:
-        """A camera of the world relative to the frame that it is fixed to.
+    def _on_its_mount(
+        self, camera: str, model: CameraModel, covariance: CameraCovariance
+    ) -> tuple[CameraModel, CameraCovariance]:
+        """A camera of the world relative to the frame that it is fixed to, and how well all are known then.
 
         Raises:
             StateError: The camera is on an arm, and it is not known where that is.
         """
         parent = self.rig.book[camera].parent
         if parent == "world":
-            return model
+            return model, covariance
         mount = self.rig.mount(parent)
         if mount is None:
             raise StateError(f"{camera} is fixed to {parent}, and it is not known where that is")
-        return fixed_to(model, *mount)
+        return fixed_to(model, *mount), covariance.on_mount(camera, model.R_cam_base @ mount[1])
 
     def _problem(self, request: CalibrateRequest) -> CalibrationProblem:
         """The observations in the solver's terms.

@@ -32,11 +32,15 @@ class SeenFiducial:
 
 @dataclass(frozen=True)
 class FiducialPoseResult:
-    """The plates by camera and number, why there are no others, and where the time went, by step [s]."""
+    """The plates by camera and number, why there are no others, and where the time went, by step [s].
+
+    `remark` is what a user must know to trust the covariances; empty: nothing.
+    """
 
     found: tuple[SeenFiducial, ...]
     cause: str
     timing: dict[str, float]
+    remark: str
 
 
 class SvcFiducialPose(VisionService):
@@ -69,7 +73,8 @@ class SvcFiducialPose(VisionService):
                 shown[camera] = Fiducials(tuple(fits), "; ".join(why))
         with watch.step("display_s"):
             self.tool("tool_spot_disp")(client, shown)
-        return FiducialPoseResult(tuple(found), "; ".join(causes), {**images.timing, **watch.report()})
+        remark = self.rig.book.remark(dict.fromkeys(seen.camera for seen in found))
+        return FiducialPoseResult(tuple(found), "; ".join(causes), {**images.timing, **watch.report()}, remark)
 
     def _wanted(self, ids: tuple[int, ...]) -> dict[int, Target]:
         """The plates of the cell, by number.

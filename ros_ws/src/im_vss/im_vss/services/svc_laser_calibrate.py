@@ -28,11 +28,15 @@ class LaserCalibrateRequest:
 
 @dataclass(frozen=True)
 class LaserCalibrateResult:
-    """The estimate, spots that were not used with the cause, and the file; None: it was not applied."""
+    """The estimate, spots that were not used with the cause, and the file; None: it was not applied.
+
+    `remark` is what a user must know to trust the covariance; empty: nothing.
+    """
 
     calibration: LaserCalibration
     rejected: tuple[str, ...]
     file: Path | None
+    remark: str
 
 
 class SvcLaserCalibrate(VisionService):
@@ -57,15 +61,15 @@ class SvcLaserCalibrate(VisionService):
             if stereo.point is None:
                 rejected.append(_told(angles, why_not(self.rig, seen, stereo, reading)))
             else:
-                spots.append(LaserSpot(angles, stereo.point.position, stereo.point.covariance))
-        calibration: LaserCalibration = self.tool("tool_laser_calibrate")(spots)
+                spots.append(LaserSpot(angles, stereo.point))
+        calibration: LaserCalibration = self.tool("tool_laser_calibrate")(cameras, spots)
         for spot, used, off in zip(spots, calibration.used, calibration.off, strict=True):
             if not used:
                 rejected.append(_told(spot.angles, f"{off:.1f} standard deviations off its beam"))
         file = None
         if request.apply and not calibration.verdicts:
             file = self.rig.scanner.book.set(calibration.model, calibration.covariance)
-        return LaserCalibrateResult(calibration, tuple(rejected), file)
+        return LaserCalibrateResult(calibration, tuple(rejected), file, self.rig.book.remark(cameras))
 
     def _beams(self, request: LaserCalibrateRequest) -> list[LaserBeam]:
         settings = self.rig.settings.laser

@@ -23,12 +23,16 @@ class LaserSpot3dRequest:
 
 @dataclass(frozen=True)
 class LaserSpot3dResult:
-    """What each camera saw, what follows from it, what the scanner's sensors said, and where the time went [s]."""
+    """What each camera saw, what follows from it, what the scanner's sensors said, and where the time went [s].
+
+    `remark` is what a user must know to trust the covariance; empty: nothing.
+    """
 
     spots: tuple[CameraSpot, ...]
     stereo: StereoFinding
     beam: LaserBeam
     timing: dict[str, float]
+    remark: str
 
 
 class SvcLaserSpot3d(VisionService):
@@ -53,4 +57,5 @@ class SvcLaserSpot3d(VisionService):
             self.tool("tool_image_disp")(client, images)
             self.tool("tool_spot_disp")(client, {spot.camera: spot.finding for spot in spots})
         stereo = replace(stereo, cause=why_not(self.rig, spots, stereo, reading))
-        return LaserSpot3dResult(spots, stereo, reading, {**images.timing, **watch.report()})
+        remark = "" if stereo.point is None else self.rig.book.remark(cameras)
+        return LaserSpot3dResult(spots, stereo, reading, {**images.timing, **watch.report()}, remark)

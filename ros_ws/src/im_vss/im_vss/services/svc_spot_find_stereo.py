@@ -21,11 +21,15 @@ class SpotFindStereoRequest:
 
 @dataclass(frozen=True)
 class SpotFindStereoResult:
-    """What each camera saw, in the order of the request, what follows from it, and where the time went [s]."""
+    """What each camera saw, in the order of the request, what follows from it, and where the time went [s].
+
+    `remark` is what a user must know to trust the covariance; empty: nothing.
+    """
 
     spots: tuple[CameraSpot, ...]
     stereo: StereoFinding
     timing: dict[str, float]
+    remark: str
 
 
 class SvcSpotFindStereo(VisionService):
@@ -51,4 +55,5 @@ class SvcSpotFindStereo(VisionService):
         with watch.step("triangulate_s"):
             findings = spots[0].finding, spots[1].finding
             stereo: StereoFinding = self.tool("tool_triangulate")((cameras[0], cameras[1]), findings)
-        return SpotFindStereoResult(spots, stereo, {**timing, **watch.report()})
+        remark = "" if stereo.point is None else self.rig.book.remark(cameras)
+        return SpotFindStereoResult(spots, stereo, {**timing, **watch.report()}, remark)

@@ -22,4 +22,5 @@ class ToolFiducialPose(Tool):
             wanted: Plates by number of their code.
         """
         sensor = frame.controls.of(self.rig.settings.sensor)
-        return find_fiducials(frame.image, self.rig.book[frame.camera].model, sensor, wanted)
+        known = self.rig.book.covariance.of([frame.camera])
+        return find_fiducials(frame.image, self.rig.book[frame.camera].model, sensor, wanted, known)

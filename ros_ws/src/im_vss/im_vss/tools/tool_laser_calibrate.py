@@ -12,6 +12,12 @@ class ToolLaserCalibrate(Tool):
 
     name: ClassVar[str] = "tool_laser_calibrate"
 
-    def __call__(self, spots: Sequence[LaserSpot]) -> LaserCalibration:
-        """The estimate from some spots, with its verdicts."""
-        return calibrate(self.rig.cell.laser, spots, self.rig.settings.laser.calibration)
+    def __call__(self, cameras: Sequence[str], spots: Sequence[LaserSpot]) -> LaserCalibration:
+        """The estimate from some spots, with its verdicts.
+
+        Args:
+            cameras: Names of those that saw the spots, in the order in which these were triangulated.
+            spots: What they saw.
+        """
+        known = self.rig.book.covariance.of(cameras)
+        return calibrate(self.rig.cell.laser, spots, known, self.rig.settings.laser.calibration)

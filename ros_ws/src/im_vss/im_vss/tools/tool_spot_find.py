@@ -1,5 +1,6 @@
 """Tool that computes where the light spot is."""
 
+from dataclasses import replace
 from typing import ClassVar
 
 from im_cell.frames import Frame
@@ -20,7 +21,10 @@ class ToolSpotFind(Tool):
             on: Frame with the lights as commanded.
         """
         sensor = on.controls.of(self.rig.settings.sensor)
-        return find_spot(on.image, off.image, sensor, self.rig.settings.spot, self._region(on))
+        finding = find_spot(on.image, off.image, sensor, self.rig.settings.spot, self._region(on))
+        if finding.spot is None and not finding.candidates and (why := self.rig.why_dark()):
+            return replace(finding, cause=f"no light seen: {why}")
+        return finding
 
     def _region(self, frame: Frame) -> SearchDisc | None:
         """Where the light must be if the robot's pose at the exposure is known and the camera is fixed."""

@@ -62,7 +62,8 @@ class ToolTriangulate(Tool):
             )
             return StereoFinding(None, cause, distance, chosen)
         try:
-            point = triangulate(models, [np.array([s.u, s.v]) for s in chosen], [s.covariance for s in chosen])
+            known = self.rig.book.covariance.of(cameras)
+            point = triangulate(models, [np.array([s.u, s.v]) for s in chosen], [s.covariance for s in chosen], known)
         except DataError as error:
             return StereoFinding(None, error.message, distance, chosen)
         return StereoFinding(point, "", distance, chosen)

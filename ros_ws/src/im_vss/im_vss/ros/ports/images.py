@@ -83,6 +83,7 @@ class SpotFindStereoPort(Port):
             response.candidates.append(to_candidates(seen))
             finding = seen.finding if chosen is None else replace(seen.finding, spot=chosen, cause="")
             response.spots.append(to_spot(replace(seen, finding=finding)))
+        response.status.message = result.remark
         response.timing_json = json.dumps(result.timing)
 
 
@@ -162,6 +163,7 @@ class FiducialPosePort(Port):
         """The plates."""
         response.fiducials = [self._fiducial(seen) for seen in result.found]
         response.cause = result.cause
+        response.status.message = result.remark
         response.timing_json = json.dumps(result.timing)
 
     def _fiducial(self, seen: SeenFiducial) -> Fiducial:

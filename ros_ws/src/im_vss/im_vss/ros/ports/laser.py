@@ -64,6 +64,7 @@ class LaserSpot3dPort(Port):
         for seen, chosen in zip(result.spots, stereo.spots, strict=True):
             finding = seen.finding if chosen is None else replace(seen.finding, spot=chosen, cause="")
             response.spots.append(to_spot(replace(seen, finding=finding)))
+        response.status.message = result.remark
         response.timing_json = json.dumps(result.timing)
 
 
@@ -132,3 +133,4 @@ class LaserCalibratePort(Port):
         response.rejected = list(result.rejected)
         response.applied = result.file is not None
         response.file = str(result.file or "")
+        response.status.message = result.remark
