@@ -9,7 +9,12 @@ from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointTolerance
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
+
+from im_mcs.client.wire import read_trajectory
+from im_mcs.ros import trajectory_server
+from im_msgs.msg import GroupSetpoints
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 Result = FollowJointTrajectory.Result
@@ -195,7 +200,9 @@ def test_goal_tolerance(ready, seconds):
 def test_cancel_decelerates_on_the_path(ready):
     handle, result = started(ready, far(ready, 60.0))
     ready.cancel(handle)
-    assert result().status == CANCELED
+    answer = result()
+    assert answer.status == CANCELED
+    assert answer.result.error_code == Result.SUCCESSFUL
     state = ready.group_state()
     assert state.at_rest
     offset = np.array(state.q_rest) - ready.home
@@ -229,6 +236,108 @@ def test_the_topic_replaces_stops_and_counts_what_it_refuses(ready):
         return [v for s in statuses for v in s.values if v.key == "/left/joint_trajectory"]
 
     assert int(ready.until(refused)[-1].value) == 1
+
+
+@pytest.fixture
+def allowed(ready):
+    """Sets parameters of ``/mcs`` to true, until the end of the test."""
+    names = []
+
+    def allow(name):
+        names.append(name)
+        (answer,) = ready.mcs.set_parameters([Parameter(name, value=True)])
+        assert answer.successful
+
+    yield allow
+    ready.mcs.set_parameters([Parameter(name, value=False) for name in names])
+
+
+def test_some_of_the_joints_are_followed_where_that_is_allowed(ready, allowed):
+    some = [ready.joints[4], ready.joints[0]]
+    target = ready.home.copy()
+    target[[4, 0]] += [0.1, 0.05]
+    request = goal(ready, (1.5, target[[4, 0]]), joints=some)
+    assert ready.follow(request)[1]().result.error_code == Result.INVALID_JOINTS
+    allowed("allow_partial_joints_goal")
+    answer = ready.follow(request)[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+    np.testing.assert_allclose(ready.group_state().q_rest, target, atol=1e-4)
+
+
+def test_a_velocity_at_the_end_is_followed_by_rest_where_that_is_allowed(ready, allowed):
+    target, speed = ready.home + 0.2 * np.eye(9)[0], 0.1
+    request = goal(ready, (2.0, target))
+    request.trajectory.points[0].velocities = list(speed * np.eye(9)[0])
+    answer = ready.follow(request)[1]()
+    assert answer.result.error_code == Result.INVALID_GOAL
+    assert "left_track has velocity 0.1 in its last point" in answer.result.error_string
+    allowed("allow_nonzero_velocity_at_trajectory_end")
+    answer = ready.follow(request)[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+    behind = ready.group_state().q_rest - target
+    assert 0.5 * speed**2 / 0.95 < behind[0] < 0.1
+    np.testing.assert_allclose(behind[1:], 0.0, atol=1e-4)
+
+
+def test_one_point_at_time_0_where_the_arm_is_succeeds(ready):
+    here = np.array(ready.group_state().q)
+    answer = ready.follow(goal(ready, (0.0, here)))[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+    np.testing.assert_allclose(ready.group_state().q_rest, here, atol=1e-4)
+
+
+def test_a_stream_on_the_topic_is_followed_and_ends_at_rest(ready):
+    publisher = ready.talk(JointTrajectory, "/left/joint_trajectory")
+    setpoints = ready.listen(GroupSetpoints, "/left/setpoints")
+    began, way, speed = now(ready), np.eye(9)[0], 0.2
+    while (passed := now(ready) - began) < 1.5:
+        message = trajectory(ready, (0.1, ready.home + speed * (passed + 0.1) * way))
+        message.points[0].velocities = list(speed * way)
+        publisher.publish(message)
+        ready.until(lambda passed=passed: now(ready) - began > passed + 0.03)
+    ready.until(lambda: ready.group_state().at_rest)
+    end = ready.group_state().q_rest - ready.home
+    assert speed * 1.5 * 0.5 < end[0] < speed * 1.5 + 0.1
+    np.testing.assert_allclose(end[1:], 0.0, atol=1e-4)
+    v = np.array([message.velocity for message in setpoints])
+    assert 0.0 < v[:, 0].max() < 0.57
+    ready.until(lambda: not np.any(setpoints[-1].velocity))
+
+
+def test_a_long_trajectory_is_read_beside_the_loop_and_followed(ready, monkeypatch):
+    threads = []
+
+    def read(*arguments):
+        threads.append(threading.current_thread().name)
+        return read_trajectory(*arguments)
+
+    monkeypatch.setattr(trajectory_server, "read_trajectory", read)
+    share = np.linspace(0.01, 1.0, 300)
+    points = [(2.0 * x, ready.home + STEP * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)) for x in share]
+    answer = ready.follow(goal(ready, *points))[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+    np.testing.assert_allclose(ready.group_state().q_rest, ready.home + STEP, atol=1e-4)
+    assert ready.follow(goal(ready, (1.0, ready.home)))[1]().status == SUCCEEDED
+    assert threads[0] == "read"
+    assert threads[1] not in ("read", threading.current_thread().name)
+
+
+def test_what_is_too_long_is_refused_by_its_length(ready_once, monkeypatch):
+    def never(*_):
+        raise AssertionError("nobody looks at the points")
+
+    monkeypatch.setattr(trajectory_server, "read_trajectory", never)
+    client = ready_once
+    request = goal(client)
+    request.trajectory.points = [JointTrajectoryPoint()] * 100_001
+    answer = client.follow(request)[1]()
+    assert answer.result.error_code == Result.INVALID_GOAL
+    assert answer.result.error_string == "a trajectory of 100001 points is too long; 100000 are allowed"
+    for names in (["x" * 1_000_000], ["x"] * 1000):
+        request = goal(client, (1.0, client.home), joints=names)
+        error = client.follow(request)[1]().result.error_string
+        assert len(error) < 100
+        assert "1000000 bytes" in error or "1000 entries" in error
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ each takes the place of the one before. A point whose time cannot be kept is no 
 with its velocity, and is met as soon as limits allow.
 
 In order of preference, the first that keeps the limits: the quintic that meets the point at its time; quintics that
-meet it later, which are gentler; the quickest motion that meets it (ruckig). Behind the point the motion decelerates
-to rest, unless another has taken over by then.
+meet it later, which are gentler; the quickest motion that meets it (ruckig). When the time of a point with a velocity
+is over, met or not, the motion decelerates to rest, unless another point has come by then.
 """
 
 import numpy as np
@@ -51,8 +51,10 @@ class MeetingPreparation:
             DataError: Ruckig finds no trajectory.
         """
         start = self._start()
-        met = self._in_time(start) or self._quickest(start)
-        whole = with_run_out(met, self._limits)
+        motion = self._in_time(start) or self._quickest(start)
+        if self._v.any() and self._time > 0.0:
+            motion = motion.until(self._time)
+        whole = with_run_out(motion, self._limits)
         check_envelope(self._context, whole, positions_only=True)
         return whole
 

@@ -113,6 +113,15 @@ class PiecewisePolynomial:
         scale = (1.0 / factor) ** _POWERS
         return PiecewisePolynomial((self.lengths * factor).tolist(), self.coefficients * scale[:, None], self.points)
 
+    def until(self, time: float) -> "PiecewisePolynomial":
+        """The same up to a time after its begin [s]; the whole, if it is over by then."""
+        if time >= self.duration:
+            return self
+        count = bisect.bisect_left(self._starts, time)
+        lengths = self.lengths[:count].copy()
+        lengths[-1] = time - self._starts[count - 1]
+        return PiecewisePolynomial(lengths.tolist(), self.coefficients[:count], self.points[:count])
+
     def followed_by(self, others: Sequence["PiecewisePolynomial"]) -> "PiecewisePolynomial":
         """This one and then ``others``, each of which begins where the one before ends."""
         parts = [self, *others]
