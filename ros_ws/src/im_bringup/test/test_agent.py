@@ -3,6 +3,8 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 from im_bringup.tasks.agent import RESPAWN_LIMIT, Agent, Died, Started, TaskCommand
 from im_core import clock
 from im_core.process import last_words
@@ -96,6 +98,54 @@ def test_without_respawn_the_dead_stay_dead(tmp_path):
     assert [event for now in range(10) for event in agent.poll(now)] == [
         Died("x", f"it ended with exit code 3 (log: {tmp_path / 'x.log'})")
     ]
+
+
+class Failing:
+    """A process that goes on, deaf to SIGTERM if told so."""
+
+    pid = 5
+
+    def __init__(self, deaf):
+        self.deaf, self.code = deaf, None
+
+    def poll(self):
+        return self.code
+
+    def send_signal(self, number):
+        if number == signal.SIGKILL or not self.deaf:
+            self.code = -number
+
+
+@pytest.mark.parametrize("deaf", [False, True])
+def test_a_task_that_says_it_cannot_go_on_is_ended_and_started_again(tmp_path, deaf):
+    children = []
+
+    def spawn(*_):
+        children.append(Failing(deaf))
+        return children[-1]
+
+    agent = Agent([TaskCommand("x", ["x"], tmp_path / "x.log")], {}, spawn)
+    agent.start()
+    agent.replace("x", 5, "no physics", 0.0)
+    assert children[0].code is None  # before the machine was ready the start fails instead
+    agent.respawn = True
+    agent.replace("x", 4, "a process that was replaced before", 0.0)
+    agent.replace("y", 5, "a task of another host", 0.0)
+    assert children[0].code is None
+    agent.replace("x", 5, "no physics", 0.0)
+    events = [event for now in range(20) for event in agent.poll(now * 0.5)]
+    assert [type(event) for event in events] == [Died, Started]
+    assert events[0].sentence.startswith("it failed: no physics (log: ")
+    assert len(children) == 2
+    assert children[1].code is None
+
+
+def test_the_last_words_are_those_of_the_process_that_died(tmp_path):
+    log = tmp_path / "x.log"
+    log.write_text("an older crash\n")
+    agent = Agent([TaskCommand("x", ["x"], log)], {}, lambda *_: Crasher())
+    agent.start()
+    assert agent.poll(0.0) == [Died("x", f"it ended with exit code 3 (log: {log})")]
 
 
 def test_children_end_when_the_agent_is_killed(tmp_path):

@@ -46,7 +46,7 @@ class ChildProcess:
         death_signal: signal.Signals | None = signal.SIGKILL,
     ) -> None:
         self.name = name or Path(argv[0]).name
-        self._log = log
+        self._log, self._log_begin = log, 0
         parent = os.getpid()
 
         def end_with_parent() -> None:
@@ -60,6 +60,7 @@ class ChildProcess:
             if log is not None:
                 log.parent.mkdir(parents=True, exist_ok=True)
                 output = files.enter_context(log.open("ab"))
+                self._log_begin = output.tell()
             # a file in memory: a pipe of limited size would make this process wait for its child to read
             given = files.enter_context(open(os.memfd_create("stdin"), "w+b"))
             given.write(stdin.encode())
@@ -99,8 +100,10 @@ class ChildProcess:
         return f"the process {self.name} ended with code {self.poll()}{': ' + words if words else ''}"
 
     def last_words(self) -> str:
-        """The last line of its log."""
-        return last_words(self._log) if self._log is not None else ""
+        """The last line it wrote into its log, not those before it did; empty if SIGKILL left it no time for any."""
+        if self._log is None or self.poll() == -signal.SIGKILL:
+            return ""
+        return last_words(self._log, self._log_begin)
 
     def send_signal(self, number: signal.Signals) -> None:
         """Send a signal; nothing happens if it has ended."""
@@ -127,12 +130,12 @@ def await_ends(children: Sequence[ChildProcess], deadline: float) -> bool:
     return True
 
 
-def last_words(log: Path, most_bytes: int = 4096) -> str:
-    """The last line of a log that is not empty, or an empty string."""
+def last_words(log: Path, begin: int = 0, most_bytes: int = 4096) -> str:
+    """The last line of a log that is not empty, of those from its byte ``begin`` on, or an empty string."""
     try:
         with log.open("rb") as file:
-            file.seek(0, os.SEEK_END)
-            file.seek(max(0, file.tell() - most_bytes))
+            end = file.seek(0, os.SEEK_END)
+            file.seek(max(begin, end - most_bytes))
             text = file.read().decode(errors="replace")
     except OSError:
         return ""

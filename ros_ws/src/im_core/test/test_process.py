@@ -51,3 +51,22 @@ def test_last_words(tmp_path, text, words):
     (tmp_path / "log").write_text(text)
     assert last_words(tmp_path / "log") == words
     assert last_words(tmp_path / "none") == ""
+
+
+def test_the_words_of_an_earlier_process_are_not_its_own(tmp_path):
+    first = python(tmp_path, "raise SystemExit('disk full')")
+    assert first.await_end(5.0)
+    assert first.obituary() == "the process it ended with code 1: disk full"
+    second = python(tmp_path, "raise SystemExit(2)")
+    assert second.await_end(5.0)
+    assert second.obituary() == "the process it ended with code 2"
+
+
+def test_who_was_killed_had_no_time_for_last_words(tmp_path):
+    child = python(tmp_path, DEAF)
+    deadline = clock.monotonic() + 5.0
+    while not child.last_words() and clock.monotonic() < deadline:
+        clock.sleep(0.01)
+    child.send_signal(signal.SIGKILL)
+    assert child.await_end(5.0)
+    assert child.obituary() == "the process it ended with code -9"

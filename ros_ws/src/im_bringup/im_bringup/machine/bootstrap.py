@@ -61,7 +61,7 @@ def _finished(phase: StartupPhase, record: TaskRecord) -> bool:
 class Bootstrap:
     """Decides in which phase the machine is.
 
-    A task that fails or dies before the machine was ready makes the start fail. One that dies later is started
+    A task that fails or dies before the machine was ready makes the start fail. One that does so later is started
     again and passes through the phases alone.
 
     Args:
@@ -86,6 +86,8 @@ class Bootstrap:
         """Take a heartbeat; arguments as in :meth:`im_bringup.tasks.registry.Registry.heard`."""
         if self.registry.heard(name, pid, incarnation, progress, detail, now):
             self._changed = True
+            if progress is Progress.FAILED:
+                self._agent.replace(name, pid, detail, now)
 
     def poll(self, now: float) -> list[Started | Died]:
         """Watch the processes and go on to the next phase when all tasks are there.

@@ -17,7 +17,8 @@ from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_core import clock, names
 from im_core.ros import qos, run
-from im_core.startup import PHASE_TOPIC, StartupPhase
+from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
+from im_msgs.msg import TaskStatus
 
 POLL_PERIOD_S = 0.05
 
@@ -39,6 +40,7 @@ class AgentNode(Node):
         self._started = False
         self.finished = False
         self.create_subscription(UInt8, PHASE_TOPIC, self._follow, qos.LATCHED)
+        self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
         self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.log.info(f"host {host} waits for the bootstrap")
 
@@ -57,6 +59,10 @@ class AgentNode(Node):
                 self.log.info(f"task {event.name} started, process {event.pid}")
         if phase is StartupPhase.START:
             self._agent.respawn = True
+
+    def _status(self, message: TaskStatus) -> None:
+        if message.phase == TaskStatus.FAILED:
+            self._agent.replace(message.name, message.pid, message.detail, clock.monotonic())
 
     def _poll(self) -> None:
         for event in self._agent.poll(clock.monotonic()):

@@ -1,5 +1,6 @@
 """The agent of a host: starts the processes of its tasks, starts again what died, and stops all of them in order."""
 
+import math
 import signal
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -24,6 +25,9 @@ _TURN_S = 0.5
 _ALL_TURNS_S = 1.8
 _TERM_AFTER_S = 2.6
 _KILL_AFTER_S = 3.5
+
+#: How long a task that has failed may take to end before it is killed [s].
+_END_S = 4.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,9 @@ class Died:
 class _Slot:
     command: TaskCommand
     child: ChildProcess | None = None
+    log_begin: int = 0
+    failure: str = ""
+    kill_at: float = math.inf
     restarts: int = 0
     respawn_at: float | None = None
     respawned: deque[float] = field(default_factory=deque)
@@ -115,12 +122,32 @@ class Agent:
             if slot.child is not None and (code := slot.child.poll()) is not None:
                 slot.child = None
                 events.append(Died(slot.command.name, self._plan(slot, code, now)))
+                slot.failure, slot.kill_at = "", math.inf
+            elif slot.child is not None and now >= slot.kill_at:
+                slot.child.send_signal(signal.SIGKILL)
             elif slot.respawn_at is not None and now >= slot.respawn_at:
                 slot.respawn_at = None
                 slot.restarts += 1
                 slot.respawned.append(now)
                 events.append(self._start(slot))
         return events
+
+    def replace(self, name: str, pid: int, failure: str, now: float) -> None:
+        """End a task that says it cannot go on, if this host runs it, so that it is started again as if it had died.
+
+        Before the machine was ready (:attr:`respawn`) nothing is ended: the start fails, and says why.
+
+        Args:
+            name: Task.
+            pid: The process that says so; one that was replaced already changes nothing.
+            failure: Why it cannot go on.
+            now: Monotonic time [s].
+        """
+        slot = self._slots.get(name)
+        if slot is None or slot.child is None or slot.child.pid != pid or slot.failure or not self.respawn:
+            return
+        slot.failure, slot.kill_at = failure or "it gave no reason", now + _END_S
+        slot.child.send_signal(signal.SIGTERM)
 
     def running(self) -> list[str]:
         """Names of the tasks whose process runs, in starting order."""
@@ -156,12 +183,12 @@ class Agent:
         return killed
 
     def _start(self, slot: _Slot) -> Started:
+        slot.log_begin = _size(slot.command.log)
         slot.child = self._spawn(slot.command, self._environment)
         return Started(slot.command.name, slot.child.pid, slot.restarts)
 
     def _plan(self, slot: _Slot, code: int, now: float) -> str:
-        words = last_words(slot.command.log)
-        sentence = f"it {_how(code)}{': ' + words if words else ''} (log: {slot.command.log})"
+        sentence = f"it {_ending(slot, code)} (log: {slot.command.log})"
         if not self.respawn:
             return sentence
         while slot.respawned and now - slot.respawned[0] > RESPAWN_WINDOW_S:
@@ -172,10 +199,19 @@ class Agent:
         return f"{sentence}; it is started again in {RESPAWN_DELAY_S:g} s"
 
 
-def _how(code: int) -> str:
-    if code >= 0:
-        return f"ended with exit code {code}"
-    return f"was killed by {signal.Signals(-code).name}"
+def _ending(slot: _Slot, code: int) -> str:
+    """How a task ended; with its last words, unless it was killed and had no time for any."""
+    if slot.failure:
+        return f"failed: {slot.failure}"
+    if code == -signal.SIGKILL:
+        return "was killed by SIGKILL"
+    words = last_words(slot.command.log, slot.log_begin)
+    how = f"ended with exit code {code}" if code >= 0 else f"was killed by {signal.Signals(-code).name}"
+    return f"{how}{': ' + words if words else ''}"
+
+
+def _size(log: Path) -> int:
+    return log.stat().st_size if log.exists() else 0
 
 
 def commands(deployment: Deployment, host: str, run_dir: Path) -> list[TaskCommand]:
