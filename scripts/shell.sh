@@ -5,11 +5,14 @@
 #   scripts/shell.sh COMMAND ARGS...     one command in that environment
 #   scripts/shell.sh python -c 'import rclpy, im_msgs.msg'
 #
+# The folder scripts/ is on its PATH: scripts/im is typed as im.
+#
 # Exit code: that of the command.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if [[ "${1:-}" == -h || "${1:-}" == --help ]]; then help; exit 0; fi
 im_env
+export PATH="$IM_ROOT/scripts:$PATH"
 if (($#)); then exec "$@"; fi
 say "shell of im: ROS domain $ROS_DOMAIN_ID, run folder $IM_RUN_DIR; leave it with exit"
 export IM_PROMPT="(im $ROS_DOMAIN_ID) "

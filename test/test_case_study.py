@@ -21,6 +21,7 @@ pytestmark = pytest.mark.end_to_end
 SEED = 3
 FEW = 20
 COMMAND_S = 240.0
+READY_AGAIN = "recover: ready: 10 tasks, MCS is cold"
 
 
 def free_port() -> int:
@@ -308,7 +309,7 @@ def test_poses_out_of_reach_or_out_of_sight_are_skipped_and_reported(machine, fe
     assert "no camera sees the light" in rejected["down"]
 
 
-def test_without_a_configured_mcs_the_command_says_so(machine, few_poses):
+def test_without_a_configured_mcs_the_command_says_so(machine, few_poses, run_script):
     from lifecycle_msgs.msg import Transition
     from lifecycle_msgs.srv import ChangeState
 
@@ -318,9 +319,41 @@ def test_without_a_configured_mcs_the_command_says_so(machine, few_poses):
 
     change(Transition.TRANSITION_CLEANUP)
     answer = machine.calibrate(few_poses)
-    change(Transition.TRANSITION_CONFIGURE)
+    recovered = run_script("run", "im_bringup", "recover")
     assert not answer.success
-    assert "unconfigured" in answer.message
+    assert "MCS is unconfigured; scripts/im recover configures it" in answer.message
+    assert (recovered.returncode, "MCS is unconfigured; configure" in recovered.stdout) == (0, True), recovered.stderr
+
+
+def test_one_command_brings_the_machine_back_after_the_death_of_testbed_and_servo(machine, few_poses, run_script):
+    """The commands of the tests that follow find it as it was."""
+    from im_msgs.srv import ReserveGroup
+
+    assert machine.call(ReserveGroup, "/mcs/reserve", group="left").success
+    for name in ("power_on", "enable_motion"):
+        assert machine.trigger(f"/mcs/{name}").success
+    before = machine.tasks["testbed"]
+    os.kill(child_of("im_sim.physics"), signal.SIGKILL)
+    machine.wait_for(lambda: machine.tasks["testbed"].restarts > before.restarts, "the testbed to be started again")
+    recovered = run_script("run", "im_bringup", "recover")
+    assert (recovered.returncode, recovered.stdout.splitlines()[-1]) == (0, READY_AGAIN), recovered.stderr
+    assert "MCS is estopped: the testbed's physics process is gone; reset" in recovered.stdout
+    os.kill(child_of("im_mcs.servo"), signal.SIGKILL)
+    answer = machine.calibrate(few_poses)
+    assert not answer.success
+    assert "MCS is unconfigured; scripts/im recover configures it" in answer.message
+    recovered = run_script("run", "im_bringup", "recover")
+    assert (recovered.returncode, recovered.stdout.splitlines()[-1]) == (0, READY_AGAIN), recovered.stderr
+
+
+def child_of(module):
+    """Process id of the machine's process that runs a module."""
+    from im_bringup.machine import leftovers
+
+    for process in leftovers.processes():
+        if module.encode() in Path(f"/proc/{process.pid}/cmdline").read_bytes().split(b"\0"):
+            return process.pid
+    raise AssertionError(f"no process runs {module}")
 
 
 def test_a_second_command_is_refused_while_one_runs(machine, few_poses):

@@ -33,6 +33,29 @@ def test_help_teaches(script, name):
     assert max(map(len, done.stdout.splitlines())) <= 120
 
 
+def im(*arguments):
+    return subprocess.run(["bash", ROOT / "scripts" / "im", *arguments], capture_output=True, text=True, check=False)
+
+
+def test_the_command_line_teaches_and_refuses_what_it_does_not_know():
+    assert os.access(ROOT / "scripts" / "im", os.X_OK)
+    for arguments in ((), ("--help",), ("-h",)):
+        done = im(*arguments)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "scripts/im recover" in done.stdout
+    done = im("recovr")
+    assert (done.returncode, done.stderr) == (2, "im: there is no subcommand recovr; there are: pnt recover\n")
+
+
+def test_recover_helps_and_says_that_no_machine_runs():
+    done = im("recover", "--help")
+    assert (done.returncode, "Exit codes:" in done.stdout, "usage: im recover" in done.stdout) == (0, True, True)
+    done = im("recover")
+    domain = os.environ["ROS_DOMAIN_ID"]
+    sentence = f"recover: no machine runs in ROS domain {domain}; scripts/start.sh starts one\n"
+    assert (done.returncode, done.stderr) == (3, sentence)
+
+
 def test_a_node_helps_and_starts_with_nothing_it_does_not_know(script):
     done = script("run", "im_mcs", "mcs", "--help")
     assert (done.returncode, done.stderr) == (0, "")

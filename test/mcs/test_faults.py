@@ -6,12 +6,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from im_cell.link import PanelEnd, ServoEnd
 from im_core import names
 from im_msgs.srv import GetGroupState, ReserveGroup
 
-UNCONFIGURED = "MCS is unconfigured; configure it first (ros2 lifecycle set /mcs configure)"
+UNCONFIGURED = "MCS is unconfigured; scripts/im recover configures it (transition configure on /mcs/change_state)"
 
 
 def test_estop_in_the_middle_of_a_move(client):
@@ -53,9 +54,14 @@ def test_unconfigured(client):
     assert client.change("configure")
     assert client.lifecycle() == "inactive"
     client.call(ReserveGroup, "reserve", group="left")
+    diagnostics = client.listen(DiagnosticArray, "/diagnostics")
     assert not client.change("cleanup")  # refused: a group is reserved
+    failure = "the lifecycle transition cleanup failed: cleanup is refused in state reserved; allowed here: "
+    client.until(lambda: lifecycle_diagnosis(diagnostics).message.startswith(failure))
+    assert lifecycle_diagnosis(diagnostics).level == DiagnosticStatus.WARN
     assert client.change("activate")
     client.until(lambda: client.state() == "active")
+    client.until(lambda: lifecycle_diagnosis(diagnostics).message == "active")
     assert client.change("deactivate")
     client.until(lambda: client.state() == "reserved")
 
@@ -93,7 +99,7 @@ def test_a_killed_node_takes_its_servo_along(client, process):
 
 
 def test_a_killed_testbed_ends_the_goal_and_is_named(client):
-    """The last one: the testbed does not come back."""
+    """The last one: the testbed does not come back. What nobody measures is not told as if it were measured."""
     client.to_motion()
     _, result = client.start_far_move()
     os.kill(_physics(), signal.SIGKILL)
@@ -103,6 +109,17 @@ def test_a_killed_testbed_ends_the_goal_and_is_named(client):
     answer = client.trigger("reset")
     assert not answer.success
     assert "the testbed does not answer" in answer.message
+    client.until(lambda: not client.states[-1].power and client.states[-1].brakes)
+    assert client.change("shutdown")
+    client.until(lambda: client.mcs.failed)  # what the bootstrap hears, and starts the task again
+    assert client.mcs.failed.startswith("/mcs is finalized by the lifecycle transition shutdown; the machine starts it")
+    assert client.trigger("power_on").message == client.mcs.failed
+
+
+def lifecycle_diagnosis(diagnostics):
+    """The newest status of the lifecycle; an empty one before the first."""
+    statuses = [status for message in diagnostics for status in message.status if status.name == "mcs: lifecycle"]
+    return statuses[-1] if statuses else DiagnosticStatus()
 
 
 def _physics():

@@ -25,6 +25,7 @@ setup(
             "calibrate_camera=im_bringup.ros.calibrate_camera:main",
             "interfaces=im_bringup.ros.interfaces:main",
             "record=im_bringup.ros.record:main",
+            "recover=im_bringup.ros.recover:main",
             "replay=im_bringup.ros.replay:main",
             "run=im_bringup.tasks.executables:main",
             "start=im_bringup.machine.start:main",

@@ -17,6 +17,7 @@ from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_core import clock, names
 from im_core.ros import qos, run
+from im_core.ros.parameters import describe_sim_time
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
@@ -33,6 +34,7 @@ class AgentNode(Node):
 
     def __init__(self, deployment: Deployment, host: str) -> None:
         super().__init__("agent_" + re.sub(r"\W", "_", host))
+        describe_sim_time(self)
         self.log: RcutilsLogger = Node.get_logger(self)
         run_dir = names.run_dir().resolve() / host
         shutil.rmtree(run_dir / "journal", ignore_errors=True)  # a new machine is a new mission

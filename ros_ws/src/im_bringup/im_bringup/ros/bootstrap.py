@@ -21,6 +21,7 @@ from im_bringup.tasks.registry import Progress, TaskRecord
 from im_core import clock, names
 from im_core.errors import ImError
 from im_core.ros import qos, run
+from im_core.ros.parameters import describe_sim_time
 from im_core.shm import ProcessId
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskRecord as TaskRecordMessage
@@ -42,6 +43,7 @@ class BootstrapNode(Node):
 
     def __init__(self, deployment: Deployment, path: Path, host: str) -> None:
         super().__init__("bootstrap")
+        describe_sim_time(self)
         self.log: RcutilsLogger = Node.get_logger(self)
         self._deployment, self._path = deployment, path
         self._run_dir = names.run_dir().resolve()

@@ -2,12 +2,15 @@
 
 import argparse
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.node import Node
 
 from im_core import clock
+from im_core.ros.calls import call_blocking
 from im_core.ros.run import Spinner
 
 DISCOVERY_S = 3.0
@@ -18,10 +21,14 @@ COMMON_TOPICS = ("/parameter_events", "/rosout")
 HEAD = """\
 # Interfaces
 
-What the running machine offers, written by `scripts/run.sh im_bringup interfaces > docs/interfaces.md`. The parameters
-and services that every ROS node has are left out. Each interface's own file, in `ros_ws/src/im_msgs`, says what its
-fields mean and in which unit.
+What the running machine offers, written by `scripts/run.sh im_bringup interfaces > docs/interfaces.md`. The services
+that every ROS node has are left out. Each interface's own file, in `ros_ws/src/im_msgs`, says what its fields mean and
+in which unit.
 """
+_TYPES = ("", "bool", "integer", "double", "string")
+#: So many nodes are "all".
+_MANY = 6
+CALL_S = 10.0
 
 
 def tables(node: Node) -> str:
@@ -54,15 +61,51 @@ def tables(node: Node) -> str:
         elif name in listeners:
             driven.append((name, types[0], listeners[name]))
     parts = [HEAD, _table("Actions", "of", actions), _table("Services", "of", services)]
+    parts.append(_parameters(_described(node, sorted(set().union(*owners.values())))))
     parts += [_table("Topics", "published by", topics), _table("Topics that wait for a publisher", "heard by", driven)]
     return "\n".join(parts)
+
+
+def _described(node: Node, owners: Iterable[str]) -> dict[tuple[str, str, str, str, str], set[str]]:
+    """Name, type, range, when it acts and description of every parameter, with the nodes that have it.
+
+    Raises:
+        WaitTimeoutError: A node does not tell its parameters.
+    """
+    rows: dict[tuple[str, str, str, str, str], set[str]] = {}
+    for owner in owners:
+        listing = node.create_client(ListParameters, f"{owner}/list_parameters")
+        listed = call_blocking(listing, ListParameters.Request(), CALL_S, f"parameters of {owner}")
+        telling = node.create_client(DescribeParameters, f"{owner}/describe_parameters")
+        request = DescribeParameters.Request(names=listed.result.names)
+        for told in call_blocking(telling, request, CALL_S, f"parameters of {owner}").descriptors:
+            acts = "at the start" if told.read_only else "at any time"
+            row = told.name, _TYPES[told.type], _range(told), acts, told.description
+            rows.setdefault(row, set()).add(owner)
+    return rows
+
+
+def _range(told: ParameterDescriptor) -> str:
+    spans = [f"{span.from_value:g} to {span.to_value:g}" for span in told.floating_point_range]
+    spans += [f"{span.from_value} to {span.to_value}" for span in told.integer_range]
+    return ", ".join(spans) or told.additional_constraints
+
+
+def _parameters(rows: Mapping[tuple[str, str, str, str, str], set[str]]) -> str:
+    lines = ["## Parameters", "", "| name | type | allowed | acts | what | of |", "|---|---|---|---|---|---|"]
+    for (name, *told), nodes in sorted(rows.items(), key=lambda item: (len(item[1]) < _MANY, sorted(item[1]), item[0])):
+        lines.append(f"| `{name}` | {' | '.join(told)} | {_whose(nodes)} |")
+    return "\n".join([*lines, ""])
+
+
+def _whose(nodes: set[str]) -> str:
+    return ", ".join(f"`{node}`" for node in sorted(nodes)) if len(nodes) < _MANY else "all nodes"
 
 
 def _table(title: str, owned: str, rows: Iterable[tuple[str, str, set[str]]]) -> str:
     lines = [f"## {title}", "", f"| name | type | {owned} |", "|---|---|---|"]
     for name, kind, nodes in sorted(rows):
-        whose = ", ".join(f"`{node}`" for node in sorted(nodes)) if len(nodes) < 5 else "all nodes"
-        lines.append(f"| `{name}` | `{kind}` | {whose} |")
+        lines.append(f"| `{name}` | `{kind}` | {_whose(nodes)} |")
     return "\n".join([*lines, ""])
 
 

@@ -49,7 +49,9 @@ class VisionCoordinator(PntNode):
             verifier=verify_to_load,
         )
         self.sources.follow(LIGHTS, String, qos.LATCHED)
-        self._long_exposure = float(self.declare_parameter("long_exposure", 0.018).value)
+        self._long_exposure = self.fixed_parameters.declare(
+            "long_exposure", 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
+        )
         self._led_offset = np.array(load_cell().led.offset)
 
     async def light_on(self, ctx: ActionContext) -> dict[str, object]:

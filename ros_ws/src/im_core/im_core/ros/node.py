@@ -22,10 +22,11 @@ from rclpy.task import Task
 from std_msgs.msg import UInt8
 
 from im_core import clock
-from im_core.errors import ImError, NotFoundError
+from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.callers import client_of
 from im_core.ros.coroutines import Alarms, Coroutines, Promise, Work
+from im_core.ros.parameters import FixedParameters
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
@@ -48,16 +49,20 @@ class ManagedNode(Node):
     the phases alone; with ``introspection:=metadata`` or ``contents`` all its services and clients publish what
     they carry on ``<service>/_service_event``. Subclasses override :meth:`phase_configure`,
     :meth:`phase_start` and :meth:`phase_shutdown`.
+
+    Attributes:
+        fixed_parameters: Declares parameters that are read once; with a wrong one the node fails to be configured.
     """
 
     _introspection = ServiceIntrospectionState.OFF
 
     def __init__(self, name: str, *, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__(name, parameter_overrides=parameter_overrides)
-        introspection = self.declare_parameter("introspection", "off").value
-        if introspection not in INTROSPECTION:
-            raise NotFoundError(kind="kind of introspection", name=str(introspection), known=INTROSPECTION)
-        self._introspection = INTROSPECTION[introspection]
+        self.fixed_parameters = FixedParameters(self)
+        published = "what services and clients publish of what they carry, on <service>/_service_event"
+        self._introspection = INTROSPECTION[
+            self.fixed_parameters.declare("introspection", "off", published, known=INTROSPECTION)
+        ]
         self.task_name = name
         self.incarnation = secrets.randbits(63)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -70,8 +75,8 @@ class ManagedNode(Node):
         self._coroutines = Coroutines(self.wake, self._run_task, self._broken)
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self.create_timer(HEARTBEAT_PERIOD_S, self._publish_status, clock=self.steady_clock)
-        standalone = self.declare_parameter("standalone", False).value
-        if standalone:
+        alone = "pass through the start-up phases without a bootstrap"
+        if self.fixed_parameters.declare("standalone", False, alone):
             self._standalone_timer = self.create_timer(0.01, self._start_alone, clock=self.steady_clock)
         else:
             self.create_subscription(UInt8, PHASE_TOPIC, self._hear_phase, qos.LATCHED)
@@ -216,9 +221,14 @@ class ManagedNode(Node):
             rclpy.try_shutdown()
             return
         if target >= StartupPhase.CONFIGURE and self._phase == TaskStatus.LOADED:
-            self._run_phase(self.phase_configure, TaskStatus.CONFIGURED)
+            self._run_phase(self._configure, TaskStatus.CONFIGURED)
         if target >= StartupPhase.START and self._phase == TaskStatus.CONFIGURED:
             self._run_phase(self.phase_start, TaskStatus.READY)
+
+    def _configure(self) -> None:
+        if self.fixed_parameters.fault is not None:
+            raise self.fixed_parameters.fault
+        self.phase_configure()
 
     def _run_phase(self, phase: Callable[[], None], reached: int) -> None:
         try:

@@ -24,7 +24,7 @@ from im_mcs.client.stop_circuits import StopCircuits
 from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.model import CellModel
 from im_mcs.ros.lifecycle import Lifecycle
-from im_mcs.ros.servo_keeper import ServoKeeper
+from im_mcs.ros.servo_keeper import FINALIZED_MESSAGE, ServoKeeper
 from im_mcs.state import Event, State, next_state
 
 Started = Callable[[int], None]
@@ -32,6 +32,8 @@ Started = Callable[[int], None]
 
 _EVIDENCE = "mcs"
 _INTRODUCTIONS, _INTRODUCTION_S = 20, 0.05
+#: Time for the answer of a last service to leave [s].
+_ANSWERED_S = 0.5
 _LIFECYCLE = {Event.POWER_ON: "activate", Event.POWER_OFF: "deactivate"}
 
 
@@ -262,7 +264,9 @@ class McsAccess:
         self.keeper.close()
 
     async def _shutdown(self) -> None:
+        """End the servo; from *finalized* no transition leads back, so that the task asks to be started again."""
         self.keeper.close()
+        self.node.alarms.after(_ANSWERED_S, lambda: self.node.fail(StateError(FINALIZED_MESSAGE)))
 
     async def _with_evidence(self, client: ServoClient, error: ImError, results: dict[str, Any]) -> ImError:
         """An error; where it has evidence, that is written and its file named in message and facts."""

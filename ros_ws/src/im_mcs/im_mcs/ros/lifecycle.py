@@ -28,11 +28,15 @@ class Lifecycle:
         node: The node whose lifecycle this is.
         work: Coroutine function of each transition, by the label of the transition (``configure``, ``cleanup``,
             ``activate``, ``deactivate``, ``shutdown``); it raises :class:`ImError` if it cannot be done.
+
+    Attributes:
+        failure: Why the transition that was tried last failed; empty if it succeeded.
     """
 
     def __init__(self, node: Node, work: Mapping[str, Work]) -> None:
         self._node = node
         self._work = work
+        self.failure = ""
         for service_type in (ChangeState, GetState, GetAvailableStates, GetAvailableTransitions):
             check_is_valid_srv_type(service_type)  # loads the type support that the machine needs
         with node.handle:
@@ -49,7 +53,7 @@ class Lifecycle:
         return str(self._machine.current_state[1])
 
     async def change(self, transition: str) -> None:
-        """Go through a transition with its work.
+        """Go through a transition with its work; if that fails, the log and :attr:`failure` say why.
 
         Args:
             transition: ``configure``, ``cleanup``, ``activate``, ``deactivate`` or ``shutdown``.
@@ -58,17 +62,26 @@ class Lifecycle:
             StateError: The present state has no such transition.
             ImError: The work could not be done; the state is as before.
         """
+        try:
+            self._begin(self._id_of(transition))
+            await self._carry_out(transition)
+        except ImError as error:
+            self.failure = f"the lifecycle transition {transition} failed: {error.message}"
+            self._node.get_logger().error(self.failure)
+            raise
+        self.failure = ""
+
+    def follow(self, transition: str) -> None:
+        """Go through a transition whose work has happened already."""
         self._begin(self._id_of(transition))
+        self._end(TransitionCallbackReturn.SUCCESS)
+
+    async def _carry_out(self, transition: str) -> None:
         try:
             await self._work[transition]()
         except ImError:
             self._end(TransitionCallbackReturn.FAILURE)
             raise
-        self._end(TransitionCallbackReturn.SUCCESS)
-
-    def follow(self, transition: str) -> None:
-        """Go through a transition whose work has happened already."""
-        self._begin(self._id_of(transition))
         self._end(TransitionCallbackReturn.SUCCESS)
 
     def _begin(self, transition_id: int) -> None:
@@ -99,8 +112,7 @@ class Lifecycle:
         try:
             await self.change(label)
             response.success = True
-        except ImError as error:
-            self._node.get_logger().warning(error.message)
+        except ImError:  # told where the reason has room: in the log and on /diagnostics
             response.success = False
         return response
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from builtin_interfaces.msg import Duration, Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
@@ -113,8 +113,9 @@ def mcs_state(config: McsConfig, state: State, reason: str, snapshot: NDArray[np
     groups = [group_status(config, row, snapshot) for row in snapshot["groups"] if text(row["name"]) in config.groups]
     held = snapshot["brakes"][snapshot["reserved"]]
     message.stamp = time(int(snapshot["stamp_ns"]))
-    message.power = bool(snapshot["power"])
-    message.brakes = bool(held.all()) if held.size else bool(snapshot["brakes"].all())
+    if snapshot["linked"]:  # else nobody measures: what is commanded stands there, and the reason says so
+        message.power = bool(snapshot["power"])
+        message.brakes = bool(held.all()) if held.size else bool(snapshot["brakes"].all())
     message.groups = groups
     message.reserved_groups = [group.group for group in groups if group.reserved]
     message.paused_groups = [group.group for group in groups if group.paused]
@@ -159,14 +160,15 @@ def text(value: bytes) -> str:
     return bytes(value).decode(errors="ignore")
 
 
-def diagnostics(
-    state: State,
-    snapshot: NDArray[np.void],
-    silence_s: float,
-    refused: Mapping[str, int],
-    taken_over: Mapping[str, str],
-) -> DiagnosticArray:
-    """How the servo loop keeps time, what was refused on topics, and which groups were taken over."""
+def servo_missing(state: State, reason: str) -> DiagnosticStatus:
+    """That there is no servo process, and why."""
+    level = DiagnosticStatus.ERROR if reason else DiagnosticStatus.STALE
+    message = f"{state.value}: {reason}" if reason else state.value
+    return DiagnosticStatus(name="mcs: servo", hardware_id="testbed", level=level, message=message)
+
+
+def servo_status(state: State, snapshot: NDArray[np.void], silence_s: float) -> DiagnosticStatus:
+    """How the servo loop keeps time; ``silence_s``: since its last sign of life [s]."""
     status = DiagnosticStatus(name="mcs: servo", hardware_id="testbed", message=state.value)
     linked = bool(snapshot["linked"])
     status.level = DiagnosticStatus.OK if linked and state is not State.ESTOPPED else DiagnosticStatus.ERROR
@@ -185,15 +187,31 @@ def diagnostics(
     for key in ("mean_period_s", "max_lateness_s", "mean_compute_s"):
         status.values.append(KeyValue(key=key, value=f"{float(snapshot[key]):.6f}"))
     status.values.append(KeyValue(key="real_time_scheduling", value=str(bool(snapshot["real_time"])).lower()))
+    return status
+
+
+def lifecycle_status(label: str, failure: str) -> DiagnosticStatus:
+    """State of the lifecycle, and why the transition that was tried last failed."""
+    level = DiagnosticStatus.WARN if failure else DiagnosticStatus.OK
+    status = DiagnosticStatus(name="mcs: lifecycle", hardware_id="testbed", level=level, message=failure or label)
+    status.values.append(KeyValue(key="state", value=label))
+    return status
+
+
+def refusals_status(refused: Mapping[str, int]) -> DiagnosticStatus:
+    """What was refused on topics."""
     commands = DiagnosticStatus(name="mcs: refused messages", hardware_id="testbed", message=f"{sum(refused.values())}")
     commands.level = DiagnosticStatus.WARN if refused else DiagnosticStatus.OK
     commands.values = [KeyValue(key=topic, value=str(count)) for topic, count in sorted(refused.items())]
+    return commands
+
+
+def take_overs_status(taken_over: Mapping[str, str]) -> DiagnosticStatus:
+    """Which groups were taken over, and from whom."""
     owners = DiagnosticStatus(name="mcs: groups taken over", hardware_id="testbed", message=f"{len(taken_over)}")
     owners.level = DiagnosticStatus.WARN if taken_over else DiagnosticStatus.OK
     owners.values = [KeyValue(key=group, value=sentence) for group, sentence in sorted(taken_over.items())]
-    message = DiagnosticArray(status=[status, commands, owners])
-    message.header.stamp = time(int(snapshot["stamp_ns"]))
-    return message
+    return owners
 
 
 def fill_placement(translation: Any, rotation: Any, placement: pin.SE3) -> None:

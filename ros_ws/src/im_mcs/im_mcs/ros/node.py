@@ -4,6 +4,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+
 from im_core.ros import run as ros_run
 from im_core.ros.node import ManagedNode
 from im_mcs.limits.configuration import load_config
@@ -25,17 +27,14 @@ _DIAGNOSTICS_PERIOD_S = 1.0
 
 
 class McsNode(ManagedNode):
-    """ROS shell of the Motion Control System: translates messages, decides nothing.
-
-    Parameters: ``config`` (a file; empty: the package's), ``preset`` (empty: the configuration's), ``period`` of the
-    servo [s] (0: the configuration's).
-    """
+    """ROS shell of the Motion Control System: translates messages, decides nothing."""
 
     def __init__(self) -> None:
         super().__init__("mcs")
-        path = str(self.declare_parameter("config", "").value)
-        preset = str(self.declare_parameter("preset", "").value)
-        period = float(self.declare_parameter("period", 0.0).value)
+        declare = self.fixed_parameters.declare
+        path = declare("config", "", "file of slots, groups, limits and laws; empty: the package's mcs.yaml")
+        preset = declare("preset", "", "division of the joints at the start, e.g. 2x9; empty: the configuration's")
+        period = declare("period", 0.0, "of the servo [s]; 0: the configuration's", span=(0.0, 0.1))
         config_file = Path(path) if path else None
         config = load_config(config_file)
         if preset:
@@ -93,13 +92,25 @@ class McsNode(ManagedNode):
         self._topics.state(self._mcs.config, self._mcs.state, self._mcs.keeper.reason, snapshot)
 
     def _publish_diagnostics(self) -> None:
-        if self._mcs.keeper.running:
-            client = self._mcs.client()
-            mcs, silence_s = self._mcs, client.silence_s()
-            self._topics.diagnostics(mcs.state, client.snapshot(), silence_s, mcs.refusals, mcs.take_overs)
+        mcs = self._mcs
+        stamp_ns, servo = self._servo_status()
+        lifecycle = messages.lifecycle_status(mcs.lifecycle.state, mcs.lifecycle.failure)
+        refused = messages.refusals_status(mcs.refusals.counts())
+        taken_over = messages.take_overs_status(mcs.take_overs.newest())
+        self._topics.diagnostics(stamp_ns, (servo, lifecycle, refused, taken_over))
+        if mcs.keeper.running:
             if self._last is not None and not self._fresh:  # testbed time may stand still: once more, for latecomers
                 self._show([self._last])
             self._fresh = False
+
+    def _servo_status(self) -> tuple[int, DiagnosticStatus]:
+        """When [ns], and how the servo is."""
+        mcs = self._mcs
+        if not mcs.keeper.running:
+            return self.get_clock().now().nanoseconds, messages.servo_missing(mcs.state, mcs.keeper.reason)
+        client = mcs.client()
+        snapshot = client.snapshot()
+        return int(snapshot["stamp_ns"]), messages.servo_status(mcs.state, snapshot, client.silence_s())
 
 
 def main() -> int:

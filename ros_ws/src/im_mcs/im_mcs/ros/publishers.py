@@ -1,10 +1,11 @@
 """Everything that ``/mcs`` publishes."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
@@ -17,7 +18,6 @@ from im_core.ros import qos
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.ros import messages
-from im_mcs.ros.access import Refusals, TakeOvers
 from im_mcs.state import State
 from im_msgs.msg import McsState
 
@@ -54,13 +54,11 @@ class Publishers:
             last = samples[-1]
             self._tf.publish(TFMessage(transforms=self._frames.moving(np.array(last["q"]), last["stamp_ns"])))
 
-    def diagnostics(
-        self, state: State, snapshot: NDArray[np.void], silence_s: float, refusals: Refusals, take_overs: TakeOvers
-    ) -> None:
-        """``/diagnostics``; ``silence_s``: since the servo's last sign of life [s]."""
-        self._diagnostics.publish(
-            messages.diagnostics(state, snapshot, silence_s, refusals.counts(), take_overs.newest())
-        )
+    def diagnostics(self, stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> None:
+        """``/diagnostics``."""
+        message = DiagnosticArray(status=list(statuses))
+        message.header.stamp = messages.time(stamp_ns)
+        self._diagnostics.publish(message)
 
 
 class Frames:

@@ -21,6 +21,11 @@ from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.state import UNCONFIGURED_MESSAGE, Event, State, lifecycle_of
 from im_mcs.testbed.driver import asks_for_time
 
+FINALIZED_MESSAGE = (
+    "/mcs is finalized by the lifecycle transition shutdown; the machine starts it again within seconds, "
+    "a node that runs alone is started again by hand"
+)
+
 POLL_S = 0.02
 """How often the node looks after it [s]."""
 _ESTOP_ANSWER_S = 0.2
@@ -120,9 +125,10 @@ class ServoKeeper:
 
     @property
     def reason(self) -> str:
-        """Why MCS is in its state, e.g. what caused an emergency stop; that the servo hangs, if it does; or empty."""
+        """Why MCS is in its state, e.g. what caused an emergency stop; who does not answer, if so; or empty."""
         if self._owner is not None and self._hang is None:
-            return self._reason or self._stop_cause
+            linked = self._owner.client.snapshot()["linked"]
+            return self._reason or self._stop_cause or ("" if linked else "the testbed does not answer")
         what = self._reason if self._hang is None else self._hang.message
         latched = f"an emergency stop is latched ({self._stop_cause}); reset it (/mcs/reset)"
         return "; ".join(filter(None, (what, latched if self._stop_cause else "")))
@@ -143,8 +149,10 @@ class ServoKeeper:
         """The way to the servo.
 
         Raises:
-            StateError: MCS is unconfigured.
+            StateError: MCS is unconfigured, or finalized.
         """
+        if self._lifecycle.state == "finalized":
+            raise StateError(FINALIZED_MESSAGE, state=State.UNCONFIGURED.value)
         if self._owner is None:
             reason = f" ({self.reason})" if self.reason else ""
             raise StateError(UNCONFIGURED_MESSAGE + reason, state=State.UNCONFIGURED.value)
@@ -175,8 +183,9 @@ class ServoKeeper:
         self._starting = owner, self._node.promise()
         try:
             await self._starting[1]
-        except ImError:
+        except ImError as error:
             owner.close()
+            self._reason = error.message
             raise
         finally:
             self._starting = None
@@ -239,10 +248,12 @@ class ServoKeeper:
             owner.client.send(Event.ESTOP, {"reason": self._stop_cause})
 
     def close(self) -> None:
-        """End the servo process; the testbed brakes by itself."""
+        """End the servo process; the testbed brakes by itself. What it told of itself is forgotten."""
         owner, self._owner, self._hang = self._owner, None, None
         if owner is not None:
             owner.close()
+        self._changes.clear()
+        self._reason = ""
 
     def poll(self) -> None:
         """Look after everything; to be called every :data:`POLL_S` in the node's loop.
@@ -257,10 +268,11 @@ class ServoKeeper:
         try:
             owner.process.check()
         except LinkError as error:
-            self._reason = error.message
             self._node.get_logger().error(error.message)
             owner.client.give_up(error)
+            self.follow()  # what it told last counts, an emergency stop above all
             self.close()
+            self._reason = error.message
             self.follow()
             self._changed()
             return

@@ -157,6 +157,14 @@ class Mcs:
         for group in self.groups.values():
             group.monitor.restart()
 
+    def find_testbed(self) -> None:
+        """The testbed is there again: what it says now counts.
+
+        Raises:
+            LinkError: It does not answer.
+        """
+        self.measured = self.manager.measured = self._testbed.read()
+
     def repartition(self, preset: str) -> None:
         """Divide the joints into the groups of another preset.
 

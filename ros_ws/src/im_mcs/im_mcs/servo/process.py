@@ -98,7 +98,9 @@ class ServoProcess:
         try:
             if not self._reporter.linked:
                 self._testbed.connect()
+                self._mcs.find_testbed()
                 self._reporter.linked = True
+                self._reporter.snapshot()  # no tick may come for long, where time stands still
                 self._pacer.restart()
             if self._wait():
                 self._tick()

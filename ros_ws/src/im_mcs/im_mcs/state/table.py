@@ -130,7 +130,10 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.ESTOPPED, Event.ESTOP, State.ESTOPPED, "the first cause stays"),
 )
 
-UNCONFIGURED_MESSAGE = "MCS is unconfigured; configure it first (ros2 lifecycle set /mcs configure)"
+RECOVER = "scripts/im recover"
+"""The command that brings the machine back, as texts name it."""
+
+UNCONFIGURED_MESSAGE = f"MCS is unconfigured; {RECOVER} configures it (transition configure on /mcs/change_state)"
 
 _ROWS = {(row.source, row.event): row for row in TABLE}
 _LIFECYCLE = {
@@ -165,8 +168,9 @@ def next_state(state: State, event: Event) -> State:
     if state is State.UNCONFIGURED:
         raise StateError(UNCONFIGURED_MESSAGE, state=state.value, request=event.value)
     allowed = [e.value for e in allowed_in(state)]
+    hint = f" ({RECOVER} does it)" if state is State.ESTOPPED else ""
     raise StateError(
-        f"{event.value} is refused in state {state.value}; allowed here: {', '.join(allowed)}",
+        f"{event.value} is refused in state {state.value}; allowed here: {', '.join(allowed)}{hint}",
         state=state.value,
         request=event.value,
         allowed=allowed,

@@ -7,7 +7,7 @@ from pathlib import Path
 from rclpy.parameter import Parameter
 
 from im_core.clock import wall
-from im_core.errors import ImError, NotFoundError
+from im_core.errors import ImError
 from im_core.names import results_dir, run_dir
 from im_core.ros import qos
 from im_core.ros.dom import DomClient
@@ -83,13 +83,12 @@ class PntNode(ManagedNode):
         self.heartbeats = Heartbeats(self)
         self.dom = DomClient(self)
         self.sources = Sources(self, self.dom, self._source_changed)
-        self.seed = int(self.declare_parameter("seed", 0).value)
+        declare = self.fixed_parameters.declare
+        self.seed = declare("seed", 0, "of the choices among transitions in conflict", span=(0, 2**31 - 1))
         journals = "" if self.get_parameter("standalone").value else str(run_dir() / "journal")
-        sync = str(self.declare_parameter("journal_sync", Sync.OS.value).value)
-        if sync not in (known := {kind.value: kind for kind in Sync}):
-            raise NotFoundError(kind="value of the parameter journal_sync", name=sync, known=known)
-        self._journal_sync = known[sync]
-        self._journal_dir = str(self.declare_parameter("journal_dir", journals).value)
+        kept = "what a firing waits for: os, that the kernel has it (survives kill -9); disk, that the disk has it"
+        self._journal_sync = Sync(declare("journal_sync", Sync.OS.value, kept, known=[kind.value for kind in Sync]))
+        self._journal_dir = declare("journal_dir", journals, "folder of the journals; empty: none are kept")
         self._publisher = PntPublisher(self)
         self._observer = NodeObserver(self, self._publisher)
         epoch = int(wall() * 1e6)

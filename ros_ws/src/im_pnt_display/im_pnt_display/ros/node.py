@@ -24,15 +24,13 @@ ANSWER_S = 5.0
 
 
 class DisplayNode(ManagedNode):
-    """ROS shell of :class:`im_pnt_display.page.server.DisplayServer`; translates messages, decides nothing.
-
-    Parameters: ``host`` (127.0.0.1) and ``port`` (8080; the next free one if in use).
-    """
+    """ROS shell of :class:`im_pnt_display.page.server.DisplayServer`; translates messages, decides nothing."""
 
     def __init__(self, *, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__("pnt_display", parameter_overrides=parameter_overrides)
-        host = str(self.declare_parameter("host", "127.0.0.1").value)
-        port = int(self.declare_parameter("port", 8080).value)
+        declare = self.fixed_parameters.declare
+        host = declare("host", "127.0.0.1", "address that the page is served on")
+        port = declare("port", 8080, "TCP port of the page, the next free one if in use; 0: any", span=(0, 65535))
         self.server = DisplayServer(host, port, self._wanted)
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
         self._nodes: dict[str, str] = {}

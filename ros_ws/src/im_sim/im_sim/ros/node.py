@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import ParameterDescriptor
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
@@ -48,9 +47,12 @@ class TestbedNode(ManagedNode):
         self._truth: CellTruth | None = None
         self._published_tick, self._published_at = -1, 0.0
         self._last_diagnosed = (0, clock.monotonic())
-        anything = ParameterDescriptor(dynamic_typing=True)
-        for name, default in (("factor", 1.0), ("seed", 0), ("cell", ""), ("period", 0.0)):
-            self.declare_parameter(name, default, anything)
+        declare = self.fixed_parameters.declare
+        fast = "simulated seconds a second of wall time; 0: as fast as it goes"
+        self._factor = declare("factor", 1.0, fast, span=(0.0, math.inf))
+        self._seed = declare("seed", 0, "of everything that is drawn at random", span=(0, 2**31 - 1))
+        self._cell_file = declare("cell", "", "file of robot, cameras and scenery; empty: the package's cell.yaml")
+        self._period = declare("period", 0.0, "of a tick of the testbed [s]; 0: the cell's", span=(0.0, 0.1))
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._lights_publisher = self.create_publisher(String, "/testbed/lights", qos.LATCHED)
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -62,20 +64,17 @@ class TestbedNode(ManagedNode):
 
     def phase_configure(self) -> None:
         """Draw the truth, start the physics process and attach to its link."""
-        factor = _number(self.get_parameter("factor").value, "factor", lowest=0.0)
-        seed = int(_number(self.get_parameter("seed").value, "seed", lowest=0.0))
-        path = str(self.get_parameter("cell").value)
-        period = _number(self.get_parameter("period").value, "period", lowest=0.0)
-        self._cell = load_cell(path or None)
-        if period != 0.0:
-            self._cell = self._cell.at_period(period)
-        self._truth = draw_truth(self._cell, seed)
+        self._cell = load_cell(self._cell_file or None)
+        if self._period != 0.0:
+            self._cell = self._cell.at_period(self._period)
+        self._truth = draw_truth(self._cell, self._seed)
         run_dir = names.run_dir()
         write_whole(run_dir / FILE_NAME, self._truth.model_dump_json(indent=1))
-        arguments = ["--instance", names.instance(), "--factor", repr(factor), "--seed", str(seed)]
+        arguments = ["--instance", names.instance(), "--factor", repr(self._factor)]
+        arguments += ["--seed", str(self._seed)]
         arguments += ["--period", repr(self._cell.period)]
-        if path:
-            arguments += ["--config", path]
+        if self._cell_file:
+            arguments += ["--config", self._cell_file]
         self._child = ChildProcess.of_module("im_sim.physics", arguments, log=run_dir / "physics.log")
         self._link = self._attach(self._child)
 

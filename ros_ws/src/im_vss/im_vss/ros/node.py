@@ -42,9 +42,14 @@ class VssNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("vss")
-        files = ("settings", "cell", "catalogue", "calibration")
-        for parameter, default in (*((file, "") for file in files), ("process", PROCESS)):
-            self.declare_parameter(parameter, default)
+        declare = self.fixed_parameters.declare
+        self._files = {
+            "settings": declare("settings", "", "file of the Services in use and their settings; empty: the package's"),
+            "cell": declare("cell", "", "file of robot, cameras and scenery; empty: the package's cell.yaml"),
+            "catalogue": declare("catalogue", "", "file of all Services that exist; empty: the package's"),
+            "calibration": declare("calibration", "", "folder of calibrations to start with; empty: as drawn"),
+        }
+        self._process = declare("process", PROCESS, "name of this process in the catalogue; it runs the Services there")
         self._source: FrameSource | None = None
         self._vsm: VisionServicesManager | None = None
 
@@ -85,7 +90,7 @@ class VssNode(ManagedNode):
         )
         self._controls = ControlParameters(self, settings, self._rig.controls, ImageStream(self, self._take_images))
         catalogue = load_catalogue(self._file("catalogue"))
-        self._vsm = VisionServicesManager(self._rig, catalogue, str(self.get_parameter("process").value))
+        self._vsm = VisionServicesManager(self._rig, catalogue, self._process)
         self._source.start()
 
     def phase_start(self) -> None:
@@ -179,7 +184,7 @@ class VssNode(ManagedNode):
             self.get_logger().error(f"{obituary}; it is started again")
 
     def _file(self, parameter: str) -> Path | None:
-        value = str(self.get_parameter(parameter).value)
+        value = self._files[parameter]
         return Path(value) if value else None
 
 

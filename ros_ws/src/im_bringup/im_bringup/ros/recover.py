@@ -1,0 +1,211 @@
+"""``recover``: brings the running machine back after the death of its servo, its testbed or ``/mcs``.
+
+Tasks that die or fail are started again by the agent of their host. What then is left to do is done here, over the
+standard interfaces of ``/mcs``: configure it, reset its emergency stop, and if neither helps have it started again.
+Nothing moves, and no power is switched on.
+"""
+
+import argparse
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
+
+from im_bringup.machine import record as machine
+from im_bringup.machine.recovery import McsCondition, Step, next_step
+from im_core import clock
+from im_core.errors import ImError, StateError, WaitTimeoutError
+from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+from im_core.ros.latest import Latest
+from im_core.ros.run import Spinner
+from im_msgs.msg import McsState, TaskRegistry
+
+TIMEOUT_S = 60.0
+#: How long /mcs may be silent, and a call of it may take [s]; how long what does not answer may still come by itself.
+SILENCE_S = 3.0
+CALL_S = 30.0
+PATIENCE_S = 6.0
+_POLL_S = 0.1
+_SERVO = "mcs: servo"
+
+DONE, FAILED, NOT_RUNNING, INTERRUPTED = 0, 1, 3, 130
+
+
+class RecoverClient(Node):
+    """Looks at the machine and takes the steps of :func:`im_bringup.machine.recovery.next_step` until it is ready.
+
+    Args:
+        say: Takes one sentence at a time: what was found, and what is done about it.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        super().__init__(f"recover_{os.getpid()}")
+        self._registry: TaskRegistry | None = None
+        self.create_subscription(TaskRegistry, "/bootstrap/tasks", self._register, qos.LATCHED)
+        self._mcs = Latest(self, McsState, "/mcs/state", qos.LATCHED, SILENCE_S)
+        self._diagnosed = False
+        self._faulty = False
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, qos.EVENTS)
+        self._lifecycle = self.create_client(ChangeState, "/mcs/change_state")
+        self._reset = self.create_client(Trigger, "/mcs/reset")
+        self._interrupted = threading.Event()
+        self._mcs_pid = 0
+        self._failure = ""
+        self._tell, self._said = say, ""
+
+    def interrupt(self) -> None:
+        """Stop; from a signal handler."""
+        self._interrupted.set()
+
+    def recover(self, timeout_s: float) -> str:
+        """Bring the machine back.
+
+        Args:
+            timeout_s: Longest wait for it to be ready [s] of wall time.
+
+        Returns:
+            A sentence that says what there is now.
+
+        Raises:
+            KeyboardInterrupt: :meth:`interrupt` was called.
+            StateError: A task was given up.
+            WaitTimeoutError: The machine is not ready in time; says what is missing.
+        """
+        began = clock.monotonic()
+        settled = began
+        while True:
+            now = clock.monotonic()
+            tasks = self._tasks()
+            step = next_step(tasks, self._condition(), patient=now - settled < PATIENCE_S)
+            if step is Step.DONE:
+                return self._summary(tasks)
+            if now - began > timeout_s:
+                raise WaitTimeoutError(what=f"the machine to be ready ({self._missing(tasks)})", seconds=timeout_s)
+            if any(word != "ready" for word in tasks.values()):
+                settled = now
+            if step is Step.RESTART:
+                settled = now
+            self._take_step(step)
+            if self._interrupted.wait(_POLL_S):
+                raise KeyboardInterrupt
+
+    def _tasks(self) -> dict[str, str]:
+        """How far each task is.
+
+        Raises:
+            StateError: One was given up.
+        """
+        registered = [] if self._registry is None else self._registry.tasks
+        for task in registered:
+            if "given up" in task.detail:
+                raise StateError(f"{task.name} {task.detail}; start anew: scripts/stop.sh, scripts/start.sh")
+            if task.phase != "ready":
+                self._say(f"{task.name} is {task.phase}{': ' + task.detail if task.detail else ''}")
+        self._mcs_pid = next((task.pid for task in registered if task.name == "mcs"), 0)
+        return {task.name: task.phase for task in registered}
+
+    def _condition(self) -> McsCondition | None:
+        message = self._mcs.message
+        if message is None or not self._diagnosed:
+            return None
+        return McsCondition(message.state, message.reason, self._mcs.stale, self._faulty)
+
+    def _take_step(self, step: Step) -> None:
+        """Take a step; what goes wrong is kept, for it may go well the next time."""
+        message = self._mcs.message
+        if message is None or step in (Step.WAIT, Step.DONE):
+            return
+        self._say(f"MCS is {message.state}{': ' + message.reason if message.reason else ''}; {step.value}")
+        try:
+            if step is Step.RESET or not self._change_state(step.value):  # an emergency stop may be latched
+                answer = call_blocking(self._reset, Trigger.Request(), CALL_S, "/mcs/reset")
+                self._failure = "" if answer.success else answer.message
+        except ImError as error:
+            self._failure = error.message
+        self._mcs.forget()
+        self._diagnosed = False
+
+    def _change_state(self, label: str) -> bool:
+        """Ask for a transition of the lifecycle; whether it was done.
+
+        Raises:
+            WaitTimeoutError: No answer.
+        """
+        request = ChangeState.Request(transition=Transition(label=label))
+        answer = call_blocking(self._lifecycle, request, CALL_S, f"/mcs/change_state {label}")
+        return bool(answer.success)
+
+    def _missing(self, tasks: dict[str, str]) -> str:
+        waiting = [f"{name} is {word}" for name, word in tasks.items() if word != "ready"]
+        if waiting or not tasks:
+            return ", ".join(waiting) or "the bootstrap does not answer"
+        message, pid = self._mcs.message, self._mcs_pid
+        if message is None or self._mcs.stale:
+            return f"/mcs does not answer; after 'kill -9 {pid}' the machine starts it again"
+        reason = self._failure or message.reason
+        return f"MCS is {message.state}{': ' + reason if reason else ''}"
+
+    def _summary(self, tasks: dict[str, str]) -> str:
+        state = f", MCS is {self._mcs.message.state}" if self._mcs.message is not None else ""
+        return f"ready: {len(tasks)} tasks{state}"
+
+    def _say(self, sentence: str) -> None:
+        if sentence != self._said:
+            self._said = sentence
+            self._tell(sentence)
+
+    def _register(self, message: TaskRegistry) -> None:
+        self._registry = message
+
+    def _diagnose(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == _SERVO:
+                self._diagnosed, self._faulty = True, status.level == DiagnosticStatus.ERROR
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(
+        prog="im recover",
+        description="Bring the running machine back after the death of its servo, its testbed or /mcs. Tasks that died "
+        "are started again by the machine; this waits for them, configures /mcs, resets an emergency stop (and says "
+        "what caused it), and if neither helps has /mcs started again. Nothing moves, no power is switched on.",
+        epilog="Exit codes: 0 ready, 1 not ready (said what is missing), 2 bad usage, 3 no machine runs, "
+        "130 interrupted.",
+    )
+    parser.add_argument("--timeout", type=float, default=TIMEOUT_S, help="longest wait in s (default: %(default)g)")
+    arguments = parser.parse_args()
+    try:
+        machine.read_running()
+    except ImError as error:
+        print(f"recover: {error.message}", file=sys.stderr)
+        return NOT_RUNNING
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    client = RecoverClient(lambda sentence: print(f"recover: {sentence}", flush=True))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: client.interrupt())
+    try:
+        with Spinner([client]):
+            print(f"recover: {client.recover(arguments.timeout)}")
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except ImError as error:
+        print(f"recover: {error.message}", file=sys.stderr)
+        return FAILED
+    finally:
+        rclpy.try_shutdown()
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

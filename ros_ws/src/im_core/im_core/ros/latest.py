@@ -1,0 +1,53 @@
+"""The last message of a topic that its node repeats while it lives."""
+
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from im_core import clock
+
+MessageT = TypeVar("MessageT")
+
+
+class Latest(Generic[MessageT]):
+    """Keeps the last message, and knows whether its node still speaks: a latched message outlives nobody.
+
+    Args:
+        node: The node that listens.
+        message_type: Type of the topic.
+        topic: Its name.
+        profile: Quality of service.
+        silence_s: Wall time without a message after which the last one is stale [s].
+        heard: Called after every message.
+
+    Attributes:
+        message: The last message, None before the first.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        message_type: type[MessageT],
+        topic: str,
+        profile: QoSProfile,
+        silence_s: float,
+        heard: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.message: MessageT | None = None
+        self._silence_s, self._heard_at, self._heard = silence_s, 0.0, heard
+        node.create_subscription(message_type, topic, self._take, profile)
+
+    @property
+    def stale(self) -> bool:
+        """Whether there is no message, or nothing was heard for so long that the last one may no longer be true."""
+        return self.message is None or clock.monotonic() - self._heard_at > self._silence_s
+
+    def forget(self) -> None:
+        """As before the first message; the next one will be new."""
+        self.message = None
+
+    def _take(self, message: MessageT) -> None:
+        self.message, self._heard_at = message, clock.monotonic()
+        self._heard()
