@@ -15,7 +15,7 @@ from im_msgs.msg import TaskRecord, TaskRegistry
 
 @pytest.fixture
 def recover(client):
-    """Runs the command; what it came to, and what it said. A registry in place of the bootstrap's says that the tasks are ready."""
+    """Runs the command; what it came to, and what it said. A registry says that the tasks are ready."""
     publisher = client.node.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
     publisher.publish(TaskRegistry(tasks=[TaskRecord(name="mcs", phase="ready", pid=os.getpid())]))
 
