@@ -18,6 +18,7 @@ from im_calibration.judgement.agreement import CameraAgreement, camera_agreement
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
 from im_calibration.judgement.checks import Checks, check
 from im_calibration.judgement.expected import expected_error, rms
+from im_calibration.judgement.neighbours import Neighbours, compare_neighbours
 from im_calibration.judgement.noise import UNLIKELY, Noise, noise_of
 from im_calibration.judgement.scale import Scale, measure_scale
 from im_calibration.judgement.verdicts import judge
@@ -64,11 +65,12 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
         raise InconsistentDataError("No set of cameras explains the spots.")
     factors = _factors(gated, sorted_problem, layout) if found is None else found.factors
     checks = check(gated, sorted_problem, layout)
+    neighbours = compare_neighbours(gated.fit.linearisation, gated.used, sorted_problem.positions)
     agreements = camera_agreements(gated.fit.linearisation, gated.used)
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
     noise = noise_of(stated, gated.used, factors, (1.0, 1.0) if found is None else found.scale)
-    return _describe(problem, layout, gated, checks, agreements, noise)
+    return _describe(problem, layout, gated, checks, agreements, noise, neighbours)
 
 
 def _factors(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> NoiseFactors:
@@ -95,6 +97,7 @@ def _describe(
     checks: Checks,
     agreements: tuple[CameraAgreement, ...],
     noise: Noise,
+    neighbours: Neighbours,
 ) -> Calibration:
     fit, used, unknowns = gated.fit, gated.used, gated.fit.unknowns
     covariance = covariance_of(fit.information)
@@ -130,6 +133,7 @@ def _describe(
         checks=checks,
         scale=_scale(problem, unknowns, covariance.matrix, used),
         noise=noise,
+        neighbours=neighbours,
     )
     by_data = covariance_of(fit.information - prior.lens_information)
     return replace(calibration, verdicts=judge(calibration, problem, layout, by_data, agreements))

@@ -153,3 +153,14 @@ def test_the_report_tells_the_noise():
     assert noise["sigma_image_px"] == pytest.approx(0.1, rel=0.4)
     assert noise["robot"] == {"factor": 1.0, "low": 1.0, "high": 1.0}
     assert "estimated (image)" in summary(report)
+
+
+def test_residuals_of_a_robot_that_is_bent_are_told_from_noise():
+    problem = make_scene(Design(poses=100, cameras=1), 30).problem
+    honest = calibrate(replace(problem, noise_to_estimate=BOTH))
+    x = problem.positions
+    bent = x + 5e-3 * np.sin(5.0 * x[:, [1, 2, 0]])
+    spoiled = calibrate(replace(problem, positions=bent, noise_to_estimate=BOTH))
+    assert not honest.neighbours.alike
+    assert spoiled.neighbours.alike
+    assert "The residuals are no noise" in spoiled.message

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from im_calibration.judgement.checks import Checks
 from im_calibration.judgement.expected import ExpectedError
+from im_calibration.judgement.neighbours import Neighbours
 from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
 from im_cell.camera_covariance import CameraCovariance
@@ -104,6 +105,7 @@ class Calibration:
         checks: How well parts of the data predict each other.
         scale: What known lengths say about the robot's scale; None without any.
         noise: What is known about the noise.
+        neighbours: Whether the residuals are noise.
     """
 
     cameras: tuple[CameraEstimate, ...]
@@ -125,6 +127,7 @@ class Calibration:
     checks: Checks
     scale: Scale | None
     noise: Noise
+    neighbours: Neighbours
 
     @property
     def success(self) -> bool:
@@ -162,7 +165,8 @@ class Calibration:
         """The outcome in a few sentences."""
         misfit = any(verdict.kind == "MISFIT" for verdict in self.verdicts)
         condition = "If nothing else is wrong: " if misfit and self.noise.remark else ""
-        return f"{self._outcome} {condition}{self.noise.remark}".rstrip()
+        pattern = self.neighbours.remark if misfit or self.noise.estimated else ""
+        return " ".join(text for text in (self._outcome, f"{condition}{self.noise.remark}", pattern) if text)
 
     @property
     def _outcome(self) -> str:

@@ -60,6 +60,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         ],
         "scale": None if calibration.scale is None else _scale(calibration.scale),
         "noise": _noise(calibration.noise),
+        "neighbours": {name: number(value) for name, value in asdict(calibration.neighbours).items()},
         "checks": {name: number(value) for name, value in asdict(calibration.checks).items()},
         "expected_error": {
             "triangulation_mm": number(calibration.expected.triangulation_rms_mm),
@@ -142,6 +143,7 @@ def summary(report: Mapping[str, Any]) -> str:
         f"expected error      {_expected(report['expected_error'])}, RMS over the workspace",
         f"held-out poses      {_found(report['checks'], 'held_out')}",
         f"two halves          {_found(report['checks'], 'split_half')}",
+        f"neighbours          {_neighbours_text(report['neighbours'])}",
         f"noise               {_noise_text(report['noise'])}",
         "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
     ]
@@ -199,6 +201,11 @@ def _expected(errors: dict[str, Any]) -> str:
 def _found(checks: Mapping[str, float | None], name: str) -> str:
     """A check beside what to expect of it."""
     return f"{_text(checks[f'{name}_px'], '.3f')} px, {_text(checks[f'{name}_expected_px'], '.3f')} px expected"
+
+
+def _neighbours_text(neighbours: Mapping[str, float | None]) -> str:
+    found, limit = (_text(neighbours[name], ".2f") for name in ("correlation", "limit"))
+    return f"correlation of residuals {found}, of noise below {limit}"
 
 
 def _noise_text(noise: Mapping[str, Any]) -> str:
@@ -271,6 +278,7 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         "covariance": [numbers(row) for row in np.asarray(result.covariance)],
         "scale": report["scale"],
         "noise": report["noise"],
+        "neighbours": report["neighbours"],
         "checks": report["checks"],
         "expected_error": report["expected_error"],
     }
