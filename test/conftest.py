@@ -43,7 +43,7 @@ def pytest_unconfigure(config):
 def wait_until():
     """``wait_until(condition, what, seconds)``: returns the first true value of the condition, or fails naming what."""
 
-    def wait(condition, what, seconds=15.0):
+    def wait(condition, what, seconds=60.0):
         deadline = clock.monotonic() + seconds
         while clock.monotonic() < deadline:
             value = condition()
@@ -107,7 +107,7 @@ def process():
 def script():
     """``script(name, args...)``: runs ``scripts/<name>.sh`` to its end."""
 
-    def run(name, *arguments, timeout=90.0, **environment):
+    def run(name, *arguments, timeout=300.0, **environment):
         return subprocess.run(
             ["bash", str(ROOT / "scripts" / f"{name}.sh"), *map(str, arguments)],
             stdin=subprocess.DEVNULL,
@@ -168,7 +168,7 @@ class VisionMachine:
         self.until(lambda: self.vss.ready or self.vss.failed)
         assert self.vss.ready, self.vss.failed or self.testbed.failed
 
-    def until(self, condition, seconds=30.0):
+    def until(self, condition, seconds=60.0):
         deadline = clock.monotonic() + seconds
         while not condition():
             assert clock.monotonic() < deadline, "waited in vain"

@@ -143,7 +143,7 @@ class Machine:
     def allow(self, name: str) -> None:
         (self.folder / name).touch()
 
-    def until(self, condition, what: str, seconds: float = 20.0) -> None:
+    def until(self, condition, what: str, seconds: float = 60.0) -> None:
         deadline = clock.monotonic() + seconds
         while not condition():
             assert clock.monotonic() < deadline, f"waited {seconds} s for {what}, in vain"

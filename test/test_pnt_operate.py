@@ -76,7 +76,7 @@ class Operator(ManagedNode):
         asked = ControlNet.Request(net=net, request=request, argument=argument)
         return call_blocking(self.control, asked, 10.0, "test")
 
-    def until(self, condition, what, seconds=10.0):
+    def until(self, condition, what, seconds=60.0):
         deadline = clock.monotonic() + seconds
         while not condition():
             assert clock.monotonic() < deadline, f"waited {seconds} s for {what}, in vain; {self.markings}"
@@ -126,7 +126,7 @@ class Walker(PntNode):
 
         self.executor.create_task(work())
         self.wake()
-        assert ended.wait(20.0)
+        assert ended.wait(60.0)
         return said[0] if said else ""
 
 
@@ -284,7 +284,7 @@ def test_a_net_that_was_loaded_later_is_there_after_a_restart(tmp_path):
         for life in range(2):
             walker = make_walker(tmp_path)
             with spin_in_thread(walker):
-                deadline = clock.monotonic() + 10.0
+                deadline = clock.monotonic() + 60.0
                 while not walker.ready and clock.monotonic() < deadline:
                     clock.sleep(0.02)
                 assert walker.ready, walker.failed

@@ -145,16 +145,15 @@ class Witness:
             assert place - served <= ahead, f"{name} waited for {place - served} others, {ahead} were before it"
 
 
-def test_the_only_client_dies_and_its_place_in_the_queue_is_free(machine, mortal):
-    """First in this module: nobody else is a client of the Service yet."""
+def test_the_only_client_dies_and_its_place_in_the_queue_is_free(machine, mortal, monkeypatch):
+    """First in this module: nobody else is a client of the Service yet. Its death is seen, not that it waits too long."""
     vmm = machine.vss._vsm.managers["image_processing"]
+    monkeypatch.setattr(vmm, "wait_s", 600.0)
     with vmm.lend("vm_snap", VisionClient("somebody")):
         child = mortal(3, ["line_find"])
         machine.until(lambda: len(vmm.state("vm_snap").queue) == 3)
         os.kill(child.pid, signal.SIGKILL)
-        began = clock.monotonic()
-        machine.until(lambda: vmm.state("vm_snap").queue == (), 20.0)
-        assert clock.monotonic() - began < vmm.wait_s / 2.0
+        machine.until(lambda: vmm.state("vm_snap").queue == (), 60.0)
     machine.until(lambda: machine.vss._vsm.state().requests == ())
 
 

@@ -29,7 +29,7 @@ from im_sim.ros.node import TestbedNode
 CELL = load_cell()
 
 
-def wait(future, seconds=20.0):
+def wait(future, seconds=60.0):
     """The result of a future of rclpy."""
     done = threading.Event()
     future.add_done_callback(lambda _: done.set())
@@ -54,7 +54,7 @@ class Client:
         self._clients = {}
 
     @staticmethod
-    def until(condition, seconds=10.0):
+    def until(condition, seconds=60.0):
         """Wait until a condition is true; returns its value."""
         deadline = clock.monotonic() + seconds
         while not (value := condition()):
@@ -113,7 +113,7 @@ class Client:
         far = self.home.copy()
         far[0] += 1.0
         started = self.start_move(far, self.home, far, self.home, far, feedback=lambda _: moving.set(), **fields)
-        assert moving.wait(5.0)
+        assert moving.wait(60.0)
         return started
 
     def cancel(self, handle):

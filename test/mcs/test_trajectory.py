@@ -57,7 +57,7 @@ def started(client, request):
     """A goal that is under way."""
     moving = threading.Event()
     handle, result = client.follow(request, lambda _: moving.set())
-    assert moving.wait(10.0)
+    assert moving.wait(60.0)
     return handle, result
 
 

@@ -38,7 +38,7 @@ def end_of(kind):
 
     @pytest.fixture
     def end(host):
-        with kind.attach(INSTANCE, timeout_s=1.0) as attached:
+        with kind.attach(INSTANCE, timeout_s=30.0) as attached:
             yield attached
 
     return end
@@ -103,7 +103,7 @@ def test_each_tick_gets_its_own_command(host, servo, time):
             assert state.stamp_ns == tick * 10_000_000
             assert (state.q == tick).all()
             servo.write_command(TickCommand(np.full(N, 10.0 * tick), True, NO_BRAKES, OPEN, tick < 4, OPEN))
-        time.wait_tick(5, timeout_s=1.0)
+        time.wait_tick(5, timeout_s=30.0)
         assert not servo.wait_state(0.05), "nobody wants time"
     assert [command.tau[0] for command in commands] == [0.0, 10.0, 20.0, 30.0, 40.0]
     assert all(command.power and not command.brakes.any() for command in commands)
@@ -112,7 +112,7 @@ def test_each_tick_gets_its_own_command(host, servo, time):
 def test_time_passes_only_as_far_as_it_is_asked_for(host, time):
     with running(host, []):
         until = time.request_time(20)
-        assert time.wait_tick(until, timeout_s=1.0) == 20
+        assert time.wait_tick(until, timeout_s=30.0) == 20
         clock.sleep(0.05)
         assert time.tick == 20
         with pytest.raises(WaitTimeoutError, match="tick 21 of the testbed"):
@@ -122,9 +122,9 @@ def test_time_passes_only_as_far_as_it_is_asked_for(host, time):
 def test_silent_servo_is_declared_gone_told_so_and_may_come_back(host, servo, panel):
     commands = []
     servo.attach_servo(os.getpid())
-    with running(host, commands, timeout_s=0.1):
+    with running(host, commands, timeout_s=0.5):
         until = panel.request_time(2)
-        panel.wait_tick(until, timeout_s=2.0)
+        panel.wait_tick(until, timeout_s=30.0)
         assert commands == [None, None]
         assert panel.servo_losses == 1
         with pytest.raises(LinkError, match="declared the servo gone"):
@@ -133,7 +133,7 @@ def test_silent_servo_is_declared_gone_told_so_and_may_come_back(host, servo, pa
         panel.request_time(1)
         assert servo.wait_state(1.0)
         servo.write_command(TickCommand(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
-        panel.wait_tick(3, timeout_s=1.0)
+        panel.wait_tick(3, timeout_s=30.0)
     assert commands[2].tau.tolist() == [1.0, 1.0, 1.0]
 
 
@@ -145,7 +145,7 @@ def test_detaching_ends_the_demand(host, servo, time):
         servo.write_command(TickCommand(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
         assert servo.wait_state(1.0)
         servo.detach_servo()
-        time.wait_tick(2, timeout_s=1.0)
+        time.wait_tick(2, timeout_s=30.0)
         clock.sleep(0.03)
         assert time.tick == 2
 
@@ -168,7 +168,7 @@ def test_exposure_is_demand_and_is_answered(host, camera):
 
     thread = threading.Thread(target=serve)
     thread.start()
-    exposure = camera.expose(2, blank_light=True, timeout_s=2.0)
+    exposure = camera.expose(2, blank_light=True, timeout_s=30.0)
     thread.join()
     assert (exposure.start_tick, exposure.end_tick, exposure.stamp_ns) == (3, 5, 40_000_000)
     assert exposure.q_true.tolist() == [1.0, 2.0, 3.0]
