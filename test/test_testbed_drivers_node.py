@@ -86,6 +86,17 @@ def drive_to(driver, target, seconds):
     return driver.read()
 
 
+def standing(driver):
+    """Where the robot stands once it moves no more, shape (n,)."""
+    deadline = clock.monotonic() + 60.0
+    while clock.monotonic() < deadline:
+        before = driver.read().q
+        clock.sleep(0.3)
+        if (driver.read().q == before).all():
+            return before
+    pytest.fail("the robot did not come to a stand")
+
+
 def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
     with robot() as process:
         driver = JointStateDriver(
@@ -103,8 +114,7 @@ def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
 
             held = Drive(np.full(2, 50.0), True, np.array([True, False]), NOTHING, True, NOTHING)
             off = Drive(np.full(2, 50.0), False, np.array([False, False]), NOTHING, True, NOTHING)
-            clock.sleep(0.2)  # the robot's own time-out has stopped it
-            before = driver.read().q
+            before = standing(driver)  # the robot's own time-out has stopped it
             for _ in range(30):
                 driver.write(off)
                 clock.sleep(0.005)

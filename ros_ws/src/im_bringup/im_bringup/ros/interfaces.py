@@ -3,17 +3,21 @@
 import argparse
 import sys
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 
 import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, ListParameters
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 
 from im_core import clock
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import Spinner
 
-DISCOVERY_S = 3.0
+# the graph is known when nothing has changed for so long; on a busy computer that takes its time
+SETTLED_S = 3.0
+DISCOVERY_AT_MOST_S = 30.0
+_LOOK_S = 0.5
 ACTION = "/_action/"
 #: What every ROS node has, and what is worth no line.
 COMMON = ("/describe_parameters", "/get_parameter", "/list_parameters", "/set_parameters", "/get_type_description")
@@ -102,6 +106,30 @@ def _whose(nodes: set[str]) -> str:
     return ", ".join(f"`{node}`" for node in sorted(nodes)) if len(nodes) < _MANY else "all nodes"
 
 
+def settle(node: Node) -> None:
+    """Wait for the end of discovery: until the graph has not changed for a while."""
+    graph, since = _graph(node), clock.monotonic()
+    deadline = since + DISCOVERY_AT_MOST_S
+    while (now := clock.monotonic()) - since < SETTLED_S and now < deadline:
+        clock.sleep(_LOOK_S)
+        before, graph = graph, _graph(node)
+        since = since if graph == before else clock.monotonic()
+
+
+def _graph(node: Node) -> list[tuple[str, str, int]]:
+    """Every node and how much it offers and hears."""
+    ways = (
+        node.get_service_names_and_types_by_node,
+        node.get_publisher_names_and_types_by_node,
+        node.get_subscriber_names_and_types_by_node,
+    )
+    graph = []
+    for name, space in node.get_node_names_and_namespaces():
+        with suppress(NodeNameNonExistentError):  # it has gone meanwhile
+            graph.append((name, space, sum(len(way(name, space)) for way in ways)))
+    return sorted(graph)
+
+
 def _table(title: str, owned: str, rows: Iterable[tuple[str, str, set[str]]]) -> str:
     lines = [f"## {title}", "", f"| name | type | {owned} |", "|---|---|---|"]
     for name, kind, nodes in sorted(rows):
@@ -117,7 +145,7 @@ def main() -> int:
     rclpy.init(args=[])
     node = Node("interfaces")
     with Spinner([node]):
-        clock.sleep(DISCOVERY_S)
+        settle(node)
         page = tables(node)
     rclpy.try_shutdown()
     if "/bootstrap" not in page:

@@ -46,6 +46,13 @@ class BagRecorder(Node):
             if publishers:
                 self._subscribe(topic, types[0], delivery_of(publishers))
 
+    def take_rest(self) -> None:
+        """Write what has arrived and was not handed out before the spinning ended."""
+        for subscription in self.subscriptions:
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+                    subscription.callback(taken[0])
+
     def _wanted(self, topic: str) -> bool:
         return topic in self._only if self._only else "/_" not in topic
 
@@ -103,6 +110,7 @@ def main() -> int:
     print(f"record: into {path}; Ctrl-C ends it", flush=True)
     try:
         spinner.spin()
+        recorder.take_rest()
     finally:
         spinner.stop()
         rclpy.try_shutdown()
