@@ -14,7 +14,6 @@ from std_msgs.msg import UInt8
 
 from im_bringup.machine import leftovers
 from im_bringup.machine import record as machine
-from im_core import clock
 from im_core.names import run_dir
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking

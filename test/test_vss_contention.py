@@ -146,7 +146,7 @@ class Witness:
 
 
 def test_the_only_client_dies_and_its_place_in_the_queue_is_free(machine, mortal, monkeypatch):
-    """First in this module: nobody else is a client of the Service yet. Its death is seen, not that it waits too long."""
+    """First in this module: nobody else is a client of the Service yet. What frees the place is its death, not time."""
     vmm = machine.vss._vsm.managers["image_processing"]
     monkeypatch.setattr(vmm, "wait_s", 600.0)
     with vmm.lend("vm_snap", VisionClient("somebody")):

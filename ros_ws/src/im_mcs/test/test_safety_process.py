@@ -107,6 +107,26 @@ def test_a_testbed_that_stops_ticking_is_noticed_only_while_time_must_pass(turns
     assert not turns._mcs.wants_time
 
 
+def test_a_servo_that_waited_for_the_processor_itself_does_not_blame_the_testbed(turns, monkeypatch):
+    to_motion(turns)
+    passed, whole = [0.0], turns.driver.wait
+
+    def wait(timeout_s):
+        if passed[0] == 0.0:
+            passed[0] = 3.0  # woken that late, while the testbed had no processor either
+            return False
+        return whole(timeout_s)
+
+    later = types.SimpleNamespace(monotonic=lambda: clock.monotonic() + passed[0], sleep=clock.sleep)
+    monkeypatch.setattr("im_mcs.servo.process.clock", later)
+    turns.driver.wait = wait
+    turns._mcs.wants_time = True
+    tick = turns._mcs.measured.tick
+    turn(turns)
+    assert turns._mcs.manager.state is State.MOTION
+    assert turns._mcs.measured.tick == tick + 1
+
+
 def test_a_request_is_not_kept_waiting_by_a_testbed_that_does_not_tick(turns):
     """Nor is a testbed blamed whose time stands still because nobody asked for any."""
     asked = clock.monotonic() + 0.3
