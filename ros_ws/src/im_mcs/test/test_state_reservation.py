@@ -134,6 +134,18 @@ def test_an_operator_takes_a_group_over_and_gives_it_back(bench, cell):
     assert bench.ask("move", group="left", path=joint_path(cell.home[LEFT]))["success"]
 
 
+@pytest.mark.parametrize("request_name", ["reserve", "take_over"])
+def test_a_lease_or_a_name_beyond_all_bounds_is_refused_in_short(bench, request_name):
+    bench.ask("reserve", group="right")
+    for lease_s in (1e308, 2e6):
+        refused(bench.ask(request_name, group="left", lease_s=lease_s), f"lease_s {lease_s!r} is not", "up to 1e+06")
+    for name in ("group", "owner"):
+        reply = bench.ask(request_name, **{"group": "right", name: "x" * 2**20})
+        refused(reply, f"{name} 'xxxx", "is not a text of up to 256 characters")
+        assert len(reply["error"]["message"]) < 120
+    assert bench.mcs.manager.reservations.groups == ("right",)
+
+
 def test_a_dead_client_s_groups_stop_on_the_path_and_hold(bench, cell):
     bench.ask("reserve", group="left", owner="planner", lease_s=0.4)
     bench.ask("reserve", group="right", owner="other")

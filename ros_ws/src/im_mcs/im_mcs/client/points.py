@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, NotFoundError
 from im_mcs.limits.limits import JointLimits
 
+_ASTRAY = 1.0  # how far out of its range a joint may be found, as a share of it
+
 
 class JointsError(DataError):
     """Joint names that are not those of the group."""
@@ -91,18 +93,18 @@ def ordered_points(
 def check_measured_path(
     limits: JointLimits, index: NDArray[np.intp], points: Sequence[Sequence[float]], max_points: int
 ) -> NDArray[np.float64]:
-    """Points of a path that begins where the group is, which may be anywhere, as an array, shape (m, n).
+    """Points of a path that begins where the group is, which may be somewhat out of range, as an array, shape (m, n).
 
     Raises:
         DataError: None or too many points, a wrong size, or a value that is not finite.
-        LimitError: A position after the first is out of its joint's range.
+        LimitError: A position after the first is out of its joint's range, or the first far out of it.
     """
     if not 1 <= len(points) <= max_points:
         raise DataError(
             f"a path of {len(points)} points is not one of 1 to {max_points}; the first is where the group is",
             points=len(points),
         )
-    checked = [limits.check_finite(index, points[0], "point 1")]
+    checked = [limits.check_positions(index, points[0], "point 1", _ASTRAY)]
     checked += [
         limits.check_positions(index, point, f"point {number}") for number, point in enumerate(points[1:], start=2)
     ]

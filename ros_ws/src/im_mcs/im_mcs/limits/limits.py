@@ -82,19 +82,29 @@ class JointLimits:
                 raise DataError(f"{where}: {joint}: {what} {value} is not a finite number", joint=joint)
         return np.array(values, dtype=np.float64)
 
-    def check_positions(self, index: NDArray[np.intp], values: Sequence[float], where: str) -> NDArray[np.float64]:
-        """Positions for the joints ``index`` as an array, if they may be commanded.
+    def check_positions(
+        self, index: NDArray[np.intp], values: Sequence[float], where: str, beyond: float = 0.0
+    ) -> NDArray[np.float64]:
+        """Positions for the joints ``index`` as an array, if they may be commanded, or be where a group is.
+
+        Args:
+            index: Joints, shape (n,).
+            values: One for each [rad or m].
+            where: What they are of, for the message.
+            beyond: How far out of its range each may be, as a share of it.
 
         Raises:
             DataError: Wrong number, or a value is not finite.
             LimitError: A position is out of its joint's range; names joint, value, limit and unit.
         """
         positions = self.check_finite(index, values, where)
-        outside = (positions < self.lower[index]) | (positions > self.upper[index])
+        margin = beyond * (self.upper[index] - self.lower[index]) if beyond else 0.0
+        lower, upper = self.lower[index] - margin, self.upper[index] + margin
+        outside = (positions < lower) | (positions > upper)
         if outside.any():
             k = int(np.argmax(outside))
             i, value = index[k], float(positions[k])
-            limit = float(self.lower[i] if value < self.lower[i] else self.upper[i])
+            limit = float(lower[k] if value < lower[k] else upper[k])
             what = f"position of {where}"
             raise LimitError(joint=self.names[i], value=value, limit=limit, unit=self.units[i], what=what)
         return positions

@@ -23,6 +23,7 @@ from im_mcs.client.servo_client import OnProgress, ServoClient, ServoReply
 from im_mcs.client.stop_circuits import StopCircuits
 from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.model import CellModel
+from im_mcs.ros.bounds import check_bounds
 from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.ros.servo_keeper import FINALIZED_MESSAGE, ServoKeeper
 from im_mcs.state import Event, State, next_state
@@ -161,6 +162,14 @@ class McsAccess:
         """
         self.client()
         return group_in_force(self.config, name)
+
+    def check(self, message: Any) -> None:
+        """Look at the size of what a client sends, before anything is done with it.
+
+        Raises:
+            DataError: A text or a list is too long, or a number is not finite or too large.
+        """
+        check_bounds(message, self.config.planning.max_points)
 
     def index(self, group: Group) -> NDArray[np.intp]:
         """Ranks of a group's joints among all, shape (n,)."""

@@ -8,7 +8,6 @@ from im_core.errors import ImError
 from im_core.ros import qos
 from im_mcs.client.points import joint_order, ordered
 from im_mcs.client.servo_client import ServoReply
-from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.state import Event
 from im_msgs.msg import SetpointCommand, TorqueCommand
@@ -38,8 +37,8 @@ class CommandTopics:
                 self._mcs.refusals.add(topic, reply.error)
 
         try:
+            self._mcs.check(message)
             joints = self._mcs.group(group).joints
-            messages.check_finite(lease=message.lease)
             order = joint_order(group, joints, list(message.joints))
             arguments = {"group": group, "owner": message.owner, "lease_s": message.lease}
             arguments.update(translate(message, order, joints))

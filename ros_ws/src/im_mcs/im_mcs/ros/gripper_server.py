@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
-from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.motions import Goals, fail
 from im_mcs.state import Event
@@ -45,7 +44,7 @@ class GripperServer:
         result = GripperCommand.Result()
         try:
             self._mcs.client()
-            messages.check_finite(position=command.position, max_effort=command.max_effort)
+            self._mcs.check(command)
             arguments = {"gripper": gripper, "opening": command.position, "force": command.max_effort}
             results = await self._mcs.request(Event.SET_GRIPPER, arguments, partial(self._begin, gripper, handle))
         except ImError as error:

@@ -14,6 +14,7 @@ from rclpy.service import Service
 from rclpy.type_support import check_is_valid_srv_type
 
 from im_core.errors import ImError, StateError
+from im_mcs.ros.bounds import check_bounds
 
 Work = Callable[[], Awaitable[None]]
 
@@ -110,6 +111,7 @@ class Lifecycle:
         labels = {number: label for number, label, *_ in self._machine.available_transitions}
         label = request.transition.label or labels.get(request.transition.id) or _LABELS.get(request.transition.id, "")
         try:
+            check_bounds(request, 0)
             await self.change(label)
             response.success = True
         except ImError:  # told where the reason has room: in the log and on /diagnostics

@@ -1,6 +1,5 @@
 """What MCS knows, as messages."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from im_core.errors import DataError
 from im_mcs.client.groups import GroupState
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS
@@ -33,17 +31,6 @@ def duration(seconds: float) -> Duration:
     """A duration from seconds."""
     nanoseconds = round(seconds * 1e9)
     return Duration(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
-
-
-def check_finite(**values: float) -> None:
-    """Refuse what is not finite: it does not travel.
-
-    Raises:
-        DataError: Names the first value that is not.
-    """
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise DataError(f"{name} is {value}, not a finite number", field=name)
 
 
 def pose(placement: pin.SE3) -> Pose:

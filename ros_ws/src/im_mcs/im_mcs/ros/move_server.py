@@ -55,11 +55,11 @@ class MoveServer:
         return result
 
     def _arguments(self, group: str, goal: Move.Goal) -> dict[str, Any]:
-        """Arguments of the request; what is not finite does not travel."""
+        """Arguments of the request; what is too large, or not finite, does not travel."""
+        self._mcs.check(goal)
         joints = self._mcs.group(group).joints
         if goal.policy not in _POLICIES:
             raise DataError(f"policy {goal.policy} is not one of 0 (refuse), 1 (append), 2 (replace)")
-        messages.check_finite(speed_scale=goal.speed_scale, blend=goal.blend, line_speed=goal.line_speed)
         if goal.line and goal.path.points:
             raise DataError("a move has a path or a line, not both")
         if goal.line:

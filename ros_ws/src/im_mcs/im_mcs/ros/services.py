@@ -1,11 +1,13 @@
 """Services of MCS: of the state manager, on motions under way, and kinematic questions."""
 
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from std_srvs.srv import Trigger
 
-from im_core.errors import ImError
+from im_core.errors import ImError, StateError
 from im_core.ros.calls import run_in_thread
 from im_core.ros.status import ok_status, to_status
 from im_mcs.client.groups import best_positions, group_state
@@ -38,6 +40,12 @@ _TRIGGERS = (
     Event.ESTOP,
     Event.RESET,
 )
+Work = Callable[[Any, Any, str], Awaitable[str]]
+"""What a service does: given request, response and client, it returns what to say."""
+
+_Answer = TypeVar("_Answer")
+
+_MOST_QUESTIONS = 16
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -50,13 +58,13 @@ class StateServices:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        access.node.create_service(ReserveGroup, "/mcs/reserve", answering(self._reserve))
-        access.node.create_service(ReserveGroup, "/mcs/take_over", answering(self._take_over))
-        access.node.create_service(ReserveGroup, "/mcs/release", answering(self._release))
-        access.node.create_service(RenewLease, "/mcs/renew", answering(self._renew))
-        access.node.create_service(SetPartition, "/mcs/set_partition", answering(self._set_partition))
+        offer(access, ReserveGroup, "/mcs/reserve", self._reserve)
+        offer(access, ReserveGroup, "/mcs/take_over", self._take_over)
+        offer(access, ReserveGroup, "/mcs/release", self._release)
+        offer(access, RenewLease, "/mcs/renew", self._renew)
+        offer(access, SetPartition, "/mcs/set_partition", self._set_partition)
         for event in _TRIGGERS:
-            access.node.create_service(Trigger, f"/mcs/{event.value}", answering(self._on_trigger(event)))
+            offer(access, Trigger, f"/mcs/{event.value}", self._on_trigger(event))
 
     async def _reserve(self, request: ReserveGroup.Request, _: object, client: str) -> str:
         await self._mcs.request(Event.RESERVE, await self._reservation(request, client))
@@ -77,7 +85,6 @@ class StateServices:
 
     async def _reservation(self, request: ReserveGroup.Request, client: str) -> dict[str, Any]:
         self._mcs.group(request.group)
-        messages.check_finite(lease=request.lease)
         sender = await self._mcs.sender(client)
         return {"group": request.group, "owner": request.owner, "lease_s": request.lease, "sender": sender}
 
@@ -89,7 +96,7 @@ class StateServices:
         await self._mcs.repartition(request.preset)
         return f"the groups are {', '.join(self._mcs.config.groups)}"
 
-    def _on_trigger(self, event: Event) -> Callable[[Any, Any, str], Awaitable[str]]:
+    def _on_trigger(self, event: Event) -> Work:
         async def work(*_: object) -> str:
             return await self._mcs.transition(event)
 
@@ -105,12 +112,12 @@ class MotionServices:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        access.node.create_service(GroupCommand, "/mcs/pause", answering(self._pause))
-        access.node.create_service(GroupCommand, "/mcs/resume", answering(self._resume))
-        access.node.create_service(SetSpeed, "/mcs/set_speed", answering(self._set_speed))
-        access.node.create_service(SetPayload, "/mcs/set_payload", answering(self._set_payload))
-        access.node.create_service(SetController, "/mcs/set_controller", answering(self._set_controller))
-        access.node.create_service(SetGripper, "/mcs/set_gripper", answering(self._set_gripper))
+        offer(access, GroupCommand, "/mcs/pause", self._pause)
+        offer(access, GroupCommand, "/mcs/resume", self._resume)
+        offer(access, SetSpeed, "/mcs/set_speed", self._set_speed)
+        offer(access, SetPayload, "/mcs/set_payload", self._set_payload)
+        offer(access, SetController, "/mcs/set_controller", self._set_controller)
+        offer(access, SetGripper, "/mcs/set_gripper", self._set_gripper)
 
     async def _pause(self, request: GroupCommand.Request, *_: object) -> str:
         """Anyone may: to stop is always allowed."""
@@ -128,22 +135,18 @@ class MotionServices:
 
     async def _set_speed(self, request: SetSpeed.Request, _: object, client: str) -> str:
         self._mcs.group(request.group)
-        messages.check_finite(scale=request.scale)
         arguments = {"group": request.group, "scale": request.scale, "sender": await self._mcs.sender(client)}
         await self._mcs.request(Event.SET_SPEED, arguments)
         return f"{request.group} moves at {request.scale:g} of the planned speed"
 
     async def _set_payload(self, request: SetPayload.Request, _: object, client: str) -> str:
         payload = request.payload
-        center = {f"payload.com.{axis}": getattr(payload.com, axis) for axis in "xyz"}
-        inertia = {f"payload.{name}": getattr(payload, name) for name in _INERTIA}
         self._mcs.group(request.group)
-        messages.check_finite(**{"payload.m": payload.m, **center, **inertia})
         arguments = {
             "group": request.group,
             "mass": payload.m,
-            "center": list(center.values()),
-            "inertia": list(inertia.values()),
+            "center": [payload.com.x, payload.com.y, payload.com.z],
+            "inertia": [getattr(payload, name) for name in _INERTIA],
             "sender": await self._mcs.sender(client),
         }
         await self._mcs.request(Event.SET_PAYLOAD, arguments)
@@ -158,7 +161,6 @@ class MotionServices:
 
     async def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response, _: str) -> str:
         opening = 0.0 if request.close else self._mcs.cell.gripper.stroke
-        messages.check_finite(force=request.force)
         arguments = {"gripper": request.gripper, "opening": opening, "force": request.force}
         results = await self._mcs.request(Event.SET_GRIPPER, arguments)
         response.opening = float(results["opening"])
@@ -174,10 +176,11 @@ class KinematicsServices:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        access.node.create_service(GetGroupState, "/mcs/get_group_state", self._get_group_state)
-        access.node.create_service(ForwardKinematics, "/mcs/forward_kinematics", self._forward_kinematics)
-        access.node.create_service(InverseKinematics, "/mcs/inverse_kinematics", self._inverse_kinematics)
-        access.node.create_service(CheckPath, "/mcs/check_path", self._check_path)
+        self._asked = 0
+        offer(access, GetGroupState, "/mcs/get_group_state", self._get_group_state)
+        offer(access, ForwardKinematics, "/mcs/forward_kinematics", self._forward_kinematics)
+        offer(access, InverseKinematics, "/mcs/inverse_kinematics", self._inverse_kinematics)
+        offer(access, CheckPath, "/mcs/check_path", self._check_path)
 
     def measured(self, group: str) -> GroupStateMessage:
         """Measured state of a group.
@@ -190,84 +193,91 @@ class KinematicsServices:
         description, snapshot = mcs.group(group), mcs.client().snapshot()
         return messages.group_state(group_state(group, description, mcs.model, snapshot, mcs.config.servo.period_s))
 
-    def _get_group_state(
-        self, request: GetGroupState.Request, response: GetGroupState.Response
-    ) -> GetGroupState.Response:
-        try:
-            response.state = self.measured(request.group)
-            response.success, response.status = True, ok_status()
-        except ImError as error:
-            response.success, response.status = False, to_status(error)
-        return response
+    async def _get_group_state(self, request: GetGroupState.Request, response: GetGroupState.Response, _: str) -> str:
+        response.state = self.measured(request.group)
+        return ""
 
     async def _forward_kinematics(
-        self, request: ForwardKinematics.Request, response: ForwardKinematics.Response
-    ) -> ForwardKinematics.Response:
+        self, request: ForwardKinematics.Request, response: ForwardKinematics.Response, _: str
+    ) -> str:
         mcs = self._mcs
-        try:
-            mcs.group(request.group)
-            q_all = best_positions(mcs.client().snapshot())
-            wrist = await run_in_thread(mcs.node, mcs.kinematics.forward, request.group, list(request.q), q_all)
-            response.success, response.status, response.wrist = True, ok_status(), messages.pose(wrist.pose)
-        except ImError as error:
-            response.success, response.status = False, to_status(error)
-        return response
+        mcs.group(request.group)
+        wrist = await self._ask(mcs.kinematics.forward, request.group, list(request.q), self._q_all())
+        response.wrist = messages.pose(wrist.pose)
+        return ""
 
     async def _inverse_kinematics(
-        self, request: InverseKinematics.Request, response: InverseKinematics.Response
-    ) -> InverseKinematics.Response:
+        self, request: InverseKinematics.Request, response: InverseKinematics.Response, _: str
+    ) -> str:
         mcs, p, o = self._mcs, request.wrist.position, request.wrist.orientation
-        try:
-            mcs.group(request.group)
-            q_all = best_positions(mcs.client().snapshot())
-            q = await run_in_thread(
-                mcs.node,
-                mcs.kinematics.inverse,
-                request.group,
-                (p.x, p.y, p.z),
-                (o.x, o.y, o.z, o.w),
-                list(request.seed),
-                q_all,
-                request.avoid_collisions,
-            )
-            response.success, response.status, response.q = True, ok_status(), q.tolist()
-        except ImError as error:
-            response.success, response.status = False, to_status(error)
-        return response
+        mcs.group(request.group)
+        q = await self._ask(
+            mcs.kinematics.inverse,
+            request.group,
+            (p.x, p.y, p.z),
+            (o.x, o.y, o.z, o.w),
+            list(request.seed),
+            self._q_all(),
+            request.avoid_collisions,
+        )
+        response.q = q.tolist()
+        return ""
 
-    async def _check_path(self, request: CheckPath.Request, response: CheckPath.Response) -> CheckPath.Response:
+    async def _check_path(self, request: CheckPath.Request, response: CheckPath.Response, _: str) -> str:
         mcs = self._mcs
+        points = ordered_points(
+            request.group,
+            mcs.group(request.group).joints,
+            list(request.path.joint_names),
+            [list(point.positions) for point in request.path.points],
+        )
+        response.clearance = await self._ask(mcs.kinematics.check_path, request.group, points, self._q_all())
+        return ""
+
+    def _q_all(self) -> NDArray[np.float64]:
+        return best_positions(self._mcs.client().snapshot())
+
+    async def _ask(self, question: Callable[..., _Answer], *arguments: object) -> _Answer:
+        """Let a thread answer a question; only so many may wait at a time, for all of them slow the loop down.
+
+        Raises:
+            ImError: There are too many already, or there is no answer.
+        """
+        if self._asked >= _MOST_QUESTIONS:
+            raise StateError(f"{self._asked} kinematic questions wait already, {_MOST_QUESTIONS} may; ask again later")
+        self._asked += 1
         try:
-            q_all = best_positions(mcs.client().snapshot())
-            points = ordered_points(
-                request.group,
-                mcs.group(request.group).joints,
-                list(request.path.joint_names),
-                [list(point.positions) for point in request.path.points],
-            )
-            clearance = await run_in_thread(mcs.node, mcs.kinematics.check_path, request.group, points, q_all)
-            response.success, response.status, response.clearance = True, ok_status(), clearance
-        except ImError as error:
-            response.success, response.status = False, to_status(error)
-        return response
+            return await run_in_thread(self._mcs.node, question, *arguments)
+        finally:
+            self._asked -= 1
 
 
-def answering(work: Callable[[Any, Any, str], Awaitable[str]]) -> Callable[[Any, Any], Callable[[str], Any]]:
-    """A callback that says what ``work`` says, or why it could not be done.
+def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work) -> None:
+    """Offer a service whose answer says what ``work`` says, or why it could not be done.
+
+    What is asked is looked at for its size before anything else.
 
     Args:
+        mcs: MCS.
+        srv_type: With ``success`` and ``message``, or ``success`` and ``status``, in its answer.
+        name: Of the service.
         work: Given request, response and the client that asks; it may fill what else the response has.
     """
 
     def serve(request: Any, response: Any) -> Callable[[str], Any]:
         async def answer(client: str) -> Any:
             try:
-                response.message = await work(request, response, client)
-                response.success = True
-            except ImError as error:
-                response.success, response.message = False, error.message
+                mcs.check(request)
+                said, error = await work(request, response, client), None
+            except ImError as refused:
+                said, error = refused.message, refused
+            response.success = error is None
+            if hasattr(response, "status"):
+                response.status = ok_status(said) if error is None else to_status(error)
+            else:
+                response.message = said
             return response
 
         return answer
 
-    return serve
+    mcs.node.create_service(srv_type, name, serve)
