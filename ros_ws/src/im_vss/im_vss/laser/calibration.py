@@ -29,8 +29,10 @@ Array = NDArray[np.float64]
 PARAMETERS = ("turn x", "turn y", "turn z", "x", "y", "z", "gain of mirror 1", "gain of mirror 2", "offset", "gap")
 """In this order: turn of the scanner in the world [rad], position [m], gains [-], offset of mirror 1 [rad], gap [m]."""
 _POSE = 6
-_LOSSES = ("soft_l1", "cauchy", "linear", "linear", "linear")
-"""From what has one minimum to what is most precise."""
+_ROBUST_LOSSES = ("soft_l1", "cauchy")
+"""From what has one minimum to what hardly hears gross errors."""
+_MOST_ROUNDS = 6
+"""Of the fit by the spots in use, and of the choice of those by the fit."""
 _MOST_EVALUATIONS = 200
 _STEP = 1e-5
 """Of central differences, relative to what each parameter may be off."""
@@ -113,26 +115,30 @@ def calibrate(
         return LaserCalibration(
             model, unknown, (verdict,), float("nan"), float("nan"), used, np.full(len(spots), np.nan)
         )
-    for loss in _LOSSES:
-        model = problem.solve(model, used, loss)
+    for loss in _ROBUST_LOSSES:
+        model = problem.solve(model, used, problem.by_all, loss)
+    within = problem.deviations(model) <= gates.outlier
+    for _ in range(_MOST_ROUNDS):
+        used = within if within.sum() >= gates.fewest else used
+        model = problem.solve(model, used, problem.by_spots)
         judged = problem.judge(model, used, gates.outlier)
         within = judged.off <= gates.outlier
-        if loss == "soft_l1" or within.sum() < gates.fewest:
-            continue
-        if loss == "linear" and np.array_equal(within, used):
+        if np.array_equal(within, used):
             break
-        used = within
     across = problem.across(model)[used]
     dof = 2 * int(used.sum()) - _POSE  # the data sheet gives as many numbers as the mirrors have parameters
     chi2 = judged.chi2 / dof
     rms = float(np.sqrt((across**2).sum(axis=1).mean()))
     places = np.array([spot.point.position for spot, use in zip(spots, used, strict=True) if use])
-    verdicts = _verdicts(places, len(spots), judged.covariance, chi2, gates)
+    verdicts = _verdicts(places, len(spots), judged.by_spots, chi2, gates)
     return LaserCalibration(model, judged.covariance, verdicts, rms, chi2, used, judged.off)
 
 
 def _verdicts(places: Array, offered: int, covariance: Array, chi2: float, gates: CalibrationGates) -> tuple[str, ...]:
-    """Why an estimate from spots, shape (n, 3) [m], out of more that were offered, cannot be used."""
+    """Why an estimate from spots, shape (n, 3) [m], out of more that were offered, cannot be used.
+
+    `covariance` is what these spots leave open, shape (10, 10): that of the cameras no further spot can mend.
+    """
     found: list[str] = []
     if len(places) < gates.share * offered:
         found.append(
@@ -163,11 +169,16 @@ def _verdicts(places: Array, offered: int, covariance: Array, chi2: float, gates
 
 @dataclass(frozen=True)
 class _Judged:
-    """Covariance of the estimate, shape (10, 10); misfit; how far each spot is off, in standard deviations, shape (n,).
+    """What an estimate is worth.
 
-    Both without what the likeliest error of the cameras explains.
+    Attributes:
+        by_spots: Its covariance by the noise of spots and mirrors, shape (10, 10).
+        covariance: By that and the cameras, shape (10, 10).
+        chi2: Misfit, without what the likeliest error of the cameras explains [-].
+        off: How far each spot is off, without the same, in standard deviations, shape (n,).
     """
 
+    by_spots: Array
     covariance: Array
     chi2: float
     off: Array
@@ -181,7 +192,8 @@ class _Problem:
         root = axes[:, values > 0.0] * np.sqrt(values[values > 0.0])
         self._angles = np.array([spot.angles for spot in spots]).reshape(-1, 2)
         self._places = np.array([spot.point.position for spot in spots]).reshape(-1, 3)
-        self._covariances = np.array([spot.point.by_spots for spot in spots]).reshape(-1, 3, 3)
+        self.by_spots = np.array([spot.point.by_spots for spot in spots]).reshape(-1, 3, 3)
+        self.by_all = np.array([spot.point.covariance for spot in spots]).reshape(-1, 3, 3)
         self._common = np.array([spot.point.by_cameras @ root for spot in spots]).reshape(len(spots), 3, root.shape[1])
         self._jitter = 2.0 * sheet.repeatability
         limits = sheet.tolerance
@@ -189,11 +201,11 @@ class _Problem:
         self._tolerance = np.array([limits.gain, limits.gain, limits.offset, limits.gap])
         self._scale = np.concatenate((np.full(3, 0.01), np.full(3, 0.01), self._tolerance))
 
-    def solve(self, start: LaserModel, used: NDArray[np.bool_], loss: str) -> LaserModel:
-        """The best model by the spots in use, shape (n,); see `_LOSSES`."""
+    def solve(self, start: LaserModel, used: NDArray[np.bool_], covariances: Array, loss: str = "linear") -> LaserModel:
+        """The best model by the spots in use, shape (n,), with these covariances, shape (n, 3, 3) [m^2]."""
         model = start
         for _ in range(2):  # weights depend on directions and distances, which hardly change
-            whiten, base = self._whitening(model)[used], model
+            whiten, base = self._whitening(model, covariances)[used], model
 
             def residuals(step: Array, base: LaserModel = base, whiten: Array = whiten) -> Array:
                 moved = _moved(base, step)
@@ -207,6 +219,11 @@ class _Problem:
             model = _moved(base, fit.x)
         return model
 
+    def deviations(self, model: LaserModel) -> Array:
+        """How far each spot is off its beam, in standard deviations by spots and cameras, shape (n,)."""
+        whiten = self._whitening(model, self.by_all)
+        return np.asarray(np.linalg.norm(np.einsum("nij,nj->ni", whiten, self._off(model)), axis=1))
+
     def judge(self, model: LaserModel, used: NDArray[np.bool_], outlier: float) -> _Judged:
         """How well an estimate from the spots in use, shape (n,), is known, and how well it fits.
 
@@ -214,7 +231,7 @@ class _Problem:
         errors z of the cameras, each of unit variance, z moves the estimate by ``-(J'J)^-1 J'A z`` and leaves
         ``(A - J (J'J)^-1 J'A) z`` in the residuals.
         """
-        n, whiten = len(used), self._whitening(model)
+        n, whiten = len(used), self._whitening(model, self.by_spots)
 
         def residuals(step: Array) -> Array:
             moved = _moved(model, step)
@@ -228,7 +245,7 @@ class _Problem:
         information, axes = np.linalg.eigh(jacobian[rows].T @ jacobian[rows])
         by_spots = (axes / np.maximum(information, _NOTHING * information[-1])) @ axes.T
         moved = by_spots @ jacobian[rows].T @ common[rows]
-        covariance = (by_spots + moved @ moved.T) * np.outer(self._scale, self._scale)
+        units = np.outer(self._scale, self._scale)
 
         left, found = common - jacobian @ moved, residuals(np.zeros(len(PARAMETERS)))
         blocks, across = left[: 2 * n].reshape(n, 2, -1), found[: 2 * n].reshape(n, 2)
@@ -240,7 +257,8 @@ class _Problem:
         )
         rest = found - left @ z
         off = np.linalg.norm(rest[: 2 * n].reshape(n, 2), axis=1)
-        return _Judged(covariance, float((rest[rows] ** 2).sum() + (z**2).sum()), off)
+        chi2 = float((rest[rows] ** 2).sum() + (z**2).sum())
+        return _Judged(by_spots * units, (by_spots + moved @ moved.T) * units, chi2, off)
 
     def across(self, model: LaserModel) -> Array:
         """Vectors from the beams to the spots, shape (n, 3) [m]."""
@@ -254,12 +272,17 @@ class _Problem:
         way = self._places - origins
         return np.asarray(way - np.einsum("ni,ni->n", way, directions)[:, None] * directions)
 
-    def _whitening(self, model: LaserModel) -> Array:
-        """For each spot a matrix, shape (n, 2, 3) [1/m], that makes its vector off the beam two unit normal numbers."""
+    def _whitening(self, model: LaserModel, covariances: Array) -> Array:
+        """For each spot a matrix that makes its vector off the beam two unit normal numbers, shape (n, 2, 3) [1/m].
+
+        Args:
+            model: The scanner.
+            covariances: Of the spots, shape (n, 3, 3) [m^2].
+        """
         origins, directions = model.rays(self._angles)
         distance = np.linalg.norm(self._places - origins, axis=1)
         basis = np.linalg.svd(directions[:, None, :])[2][:, 1:, :]
-        seen = np.einsum("nij,njk,nlk->nil", basis, self._covariances, basis)
+        seen = np.einsum("nij,njk,nlk->nil", basis, covariances, basis)
         seen = seen + (self._jitter * distance)[:, None, None] ** 2 * np.eye(2)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(seen)) @ basis)
 
