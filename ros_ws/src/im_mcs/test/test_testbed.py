@@ -1,10 +1,15 @@
+import os
+import re
+
 import numpy as np
 import pytest
 
+from im_cell.link import HostEnd, Sensors
 from im_core.config import package_file
 from im_core.errors import ConfigError
+from im_mcs.client.stop_circuits import StopCircuits
 from im_mcs.limits.configuration import load_config
-from im_mcs.limits.slots import Slot
+from im_mcs.limits.slots import Driver, Slot
 from im_mcs.testbed import Drive, TestbedInterface, load_driver
 from im_mcs.testbed.loopback import LoopbackDriver
 
@@ -113,3 +118,20 @@ def test_configured_drivers_are_made_with_their_settings():
     assert driver.read().q.tolist() == [0.1, 0.2]
     with pytest.raises(ConfigError, match=r"nowhere:Driver.*module:Class"):
         load_driver("nowhere:Driver", {}, instance="im0", timeout_s=1.0)
+
+
+def test_stop_circuits_say_what_they_could_not_do():
+    """A driver without one, and one whose testbed is not there; and one that is cut."""
+    names = {"robot": "im_mcs.testbed.loopback:LoopbackDriver", "testbed": "im_mcs.testbed.simulated:SimulatedDriver"}
+    drivers = {name: Driver.model_construct(driver=path, settings={}) for name, path in names.items()}
+    circuits = StopCircuits(drivers, f"imstop{os.getpid()}")
+    assert re.fullmatch(r"that of testbed is not: .+; robot has no stop circuit", circuits.cut())
+    assert not circuits.is_cut()
+    with HostEnd.create(f"imstop{os.getpid()}", factor=0.0) as host:
+        still = np.zeros(18)
+        sensors = Sensors(still, False, still == 0.0, np.zeros(2), still, np.zeros((2, 6)), np.zeros(2))
+        host.publish_state(0, sensors, still, still)
+        assert circuits.cut() == "the stop circuit of testbed is cut; robot has no stop circuit"
+        assert circuits.is_cut()
+        circuits.restore()
+        assert not circuits.is_cut()

@@ -184,7 +184,7 @@ class McsAccess:
             client: As :func:`im_core.ros.callers.client_of` says; empty: not known.
             *names: Owners that the request names; empty ones do not count.
         """
-        nodes = nodes_of(self.node, client)
+        nodes = nodes_of(self.node, client) if client else ()
         for _ in range(_INTRODUCTIONS if client else 0):
             if nodes:
                 break
