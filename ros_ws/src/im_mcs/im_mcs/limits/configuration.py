@@ -7,7 +7,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from im_core.config import FieldError, Model, faults, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
-from im_mcs.limits.motion_limits import Synchrony
+from im_mcs.limits.motion_limits import BeyondLimits, Synchrony
 from im_mcs.limits.slots import Slot, Testbed, check_slots
 
 
@@ -120,6 +120,9 @@ class Planning(Model):
     """Defaults of the motion planning layer."""
 
     synchrony: Synchrony = Synchrony.PHASE
+    beyond_limits: BeyondLimits = Field(
+        default=BeyondLimits.RETIME, description="of trajectories: retime them along their path, or refuse them"
+    )
     max_points: int = Field(ge=1, description="points of one path")
     max_trajectory_points: int = Field(ge=1, description="points of one trajectory with times")
     line: Line

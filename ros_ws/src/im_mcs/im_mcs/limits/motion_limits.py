@@ -17,6 +17,15 @@ class Synchrony(StrEnum):
     """Each joint on its own profile of the common duration."""
 
 
+class BeyondLimits(StrEnum):
+    """What becomes of a trajectory whose velocity, acceleration or jerk is beyond a limit somewhere."""
+
+    RETIME = "retime"
+    """It is followed on its own path, later than asked for."""
+    REFUSE = "refuse"
+    """Nothing moves."""
+
+
 @dataclass(frozen=True)
 class MotionLimits:
     """Limits that a trajectory keeps, each of shape (n,).

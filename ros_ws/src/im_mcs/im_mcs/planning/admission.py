@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import DataError, LimitError
+from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.planning.context import PlanContext
 from im_mcs.protocol.requests import JointMove, Move, StreamRequest, TrajectoryMove
 
@@ -25,10 +26,15 @@ def check_move(context: PlanContext, move: Move) -> None:
     elif isinstance(move, TrajectoryMove):
         points, motion = move.points, context.limits.motion.of(context.index)
         _check_points(context, points.q)
+        # what may be re-timed may be beyond limits, but not beyond numbers
+        any_finite = np.full(len(context.index), np.finfo(np.float64).max / 2.0)
+        retimed = context.config.planning.beyond_limits is BeyondLimits.RETIME
         if points.v is not None:
-            _check_derivative(context, points.v, motion.velocity, "velocities", "velocity", "/s")
+            bound = any_finite if retimed else motion.velocity
+            _check_derivative(context, points.v, bound, "velocities", "velocity", "/s")
         if points.a is not None:
-            _check_derivative(context, points.a, motion.acceleration, "accelerations", "acceleration", "/s2")
+            bound = any_finite if retimed else motion.acceleration
+            _check_derivative(context, points.a, bound, "accelerations", "acceleration", "/s2")
 
 
 def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,6 +1,8 @@
 """Whether a whole trajectory keeps to the limits, judged before anything moves, on a grid finer than the servo's."""
 
+from collections.abc import Generator
 from functools import cache
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,61 +12,63 @@ from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.context import PlanContext
 from im_mcs.planning.polynomial import PiecewisePolynomial
 
+Array = NDArray[np.float64]
+
 # of one piece, both ends included: what is given as points in time has long pieces, a fitted line pieces of 20 ms
 _SAMPLES, _SAMPLES_OF_SHORT = 257, 9
 _TOLERANCE = 1e-4
-_NAMES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"))
+# jumps of acceleration that come from rounding, as a share of what the limit of jerk allows between two evaluations
+_JUMP = 0.01
+_NAMES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s2"), ("jerk", "/s3"))
+_PIECES_CLOSE, _PIECES_CLEARED = 12, 60
 
 
-def check_envelope(
-    context: PlanContext,
-    trajectory: PiecewisePolynomial,
-    pieces: slice = slice(None),
-    *,
-    positions_only: bool = False,
-) -> None:
-    """Check position, velocity and acceleration of every piece, at its ends and evenly between.
+def check_range(context: PlanContext, trajectory: PiecewisePolynomial, pieces: slice = slice(None)) -> None:
+    """Check that some pieces, all of them if none are named, stay within the joints' ranges.
+
+    Raises:
+        LimitError: One does not; names joint, value, limit, unit and time.
+    """
+    limits, index = context.limits, context.index
+    lower, upper = limits.lower[index], limits.upper[index]
+    near = _not_cleared(trajectory, pieces, 0, lower, upper)
+    fault = _first_beyond(context, trajectory, near, 0, lower, upper) if near.size else None
+    if fault is not None:
+        raise fault
+
+
+def first_excess(
+    context: PlanContext, trajectory: PiecewisePolynomial, pieces: range, before: Array
+) -> Generator[None, None, LimitError | None]:
+    """The first place in some pieces where a velocity, an acceleration or a jerk is beyond its limit, slice by slice.
+
+    A jump of acceleration where a piece begins counts as a jerk within the time between evaluations.
 
     Args:
         context: Limits and joints.
         trajectory: To check.
-        pieces: Which of its pieces.
-        positions_only: Velocity and acceleration are known to be within limits.
-
-    Raises:
-        LimitError: One is not; names joint, value, limit, unit and time.
+        pieces: Which of its pieces; those that a coarse bound does not clear are looked at closely.
+        before: Acceleration with which the first of them is begun, shape (n,).
     """
-    lengths, coefficients = trajectory.lengths[pieces], trajectory.coefficients[pieces]
-    limits, index = context.limits, context.index
-    motion = limits.motion.of(index)
-    lower, upper = limits.lower[index], limits.upper[index]
-    slack = _TOLERANCE * (upper - lower)
-    bounds = [
-        (lower - slack, upper + slack),
-        (-motion.velocity * (1.0 + _TOLERANCE), motion.velocity * (1.0 + _TOLERANCE)),
-        (-motion.acceleration * (1.0 + _TOLERANCE), motion.acceleration * (1.0 + _TOLERANCE)),
-    ]
-    for order, (low, high) in enumerate(bounds[: 1 if positions_only else 3]):
-        values = _values(coefficients, lengths, order, _SAMPLES)
-        beyond = (values < low) | (values > high)
-        if beyond.any():
-            # the first in time
-            piece, sample, k = (int(i) for i in np.argwhere(beyond)[0])
-            end, share = float(trajectory.lengths.cumsum()[pieces][piece]), sample / (_SAMPLES - 1)
-            time = end - float(lengths[piece]) * (1.0 - share)
-            value = float(values[piece, sample, k])
-            name, unit = _NAMES[order]
-            i = index[k]
-            limit = (lower if value < low[k] else upper)[k] if order == 0 else np.sign(value) * high[k]
-            fault = LimitError(
-                joint=limits.names[i],
-                value=value,
-                limit=float(limit),
-                unit=limits.units[i] + unit,
-                what=f"{name} at {time:.3f} s of the trajectory",
-            )
-            fault.facts["time"] = time
-            raise fault
+    limits = context.limits.motion.of(context.index)
+    for begin in range(pieces.start, pieces.stop, _PIECES_CLEARED):
+        some = slice(begin, min(begin + _PIECES_CLEARED, pieces.stop))
+        faults = [_first_jump(context, trajectory, some, before, limits.jerk)]
+        before = force_at_end(trajectory, slice(some.stop - 1, some.stop))[0]
+        for order, limit in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
+            near = _not_cleared(trajectory, some, order, -limit, limit)
+            for k in range(0, len(near), _PIECES_CLOSE):
+                yield
+                faults.append(
+                    _first_beyond(context, trajectory, near[k : k + _PIECES_CLOSE], order, -limit, limit)
+                )
+                if faults[-1] is not None:
+                    break
+        found = min((f for f in faults if f is not None), key=lambda f: float(f.facts["time"]), default=None)
+        if found is not None:
+            return found
+        yield
+    return None
 
 
 def slowdown(trajectory: PiecewisePolynomial, limits: MotionLimits, pieces: slice) -> float:
@@ -75,25 +79,117 @@ def slowdown(trajectory: PiecewisePolynomial, limits: MotionLimits, pieces: slic
         limits: Of its joints, each of shape (n,).
         pieces: Which of its pieces.
     """
-    lengths, coefficients = trajectory.lengths[pieces], trajectory.coefficients[pieces]
-    factor = 1.0
+    return max(1.0, float(excess(trajectory.coefficients[pieces], trajectory.lengths[pieces], limits).max()))
+
+
+def excess(coefficients: Array, lengths: Array, limits: MotionLimits) -> Array:
+    """Factor by which each of m short pieces must take longer to keep its limits, below 1 where it may be quicker.
+
+    Args:
+        coefficients: Of the pieces, shape (m, 6, n).
+        lengths: Shape (m,) [s].
+        limits: Of its joints, each of shape (n,).
+    """
+    factor = np.zeros(len(lengths))
     for order, limit in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
-        used = np.abs(_values(coefficients, lengths, order, _SAMPLES_OF_SHORT)).max(axis=(0, 1)) / limit
-        factor = max(factor, float(used.max()) ** (1.0 / order))
+        used = np.abs(_values(coefficients, lengths, order, _SAMPLES_OF_SHORT)).max(axis=1) / limit
+        factor = np.maximum(factor, used.max(axis=1) ** (1.0 / order))
     return factor
 
 
-def _values(
-    coefficients: NDArray[np.float64], lengths: NDArray[np.float64], order: int, samples: int
-) -> NDArray[np.float64]:
+def _not_cleared(
+    trajectory: PiecewisePolynomial, pieces: slice, order: int, lower: Array, upper: Array
+) -> NDArray[np.intp]:
+    """Pieces of which Bernstein's coefficients, between which a polynomial stays, do not say that they keep a limit."""
+    lengths = trajectory.lengths[pieces]
+    scale = lengths[:, None] ** np.maximum(np.arange(6) - order, 0)
+    bounds = np.matmul(_bernstein(order), trajectory.coefficients[pieces] * scale[:, :, None])
+    cleared = ((bounds >= lower) & (bounds <= upper)).all(axis=(1, 2))
+    return np.asarray(np.arange(len(trajectory.lengths))[pieces][~cleared])
+
+
+def _first_beyond(
+    context: PlanContext,
+    trajectory: PiecewisePolynomial,
+    pieces: NDArray[np.intp],
+    order: int,
+    lower: Array,
+    upper: Array,
+) -> LimitError | None:
+    slack = _TOLERANCE * (upper - lower) / (2.0 if order else 1.0)
+    values = _values(trajectory.coefficients[pieces], trajectory.lengths[pieces], order, _SAMPLES)
+    beyond = ~((values >= lower - slack) & (values <= upper + slack))
+    if not beyond.any():
+        return None
+    piece, sample, k = (int(i) for i in np.argwhere(beyond)[0])
+    share = sample / (_SAMPLES - 1)
+    time = float(trajectory.edges[pieces[piece]] + trajectory.lengths[pieces[piece]] * share)
+    value = float(values[piece, sample, k])
+    limit = float((lower if value < lower[k] else upper)[k])
+    return _fault(context, k, order, value, limit, f"at {time:.3f} s of the trajectory", time)
+
+
+def _first_jump(
+    context: PlanContext, trajectory: PiecewisePolynomial, pieces: slice, before: Array, limit: Array
+) -> LimitError | None:
+    """The first jump of acceleration with which one of some pieces begins, or the whole ends."""
+    ends = force_at_end(trajectory, pieces)
+    jumps = 2.0 * trajectory.coefficients[pieces, 2] - np.vstack([before, ends[:-1]])
+    times = trajectory.edges[pieces]
+    if pieces.stop == len(trajectory.lengths):
+        jumps, times = np.vstack([jumps, -ends[-1]]), np.append(times, trajectory.duration)
+    jerk = jumps / context.period_s
+    beyond = ~(np.abs(jerk) <= _JUMP * limit)
+    if not beyond.any():
+        return None
+    rank, k = (int(i) for i in np.argwhere(beyond)[0])
+    time, value = float(times[rank]), float(jerk[rank, k])
+    where = f"at {time:.3f} s of the trajectory, where its acceleration jumps by {jumps[rank, k]:.6g},"
+    return _fault(context, k, 3, value, float(np.copysign(limit[k], value)), where, time)
+
+
+def force_at_end(trajectory: PiecewisePolynomial, pieces: slice) -> Array:
+    """Accelerations with which some pieces end, shape (m, n)."""
+    return np.asarray(_values(trajectory.coefficients[pieces], trajectory.lengths[pieces], 2, 2)[:, 1])
+
+
+def _fault(
+    context: PlanContext, k: int, order: int, value: float, limit: float, where: str, time: float
+) -> LimitError:
+    i = context.index[k]
+    name, unit = _NAMES[order]
+    fault = LimitError(
+        joint=context.limits.names[i],
+        value=value,
+        limit=limit,
+        unit=context.limits.units[i] + unit,
+        what=f"{name} {where}",
+    )
+    fault.facts["time"], fault.facts["quantity"] = time, name
+    return fault
+
+
+def _values(coefficients: Array, lengths: Array, order: int, samples: int) -> Array:
     """Derivative of some order of m pieces at their ends and evenly between: shape (m, samples, n)."""
     scale = lengths[:, None] ** np.maximum(np.arange(6) - order, 0)
     return np.asarray(np.matmul(_basis(order, samples), coefficients * scale[:, :, None]))
 
 
 @cache
-def _basis(order: int, samples: int) -> NDArray[np.float64]:
+def _basis(order: int, samples: int) -> Array:
     """Derivatives of the powers of a time from 0 to 1, shape (samples, 6)."""
     powers = np.arange(6)
     factor = np.prod([powers - k for k in range(order)], axis=0)
     return np.asarray(factor * np.linspace(0.0, 1.0, samples)[:, None] ** np.maximum(powers - order, 0))
+
+
+@cache
+def _bernstein(order: int) -> Array:
+    """From the powers of a time from 0 to 1 to Bernstein's coefficients of a derivative, shape (6 - order, 6)."""
+    degree = 5 - order
+    factor = np.prod([np.arange(6) - k for k in range(order)], axis=0)
+    rows = [
+        [comb(i, p - order) / comb(degree, p - order) if 0 <= p - order <= i else 0.0 for p in range(6)]
+        for i in range(degree + 1)
+    ]
+    return np.asarray(factor * np.array(rows))

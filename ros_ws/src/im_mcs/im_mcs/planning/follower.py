@@ -141,7 +141,7 @@ class Standing:
     """Standing still at one place; the simplest follower."""
 
     finished = still = True
-    progress, point = 1.0, 0
+    progress, point, sigma = 1.0, 0, 0.0
     rate = 1.0
     ahead = None
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from im_core.errors import ImError
 from im_mcs.planning.preparation import Preparation
+from im_mcs.planning.retiming import RetimedTrajectory
 from im_mcs.planning.stream import StreamFollower, StreamLease
 from im_mcs.planning.tolerances import TrajectoryTolerances
 from im_mcs.planning.trajectory import Trajectory
@@ -56,6 +57,7 @@ class Current:
         goal: Who waits for it.
         share: Speed scale of this motion alone.
         tolerances: Of a trajectory.
+        retimed: The trajectory, if it is not followed in the time asked for.
         stream: Its follower, and
         lease: the lease of the sender, of streaming setpoints.
         ticks: Since it began.
@@ -66,6 +68,7 @@ class Current:
     goal: Goal
     share: float = 1.0
     tolerances: TrajectoryTolerances | None = None
+    retimed: RetimedTrajectory | None = None
     stream: StreamFollower | None = None
     lease: StreamLease | None = None
     ticks: int = 0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits, Synchrony
 from im_mcs.planning.context import PlanContext, Start
-from im_mcs.planning.envelope import check_envelope
+from im_mcs.planning.envelope import check_range
 from im_mcs.planning.polynomial import PiecewisePolynomial
 from im_mcs.planning.profile import along, to_point, transition_distance
 from im_mcs.planning.trajectory import Setpoint, Trajectory
@@ -187,7 +187,7 @@ class JointPreparation:
         limits = replace(self._limits, jerk=self._limits.jerk * _JERK_UNPHASED)
         first = to_point(self._start(), self._first, limits, synchrony)
         # a motion that turns round may swing past the range of a joint
-        check_envelope(self._context, first, positions_only=True)
+        check_range(self._context, first)
         rest = self._legs.trajectory
         rest.points = [point + 1 for point in rest.points]
         return first.followed_by([rest]) if rest.duration > 0.0 else first

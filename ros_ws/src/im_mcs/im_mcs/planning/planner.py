@@ -46,6 +46,11 @@ class Follower(Protocol):
         ...
 
     @property
+    def sigma(self) -> float:
+        """Time of its own at which it is [s]."""
+        ...
+
+    @property
     def rate(self) -> float:
         """Rate in force."""
         ...
@@ -130,6 +135,11 @@ class GroupPlanner:
     def point(self) -> int:
         """Point of the path that the group is on its way to."""
         return self.follower.point
+
+    @property
+    def place(self) -> float:
+        """Time of its own at which the motion is now, whatever the rate [s]."""
+        return self.follower.sigma
 
     def advance(self) -> Setpoint:
         """The setpoint of the next servo tick."""

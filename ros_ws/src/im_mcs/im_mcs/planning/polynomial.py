@@ -22,6 +22,12 @@ def powers(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(_FACTORS * t[:, None, None] ** _EXPONENTS)
 
 
+def powers_to_jerk(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same, and the third derivative; answer (m, 4, 6)."""
+    third = _POWERS * (_POWERS - 1) * (_POWERS - 2) * t[:, None] ** np.maximum(_POWERS - 3, 0)
+    return np.concatenate([powers(t), third[:, None]], axis=1)
+
+
 class PiecewisePolynomial:
     """Polynomials of degree up to five in local time, shape (m, 6, n); stands still before and after.
 

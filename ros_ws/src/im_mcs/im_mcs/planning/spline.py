@@ -10,30 +10,47 @@ where they have accelerations too; the point before the first is the present set
 - *The last point*: an acceleration given there is taken as 0. Where it has a velocity, the motion goes on and
   decelerates to rest, as quickly as limits allow; there the arm would be told to stop dead.
 
-A cubic spline has jumps of acceleration at its points, as there; its position, velocity and acceleration are held to
-the limits, its jerk cannot be.
+- *Two points one after the other in the same place*: given positions alone, the arm rests between them.
+
+What leaves the range of a joint is refused. What is beyond a limit of velocity, acceleration or jerk between its points,
+as trapezoidal profiles and cubic splines are (their acceleration jumps), is re-timed along its own path
+(:mod:`im_mcs.planning.retiming`), or refused, as ``planning.beyond_limits`` says.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
-from im_core.errors import LimitError
+from im_core.errors import ImError, LimitError
+from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.planning.context import PlanContext
-from im_mcs.planning.envelope import check_envelope
+from im_mcs.planning.envelope import check_range, first_excess, force_at_end
 from im_mcs.planning.polynomial import PiecewisePolynomial, cubic, quintic
 from im_mcs.planning.profile import with_run_out
+from im_mcs.planning.retiming import retime
 from im_mcs.planning.trajectory import Setpoint, Trajectory
 from im_mcs.protocol.points import TimedPoints
 from im_mcs.protocol.requests import TrajectoryMove
 
-_PIECES_A_SLICE = 12
+_PIECES_A_SLICE, _PIECES_IN_RANGE = 12, 100
+# so many points can be joined anew to a motion under way in every slice
+_MOST_ON_THE_MOVE = 1000
+_SAME = 1e-12
+
+
+class RestNeededError(ImError):
+    """A trajectory can be prepared only from rest: it does not take over from a motion, which is to end first."""
+
+    default_code = "rest_needed"
 
 
 class SplinePreparation:
     """Prepares a trajectory.
+
+    From rest it is checked, and re-timed if it must be. From a motion under way it is joined to that anew in every
+    slice, and taken as it is or not at all.
 
     Args:
         context: What it is planned with.
@@ -44,24 +61,67 @@ class SplinePreparation:
     def __init__(self, context: PlanContext, move: TrajectoryMove, start: Callable[[], Setpoint]) -> None:
         self._context, self._points, self._start = context, move.points, start
         self._limits = context.limits.motion.of(context.index)
+        self._work: Generator[None, None, Trajectory] | None = None
+        self._from: NDArray[np.float64] | None = None
         self._checked = 0
 
     def step(self) -> Trajectory | None:
-        """Check some pieces; the last slice joins them to the present setpoint.
+        """Check or re-time some pieces.
 
         Raises:
-            LimitError: The spline goes beyond a limit, or the first point is at time 0 and elsewhere.
+            LimitError: It goes beyond a limit that holds it up, or the first point is at time 0 and elsewhere.
+            RestNeededError: It begins with a motion, and would have to be re-timed, or is too long.
         """
         start = self._start()
-        spline = with_run_out(_spline(*self._with_start(start), given=self._points), self._limits)
-        if self._checked < len(spline.lengths):
+        if start.v.any() or start.a.any():
+            self._work = None
+            return self._joined(start)
+        if self._work is None or not np.array_equal(start.q, self._from):
+            self._work, self._from = self._prepare(start), start.q
+        try:
+            next(self._work)
+        except StopIteration as done:
+            trajectory: Trajectory = done.value
+            return trajectory
+        return None
+
+    def _prepare(self, start: Setpoint) -> Generator[None, None, Trajectory]:
+        """The trajectory from rest."""
+        spline = self._spline(start)
+        for k in range(0, len(spline.lengths), _PIECES_IN_RANGE):
+            yield
+            check_range(self._context, spline, slice(k, k + _PIECES_IN_RANGE))
+        fault = yield from first_excess(self._context, spline, range(len(spline.lengths)), start.a)
+        if fault is None:
+            return spline
+        if self._context.config.planning.beyond_limits is BeyondLimits.REFUSE:
+            raise fault
+        return (yield from retime(self._context, spline, fault))
+
+    def _joined(self, start: Setpoint) -> Trajectory | None:
+        """The trajectory from the motion under way, once all its pieces are known to keep the limits."""
+        if len(self._points.times) > _MOST_ON_THE_MOVE:
+            raise RestNeededError(f"a trajectory of {len(self._points.times)} points begins at rest")
+        spline = self._spline(start)
+        count = len(spline.lengths)
+        if self._checked < count:
             # from the end: what depends on the state at which it takes over comes last
-            last = len(spline.lengths) - self._checked
-            check_envelope(self._context, spline, slice(max(last - _PIECES_A_SLICE, 0), last))
+            first = max(count - self._checked - _PIECES_A_SLICE, 0)
+            pieces = slice(first, count - self._checked)
+            check_range(self._context, spline, pieces)
+            before = start.a if first == 0 else force_at_end(spline, slice(first - 1, first))[0]
+            fault = _run(first_excess(self._context, spline, range(first, pieces.stop), before))
+            if fault is not None:
+                if self._context.config.planning.beyond_limits is BeyondLimits.REFUSE:
+                    raise fault
+                raise RestNeededError(f"it cannot take over as it is: {fault.message}")
             self._checked += _PIECES_A_SLICE
-            if self._checked < len(spline.lengths):
-                return None
-        return spline
+        return spline if self._checked >= count else None
+
+    def _spline(self, start: Setpoint) -> PiecewisePolynomial:
+        # what is absurdly fast becomes infinite, and is out of range
+        with np.errstate(over="ignore", invalid="ignore"):
+            return with_run_out(_spline(*self._with_start(start), given=self._points), self._limits)
 
     def _with_start(
         self, start: Setpoint
@@ -135,7 +195,8 @@ def smooth(
         a0: Acceleration at the first point, shape (n,); that at the last is 0.
 
     Returns:
-        Velocities and accelerations, shape (m + 1, n) each; the spline is continuous to acceleration between.
+        Velocities and accelerations, shape (m + 1, n) each; the spline is continuous to acceleration between. Both are
+        0 at two points one after the other in the same place.
     """
     v, a = np.zeros_like(q), np.zeros_like(q)
     v[0], a[0] = v0, a0
@@ -146,6 +207,20 @@ def smooth(
         right[0] -= h[1] * v0
         bands = np.zeros((3, len(h) - 1))
         bands[0, 1:], bands[1], bands[2, :-1] = h[:-2], 2.0 * (h[:-1] + h[1:]), h[2:]
+        still = (np.abs(q[1:] - q[:-1]) <= _SAME).all(axis=1)
+        rests = still[:-1] | still[1:]
+        right[rests], bands[1, rests] = 0.0, 1.0
+        bands[0, 1:][rests[:-1]] = bands[2, :-1][rests[1:]] = 0.0
         v[1:-1] = solve_banded((1, 1), bands, right, overwrite_b=True)
-        a[1:-1] = (6.0 * slope[1:] - 4.0 * v[1:-1] - 2.0 * v[2:]) / h[1:, None]
+        a[1:-1] = np.where(rests[:, None], 0.0, (6.0 * slope[1:] - 4.0 * v[1:-1] - 2.0 * v[2:]) / h[1:, None])
     return v, a
+
+
+def _run(work: Generator[None, None, LimitError | None]) -> LimitError | None:
+    """All slices at once."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as done:
+            fault: LimitError | None = done.value
+            return fault

@@ -55,7 +55,7 @@ class StreamFollower:
     """
 
     finished = False
-    progress, point = 0.0, 0
+    progress, point, sigma = 0.0, 0, 0.0
     ahead = None
 
     def __init__(

@@ -20,6 +20,9 @@ class SetpointLimiter:
     a jerk-limited motion of its own, which ends within the range, until setpoints can be followed again. A joint that
     is out of its range, as after an e-stop at its end, may stay and come back but not go further out.
 
+    Attributes:
+        cut: Joints whose setpoints were not let through in the last tick, shape (n,).
+
     Args:
         limits: Limits of all joints.
         period_s: Servo period [s].
@@ -47,7 +50,7 @@ class SetpointLimiter:
         # magnitudes of leaps, of velocity, of acceleration, and how far braking goes from the middle of the range
         self._rows = np.empty((6, n))
         self._free = np.ones(n, dtype=np.bool_)
-        self._catching = np.zeros(n, dtype=np.bool_)
+        self.cut = np.zeros(n, dtype=np.bool_)
         self._any_catching = False
         self._bounds = self._bounds_of_free()
 
@@ -104,7 +107,7 @@ class SetpointLimiter:
         ):
             if flags.any():
                 self._saturations.add(kind, flags)
-        self._catching = cut
+        self.cut = cut
         self._any_catching = bool(cut.any())
         if self._any_catching:
             wanted[:, cut] = self._towards(wanted[0])[:, cut]
@@ -151,8 +154,8 @@ class SetpointLimiter:
 
     def _release(self, index: NDArray[np.intp], free: bool) -> None:
         self._free[index] = free
-        self._catching[index] = False
-        self._any_catching = bool(self._catching.any())
+        self.cut[index] = False
+        self._any_catching = bool(self.cut.any())
         self._bounds = self._bounds_of_free()
 
     def _bounds_of_free(self) -> NDArray[np.float64]:

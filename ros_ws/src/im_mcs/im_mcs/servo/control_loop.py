@@ -120,12 +120,13 @@ class ControlLoop:
                 place = group.place
                 wanted[0, place], wanted[1, place], wanted[2, place] = setpoint.q, setpoint.v, setpoint.a
             else:
-                group.planner.hold(m.q[index])
+                group.hold(m.q[index])
                 group.monitor.restart()
                 self._limiter.place(index, m.q[index])
         if self._limiter.limit(wanted):
             for group in self.engaged:
-                group.planner.setpoint = Setpoint(*(row[group.index] for row in wanted))
+                cut = [self._limits.names[i] for i in group.index if self._limiter.cut[i]]
+                group.cut(Setpoint(*(row[group.index] for row in wanted)), cut, m.tick)
 
     def _look_around(
         self, m: Measured, v: NDArray[np.float64], wanted: NDArray[np.float64], collision: CollisionMonitor

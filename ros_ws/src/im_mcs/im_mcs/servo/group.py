@@ -4,6 +4,7 @@ Motions are prepared in slices while others move, begun at a knot, and ended one
 """
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from im_mcs.planning.context import PlanContext
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.preparation import prepare
+from im_mcs.planning.retiming import RetimedTrajectory
+from im_mcs.planning.spline import RestNeededError
 from im_mcs.planning.stream import StreamFollower, StreamLease
 from im_mcs.planning.tolerances import tolerances_of
 from im_mcs.planning.trajectory import Setpoint
@@ -24,7 +27,7 @@ from im_mcs.protocol.requests import LineMove, MoveRequest, Policy, StreamReques
 from im_mcs.servo.rest import RestMonitor, RestPhase
 
 EndedGoal = tuple[Goal, ImError | None, dict[str, Any]]
-"""A goal, why it ended badly if it did, and results (``duration`` [s] of its motion)."""
+"""A goal, why it ended badly if it did, and results: ``duration`` [s] of its motion, ``retimed`` if it took longer."""
 
 _CEILING_STEPS = 20
 
@@ -37,7 +40,8 @@ class ControlledGroup:
 
     Attributes:
         name: Name of the group.
-        planner: Setpoints.
+        planner: Setpoints that are asked for.
+        setpoint: What is followed: the planner's setpoint, or what the limits have left of it.
         context: What motions are planned with.
         index: Its joints among all, shape (n,).
         place: The same, quicker to write to.
@@ -66,6 +70,7 @@ class ControlledGroup:
         self.controller = controller
         self.monitor = monitor
         self.engaged = False
+        self.setpoint = planner.setpoint
         self._position, self._velocity = planner.setpoint.q, planner.setpoint.v
         self._rates = Rates()
         self._current: Current | None = None
@@ -102,6 +107,11 @@ class ControlledGroup:
         return self.planner.follower.rate
 
     @property
+    def still(self) -> bool:
+        """Whether its setpoint stands still, where it was asked for."""
+        return self.setpoint is self.planner.setpoint and self.planner.still
+
+    @property
     def settled(self) -> bool:
         """At rest, or given up on."""
         return self.monitor.at_rest or self.monitor.timed_out
@@ -123,7 +133,7 @@ class ControlledGroup:
             return True
         if self._queue and not self._rates.paused and self._end_known():
             return True
-        return not self.planner.still or (
+        return not self.still or (
             not self.planner.finished and self._rates.of(current) > 0.0 and not self._waits()
         )
 
@@ -131,11 +141,16 @@ class ControlledGroup:
 
     def engage(self, q: NDArray[np.float64]) -> None:
         """Hold at ``q``, shape (n,): the first setpoint is the measured position."""
-        self.planner.hold(q)
+        self.hold(q)
         self._position, self._velocity = q, np.zeros_like(q)
         self.controller.reset()
         self.monitor.restart()
         self.engaged = True
+
+    def hold(self, q: NDArray[np.float64]) -> None:
+        """Stand still at ``q``, shape (n,), from now on."""
+        self.planner.hold(q)
+        self.setpoint = self.planner.setpoint
 
     def disengage(self) -> None:
         """No setpoint, no torque."""
@@ -279,7 +294,32 @@ class ControlledGroup:
         self.planner.rate = self._rates.of(current)
         if self._rates.protective is not None:
             self._suspended(self._rates.protective)
-        return self.planner.advance()
+        self.setpoint = self.planner.advance()
+        return self.setpoint
+
+    def cut(self, setpoint: Setpoint, joints: Sequence[str], tick: int) -> None:
+        """Limits have left this of the setpoint of this tick: a motion along a path cannot succeed any more.
+
+        Args:
+            setpoint: What is followed.
+            joints: Whose setpoints were cut; none of the group's: nothing has changed.
+            tick: Number of the tick.
+        """
+        if not joints:
+            return
+        self.setpoint = setpoint
+        current = self._current
+        if current is not None and current.stream is None and current.goal.fault is None:
+            self._interrupt(
+                ImError(
+                    f"group '{self.name}': the setpoint of {', '.join(joints)} was cut to its limits at tick {tick}; "
+                    "the motion decelerates on its path and ends",
+                    code="limited",
+                    group=self.name,
+                    joint=joints[0],
+                    tick=tick,
+                )
+            )
 
     def torque(
         self,
@@ -301,9 +341,9 @@ class ControlledGroup:
         Raises:
             ControlLawError: The control law failed.
         """
-        position, setpoint = q[self.index], self.planner.setpoint
+        position, setpoint = q[self.index], self.setpoint
         self._position, self._velocity = position, v[self.index]
-        if self.planner.still:
+        if self.still:
             if not self.controller.switching:
                 self.monitor.update(tick, position, setpoint.q)
                 self.controller.hold_integral(self.monitor.phase in (RestPhase.MEASURING, RestPhase.AT_REST))
@@ -314,17 +354,24 @@ class ControlledGroup:
 
     def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Setpoint less measured position, shape (n,); ``q`` of all joints."""
-        return np.asarray(self.planner.setpoint.q - q[self.index])
+        return np.asarray(self.setpoint.q - q[self.index])
 
     def progress(self) -> dict[str, Any] | None:
-        """Of the goal under way: its id, the share of its time that has passed, point, desired and actual motion."""
+        """Of the goal under way: its id, the share of its time that has passed, point, desired and actual motion.
+
+        ``place`` is the time at which the motion that was asked for is where this one is now [s], ``retimed`` says why
+        that is not the time since it began.
+        """
         current, setpoint = self._current, self.planner.setpoint
         if current is None:
             return None
+        retimed = current.retimed
         return {
             "id": current.goal.id,
             "progress": self.planner.progress,
             "point": self.planner.point,
+            "place": self.planner.place if retimed is None else retimed.asked_time(self.planner.place),
+            "retimed": "" if retimed is None else retimed.report,
             "time": current.ticks * self.planner.period_s,
             "desired": {"positions": setpoint.q.tolist(), "velocities": setpoint.v.tolist()},
             "actual": {"positions": self._position.tolist()},
@@ -351,8 +398,18 @@ class ControlledGroup:
             if queued.preparation is None:
                 queued.preparation = prepare(self.context, queued.move, lambda: self._start(queued))
             queued.trajectory = queued.preparation.step()
+        except RestNeededError:
+            self._stop_before(rank, queued)
         except ImError as fault:
             self._end_queued(rank, fault)
+
+    def _stop_before(self, rank: int, queued: Queued) -> None:
+        """What a waiting motion was to take over from comes to rest first."""
+        waiting = list(self._queue)
+        self._queue = deque(waiting[:rank])
+        self._interrupt(self._replaced(queued.goal))
+        queued.policy, queued.preparation = Policy.APPEND, None
+        self._queue = deque(waiting[rank:])
 
     def _end_known(self) -> bool:
         """Whether it is known where the next motion begins: what is under way will come to the end of its path."""
@@ -392,7 +449,8 @@ class ControlledGroup:
             self._end_current(None)
         self._queue.popleft()
         self.planner.follow(queued.trajectory, self._start_rate(queued))
-        self._current = Current(queued.goal, queued.share, queued.tolerances)
+        retimed = queued.trajectory if isinstance(queued.trajectory, RetimedTrajectory) else None
+        self._current = Current(queued.goal, queued.share, queued.tolerances, retimed)
         self._begun()
 
     # ends
@@ -421,7 +479,7 @@ class ControlledGroup:
         current = self._current
         if current is not None and current.goal.fault is None:
             current.goal.fault = fault
-            current.at_once = self.planner.still
+            current.at_once = self.still
         self._end_queued(0, fault)
 
     def _end_all(self, fault: ImError) -> None:
@@ -442,7 +500,11 @@ class ControlledGroup:
             self._rates.protective = None
 
     def _finish(self, goal: Goal, fault: ImError | None, ticks: int) -> None:
-        self._ended.append((goal, fault, {"duration": ticks * self.planner.period_s}))
+        results: dict[str, Any] = {"duration": ticks * self.planner.period_s}
+        current = self._current
+        if current is not None and current.goal is goal and current.retimed is not None:
+            results["retimed"] = current.retimed.report
+        self._ended.append((goal, fault, results))
 
     def _suspended(self, fault: ImError) -> None:
         self._patience_ticks -= 1
@@ -466,11 +528,11 @@ class ControlledGroup:
         current, planner = self._current, self.planner
         assert current is not None
         if fault is not None:
-            if planner.still and (current.at_once or self.settled):
+            if self.still and (current.at_once or self.settled):
                 self._end_current(fault)
-                planner.hold(planner.setpoint.q)
+                self.hold(planner.setpoint.q)
             return
-        if not planner.finished:
+        if not planner.finished or not self.still:
             return
         if current.tolerances is not None and current.tolerances.judges_goal:
             error = self._error()
@@ -483,7 +545,7 @@ class ControlledGroup:
             self._end_current(None if self.monitor.at_rest else self._not_settled())
 
     def _error(self) -> NDArray[np.float64]:
-        """Setpoint less measured position, and the same of the velocity, shape (2, n)."""
+        """What was asked for less the measured position, and the same of the velocity, shape (2, n)."""
         setpoint = self.planner.setpoint
         return np.array([setpoint.q - self._position, setpoint.v - self._velocity])
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.control import ControlInput
-from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.configuration import McsConfig, Planning
 from im_mcs.limits.limits import JointLimits
+from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.context import PlanContext
 from im_mcs.planning.goals import Goal
@@ -164,6 +165,12 @@ def make_rig(config: McsConfig, model: CellModel) -> Callable[..., Rig]:
         return Rig(config.with_preset(preset).model_copy(update=changes), model, name, divisor)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def refusing(config: McsConfig) -> Planning:
+    """Trajectories beyond limits are refused, not re-timed."""
+    return config.planning.model_copy(update={"beyond_limits": BeyondLimits.REFUSE})
 
 
 @pytest.fixture

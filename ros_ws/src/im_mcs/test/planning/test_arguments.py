@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_core.errors import DataError, ImError
+from im_core.errors import DataError, ImError, LimitError
 
 
 def point(time=2.0, positions=None, **more):
@@ -53,7 +53,6 @@ HOME = [-0.6, 0.0, 0.0, 0.0, 1.75, -3.3, 0.0, 0.0, 0.0]
         (course(point(2.0, HOME), point(2.0, HOME)), "point 2 is at 2 s, not after point 1 at 2 s"),
         (course(point(2.0, HOME, velocities=[0.0])), "point 1: velocities: 1 values for 9 joints"),
         (course(point(2.0, HOME, velocities=[math.nan] * 9)), "left_track: nan is not a finite number"),
-        (course(point(2.0, HOME, velocities=[5.0] * 9), point(4.0, HOME, velocities=[0.0] * 9)), "velocity of point 1"),
         (course(point(2.0, HOME), point(3.0, HOME), may_be_late=True), "a trajectory of 2 points cannot be late"),
         (course() | {"points": {"memory": "none"}}, "KeyError('points') is wrong with what stands for points"),
         (course() | {"points": {"memory": "none", "points": 10**6, "joints": 9}}, "1000000 points is not one of 1 to"),
@@ -77,6 +76,13 @@ def test_wrong_paths_are_refused_with_a_sentence(rig, path, sentence):
         rig.request(path)
     assert sentence in refused.value.message
     assert rig.group.goals == ()
+    assert not rig.group.moving
+
+
+def test_a_velocity_beyond_its_limit_is_refused_at_once_where_nothing_may_be_re_timed(make_rig, refusing):
+    rig = make_rig(planning=refusing)
+    with pytest.raises(LimitError, match="left_track: velocity of point 1 5 m/s is beyond the limit"):
+        rig.request(course(point(2.0, HOME, velocities=[5.0] * 9), point(4.0, HOME, velocities=[0.0] * 9)))
     assert not rig.group.moving
 
 

@@ -64,7 +64,8 @@ def test_a_trajectory_replaces_a_motion_from_where_it_is(rig, way):
     rig.check_motion()
 
 
-def test_a_replacement_that_is_refused_changes_nothing(rig, way):
+def test_a_replacement_that_is_refused_changes_nothing(make_rig, refusing, way):
+    rig = make_rig(planning=refusing)
     first = rig.move(rig.home + way)
     rig.ticks(120)
     hasty = [{"time": 0.1, "positions": rig.home.tolist()}]

@@ -1,0 +1,86 @@
+"""Places where an asked trajectory comes to rest, or turns round so sharply that it must."""
+
+from collections.abc import Generator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_mcs.planning.polynomial import PiecewisePolynomial, powers_to_jerk
+from im_mcs.planning.retiming.course import CHUNK, Course
+
+Array = NDArray[np.float64]
+
+_STILL = 1e-9
+# a path that turns by a right angle within this time, where it is slowest, is not run through but stopped in [s]
+_TURN_S = 0.02
+_STEPS = 8
+_SAME_S = 1e-9
+
+
+def standing(trajectory: PiecewisePolynomial, unit: Array) -> NDArray[np.bool_]:
+    """Which pieces of a trajectory do not move, shape (m,); ``unit`` is the velocity of each joint that counts as 1."""
+    ways = trajectory.coefficients[:, 1:] * trajectory.lengths[:, None, None] ** np.arange(1, 6)[:, None]
+    return np.asarray((np.abs(ways) <= _STILL * unit).all(axis=(1, 2)))
+
+
+def rests(trajectory: PiecewisePolynomial, course: Course, unit: Array) -> Generator[None, None, Array]:
+    """Asked times between which a trajectory is re-timed stretch by stretch, both ends included, shape (m,) [s].
+
+    Args:
+        trajectory: Asked.
+        course: The whole of it.
+        unit: Velocity of each joint that counts as 1, shape (n,).
+    """
+    speed = np.append(course.speed[0], course.speed[1, -1])
+    inner = speed[1:-1]
+    lowest = 1 + np.flatnonzero((inner <= speed[:-2]) & (inner <= speed[2:]))
+    still = standing(trajectory, unit)
+    borders = np.flatnonzero(still[1:] != still[:-1]) + 1
+    found = [0.0, trajectory.duration, *trajectory.edges[borders].tolist()]
+    yield
+    for k in range(0, len(lowest), CHUNK):
+        some = lowest[k : k + CHUNK]
+        tau = _slowest(trajectory, course.tau[some - 1], course.tau[some], course.tau[some + 1], unit)
+        yield
+        here, before, after = (_way(trajectory, tau + off, unit) for off in (0.0, -_TURN_S, _TURN_S))
+        stops = ((here**2).sum(axis=1) <= _STILL**2) | ((before * after).sum(axis=1) < 0.0)
+        found += tau[stops].tolist()
+        yield
+    times = np.unique(found)
+    edges = np.append(trajectory.edges, trajectory.duration)
+    nearest = edges[np.clip(np.searchsorted(edges, times - _SAME_S), 0, len(edges) - 1)]
+    times = np.unique(np.where(np.abs(nearest - times) <= _SAME_S, nearest, times))
+    return np.asarray(times[~_within(times, trajectory, still)])
+
+
+def _within(times: Array, trajectory: PiecewisePolynomial, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which times are within what stands still, ends excluded."""
+    piece = np.clip(np.searchsorted(trajectory.edges, times, side="right") - 1, 0, len(still) - 1)
+    inside = still[piece] & still[np.maximum(piece - 1, 0)]
+    inside[[0, -1]] = False
+    at_edge = times == trajectory.edges[piece]
+    return np.asarray((still[piece] & ~at_edge | inside & at_edge) & (times > 0.0) & (times < trajectory.duration))
+
+
+def _slowest(trajectory: PiecewisePolynomial, low: Array, middle: Array, high: Array, unit: Array) -> Array:
+    """Times of the smallest speeds between ``low`` and ``high``, from ``middle`` on by Newton's method within cells."""
+    best, least = middle.copy(), (_way(trajectory, middle, unit) ** 2).sum(axis=1)
+    for begin, end in ((low, middle), (middle, high)):
+        tau, inside = (begin + end) / 2.0, (begin + end) / 2.0
+        piece = np.clip(np.searchsorted(trajectory.edges, inside, side="right") - 1, 0, None)
+        for _ in range(_STEPS):
+            values = powers_to_jerk(tau - trajectory.edges[piece]) @ trajectory.coefficients[piece] / unit
+            v, a, j = values[:, 1], values[:, 2], values[:, 3]
+            slope, bend = (v * a).sum(axis=1), (a * a + v * j).sum(axis=1)
+            tau = np.clip(tau - slope / np.where(np.abs(bend) > 0.0, np.abs(bend), 1.0), begin, end)
+        v = (powers_to_jerk(tau - trajectory.edges[piece]) @ trajectory.coefficients[piece] / unit)[:, 1]
+        size = (v * v).sum(axis=1)
+        best, least = np.where(size < least, tau, best), np.minimum(size, least)
+    return best
+
+
+def _way(trajectory: PiecewisePolynomial, tau: Array, unit: Array) -> Array:
+    tau = np.clip(tau, 0.0, trajectory.duration)
+    piece = np.clip(np.searchsorted(trajectory.edges, tau, side="right") - 1, 0, None)
+    values = powers_to_jerk(tau - trajectory.edges[piece]) @ trajectory.coefficients[piece]
+    return np.asarray(values[:, 1] / unit)

@@ -1,0 +1,112 @@
+"""A trajectory that asks for more than limits allow: along its own path, in its own time where that can be kept.
+
+Path and time are told apart (:mod:`.course`). Between two places of rest the time is changed, if a limit is passed there
+at all (:mod:`.stretch`); a stretch within limits stays as it was asked for.
+"""
+
+from collections.abc import Generator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import LimitError
+from im_mcs.planning.context import PlanContext
+from im_mcs.planning.envelope import first_excess
+from im_mcs.planning.polynomial import PiecewisePolynomial, powers
+from im_mcs.planning.retiming.course import Course
+from im_mcs.planning.retiming.rests import rests, standing
+from im_mcs.planning.retiming.rounding import rounded
+from im_mcs.planning.retiming.stretch import Retimed, retime_stretch
+
+Array = NDArray[np.float64]
+
+# how far a rounded change of curvature may be off the asked path
+_DEPTH = {"rad": 2e-4, "m": 2e-5}
+_NO_FORCE = 1e-6
+
+
+class RetimedTrajectory(PiecewisePolynomial):
+    """An asked trajectory in a longer time.
+
+    Attributes:
+        because: The first place where the asked one is beyond a limit.
+        asked_duration: Of the asked one [s].
+
+    Args:
+        lengths, coefficients, points: As for every trajectory.
+        asked: Asked times at the ends of its pieces, shape (m + 1,) [s].
+        because: As above.
+    """
+
+    def __init__(
+        self, lengths: Sequence[float], coefficients: Array, points: Sequence[int], asked: Array, because: LimitError
+    ) -> None:
+        super().__init__(lengths, coefficients, points)
+        self._asked = asked
+        self.because = because
+        self.asked_duration = float(asked[-1])
+
+    def asked_time(self, t: float) -> float:
+        """Time at which the asked trajectory is where this one is at time ``t`` [s]."""
+        return float(np.interp(t, np.append(self.edges, self.duration), self._asked))
+
+    @property
+    def report(self) -> str:
+        """What was changed, and why."""
+        facts = self.because.facts
+        return (
+            f"re-timed along its path: {self.duration:.3f} s instead of {self.asked_duration:.3f} s, because of "
+            f"{facts['quantity']} of {facts['joint']} at {facts['time']:.3f} s"
+        )
+
+
+def retime(
+    context: PlanContext, asked: PiecewisePolynomial, because: LimitError
+) -> Generator[None, None, RetimedTrajectory]:
+    """Re-time a trajectory that begins and ends at rest, a slice at a time.
+
+    Args:
+        context: Limits and joints.
+        asked: The trajectory, continuous to velocity.
+        because: The first place where it is beyond a limit.
+    """
+    limits = context.limits.motion.of(context.index)
+    depth = np.array([_DEPTH[context.limits.units[i]] for i in context.index])
+    smooth = yield from rounded(asked, limits.acceleration, limits.velocity, depth)
+    course = Course(smooth, 0.0, smooth.duration, limits.velocity)
+    yield from course.measure()
+    times = yield from rests(smooth, course, limits.velocity)
+    parts: list[Retimed] = []
+    still = standing(asked, limits.velocity)
+    for begin, end in zip(times[:-1].tolist(), times[1:].tolist(), strict=True):
+        kept = yield from _kept(context, asked, begin, end, still)
+        parts.append(kept or (yield from retime_stretch(smooth, begin, end, limits)))
+    ends = np.concatenate([[0.0], *(part.asked[1:] for part in parts)])
+    middles = (ends[1:] + ends[:-1]) / 2.0
+    piece = np.clip(np.searchsorted(asked.edges, middles, side="right") - 1, 0, None)
+    return RetimedTrajectory(
+        np.concatenate([part.lengths for part in parts]).tolist(),
+        np.concatenate([part.coefficients for part in parts]),
+        np.array(asked.points)[piece].tolist(),
+        ends,
+        because,
+    )
+
+
+def _kept(
+    context: PlanContext, asked: PiecewisePolynomial, begin: float, end: float, still: NDArray[np.bool_]
+) -> Generator[None, None, Retimed | None]:
+    """A stretch as it was asked for, if it stands still, or keeps all limits from rest to rest."""
+    edges = np.append(asked.edges, asked.duration)
+    first, last = int(np.searchsorted(edges, begin)), int(np.searchsorted(edges, end))
+    if edges[first] != begin or edges[last] != end:
+        return None
+    lengths, coefficients = asked.lengths[first:last], asked.coefficients[first:last]
+    if not still[first:last].all():
+        forces = 2.0 * coefficients[0, 2], (powers(lengths[-1:]) @ coefficients[-1])[0, 2]
+        if max(np.abs(force).max() for force in forces) > _NO_FORCE:
+            return None
+        before = np.zeros(asked.coefficients.shape[2])
+        if (yield from first_excess(context, asked, range(first, last), before)) is not None:
+            return None
+    return Retimed(lengths, coefficients, edges[first : last + 1])

@@ -1,0 +1,141 @@
+"""One stretch of an asked trajectory, from rest to rest, re-timed so that every joint keeps its limits."""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+
+from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.planning.envelope import excess
+from im_mcs.planning.polynomial import PiecewisePolynomial, quintic
+from im_mcs.planning.retiming.course import CHUNK, Course
+from im_mcs.planning.retiming.law import TimeLaw, gentle
+
+Array = NDArray[np.float64]
+
+# share of the limits that is aimed at: the rest is for what lies between nodes
+_SHARE = 0.985
+_ENOUGH = 1.01
+_ROUNDS = 14
+# share of the acceleration that a change of the rate may take
+_CHANGE = 0.35
+_SHORTEST_SPAN_S = 0.03
+_APART = 1.0 / 3.0
+_SPANS = 5
+_MORE = 1.08
+_TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Retimed:
+    """A stretch in its new time.
+
+    Attributes:
+        lengths: Of its pieces, shape (m,) [s].
+        coefficients: Shape (m, 6, n).
+        asked: Asked times at the ends of its pieces, shape (m + 1,) [s].
+    """
+
+    lengths: Array
+    coefficients: Array
+    asked: Array
+
+
+def retime_stretch(
+    trajectory: PiecewisePolynomial, begin: float, end: float, limits: MotionLimits
+) -> Generator[None, None, Retimed]:
+    """Re-time what lies between two rests, a slice at a time.
+
+    Where limits are passed, the rate is lowered, there and as far around as the average reaches; what is left after
+    some rounds slows down the stretch as a whole.
+
+    Args:
+        trajectory: Asked.
+        begin: Asked time of the first rest [s].
+        end: Of the second.
+        limits: Of its joints.
+    """
+    course = Course(trajectory, begin, end, limits.velocity)
+    yield from course.measure()
+    speed = np.append(course.speed[0], course.speed[1, -1])
+    speed[[0, -1]] = 0.0
+    square, room = _first_rates(course, limits)
+    yield
+    square = gentle(square, room)
+    for _ in range(_ROUNDS):
+        law = yield from _law(course, speed * np.sqrt(square), limits)
+        nodes, retimed, over = yield from _motion(course, law, limits)
+        if over.max() <= _ENOUGH:
+            break
+        slower = np.minimum(1.0 / over, 1.0)
+        step = float(nodes[1])
+        reach = int(np.ceil((law.duration - law.times[-1]) / step)) + 1
+        around = minimum_filter1d(slower, reach + 1, origin=-((reach + 1) // 2), mode="nearest")
+        at = np.clip((law.times / step).astype(np.intp), 0, len(slower) - 1)
+        yield
+        square = gentle(square * around[at] ** 2, room)
+    factor = max(1.0, float(over.max()), (end - begin) / law.duration)
+    scale = (1.0 / factor) ** np.arange(6)
+    return Retimed(retimed.lengths * factor, retimed.coefficients * scale[:, None], retimed.asked)
+
+
+def _first_rates(course: Course, limits: MotionLimits) -> tuple[Array, Array]:
+    """Squares of rates at the ends of cells that keep velocities, and accelerations across; how much they may change."""
+    fast = np.maximum(np.abs(course.first), np.abs(course.last))
+    cells = np.minimum(1.0, (_SHARE * limits.velocity / np.maximum(fast, _TINY)).min(axis=1)) ** 2
+    for side, v in ((0, course.first), (1, course.last)):
+        along = course.slope[side] / np.maximum(course.speed[side], _TINY)
+        across = np.abs(course.turn[side] - v * along[:, None])
+        across[course.speed[side] == 0.0] = 0.0
+        cells = np.minimum(cells, (_SHARE * limits.acceleration / np.maximum(across, _TINY)).min(axis=1))
+    square = np.minimum(np.append(cells, 1.0), np.append(1.0, cells))
+    room = 2.0 * _CHANGE * (limits.acceleration / np.maximum(fast, _TINY)).min(axis=1) * np.diff(course.tau)
+    return square, np.minimum(room, 1.0)
+
+
+def _law(course: Course, speed: Array, limits: MotionLimits) -> Generator[None, None, TimeLaw]:
+    """The law with the shortest average that makes ramps of the jumps of acceleration along the path."""
+    used = (np.abs(course.first) + np.abs(course.last)) / limits.jerk
+    jerk = (course.speed[0] + course.speed[1]) / np.maximum(used.max(axis=1), _TINY)
+    longest = 2.0 * float((limits.acceleration / limits.jerk).max())
+    span = _SHORTEST_SPAN_S
+    for _ in range(_SPANS):
+        law = TimeLaw(course.way, speed, span, span * _APART)
+        yield
+        nodes, needed = law.nodes(), 0.0
+        for k in range(0, len(nodes) - 1, 4 * CHUNK):
+            t = nodes[k : k + 4 * CHUNK + 1]
+            way, _, change = law.at(t)
+            at = np.clip(np.searchsorted(course.way, way[1:]) - 1, 0, len(jerk) - 1)
+            needed = max(needed, float((np.abs(np.diff(change)) / np.diff(t) / jerk[at]).max()) * span)
+            yield
+        if needed * _MORE <= span or span == longest:
+            break
+        span = min(max(needed * _MORE, span * _MORE), longest)
+    return law
+
+
+def _motion(
+    course: Course, law: TimeLaw, limits: MotionLimits
+) -> Generator[None, None, tuple[Array, Retimed, Array]]:
+    """Quintics through the motion at nodes, and how far each is beyond limits, as a factor of its time."""
+    nodes = law.nodes()
+    h, count = np.diff(nodes), len(nodes) - 1
+    states, asked = np.empty((count + 1, 3, len(limits.jerk))), np.empty(count + 1)
+    coefficients, over = np.empty((count, 6, len(limits.jerk))), np.empty(count)
+    for k in range(0, count, CHUNK):
+        first, last = k + (k > 0), min(k + CHUNK, count)
+        states[first : last + 1], asked[first : last + 1] = course.motion(*law.at(nodes[first : last + 1]))
+        yield
+        if k == 0:
+            states[0], asked[0] = course.rest(0)
+        if last == count:
+            states[-1], asked[-1] = course.rest(-1)
+        part = slice(k, last)
+        q, v, a = states[k : last + 1].swapaxes(0, 1)
+        coefficients[part] = quintic(h[part], q, v, a)
+        over[part] = excess(coefficients[part], h[part], limits) / _SHARE
+        yield
+    return nodes, Retimed(h, coefficients, asked), over
