@@ -33,9 +33,27 @@ class ServoReply:
     results: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Progress:
+    """How far a motion is.
+
+    Attributes:
+        share: Of its time that has passed, 0 to 1.
+        point: Point of the path that it is on its way to.
+        time_s: Since it began [s].
+        place_s: Time at which the motion that was asked for is where this one is now: less than ``time_s`` where it is
+            re-timed, paused or slowed down [s].
+    """
+
+    share: float
+    point: int
+    time_s: float
+    place_s: float
+
+
 OnReply = Callable[[ServoReply], None]
 OnState = Callable[[State, str], None]
-OnProgress = Callable[[float, int], None]
+OnProgress = Callable[[Progress], None]
 
 
 class ServoClient:
@@ -171,7 +189,8 @@ class ServoClient:
                 self._waiting.pop(number, None)
         if message["event"] == "progress":
             if on_progress is not None:
-                on_progress(float(message["progress"]), int(message["point"]))
+                share, point = float(message["progress"]), int(message["point"])
+                on_progress(Progress(share, point, float(message["time"]), float(message["place"])))
         elif on_reply is not None:
             error = message.get("error")
             fault = ImError.restored(error["code"], error["message"], error["facts"]) if error else None

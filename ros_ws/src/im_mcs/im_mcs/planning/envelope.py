@@ -64,7 +64,7 @@ def first_excess(
                 )
                 if faults[-1] is not None:
                     break
-        found = min((f for f in faults if f is not None), key=lambda f: float(f.facts["time"]), default=None)
+        found = min((f for f in faults if f is not None), key=_time_of, default=None)
         if found is not None:
             return found
         yield
@@ -151,6 +151,10 @@ def _first_jump(
 def force_at_end(trajectory: PiecewisePolynomial, pieces: slice) -> Array:
     """Accelerations with which some pieces end, shape (m, n)."""
     return np.asarray(_values(trajectory.coefficients[pieces], trajectory.lengths[pieces], 2, 2)[:, 1])
+
+
+def _time_of(fault: LimitError) -> float:
+    return float(str(fault.facts["time"]))
 
 
 def _fault(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.context import PlanContext, Start
-from im_mcs.planning.envelope import check_envelope, slowdown
+from im_mcs.planning.envelope import check_range, slowdown
 from im_mcs.planning.polynomial import PiecewisePolynomial, quintic
 from im_mcs.planning.profile import to_meet, with_run_out
 from im_mcs.planning.trajectory import Setpoint, Trajectory
@@ -55,7 +55,7 @@ class MeetingPreparation:
         if self._v.any() and self._time > 0.0:
             motion = motion.until(self._time)
         whole = with_run_out(motion, self._limits)
-        check_envelope(self._context, whole, positions_only=True)
+        check_range(self._context, whole)
         return whole
 
     def _at(self, time: float) -> NDArray[np.float64]:

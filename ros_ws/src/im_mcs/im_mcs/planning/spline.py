@@ -12,8 +12,8 @@ where they have accelerations too; the point before the first is the present set
 
 - *Two points one after the other in the same place*: given positions alone, the arm rests between them.
 
-What leaves the range of a joint is refused. What is beyond a limit of velocity, acceleration or jerk between its points,
-as trapezoidal profiles and cubic splines are (their acceleration jumps), is re-timed along its own path
+What leaves the range of a joint is refused. What is beyond a limit of velocity, acceleration or jerk between its
+points, as trapezoidal profiles and cubic splines are (their acceleration jumps), is re-timed along its own path
 (:mod:`im_mcs.planning.retiming`), or refused, as ``planning.beyond_limits`` says.
 """
 
@@ -62,7 +62,7 @@ class SplinePreparation:
         self._context, self._points, self._start = context, move.points, start
         self._limits = context.limits.motion.of(context.index)
         self._work: Generator[None, None, Trajectory] | None = None
-        self._from: NDArray[np.float64] | None = None
+        self._from = np.empty(0)
         self._checked = 0
 
     def step(self) -> Trajectory | None:
@@ -207,8 +207,8 @@ def smooth(
         right[0] -= h[1] * v0
         bands = np.zeros((3, len(h) - 1))
         bands[0, 1:], bands[1], bands[2, :-1] = h[:-2], 2.0 * (h[:-1] + h[1:]), h[2:]
-        still = (np.abs(q[1:] - q[:-1]) <= _SAME).all(axis=1)
-        rests = still[:-1] | still[1:]
+        still: NDArray[np.bool_] = np.all(np.abs(q[1:] - q[:-1]) <= _SAME, axis=1)
+        rests: NDArray[np.bool_] = still[:-1] | still[1:]
         right[rests], bands[1, rests] = 0.0, 1.0
         bands[0, 1:][rests[:-1]] = bands[2, :-1][rests[1:]] = 0.0
         v[1:-1] = solve_banded((1, 1), bands, right, overwrite_b=True)

@@ -19,6 +19,7 @@ from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.calls import run_in_thread
 from im_core.shm import SharedBlock
+from im_mcs.client.servo_client import Progress
 from im_mcs.client.trajectory import (
     Accepted,
     Course,
@@ -40,6 +41,7 @@ _ERROR_CODES = {
     "joints": _Result.INVALID_JOINTS,
     "old_stamp": _Result.OLD_HEADER_TIMESTAMP,
     "path_tolerance": _Result.PATH_TOLERANCE_VIOLATED,
+    "limited": _Result.PATH_TOLERANCE_VIOLATED,
     "goal_tolerance": _Result.GOAL_TOLERANCE_VIOLATED,
 }
 _OPTIONS = {
@@ -116,7 +118,7 @@ class TrajectoryServer:
             check_points(goal.points, self._most_points)
             asked = await self._read(group, CdrReader(goal.data, UUID_BYTES), is_goal=True)
             assert asked is not None
-            await self._run(
+            results = await self._run(
                 group,
                 asked,
                 client=self._goals.client(handle),
@@ -130,6 +132,7 @@ class TrajectoryServer:
             fail(handle, error)
         else:
             result.error_code = _Result.SUCCESSFUL
+            result.error_string = str(results.get("retimed", ""))
             handle.succeed()
         finally:
             self._goals.end_goal(handle)
@@ -180,7 +183,7 @@ class TrajectoryServer:
         )
         return _Asked(*trajectory_path(group, description.joints, trajectory, present, self._accepted, stream=stream))
 
-    async def _run(self, group: str, asked: _Asked, **told: Any) -> None:
+    async def _run(self, group: str, asked: _Asked, **told: Any) -> dict[str, Any]:
         """Have a trajectory followed, and await the end; ``told`` is for :meth:`Motions.run`."""
         many = len(asked.course.times) > _FEW
         block, points = await run_in_thread(self._mcs.node, self._share, asked.course) if many else (None, None)
@@ -188,13 +191,14 @@ class TrajectoryServer:
         path = {**shown, "points": points} if many else shown
         arguments = {"group": group, "path": path, "policy": "replace", "speed_scale": 0.0}
         with nullcontext() if block is None else closing(block):
-            await self._motions.run(arguments, path=shown, **told)
+            return await self._motions.run(arguments, path=shown, **told)
 
     def _share(self, course: Course) -> tuple[SharedBlock, dict[str, Any]]:
         name = f"{names.instance()}_mcs_points_{next(self._numbers)}"
         return share_points(name, TimedPoints(course.times, course.q, course.v, course.a))
 
-    def _feedback(self, group: str, handle: ServerGoalHandle, *_: object) -> None:
+    def _feedback(self, group: str, handle: ServerGoalHandle, progress: Progress) -> None:
+        """Desired and actual motion; their times are the place on what was asked for, and the time since it began."""
         snapshot = self._mcs.client().snapshot()
         description = self._mcs.group(group)
         index = self._mcs.index(description)
@@ -205,6 +209,9 @@ class TrajectoryServer:
         message.desired = _point(wanted)
         message.actual = _point(actual)
         message.error = _point([a - b for a, b in zip(wanted, actual, strict=False)])
+        message.desired.time_from_start = messages.duration(progress.place_s)
+        message.actual.time_from_start = messages.duration(progress.time_s)
+        message.error.time_from_start = messages.duration(progress.place_s - progress.time_s)
         handle.publish_feedback(message)
 
 

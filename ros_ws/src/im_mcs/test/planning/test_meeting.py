@@ -108,6 +108,8 @@ def test_behind_a_velocity_at_the_end_the_motion_decelerates_to_rest(rig, way):
         {"time": 2.0, "positions": (rig.home + 0.15 * way).tolist(), "velocities": (0.15 * way).tolist()},
         {"time": 3.0, "positions": q.tolist(), "velocities": v.tolist()},
     ]
+    for point in points:
+        point["accelerations"] = [0.0] * 9
     goal = rig.request({"kind": "trajectory", "points": points})
     end = at_rest_in_the_end(rig)
     assert rig.code(goal) is None
@@ -116,7 +118,7 @@ def test_behind_a_velocity_at_the_end_the_motion_decelerates_to_rest(rig, way):
     np.testing.assert_allclose(rig.v[at], v, atol=1e-2)
     assert (np.sign(end - q) == np.sign(v)).all()
     assert (np.abs(end - q) >= 0.5 * v**2 / rig.limits.acceleration).all()
-    rig.check_motion(jerk=np.inf)
+    rig.check_motion()
 
 
 def test_behind_a_velocity_at_the_end_there_must_be_room_to_stop(rig):

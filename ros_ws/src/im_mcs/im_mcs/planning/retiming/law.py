@@ -61,7 +61,7 @@ class TimeLaw:
         return np.linspace(0.0, self.duration, max(int(np.ceil(self.duration / step)), _FEWEST) + 1)
 
     def _raw(self, t: Array) -> tuple[Array, Array, Array]:
-        """Integral of the coordinate without averages, itself, and its velocity; the averages' derivatives are theirs."""
+        """Integral of the coordinate without averages, itself, and its velocity: averages are made of these."""
         end = self.times[-1]
         cell = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self._change) - 1)
         x = np.clip(t, 0.0, end) - self.times[cell]

@@ -1,7 +1,7 @@
 """A trajectory that asks for more than limits allow: along its own path, in its own time where that can be kept.
 
-Path and time are told apart (:mod:`.course`). Between two places of rest the time is changed, if a limit is passed there
-at all (:mod:`.stretch`); a stretch within limits stays as it was asked for.
+Path and time are told apart (:mod:`.course`). Between two places of rest the time is changed if a limit is passed
+there (:mod:`.stretch`); a stretch within limits stays as it was asked for.
 """
 
 from collections.abc import Generator, Sequence

@@ -82,7 +82,7 @@ def retime_stretch(
 
 
 def _first_rates(course: Course, limits: MotionLimits) -> tuple[Array, Array]:
-    """Squares of rates at the ends of cells that keep velocities, and accelerations across; how much they may change."""
+    """Squares of rates at the ends of cells that keep velocities, and accelerations across; room for changes."""
     fast = np.maximum(np.abs(course.first), np.abs(course.last))
     cells = np.minimum(1.0, (_SHARE * limits.velocity / np.maximum(fast, _TINY)).min(axis=1)) ** 2
     for side, v in ((0, course.first), (1, course.last)):
