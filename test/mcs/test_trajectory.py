@@ -352,12 +352,13 @@ def ready_once(machine):
     return machine
 
 
+GIVEN = ("positions", "velocities", "accelerations")
 LIMITS = {"velocity": 0.8, "acceleration": 1.2}
 """Of left_rotation: the joint whose limits are the narrowest for the way below."""
 
 
 def trapezoid(step, share=0.5, way=0.4):
-    """Share of a way that a trapezoidal profile has covered, its velocity and its acceleration; times ``step`` apart."""
+    """Times ``step`` apart; the share of a way that a trapezoidal profile has covered, its two derivatives."""
     speed, force = share * LIMITS["velocity"] / way, share * LIMITS["acceleration"] / way
     ramp = speed / force
     end = 1.0 / speed + ramp
@@ -365,19 +366,20 @@ def trapezoid(step, share=0.5, way=0.4):
     rising, falling = np.minimum(t, ramp), np.minimum(end - t, ramp)
     covered = np.where(t < ramp, 0.5 * force * t**2, 0.5 * force * ramp**2 + speed * (t - ramp))
     covered = np.where(t > end - ramp, 1.0 - 0.5 * force * (end - t) ** 2, covered)
-    return t, covered, force * np.minimum(rising, falling), np.where(t < ramp, force, np.where(t > end - ramp, -force, 0))
+    change = np.where(t < ramp, force, np.where(t > end - ramp, -force, 0.0))
+    return t, covered, force * np.minimum(rising, falling), change
 
 
-@pytest.mark.parametrize("given", [("positions",), ("positions", "velocities"), ("positions", "velocities", "accelerations")])
+@pytest.mark.parametrize("many", [1, 2, 3])
 @pytest.mark.parametrize("step", [0.1, 0.02])
-def test_a_trapezoidal_profile_is_followed_on_its_path(ready, step, given):
+def test_a_trapezoidal_profile_is_followed_on_its_path(ready, step, many):
     """Its acceleration jumps: it takes a little longer, says so, and is nowhere else."""
     way = 0.4 * np.ones(9) * [0.5, 1.0, 0.5, 1.0, -0.5, 0.5, 1.0, 1.0, 1.0]
     t, *rows = trapezoid(step)
-    request, told, seen = goal(ready), [], []
+    request, told = goal(ready), []
     for k, time in enumerate(t):
         point = JointTrajectoryPoint(time_from_start=duration(float(time)))
-        for order, name in enumerate(given):
+        for order, name in enumerate(GIVEN[:many]):
             setattr(point, name, list(map(float, (ready.home if order == 0 else 0.0) + rows[order][k] * way)))
         request.trajectory.points.append(point)
     request.path_tolerance = [JointTolerance(name=joint, position=0.002) for joint in ready.joints]
@@ -385,9 +387,7 @@ def test_a_trapezoidal_profile_is_followed_on_its_path(ready, step, given):
     assert answer.status == SUCCEEDED, answer.result.error_string
     assert f"instead of {t[-1]:.3f} s, because of jerk of left_" in answer.result.error_string
     np.testing.assert_allclose(ready.group_state().q_rest, ready.home + way, atol=1e-4)
-    for feedback in told:
-        seen.append(np.array(feedback.desired.positions) - ready.home)
-    seen = np.array(seen)
+    seen = np.array([feedback.desired.positions for feedback in told]) - ready.home
     share = seen @ way / (way @ way)
     assert np.abs(seen - share[:, None] * way).max() < 1e-4
     last = told[-1]
