@@ -34,7 +34,7 @@ class ServoReply:
 
 
 @dataclass(frozen=True)
-class Progress:
+class MotionProgress:
     """How far a motion is.
 
     Attributes:
@@ -53,7 +53,7 @@ class Progress:
 
 OnReply = Callable[[ServoReply], None]
 OnState = Callable[[State, str], None]
-OnProgress = Callable[[Progress], None]
+OnProgress = Callable[[MotionProgress], None]
 
 
 class ServoClient:
@@ -190,7 +190,7 @@ class ServoClient:
         if message["event"] == "progress":
             if on_progress is not None:
                 share, point = float(message["progress"]), int(message["point"])
-                on_progress(Progress(share, point, float(message["time"]), float(message["place"])))
+                on_progress(MotionProgress(share, point, float(message["time"]), float(message["place"])))
         elif on_reply is not None:
             error = message.get("error")
             fault = ImError.restored(error["code"], error["message"], error["facts"]) if error else None

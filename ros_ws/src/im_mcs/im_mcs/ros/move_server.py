@@ -11,7 +11,7 @@ from im_core.ros.status import ok_status, to_status
 from im_mcs.client.groups import group_state
 from im_mcs.client.kinematics import wrist_pose
 from im_mcs.client.points import ordered_points
-from im_mcs.client.servo_client import Progress
+from im_mcs.client.servo_client import MotionProgress
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.motions import Goals, Motions, fail
@@ -88,7 +88,7 @@ class MoveServer:
         state = group_state(group, description, mcs.model, snapshot, mcs.config.servo.period_s)
         result.state = messages.group_state(state)
 
-    def _feedback(self, handle: ServerGoalHandle, progress: Progress) -> None:
+    def _feedback(self, handle: ServerGoalHandle, progress: MotionProgress) -> None:
         message = Move.Feedback(progress=progress.share, point=progress.point)
         message.stamp = messages.time(int(self._mcs.client().snapshot()["stamp_ns"]))
         handle.publish_feedback(message)

@@ -19,7 +19,7 @@ from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.calls import run_in_thread
 from im_core.shm import SharedBlock
-from im_mcs.client.servo_client import Progress
+from im_mcs.client.servo_client import MotionProgress
 from im_mcs.client.trajectory import (
     Accepted,
     Course,
@@ -197,7 +197,7 @@ class TrajectoryServer:
         name = f"{names.instance()}_mcs_points_{next(self._numbers)}"
         return share_points(name, TimedPoints(course.times, course.q, course.v, course.a))
 
-    def _feedback(self, group: str, handle: ServerGoalHandle, progress: Progress) -> None:
+    def _feedback(self, group: str, handle: ServerGoalHandle, progress: MotionProgress) -> None:
         """Desired and actual motion; their times are the place on what was asked for, and the time since it began."""
         snapshot = self._mcs.client().snapshot()
         description = self._mcs.group(group)

@@ -1,4 +1,4 @@
-"""When a course is where: the asked speed, slowed down where it must be, then smoothed over time.
+"""When a place on the path is reached: the asked speed, slowed down where it must be, then smoothed over time.
 
 A non-negative average over a span of time keeps the place on the path between the smallest and the largest of that
 span: the path is kept, no speed and no acceleration along it grows, jumps of acceleration become ramps, rest stays
@@ -25,7 +25,7 @@ class TimeLaw:
 
     Attributes:
         duration: From rest to rest [s].
-        times: When the course without averages is at the ends of its cells, shape (m + 1,) [s].
+        times: When the path without averages is at the ends of its cells, shape (m + 1,) [s].
 
     Args:
         way: Coordinate at the ends of cells, shape (m + 1,).
@@ -56,7 +56,7 @@ class TimeLaw:
         return np.minimum(way, self._way[-1]), np.maximum(rate, 0.0), change
 
     def nodes(self) -> Array:
-        """Times at which to take the course so that quintics between follow it, shape (m,) [s]."""
+        """Times at which to take the path so that quintics between follow it, shape (m,) [s]."""
         step = min(max((self._span + self._apart) / _NODES_A_SPAN, _NODE_S[0]), _NODE_S[1])
         return np.linspace(0.0, self.duration, max(int(np.ceil(self.duration / step)), _FEWEST) + 1)
 

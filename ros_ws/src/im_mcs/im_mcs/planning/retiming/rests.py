@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.planning.polynomial import PiecewisePolynomial, powers_to_jerk
-from im_mcs.planning.retiming.course import CHUNK, Course
+from im_mcs.planning.retiming.asked_path import CHUNK, AskedPath
 
 Array = NDArray[np.float64]
 
@@ -23,15 +23,15 @@ def standing(trajectory: PiecewisePolynomial, unit: Array) -> NDArray[np.bool_]:
     return np.asarray((np.abs(ways) <= _STILL * unit).all(axis=(1, 2)))
 
 
-def rests(trajectory: PiecewisePolynomial, course: Course, unit: Array) -> Generator[None, None, Array]:
+def rests(trajectory: PiecewisePolynomial, path: AskedPath, unit: Array) -> Generator[None, None, Array]:
     """Asked times between which a trajectory is re-timed stretch by stretch, both ends included, shape (m,) [s].
 
     Args:
         trajectory: Asked.
-        course: The whole of it.
+        path: The whole of it.
         unit: Velocity of each joint that counts as 1, shape (n,).
     """
-    speed = np.append(course.speed[0], course.speed[1, -1])
+    speed = np.append(path.speed[0], path.speed[1, -1])
     inner = speed[1:-1]
     lowest = 1 + np.flatnonzero((inner <= speed[:-2]) & (inner <= speed[2:]))
     still = standing(trajectory, unit)
@@ -40,7 +40,7 @@ def rests(trajectory: PiecewisePolynomial, course: Course, unit: Array) -> Gener
     yield
     for k in range(0, len(lowest), CHUNK):
         some = lowest[k : k + CHUNK]
-        tau = _slowest(trajectory, course.tau[some - 1], course.tau[some], course.tau[some + 1], unit)
+        tau = _slowest(trajectory, path.tau[some - 1], path.tau[some], path.tau[some + 1], unit)
         yield
         here, before, after = (_way(trajectory, tau + off, unit) for off in (0.0, -_TURN_S, _TURN_S))
         stops = ((here**2).sum(axis=1) <= _STILL**2) | ((before * after).sum(axis=1) < 0.0)

@@ -1,6 +1,6 @@
 """A trajectory that asks for more than limits allow: along its own path, in its own time where that can be kept.
 
-Path and time are told apart (:mod:`.course`). Between two places of rest the time is changed if a limit is passed
+Path and time are told apart (:mod:`.asked_path`). Between two places of rest the time is changed if a limit is passed
 there (:mod:`.stretch`); a stretch within limits stays as it was asked for.
 """
 
@@ -13,7 +13,7 @@ from im_core.errors import LimitError
 from im_mcs.planning.context import PlanContext
 from im_mcs.planning.envelope import first_excess
 from im_mcs.planning.polynomial import PiecewisePolynomial, powers
-from im_mcs.planning.retiming.course import Course
+from im_mcs.planning.retiming.asked_path import AskedPath
 from im_mcs.planning.retiming.rests import rests, standing
 from im_mcs.planning.retiming.rounding import rounded
 from im_mcs.planning.retiming.stretch import Retimed, retime_stretch
@@ -73,9 +73,9 @@ def retime(
     limits = context.limits.motion.of(context.index)
     depth = np.array([_DEPTH[context.limits.units[i]] for i in context.index])
     smooth = yield from rounded(asked, limits.acceleration, limits.velocity, depth)
-    course = Course(smooth, 0.0, smooth.duration, limits.velocity)
-    yield from course.measure()
-    times = yield from rests(smooth, course, limits.velocity)
+    path = AskedPath(smooth, 0.0, smooth.duration, limits.velocity)
+    yield from path.measure()
+    times = yield from rests(smooth, path, limits.velocity)
     parts: list[Retimed] = []
     still = standing(asked, limits.velocity)
     for begin, end in zip(times[:-1].tolist(), times[1:].tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""Rounding of places where a path changes its curvature at once, as a course of cubics does at its points.
+"""Rounding of places where a path changes its curvature at once, as cubics in a row do at its points.
 
 No motion follows such a place but at rest: across the path the acceleration would jump. A quintic with the states of
 both sides takes the place of what lies ``x`` seconds around; it is off the path by less than ``jump x^2 / 93``, with

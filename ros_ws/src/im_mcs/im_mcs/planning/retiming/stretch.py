@@ -10,7 +10,7 @@ from scipy.ndimage import minimum_filter1d
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.envelope import excess
 from im_mcs.planning.polynomial import PiecewisePolynomial, quintic
-from im_mcs.planning.retiming.course import CHUNK, Course
+from im_mcs.planning.retiming.asked_path import CHUNK, AskedPath
 from im_mcs.planning.retiming.law import TimeLaw, gentle
 
 Array = NDArray[np.float64]
@@ -57,16 +57,16 @@ def retime_stretch(
         end: Of the second.
         limits: Of its joints.
     """
-    course = Course(trajectory, begin, end, limits.velocity)
-    yield from course.measure()
-    speed = np.append(course.speed[0], course.speed[1, -1])
+    path = AskedPath(trajectory, begin, end, limits.velocity)
+    yield from path.measure()
+    speed = np.append(path.speed[0], path.speed[1, -1])
     speed[[0, -1]] = 0.0
-    square, room = _first_rates(course, limits)
+    square, room = _first_rates(path, limits)
     yield
     square = gentle(square, room)
     for _ in range(_ROUNDS):
-        law = yield from _law(course, speed * np.sqrt(square), limits)
-        nodes, retimed, over = yield from _motion(course, law, limits)
+        law = yield from _law(path, speed * np.sqrt(square), limits)
+        nodes, retimed, over = yield from _motion(path, law, limits)
         if over.max() <= _ENOUGH:
             break
         slower = np.minimum(1.0 / over, 1.0)
@@ -81,34 +81,34 @@ def retime_stretch(
     return Retimed(retimed.lengths * factor, retimed.coefficients * scale[:, None], retimed.asked)
 
 
-def _first_rates(course: Course, limits: MotionLimits) -> tuple[Array, Array]:
+def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:
     """Squares of rates at the ends of cells that keep velocities, and accelerations across; room for changes."""
-    fast = np.maximum(np.abs(course.first), np.abs(course.last))
+    fast = np.maximum(np.abs(path.first), np.abs(path.last))
     cells = np.minimum(1.0, (_SHARE * limits.velocity / np.maximum(fast, _TINY)).min(axis=1)) ** 2
-    for side, v in ((0, course.first), (1, course.last)):
-        along = course.slope[side] / np.maximum(course.speed[side], _TINY)
-        across = np.abs(course.turn[side] - v * along[:, None])
-        across[course.speed[side] == 0.0] = 0.0
+    for side, v in ((0, path.first), (1, path.last)):
+        along = path.slope[side] / np.maximum(path.speed[side], _TINY)
+        across = np.abs(path.turn[side] - v * along[:, None])
+        across[path.speed[side] == 0.0] = 0.0
         cells = np.minimum(cells, (_SHARE * limits.acceleration / np.maximum(across, _TINY)).min(axis=1))
     square = np.minimum(np.append(cells, 1.0), np.append(1.0, cells))
-    room = 2.0 * _CHANGE * (limits.acceleration / np.maximum(fast, _TINY)).min(axis=1) * np.diff(course.tau)
+    room = 2.0 * _CHANGE * (limits.acceleration / np.maximum(fast, _TINY)).min(axis=1) * np.diff(path.tau)
     return square, np.minimum(room, 1.0)
 
 
-def _law(course: Course, speed: Array, limits: MotionLimits) -> Generator[None, None, TimeLaw]:
+def _law(path: AskedPath, speed: Array, limits: MotionLimits) -> Generator[None, None, TimeLaw]:
     """The law with the shortest average that makes ramps of the jumps of acceleration along the path."""
-    used = (np.abs(course.first) + np.abs(course.last)) / limits.jerk
-    jerk = (course.speed[0] + course.speed[1]) / np.maximum(used.max(axis=1), _TINY)
+    used = (np.abs(path.first) + np.abs(path.last)) / limits.jerk
+    jerk = (path.speed[0] + path.speed[1]) / np.maximum(used.max(axis=1), _TINY)
     longest = 2.0 * float((limits.acceleration / limits.jerk).max())
     span = _SHORTEST_SPAN_S
     for _ in range(_SPANS):
-        law = TimeLaw(course.way, speed, span, span * _APART)
+        law = TimeLaw(path.way, speed, span, span * _APART)
         yield
         nodes, needed = law.nodes(), 0.0
         for k in range(0, len(nodes) - 1, 4 * CHUNK):
             t = nodes[k : k + 4 * CHUNK + 1]
             way, _, change = law.at(t)
-            at = np.clip(np.searchsorted(course.way, way[1:]) - 1, 0, len(jerk) - 1)
+            at = np.clip(np.searchsorted(path.way, way[1:]) - 1, 0, len(jerk) - 1)
             needed = max(needed, float((np.abs(np.diff(change)) / np.diff(t) / jerk[at]).max()) * span)
             yield
         if needed * _MORE <= span or span == longest:
@@ -118,7 +118,7 @@ def _law(course: Course, speed: Array, limits: MotionLimits) -> Generator[None, 
 
 
 def _motion(
-    course: Course, law: TimeLaw, limits: MotionLimits
+    path: AskedPath, law: TimeLaw, limits: MotionLimits
 ) -> Generator[None, None, tuple[Array, Retimed, Array]]:
     """Quintics through the motion at nodes, and how far each is beyond limits, as a factor of its time."""
     nodes = law.nodes()
@@ -127,12 +127,12 @@ def _motion(
     coefficients, over = np.empty((count, 6, len(limits.jerk))), np.empty(count)
     for k in range(0, count, CHUNK):
         first, last = k + (k > 0), min(k + CHUNK, count)
-        states[first : last + 1], asked[first : last + 1] = course.motion(*law.at(nodes[first : last + 1]))
+        states[first : last + 1], asked[first : last + 1] = path.motion(*law.at(nodes[first : last + 1]))
         yield
         if k == 0:
-            states[0], asked[0] = course.rest(0)
+            states[0], asked[0] = path.rest(0)
         if last == count:
-            states[-1], asked[-1] = course.rest(-1)
+            states[-1], asked[-1] = path.rest(-1)
         part = slice(k, last)
         q, v, a = states[k : last + 1].swapaxes(0, 1)
         coefficients[part] = quintic(h[part], q, v, a)

@@ -27,7 +27,7 @@ CHUNK = 400
 """Places that are evaluated in one slice."""
 
 
-class Course:
+class AskedPath:
     """A stretch of an asked trajectory, from rest to rest.
 
     Attributes:
