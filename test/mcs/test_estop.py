@@ -8,6 +8,7 @@ import pytest
 from im_cell.link import PanelEnd, ServoEnd, StopEnd
 from im_core import names
 from im_core.ros.calls import call_blocking
+from im_mcs.state import UNCONFIGURED_MESSAGE
 from im_msgs.srv import InjectFault, ReserveGroup
 
 CAUSE = "request on /mcs/estop"
@@ -51,7 +52,7 @@ def test_unconfigured(client):
     assert not client.change("configure")
     assert client.lifecycle() == "unconfigured"
     assert client.trigger("reset").message == "MCS is unconfigured"
-    assert "configure it first" in client.trigger("reset").message  # nothing is latched any more
+    assert client.trigger("reset").message == UNCONFIGURED_MESSAGE  # nothing is latched any more
     client.until(lambda: not client.states[-1].reason)
     assert client.change("configure")
     client.until(lambda: client.state() == "cold")
