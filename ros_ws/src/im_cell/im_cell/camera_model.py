@@ -17,6 +17,8 @@ _PINHOLE = ("fx", "fy", "cx", "cy")
 _POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
 PARAMETERS = (*_PINHOLE, "k1", "k2", "p1", "p2", "k3", *_POSE)
 """What describes a camera: pinhole [px], lens [-], turn in the camera frame [rad], shift [m]."""
+POSE_PARAMETERS = len(_POSE)
+"""How many of them, the last ones, are the pose."""
 _LENS_STEP = 1e-5
 """Of central differences by the lens, in which an image is linear or nearly so."""
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from im_cell.camera_model import CameraModel, distort, distort_jacobian
+from im_cell.camera_model import CameraModel, distort
 from im_cell.fiducial import CELLS
 from im_cell.robot import Target
 from im_cell.sensor import SensorNoise
 from im_core.errors import DataError
-from im_vss.edges.step import Image, StraightEdge, follow_edge
+from im_vss.edges.step import Image, StraightEdge, follow_edge, undistorted_by_parameters
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,6 @@ _SMALLEST_HALF_PX, _CELLS_HALF = 2.0, 0.5
 _ITERATIONS = 20
 _TOLERANCE = 1e-10
 _NEAREST_M = 0.01
-_POSE = 6
 _DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
 
 
@@ -138,9 +137,6 @@ def _refined(rotation: Array, translation: Array, plate: Array, corners: Corners
 def with_calibration(pose: PlatePose, corners: Corners, camera: CameraModel, size: float, lens: Array) -> PlatePose:
     """A pose whose covariance also counts how well the camera is known.
 
-    The corners stay where they are in the image; where they are without the lens, and where the plate then must be,
-    moves with the parameters.
-
     Args:
         pose: The pose by the corners, its covariance that of the corners alone.
         corners: Undistorted.
@@ -148,14 +144,8 @@ def with_calibration(pose: PlatePose, corners: Corners, camera: CameraModel, siz
         size: Side of the square [m].
         lens: Covariance of its parameters, of which the pose does not count, shape (15, 15).
     """
-    plate = _square(size)
-    seen = replace(camera, R_cam_base=np.eye(3), t_cam_base=np.zeros(3))
-    points = plate @ pose.rotation.T + pose.translation
-    pinhole = camera.K[:2, :2]
-    distorting = pinhole @ distort_jacobian(points[:, :2] / points[:, 2:], camera.D) @ np.linalg.inv(pinhole)
-    moved = np.linalg.solve(distorting, seen.project_by_parameters(points)).reshape(8, -1)
-    moved[:, -_POSE:] = 0.0
-    _, jacobian = _linearised(pose.rotation, pose.translation, plate, corners.uv, camera.K)
+    _, jacobian = _linearised(pose.rotation, pose.translation, _square(size), corners.uv, camera.K)
+    moved = undistorted_by_parameters(camera, corners.uv).reshape(8, -1)
     by_camera = pose.covariance @ jacobian.T @ np.linalg.solve(corners.covariance, moved)
     return replace(pose, covariance=pose.covariance + by_camera @ lens @ by_camera.T)
 

@@ -4,10 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
+from im_cell.camera_model import PARAMETERS
 from im_vss.edges import find_circles, find_lines
 from im_vss.edges.step import undistorted
 
 TRIALS = 25
+EXACT = np.zeros((len(PARAMETERS), len(PARAMETERS)))
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def test_line_is_where_its_projection_is(plates, target):
     along = (end - start) / np.linalg.norm(end - start)
     errors, nees = [], []
     for number in range(TRIALS):
-        lines = find_lines(plates.image(number), camera, plates.settings.sensor, plates.settings.lines)
+        lines = find_lines(plates.image(number), camera, plates.settings.sensor, plates.settings.lines, EXACT)
         near = [line.edge for line in lines if np.linalg.norm(line.edge.middle - (start + end) / 2.0) < 15.0]
         (found,) = [each for each in near if abs(each.direction @ along) > 0.99]
         foot = start + along * ((found.middle - start) @ along)
@@ -61,4 +63,4 @@ def test_noise_holds_neither(plates):
     for _ in range(5):
         image = np.clip(rng.normal(60.0, 3.8, (480, 640)), 0, 255).astype(np.uint8)
         assert find_circles(image, plates.settings.sensor, plates.settings.circles) == []
-        assert find_lines(image, plates.camera, plates.settings.sensor, plates.settings.lines) == []
+        assert find_lines(image, plates.camera, plates.settings.sensor, plates.settings.lines, EXACT) == []

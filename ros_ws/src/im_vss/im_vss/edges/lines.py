@@ -11,7 +11,7 @@ from im_cell.camera_model import CameraModel
 from im_cell.sensor import SensorNoise
 from im_core.config import Model
 from im_core.errors import DataError
-from im_vss.edges.step import Image, StraightEdge, follow_edge
+from im_vss.edges.step import Image, StraightEdge, follow_edge, undistorted_by_parameters
 
 Array = NDArray[np.float64]
 
@@ -38,11 +38,19 @@ class LineGates(Model):
 
 @dataclass(frozen=True)
 class LineFit:
-    """A line: its ends in undistorted pixels, each of shape (2,) [px], and the edge that was fitted."""
+    """A line.
+
+    Attributes:
+        start: Its beginning in undistorted pixels, shape (2,) [px].
+        end: Its end, shape (2,) [px].
+        edge: The edge that was fitted.
+        covariance: Of (offset across the line at its middle [px], angle [rad]), by pixels and lens, shape (2, 2).
+    """
 
     start: Array
     end: Array
     edge: StraightEdge
+    covariance: Array
 
     @property
     def rms(self) -> float:
@@ -50,7 +58,9 @@ class LineFit:
         return float(np.sqrt(self.edge.fit.covariance[0, 0] * self.edge.length))
 
 
-def find_lines(image: Image, camera: CameraModel, noise: SensorNoise, gates: LineGates) -> list[LineFit]:
+def find_lines(
+    image: Image, camera: CameraModel, noise: SensorNoise, gates: LineGates, calibration: Array
+) -> list[LineFit]:
     """Find straight edges; longest first.
 
     Candidates: R. Grompone von Gioi and others, "LSD: a line segment detector", IPOL 2012, as in OpenCV.
@@ -60,6 +70,7 @@ def find_lines(image: Image, camera: CameraModel, noise: SensorNoise, gates: Lin
         camera: Intrinsics and lens; what is straight in the world is fitted as straight.
         noise: Noise of the sensor.
         gates: What a line must be like.
+        calibration: Covariance of the camera's parameters, see :data:`im_cell.camera_model.PARAMETERS`, shape (15, 15).
     """
     segments = cv2.createLineSegmentDetector().detect(cv2.GaussianBlur(image, (0, 0), 1.0))[0]
     if segments is None:
@@ -76,8 +87,24 @@ def find_lines(image: Image, camera: CameraModel, noise: SensorNoise, gates: Lin
             continue
         if not any(_same(edge, other.edge) for other in found):
             reach = 0.5 * edge.length * edge.direction
-            found.append(LineFit(edge.middle - reach, edge.middle + reach, edge))
+            start, end = edge.middle - reach, edge.middle + reach
+            found.append(LineFit(start, end, edge, edge_covariance(edge, camera, calibration)))
     return found
+
+
+def edge_covariance(edge: StraightEdge, camera: CameraModel, calibration: Array) -> Array:
+    """Covariance of (offset across an edge at its middle [px], angle [rad]) by pixels and lens, shape (2, 2).
+
+    Args:
+        edge: The edge.
+        camera: The camera it was fitted with.
+        calibration: Covariance of the camera's parameters, shape (15, 15).
+    """
+    reach = 0.5 * edge.length * edge.direction
+    ends = undistorted_by_parameters(camera, np.stack((edge.middle - reach, edge.middle + reach)))
+    first, second = edge.normal @ ends
+    moved = np.stack((0.5 * (first + second), (second - first) / edge.length))
+    return np.asarray(edge.fit.covariance + moved @ calibration @ moved.T)
 
 
 def _same(first: StraightEdge, second: StraightEdge) -> bool:

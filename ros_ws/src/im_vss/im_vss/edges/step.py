@@ -1,13 +1,13 @@
 """Maximum-likelihood fit of a blurred step of brightness along a curve, and along a straight edge."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from im_cell.camera_model import CameraModel
+from im_cell.camera_model import POSE_PARAMETERS, CameraModel, distort_jacobian
 from im_cell.sensor import SensorNoise
 
 Array = NDArray[np.float64]
@@ -155,6 +155,28 @@ def undistorted(camera: CameraModel, pixels: Array) -> Array:
         DataError: The lens model cannot be inverted there.
     """
     return camera.to_pixels(camera.undistort(pixels))
+
+
+def undistorted_by_parameters(camera: CameraModel, undistorted_pixels: Array) -> Array:
+    """How far off the undistorted pixels of what is seen are, by errors of the camera; its pose has no part in it.
+
+    What is seen stays where it is in the image: the undistorted pixel of its direction changes, and where in the image
+    that direction is seen.
+
+    Args:
+        camera: Intrinsics and lens.
+        undistorted_pixels: Where, shape (n, 2) [px].
+
+    Returns:
+        Derivatives by :data:`im_cell.camera_model.PARAMETERS`, shape (n, 2, 15) [px by the unit of each].
+    """
+    pinhole = camera.K[:2, :2]
+    inverse = np.linalg.inv(pinhole)
+    ideal = (undistorted_pixels - camera.K[:2, 2]) @ inverse.T
+    here = replace(camera, R_cam_base=np.eye(3), t_cam_base=np.zeros(3))
+    seen = here.project_by_parameters(np.column_stack((ideal, np.ones(len(ideal)))))
+    seen[..., -POSE_PARAMETERS:] = 0.0
+    return np.asarray(-np.linalg.solve(pinhole @ distort_jacobian(ideal, camera.D) @ inverse, seen))
 
 
 def follow_edge(

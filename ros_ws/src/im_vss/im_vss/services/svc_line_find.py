@@ -52,5 +52,6 @@ class SvcLineFind(FeatureFind):
         """
         tool = self.tool("tool_line_find")
         found = self.find(client, request, tool, tool.gates(request.length_min), Lines)
-        remark = "" if self.rig.book[request.camera].calibrated else _AS_DRAWN.format(request.camera)
+        book = self.rig.book
+        remark = book.remark([request.camera]) if book[request.camera].calibrated else _AS_DRAWN.format(request.camera)
         return LineFindResult(*found, remark)

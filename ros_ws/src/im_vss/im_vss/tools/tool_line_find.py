@@ -45,6 +45,6 @@ class ToolLineFind(Tool):
         shift = np.array([[0.0, 0.0, u], [0.0, 0.0, v], [0.0, 0.0, 0.0]])
         part = replace(model, width=image.shape[1], height=image.shape[0], K=model.K - shift)
         sensor = frame.controls.of(self.rig.settings.sensor)
-        found = find_lines(image, part, sensor, gates)
+        found = find_lines(image, part, sensor, gates, self.rig.book.covariance.of([frame.camera]))
         corner = np.array([u, v])
         return [replace(line, start=line.start + corner, end=line.end + corner) for line in found]

@@ -143,7 +143,7 @@ def to_segment(line: LineFit) -> LineSegment:
     return LineSegment(
         start=line.start,
         end=line.end,
-        covariance=line.edge.fit.covariance.ravel(),
+        covariance=line.covariance.ravel(),
         rms=line.rms,
         contrast=line.edge.fit.contrast,
         points=line.edge.points,
