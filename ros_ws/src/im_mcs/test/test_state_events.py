@@ -136,3 +136,14 @@ def test_reset_names_what_is_broken_and_what_stopped(bench):
     bench.driver.faults = list
     assert bench.ask("reset")["success"]
     assert bench.mcs.manager.state is State.COLD
+
+
+def test_an_emergency_stop_overtakes_a_reset(bench):
+    bench.to_motion("left")
+    bench.ask("estop", reason="a hand")
+    reset = bench.send("reset")
+    assert bench.mcs.manager.busy
+    assert bench.ask("estop", reason="again")["success"]
+    assert "emergency stop: again" in bench.reply(reset)["error"]["message"]
+    assert bench.mcs.manager.state is State.ESTOPPED
+    assert bench.ask("reset")["success"]

@@ -108,7 +108,7 @@ class ServoKeeper:
     ) -> None:
         self._node, self._lifecycle = node, lifecycle
         self._circuits = circuits
-        self._stop_cause = ""
+        self._stop_cause, self._stops = "", 0
         self._silence_s = silence_s
         self._reason = ""
         self._hang: LinkError | None = None
@@ -196,6 +196,7 @@ class ServoKeeper:
 
         The servo stops in its next tick. If it does not say so soon, power goes by the stop circuits.
         """
+        self._stops += 1
         self._latch(reason)
         if self._owner is None:
             return f"{self.reason}; {self._circuits.cut()}"
@@ -220,8 +221,9 @@ class ServoKeeper:
             request: Asks the servo and awaits its answer.
 
         Raises:
-            ImError: The cause is not gone, or there is nothing to reset.
+            ImError: The cause is not gone, there is nothing to reset, or it was stopped again meanwhile.
         """
+        stops = self._stops
         if self._owner is None:
             if not self._stop_cause:
                 self.client()
@@ -229,6 +231,8 @@ class ServoKeeper:
             if self._stop_cause and self._owner.client.state() is not State.ESTOPPED:
                 await request(Event.ESTOP, {"reason": self._stop_cause})  # it has not heard of it, and shall
             await request(Event.RESET, {})
+            if self._stops != stops:
+                raise StateError("reset was overtaken by another emergency stop", request=Event.RESET.value)
         self._circuits.restore()
         self._stop_cause = ""
         self._changed()

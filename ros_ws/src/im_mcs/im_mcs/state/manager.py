@@ -263,17 +263,16 @@ class StateManager:
             **facts: Named values the reason speaks of.
         """
         target = self.check(Event.ESTOP)
-        if self.state is State.ESTOPPED:
-            return
         error = StateError(f"emergency stop: {reason}", reason=reason)
         error.facts.update(facts)
         running, self._running = self._running, None
-        self.state = target
-        self.cause = reason
-        self._patience = self._answer_ticks
-        self.power = False
-        self.brakes = np.ones_like(self.brakes)
-        self._arms.drop_goals(error)
+        if self.state is not State.ESTOPPED:
+            self.state = target
+            self.cause = reason
+            self._patience = self._answer_ticks
+            self.power = False
+            self.brakes = np.ones_like(self.brakes)
+            self._arms.drop_goals(error)
         if running is not None:
             running.steps.close()
             running.reply(error)
