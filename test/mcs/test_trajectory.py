@@ -219,6 +219,16 @@ def test_a_new_goal_replaces_the_running_one(ready):
     np.testing.assert_allclose(ready.group_state().q_rest, ready.home, atol=1e-4)
 
 
+def test_an_invalid_second_goal_leaves_the_first_alone(ready):
+    handle, first = started(ready, far(ready, 60.0))
+    answer = ready.follow(goal(ready, (1.0, ready.home[:3])))[1]()
+    assert answer.status == ABORTED
+    assert answer.result.error_code == Result.INVALID_GOAL
+    assert not ready.group_state().at_rest
+    ready.cancel(handle)
+    assert first().status == CANCELED
+
+
 def test_the_topic_replaces_stops_and_counts_what_it_refuses(ready):
     publisher = ready.talk(JointTrajectory, "/left/joint_trajectory")
     _, result = started(ready, far(ready, 60.0))
