@@ -179,8 +179,6 @@ def trajectory_path(
     delay_s = trajectory.start_s - present.now_s if trajectory.start_s != 0.0 else 0.0
     _check_age(trajectory, present.now_s, delay_s)
     course = course.since(int(np.argmax(course.times + delay_s >= 0.0)), delay_s)
-    alone = len(course.times) == 1
-    late = alone and bool(streams or course.times[0] == 0.0)
     if delay_s > 0.0 and present.at_rest and course.times[0] > delay_s:
         course = course.held(delay_s, present.q)
     tolerances = trajectory.tolerances
@@ -189,7 +187,7 @@ def trajectory_path(
         **_bounds(group, joints, tolerances.path, "path"),
         **_bounds(group, joints, tolerances.goal, "goal"),
         "goal_time_tolerance": _goal_time(tolerances.goal_time_s),
-        "may_be_late": late and len(course.times) == 1,
+        "may_be_late": bool(streams) and len(course.times) == 1,
     }
 
 

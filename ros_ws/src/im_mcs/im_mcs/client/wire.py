@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError
 from im_mcs.client.trajectory import GoalTolerances, TimedTrajectory, Tolerance
+from im_mcs.protocol.requests import LONGEST_TEXT
 
 _MOST_NAMES = 100
-_LONGEST_NAME = 200
 _ENCODINGS = {b"\x00\x01": "<", b"\x00\x00": ">"}
 _FIELDS = ("positions", "velocities", "accelerations", "efforts")
 _NAMES = ("position", "velocity", "acceleration")
@@ -55,10 +55,10 @@ class CdrReader:
         return float(whole + 1e-9 * self._number(self._u32))
 
     def text(self) -> str:
-        """A text of up to 200 bytes."""
+        """A text of up to 256 bytes."""
         length = self.count()
-        if length > _LONGEST_NAME + 1:
-            raise DataError(f"a name of {length - 1} bytes is too long; {_LONGEST_NAME} are allowed", bytes=length - 1)
+        if length > LONGEST_TEXT + 1:
+            raise DataError(f"a name of {length - 1} bytes is too long; {LONGEST_TEXT} are allowed", bytes=length - 1)
         data = self.data[self.at : self.at + max(length - 1, 0)]
         self.skip(length)
         return data.decode(errors="replace")

@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, LimitError
 from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.planning.context import PlanContext
+from im_mcs.protocol.points import TimedPoints
 from im_mcs.protocol.requests import JointMove, Move, StreamRequest, TrajectoryMove
 
+POINTS_AT_ONCE = 2000
+"""Points of a trajectory that are looked at when it is asked for; the others are when it is prepared."""
 _ROUNDING = 1e-6
 
 
@@ -24,17 +27,27 @@ def check_move(context: PlanContext, move: Move) -> None:
     if isinstance(move, JointMove):
         _check_points(context, move.points)
     elif isinstance(move, TrajectoryMove):
-        points, motion = move.points, context.limits.motion.of(context.index)
-        _check_points(context, points.q)
-        # what may be re-timed may be beyond limits, but not beyond numbers
-        any_finite = np.full(len(context.index), np.finfo(np.float64).max / 2.0)
-        retimed = context.config.planning.beyond_limits is BeyondLimits.RETIME
-        if points.v is not None:
-            bound = any_finite if retimed else motion.velocity
-            _check_derivative(context, points.v, bound, "velocities", "velocity", "/s")
-        if points.a is not None:
-            bound = any_finite if retimed else motion.acceleration
-            _check_derivative(context, points.a, bound, "accelerations", "acceleration", "/s2")
+        check_timed_points(context, move.points, 0)
+
+
+def check_timed_points(context: PlanContext, points: TimedPoints, begin: int) -> None:
+    """Check some points of a trajectory, from one on; as many as may be looked at in one tick.
+
+    Raises:
+        DataError: A wrong size, a value that is not finite.
+        LimitError: A position, velocity or acceleration is beyond its limit; names joint, value, limit and unit.
+    """
+    some, motion = slice(begin, begin + POINTS_AT_ONCE), context.limits.motion.of(context.index)
+    _check_points(context, points.q[some], begin)
+    # what may be re-timed may be beyond limits, but not beyond numbers
+    any_finite = np.full(len(context.index), np.finfo(np.float64).max / 2.0)
+    retimed = context.config.planning.beyond_limits is BeyondLimits.RETIME
+    for values, limit, words in (
+        (points.v, motion.velocity, ("velocities", "velocity", "/s")),
+        (points.a, motion.acceleration, ("accelerations", "acceleration", "/s2")),
+    ):
+        if values is not None:
+            _check_derivative(context, values[some], any_finite if retimed else limit, words, begin)
 
 
 def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -86,7 +99,8 @@ def per_joint(context: PlanContext, values: Sequence[float], what: str) -> NDArr
     return np.array(values, dtype=np.float64)
 
 
-def _check_points(context: PlanContext, q: NDArray[np.float64]) -> None:
+def _check_points(context: PlanContext, q: NDArray[np.float64], begin: int = 0) -> None:
+    """Check positions of points, shape (m, n), of which the first is the one of rank ``begin``."""
     limits, index = context.limits, context.index
     if q.shape[1] == len(index):
         inside = (q >= limits.lower[index]) & (q <= limits.upper[index])
@@ -95,13 +109,18 @@ def _check_points(context: PlanContext, q: NDArray[np.float64]) -> None:
         number = int(np.argmin(inside.all(axis=1)))
     else:
         number = 0
-    limits.check_positions(index, q[number].tolist(), f"point {number + 1}")
+    limits.check_positions(index, q[number].tolist(), f"point {begin + number + 1}")
 
 
 def _check_derivative(
-    context: PlanContext, values: NDArray[np.float64], limit: NDArray[np.float64], what: str, one: str, unit: str
+    context: PlanContext,
+    values: NDArray[np.float64],
+    limit: NDArray[np.float64],
+    words: tuple[str, str, str],
+    begin: int,
 ) -> None:
-    """Check velocities or accelerations of all points, shape (m, n)."""
+    """Check velocities or accelerations of points, shape (m, n), the first of rank ``begin``; ``words`` name them."""
+    what, one, unit = words
     if values.shape[1] == len(limit):
         inside = np.abs(values) <= limit * (1.0 + _ROUNDING)
         if inside.all():
@@ -109,8 +128,9 @@ def _check_derivative(
         number = int(np.argmin(inside.all(axis=1)))
     else:
         number = 0
-    per_joint(context, values[number].tolist(), f"point {number + 1}: {what}")
-    _check_within(context, values[number], limit, f"{one} of point {number + 1}", unit)
+    point = f"point {begin + number + 1}"
+    per_joint(context, values[number].tolist(), f"{point}: {what}")
+    _check_within(context, values[number], limit, f"{one} of {point}", unit)
 
 
 def _check_within(

@@ -2,7 +2,6 @@
 
 import bisect
 from collections.abc import Sequence
-from itertools import accumulate
 from typing import Self
 
 import numpy as np
@@ -41,14 +40,18 @@ class PiecewisePolynomial:
     """
 
     def __init__(
-        self, lengths: Sequence[float], coefficients: NDArray[np.float64], points: Sequence[int] | None = None
+        self,
+        lengths: Sequence[float] | NDArray[np.float64],
+        coefficients: NDArray[np.float64],
+        points: Sequence[int] | None = None,
     ) -> None:
-        self._starts = list(accumulate(lengths, initial=0.0))
-        self.duration: float = self._starts.pop()
         self.lengths = np.asarray(lengths, dtype=np.float64)
+        ends = np.cumsum(self.lengths)
+        self.duration = float(ends[-1])
+        self.edges = np.append(0.0, ends[:-1])
+        self._starts: list[float] = self.edges.tolist()
         self.coefficients = coefficients
         self.points = list(points) if points is not None else [0] * len(coefficients)
-        self.edges = np.array(self._starts)
         q = powers(self.lengths[-1:])[0] @ coefficients[-1]
         self._end = Setpoint.at_rest(q[0])
 

@@ -41,6 +41,6 @@ def prepare(context: PlanContext, move: Move, start: Start) -> Preparation:
         return JointPreparation(context, move, start)
     if isinstance(move, LineMove):
         return LinePreparation(context, start().q, move)
-    if move.may_be_late:
+    if move.may_be_late or move.points.times[-1] == 0.0:
         return MeetingPreparation(context, move, start)
     return SplinePreparation(context, move, start)

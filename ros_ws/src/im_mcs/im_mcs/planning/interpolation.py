@@ -1,0 +1,121 @@
+"""The spline through points in time, built some pieces a slice: a trajectory may have 100,000 points."""
+
+from collections.abc import Generator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_banded
+
+from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.planning.polynomial import PiecewisePolynomial, cubic, quintic
+from im_mcs.planning.profile import with_run_out
+from im_mcs.planning.trajectory import Setpoint
+from im_mcs.protocol.points import TimedPoints
+
+PIECES_AT_ONCE = 1000
+"""Pieces that are built in one slice."""
+# Of the velocity of a smooth spline at a point, what lies one point further off has at most half the weight.
+_NEIGHBOURS = 60
+_SAME = 1e-12
+
+
+def interpolated(
+    given: TimedPoints, start: Setpoint, limits: MotionLimits
+) -> Generator[None, None, PiecewisePolynomial]:
+    """The spline from a state through points, and what it takes to come to rest behind the last one.
+
+    Args:
+        given: The points; one at time 0 is where the motion begins, and does not count.
+        start: State at time 0.
+        limits: Of the joints.
+    """
+    first = 0 if given.times[0] > 0.0 else 1
+    times = np.concatenate([[0.0], given.times[first:]])
+    h = np.diff(times)
+    spline = _Pieces(given, start, first, h)
+    count = len(h)
+    end = with_run_out(PiecewisePolynomial(h[-1:], spline.coefficients(count - 1, count)), limits)
+    coefficients = np.empty((count - 1 + len(end.lengths), *end.coefficients.shape[1:]))
+    coefficients[count:] = end.coefficients[1:]
+    for begin in range(0, count, PIECES_AT_ONCE):
+        if begin:
+            yield
+        stop = min(begin + PIECES_AT_ONCE, count)
+        coefficients[begin:stop] = spline.coefficients(begin, stop)
+    last = len(given.times) - 1
+    points = [*range(first, last + 1), *[last] * (len(end.lengths) - 1)]
+    return PiecewisePolynomial(np.append(h, end.lengths[1:]), coefficients, points)
+
+
+class _Pieces:
+    """Pieces of the spline.
+
+    Args:
+        given: Points.
+        start: State before the first of them.
+        first: Which of them that is.
+        h: Length of every piece, shape (m,) [s].
+    """
+
+    def __init__(self, given: TimedPoints, start: Setpoint, first: int, h: NDArray[np.float64]) -> None:
+        self._given, self._start, self._first, self._h = given, start, first, h
+
+    def coefficients(self, begin: int, stop: int) -> NDArray[np.float64]:
+        """Of some pieces, shape (stop - begin, 6, n)."""
+        given, start, h, count = self._given, self._start, self._h[begin:stop], len(self._h)
+        # what is absurdly fast becomes infinite, and is out of range
+        with np.errstate(over="ignore", invalid="ignore"):
+            if given.v is None:
+                low, high = max(begin - _NEIGHBOURS, 0), min(stop + _NEIGHBOURS, count)
+                q = self._rows(given.q, start.q, low, high)
+                v0, a0 = (start.v, start.a) if low == 0 else (np.zeros_like(start.v),) * 2
+                some = slice(begin - low, stop - low + 1)
+                return quintic(h, q[some], *(x[some] for x in smooth(self._h[low:high], q, v0, a0)))
+            q, v = self._rows(given.q, start.q, begin, stop), self._rows(given.v, start.v, begin, stop)
+            if given.a is None:
+                return cubic(h, q, v)
+            a = self._rows(given.a, start.a, begin, stop)
+            if stop == count:
+                a = np.vstack([a[:-1], np.zeros_like(a[-1])])
+            return quintic(h, q, v, a)
+
+    def _rows(
+        self, values: NDArray[np.float64], before: NDArray[np.float64], begin: int, stop: int
+    ) -> NDArray[np.float64]:
+        """Values at both ends of some pieces, shape (stop - begin + 1, n)."""
+        last = self._first + stop
+        return np.vstack([before, values[self._first : last]]) if begin == 0 else values[self._first + begin - 1 : last]
+
+
+def smooth(
+    h: NDArray[np.float64], q: NDArray[np.float64], v0: NDArray[np.float64], a0: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Velocities and accelerations at the points of the cubic spline from velocity ``v0`` to rest.
+
+    Args:
+        h: Times between points, shape (m,) [s].
+        q: Positions, shape (m + 1, n).
+        v0: Velocity at the first point, shape (n,).
+        a0: Acceleration at the first point, shape (n,); that at the last is 0.
+
+    Returns:
+        Velocities and accelerations, shape (m + 1, n) each; the spline is continuous to acceleration between. Both are
+        0 at two points one after the other in the same place.
+    """
+    v, a = np.zeros_like(q), np.zeros_like(q)
+    v[0], a[0] = v0, a0
+    slope = np.diff(q, axis=0) / h[:, None]
+    if len(h) > 1:
+        # h[k] v[k-1] + 2 (h[k-1] + h[k]) v[k] + h[k-1] v[k+1] = 3 (h[k] slope[k-1] + h[k-1] slope[k])
+        right = 3.0 * (h[1:, None] * slope[:-1] + h[:-1, None] * slope[1:])
+        right[0] -= h[1] * v0
+        bands = np.zeros((3, len(h) - 1))
+        bands[0, 1:], bands[1], bands[2, :-1] = h[:-2], 2.0 * (h[:-1] + h[1:]), h[2:]
+        still: NDArray[np.bool_] = np.all(np.abs(q[1:] - q[:-1]) <= _SAME, axis=1)
+        rests: NDArray[np.bool_] = still[:-1] | still[1:]
+        right[rests], bands[1, rests] = 0.0, 1.0
+        bands[0, 1:][rests[:-1]] = bands[2, :-1][rests[1:]] = 0.0
+        v[1:-1] = solve_banded((1, 1), bands, right, overwrite_b=True)
+        a[1:-1] = np.where(rests[:, None], 0.0, (6.0 * slope[1:] - 4.0 * v[1:-1] - 2.0 * v[2:]) / h[1:, None])
+    return v, a
+
