@@ -75,9 +75,15 @@ class AskedPath:
             for side, offset, v in ((0, 0.0, self.first), (1, self._size[part], self.last)):
                 self._look(side, part, self._x[part] + offset, v)
             yield
-        self._series = _hermite(self.speed, self.slope * self._size, self._bend * self._size**2)
-        mean = (self._series / np.arange(1, 7)[:, None]).sum(axis=0)
-        np.cumsum(np.maximum(mean, 0.0) * self._size, out=self.way[1:])
+        self._series = np.empty((6, m))
+        for k in range(0, m, 10 * CHUNK):
+            some = slice(k, k + 10 * CHUNK)
+            size = self._size[some]
+            series = _hermite(self.speed[:, some], self.slope[:, some] * size, self._bend[:, some] * size**2)
+            self._series[:, some] = series
+            self.way[1:][some] = np.maximum((series / np.arange(1, 7)[:, None]).sum(axis=0), 0.0) * size
+            yield
+        np.cumsum(self.way, out=self.way)
 
     def _look(self, side: int, part: slice, x: Array, v: Array) -> None:
         """Speed, slope and bend at one end of some cells."""

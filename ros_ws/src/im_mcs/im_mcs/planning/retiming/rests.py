@@ -17,10 +17,15 @@ _STEPS = 8
 _SAME_S = 1e-9
 
 
-def standing(trajectory: PiecewisePolynomial, unit: Array) -> NDArray[np.bool_]:
+def standing(trajectory: PiecewisePolynomial, unit: Array) -> Generator[None, None, NDArray[np.bool_]]:
     """Which pieces of a trajectory do not move, shape (m,); ``unit`` is the velocity of each joint that counts as 1."""
-    ways = trajectory.coefficients[:, 1:] * trajectory.lengths[:, None, None] ** np.arange(1, 6)[:, None]
-    return np.asarray((np.abs(ways) <= _STILL * unit).all(axis=(1, 2)))
+    still = np.empty(len(trajectory.lengths), dtype=np.bool_)
+    for k in range(0, len(still), CHUNK):
+        some = slice(k, k + CHUNK)
+        ways = trajectory.coefficients[some, 1:] * trajectory.lengths[some, None, None] ** np.arange(1, 6)[:, None]
+        still[some] = (np.abs(ways) <= _STILL * unit).all(axis=(1, 2))
+        yield
+    return still
 
 
 def rests(trajectory: PiecewisePolynomial, path: AskedPath, unit: Array) -> Generator[None, None, Array]:
@@ -34,7 +39,7 @@ def rests(trajectory: PiecewisePolynomial, path: AskedPath, unit: Array) -> Gene
     speed = np.append(path.speed[0], path.speed[1, -1])
     inner = speed[1:-1]
     lowest = 1 + np.flatnonzero((inner <= speed[:-2]) & (inner <= speed[2:]))
-    still = standing(trajectory, unit)
+    still = yield from standing(trajectory, unit)
     borders = np.flatnonzero(still[1:] != still[:-1]) + 1
     found = [0.0, trajectory.duration, *trajectory.edges[borders].tolist()]
     yield

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 # how far a rounded change of curvature may be off the asked path
 _DEPTH = {"rad": 2e-4, "m": 2e-5}
 _NO_FORCE = 1e-6
+_COPIED = 4000
 
 
 class RetimedTrajectory(PiecewisePolynomial):
@@ -39,7 +40,7 @@ class RetimedTrajectory(PiecewisePolynomial):
     """
 
     def __init__(
-        self, lengths: Sequence[float], coefficients: Array, points: Sequence[int], asked: Array, because: LimitError
+        self, lengths: Array, coefficients: Array, points: Sequence[int], asked: Array, because: LimitError
     ) -> None:
         super().__init__(lengths, coefficients, points)
         self._asked = asked
@@ -77,16 +78,24 @@ def retime(
     yield from path.measure()
     times = yield from rests(smooth, path, limits.velocity)
     parts: list[Retimed] = []
-    still = standing(asked, limits.velocity)
+    still = yield from standing(asked, limits.velocity)
     for begin, end in zip(times[:-1].tolist(), times[1:].tolist(), strict=True):
         kept = yield from _kept(context, asked, begin, end, still)
         parts.append(kept or (yield from retime_stretch(smooth, begin, end, limits)))
     ends = np.concatenate([[0.0], *(part.asked[1:] for part in parts)])
     middles = (ends[1:] + ends[:-1]) / 2.0
     piece = np.clip(np.searchsorted(asked.edges, middles, side="right") - 1, 0, None)
+    count = sum(len(part.lengths) for part in parts)
+    whole, filled = np.empty((count, *smooth.coefficients.shape[1:])), 0
+    for part in parts:
+        for k in range(0, len(part.lengths), _COPIED):
+            some = part.coefficients[k : k + _COPIED]
+            whole[filled : filled + len(some)] = some
+            filled += len(some)
+            yield
     return RetimedTrajectory(
-        np.concatenate([part.lengths for part in parts]).tolist(),
-        np.concatenate([part.coefficients for part in parts]),
+        np.concatenate([part.lengths for part in parts]),
+        whole,
         np.array(asked.points)[piece].tolist(),
         ends,
         because,
