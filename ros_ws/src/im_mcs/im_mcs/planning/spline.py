@@ -21,7 +21,6 @@ from collections.abc import Callable, Generator
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from im_core.errors import ImError, LimitError
 from im_mcs.limits.motion_limits import BeyondLimits

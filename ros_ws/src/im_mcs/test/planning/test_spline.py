@@ -1,10 +1,15 @@
 """Trajectories in time: which spline, what is refused, tolerances."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
 
 from im_core.errors import LimitError
+from im_mcs.planning import interpolation
+from im_mcs.planning.trajectory import Setpoint
+from im_mcs.protocol.points import TimedPoints, share_points
 
 TIMES = np.array([1.5, 2.5, 4.0, 5.5])
 
@@ -214,3 +219,42 @@ def test_the_velocity_at_the_end_is_judged_if_asked_for(rig, course, error, code
     assert rig.code(goal) == code
     if code:
         assert "left_j5: velocity error 0.06 rad/s is beyond the goal tolerance" in rig.results[goal][0].message
+
+
+@pytest.mark.parametrize("kind", [1, 2, 3])
+@pytest.mark.parametrize("first", [0.0, 0.3])
+def test_a_spline_built_some_pieces_a_slice_is_the_same(rig, course, monkeypatch, kind, first):
+    count = 500
+    random = np.random.default_rng(kind)
+    times = first + np.concatenate([[0.0], np.cumsum(random.uniform(0.02, 0.2, count - 1))])
+    q, v, a = (rig.home * (k == 0) + random.normal(size=(count, 9)) for k in range(3))
+    points_ = TimedPoints(times, q, v if kind > 1 else None, a if kind > 2 else None)
+    start = Setpoint(q[0] if first == 0.0 else rig.home, 0.1 * np.ones(9), 0.2 * np.ones(9))
+    found = {}
+    for pieces in (1000, 7):
+        monkeypatch.setattr(interpolation, "PIECES_AT_ONCE", pieces)
+
+        def build():
+            found[len(found)] = yield from interpolation.interpolated(points_, start, rig.limits)
+
+        assert 1 + len(list(build())) == -(-(count - (first == 0.0)) // pieces)
+    once, sliced = found[0], found[1]
+    np.testing.assert_array_equal(sliced.edges, once.edges)
+    assert sliced.points == once.points
+    np.testing.assert_allclose(sliced.coefficients, once.coefficients, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(sliced.at(0.0).v, start.v)
+    assert sliced.points[-1] == count - 1
+    np.testing.assert_allclose(sliced.end_setpoint.v, 0.0)
+
+
+def test_a_point_out_of_range_is_named_however_far_behind(rig):
+    count = 5000
+    q = np.tile(rig.home, (count, 1))
+    q[4321, 8] = 99.0
+    block, given = share_points("test_spline_points", TimedPoints(np.arange(1.0, count + 1.0), q, None, None))
+    with closing(block):
+        goal = rig.request({"kind": "trajectory", "points": given})
+        rig.run()
+    fault = rig.results[goal][0]
+    assert isinstance(fault, LimitError)
+    assert "left_j6: position of point 4322 99 rad is beyond the limit" in fault.message
