@@ -160,6 +160,8 @@ class GroupPlanner:
             if np.count_nonzero(ends[1:3]) or np.count_nonzero(ends[4:]):
                 between = self._bases[ticks].dot(ends)
                 self._ready += [Setpoint(*between[k : k + 3]) for k in range(3 * ticks - 6, -1, -3)]
+            elif not self.follower.still:
+                self._ready *= ticks  # where a motion stands on its way, that takes its time too
 
 
 def _basis(ticks: int, period_s: float) -> NDArray[np.float64]:

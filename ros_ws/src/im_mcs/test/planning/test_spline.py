@@ -88,6 +88,16 @@ def test_positions_alone_are_joined_without_jumps_of_acceleration(rig, course):
     rig.check_motion()
 
 
+@pytest.mark.parametrize("derivatives", [0, 1, 2])
+def test_standing_takes_the_time_that_was_asked_for(rig, way, derivatives):
+    still = [np.zeros((2, 9))] * derivatives
+    goal, begin = follow(rig, points([0.9, 3.0], np.vstack([rig.home, rig.home + 0.2 * way]), *still))
+    assert rig.code(goal) is None
+    moved = begin + int(np.argmax((rig.q[begin:] != rig.home).any(axis=1)))
+    assert (moved - begin) * rig.period == pytest.approx(0.9, abs=3 * 0.0045)
+    assert rig.results[goal][1]["duration"] >= 3.0
+
+
 def test_a_first_point_at_time_0_is_where_the_arm_is(rig, course):
     q, _, _ = course
     goal, _ = follow(rig, points([0.0, *TIMES], np.vstack([rig.home + 1e-3, q])))
