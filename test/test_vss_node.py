@@ -174,8 +174,9 @@ def test_camera_infos_are_set_checked_and_kept(machine):
         ({"width": 1280}, "table takes images of 640 x 480 px, the calibration is for 1280 x 480 px"),
         ({"d": [float("nan")] * 5}, "not finite"),
         ({"d": [0.0] * 8}, "4 or 5 coefficients"),
-        ({"distortion_model": "equidistant"}, "'equidistant' is not 'plumb_bob'"),
         *(({"k": K}, sentence) for K, sentence in ABSURD),
+        ({"distortion_model": "omnidirectional"}, "lens model 'omnidirectional' is unknown"),
+        ({"distortion_model": "equidistant"}, "equidistant has 4 coefficients, got 5"),
     ):
         wrong = machine.call(Snap, "/vss/snap", cameras=["table"]).camera_infos[0]
         for field, value in change.items():

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from bench.calibration.synthetic import Design, SyntheticScene, make_scene
 from bench.figures import Line
 from im_calibration import Calibration, calibrate
-from im_cell.camera_model import CameraModel, distort, distort_jacobian
+from im_cell.camera_model import CameraModel
 from im_cell.laser_model import LaserModel
 from im_cell.robot import LaserScanner, load_cell
 from im_vss.edges.lines import edge_covariance
@@ -108,7 +108,7 @@ def line(cameras: Measured) -> tuple[float, int]:
     middle, turn = rng.uniform((200.0, 140.0), (440.0, 340.0)), rng.uniform(-np.pi, np.pi)
     way = _EDGE_PX / 2.0 * np.array([np.cos(turn), np.sin(turn)])
     ideal = true.undistort(np.stack((middle - way, middle + way)))
-    pixels = true.to_pixels(distort(ideal, true.D)) + rng.normal(0.0, _CORNER_PX, (2, 2))
+    pixels = true.through_lens(ideal) + rng.normal(0.0, _CORNER_PX, (2, 2))
     start, end = found.to_pixels(found.undistort(pixels))
     length = float(np.linalg.norm(end - start))
     noise = _CORNER_PX**2 * np.diag([0.5, 2.0 / length**2])
@@ -161,7 +161,7 @@ def undistorted(camera: CameraModel, pixels: Array, sigma: float) -> Corners:
     ideal, pinhole = camera.undistort(pixels), camera.K[:2, :2]
     spread = np.zeros((8, 8))
     for corner, point in enumerate(ideal):
-        taken_out = pinhole @ np.linalg.inv(pinhole @ distort_jacobian(point, camera.D))
+        taken_out = pinhole @ np.linalg.inv(pinhole @ camera.lens.jacobian(point, camera.D))
         spread[2 * corner : 2 * corner + 2, 2 * corner : 2 * corner + 2] = sigma**2 * taken_out @ taken_out.T
     return Corners(ideal @ pinhole.T + camera.K[:2, 2], spread)
 

@@ -50,7 +50,7 @@ class CameraCovariance:
             cameras: Names of the cameras.
 
         Returns:
-            Covariance, shape (15 c, 15 c).
+            Covariance, shape (18 c, 18 c).
         """
         names = [f"{camera}.{name}" for camera in cameras for name in PARAMETERS]
         places = {parameter: rank for rank, parameter in enumerate(self.parameters)}

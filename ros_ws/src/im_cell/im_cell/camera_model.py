@@ -1,7 +1,7 @@
-"""Pinhole camera with `plumb_bob` lens distortion and a pose in the world.
+"""Camera with a lens and a pose in the world.
 
 Conventions (OpenCV and REP-105): ``x_cam = R_cam_base @ x_world + t_cam_base``; z forward, x right, y down; the centre
-of the upper left pixel is (0, 0); D = (k1, k2, p1, p2, k3).
+of the upper left pixel is (0, 0); lens models and their D are those of :mod:`im_cell.lens`.
 """
 
 from dataclasses import dataclass, field
@@ -9,107 +9,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from im_cell.lens import COEFFICIENTS, PLUMB_BOB, LensModel, lens_of
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 
 _PINHOLE = ("fx", "fy", "cx", "cy")
 _POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
-PARAMETERS = (*_PINHOLE, "k1", "k2", "p1", "p2", "k3", *_POSE)
-"""What describes a camera: pinhole [px], lens [-], turn in the camera frame [rad], shift [m]."""
+PARAMETERS = (*_PINHOLE, *COEFFICIENTS, *_POSE)
+"""What describes a camera: pinhole [px], lens, of whichever model [-], turn in the camera frame [rad], shift [m]."""
 POSE_PARAMETERS = len(_POSE)
 """How many of them, the last ones, are the pose."""
-_LENS_STEP = 1e-5
-"""Of central differences by the lens, in which an image is linear or nearly so."""
-
-_UNDISTORT_ITERATIONS = 30
-_UNDISTORT_TOLERANCE = 1e-13
-
-
-def distort(xn: ArrayLike, D: ArrayLike) -> Array:
-    """Apply the `plumb_bob` lens to ideal image points.
-
-    Args:
-        xn: Ideal points on the plane z = 1, shape (..., 2) [-].
-        D: Distortion k1, k2, p1, p2, k3, shape (5,) [-].
-
-    Returns:
-        Distorted points, shape (..., 2) [-]. Source: Brown, "Decentering distortion of lenses" (1966), as in OpenCV.
-    """
-    points = np.asarray(xn, dtype=float)
-    k1, k2, p1, p2, k3 = np.asarray(D, dtype=float)
-    x, y = points[..., 0], points[..., 1]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        (
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ),
-        axis=-1,
-    )
-
-
-def distort_jacobian(xn: ArrayLike, D: ArrayLike) -> Array:
-    """Derivative of :func:`distort` with respect to the ideal point.
-
-    Args:
-        xn: Ideal points, shape (..., 2) [-].
-        D: Distortion k1, k2, p1, p2, k3, shape (5,) [-].
-
-    Returns:
-        Jacobians, shape (..., 2, 2) [-].
-    """
-    points = np.asarray(xn, dtype=float)
-    k1, k2, p1, p2, k3 = np.asarray(D, dtype=float)
-    x, y = points[..., 0], points[..., 1]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))  # d(radial)/d(r2) * 2
-    jacobian = np.empty((*points.shape[:-1], 2, 2))
-    jacobian[..., 0, 0] = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-    jacobian[..., 0, 1] = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-    jacobian[..., 1, 0] = jacobian[..., 0, 1]
-    jacobian[..., 1, 1] = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-    return jacobian
-
-
-def undistort(xd: ArrayLike, D: ArrayLike) -> Array:
-    """Invert :func:`distort` by Newton's method.
-
-    Args:
-        xd: Distorted points on the plane z = 1, shape (..., 2) [-].
-        D: Distortion k1, k2, p1, p2, k3, shape (5,) [-].
-
-    Returns:
-        Ideal points, shape (..., 2) [-].
-
-    Raises:
-        DataError: A point lies outside the part of the image where the lens model can be inverted.
-    """
-    target = np.asarray(xd, dtype=float)
-    guess = target.copy()
-    with np.errstate(all="ignore"):
-        for _ in range(_UNDISTORT_ITERATIONS):
-            residual = distort(guess, D) - target
-            if np.all(np.abs(residual) < _UNDISTORT_TOLERANCE):
-                break
-            try:
-                guess = guess - np.linalg.solve(distort_jacobian(guess, D), residual[..., None])[..., 0]
-            except np.linalg.LinAlgError:
-                break  # on the fold: refused below
-        solved = np.all(np.abs(distort(guess, D) - target) < 1e-9, axis=-1)
-        if np.all(solved & _before_the_fold(guess, D)):
-            return guess
-    raise DataError(f"the lens model D = {np.asarray(D).tolist()} cannot be inverted at some of the given pixels")
-
-
-def _before_the_fold(xn: Array, D: ArrayLike) -> NDArray[np.bool_]:
-    """Whether ideal points, shape (..., 2), lie where the image of the lens does not run backwards."""
-    k1, k2, _, _, k3 = np.asarray(D, dtype=float)
-    r2 = (xn**2).sum(axis=-1)
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.asarray((radial > 0.0) & (np.linalg.det(distort_jacobian(xn, D)) > 0.0))
 
 
 @dataclass(frozen=True)
@@ -120,9 +30,10 @@ class CameraModel:
         width: Image width [px].
         height: Image height [px].
         K: Camera matrix, shape (3, 3) [px].
-        D: `plumb_bob` distortion k1, k2, p1, p2, k3, shape (5,) [-].
+        D: Coefficients of the lens model, shape (5,) for `plumb_bob` [-].
         R_cam_base: Rotation world -> camera, shape (3, 3) [-].
         t_cam_base: Origin of the world in the camera frame, shape (3,) [m].
+        distortion_model: Name of the lens model.
     """
 
     width: int
@@ -131,14 +42,16 @@ class CameraModel:
     D: Array
     R_cam_base: Array = field(default_factory=lambda: np.eye(3))
     t_cam_base: Array = field(default_factory=lambda: np.zeros(3))
+    distortion_model: str = PLUMB_BOB.name
 
     def __post_init__(self) -> None:
         """Check shapes and values.
 
         Raises:
-            DataError: A matrix has the wrong shape, is not finite, or is not a camera matrix or a rotation.
+            DataError: A matrix has the wrong shape, is not finite, or is not a camera matrix or a rotation; there is no
+                such lens model.
         """
-        shapes = {"K": (3, 3), "D": (5,), "R_cam_base": (3, 3), "t_cam_base": (3,)}
+        shapes = {"K": (3, 3), "D": (len(self.lens.coefficients),), "R_cam_base": (3, 3), "t_cam_base": (3,)}
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), dtype=float)
             if value.shape != shape:
@@ -153,6 +66,11 @@ class CameraModel:
             raise DataError(f"The focal lengths of a camera are {self.K[0, 0]}, {self.K[1, 1]} px, they must be > 0.")
         if np.abs(self.R_cam_base @ self.R_cam_base.T - np.eye(3)).max() > 1e-6 or np.linalg.det(self.R_cam_base) < 0.0:
             raise DataError("R_cam_base of a camera is not a rotation matrix.")
+
+    @property
+    def lens(self) -> LensModel:
+        """The lens model."""
+        return lens_of(self.distortion_model)
 
     @property
     def position(self) -> Array:
@@ -174,7 +92,7 @@ class CameraModel:
         """
         x_cam = self.to_camera(x_world)
         depth = np.where(x_cam[..., 2:] > 1e-9, x_cam[..., 2:], np.nan)
-        return self.to_pixels(distort(x_cam[..., :2] / depth, self.D))
+        return self.through_lens(x_cam[..., :2] / depth)
 
     def project_jacobian(self, x_world: ArrayLike) -> Array:
         """Derivative of :meth:`project` with respect to the world point.
@@ -194,19 +112,20 @@ class CameraModel:
             x_world: Points in the world, in front of the camera, shape (..., 3) [m].
 
         Returns:
-            Jacobians, shape (..., 2, 15) [px by the unit of each parameter]; a small turn r makes the camera's rotation
-            ``exp(r) @ R_cam_base``.
+            Jacobians, shape (..., 2, 18) [px by the unit of each parameter]; a small turn r makes the camera's rotation
+            ``exp(r) @ R_cam_base``; coefficients that the lens model has not are without effect.
         """
         x_cam = self.to_camera(x_world)
         xn = x_cam[..., :2] / x_cam[..., 2:]
-        xd, by_point = distort(xn, self.D), self._by_camera_point(x_cam)
-        lens = [distort(xn, self.D + step) - distort(xn, self.D - step) for step in _LENS_STEP * np.eye(len(self.D))]
+        xd, by_point = self.lens.distort(xn, self.D), self._by_camera_point(x_cam)
         # A small turn r moves a point by r x (R X), hence the row vector (R X) x d.
         turn = np.cross((x_cam - self.t_cam_base)[..., None, :], by_point)
         focal = np.zeros((*xd.shape, 2))
         focal[..., 0, 0], focal[..., 1, 1] = xd[..., 0], xd[..., 1]
         centre = np.broadcast_to(np.eye(2), focal.shape)
-        by_lens = self.K[:2, :2] @ (np.stack(lens, axis=-1) / (2.0 * _LENS_STEP))
+        by_lens = np.zeros((*xd.shape, len(COEFFICIENTS)))
+        columns = [COEFFICIENTS.index(name) for name in self.lens.coefficients]
+        by_lens[..., columns] = self.K[:2, :2] @ self.lens.by_coefficients(xn, self.D, (1.0, 1.0))
         return np.concatenate((focal, centre, by_lens, turn, by_point), axis=-1)
 
     def _by_camera_point(self, x_cam: Array) -> Array:
@@ -217,7 +136,11 @@ class CameraModel:
         ideal[..., 0, 0] = inverse_depth
         ideal[..., 1, 1] = inverse_depth
         ideal[..., :, 2] = -xn * inverse_depth[..., None]
-        return np.asarray(self.K[:2, :2] @ distort_jacobian(xn, self.D) @ ideal)
+        return np.asarray(self.K[:2, :2] @ self.lens.jacobian(xn, self.D) @ ideal)
+
+    def through_lens(self, xn: ArrayLike) -> Array:
+        """Pixels, shape (..., 2) [px], of ideal points on the plane z = 1, shape (..., 2) [-]."""
+        return self.to_pixels(self.lens.distort(xn, self.D))
 
     def to_pixels(self, xd: ArrayLike) -> Array:
         """Pixels, shape (..., 2) [px], of distorted points on the plane z = 1, shape (..., 2) [-]."""
@@ -236,7 +159,7 @@ class CameraModel:
             DataError: The lens model cannot be inverted there.
         """
         pixels = np.asarray(uv, dtype=float) - self.K[:2, 2]
-        return undistort(pixels @ np.linalg.inv(self.K[:2, :2]).T, self.D)
+        return self.lens.undistort(pixels @ np.linalg.inv(self.K[:2, :2]).T, self.D)
 
     def ray(self, uv: ArrayLike) -> Array:
         """Unit directions in the world through pixels; they start at :attr:`position`.

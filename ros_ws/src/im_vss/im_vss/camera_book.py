@@ -86,7 +86,7 @@ class CameraEntry:
                 f"{lens.width} x {lens.height} px",
                 camera=self.name,
             )
-        model = replace(old, K=lens.K, D=lens.D)
+        model = replace(old, K=lens.K, D=lens.D, distortion_model=lens.distortion_model)
         return replace(self, model=model, intrinsics_file=folder / f"{self.name}.yaml")
 
     def with_pose(self, pose: CameraPose, folder: Path) -> Self:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from im_cell.camera_model import CameraModel, distort
+from im_cell.camera_model import CameraModel
 from im_cell.fiducial import CELLS
 from im_cell.robot import Target
 from im_cell.sensor import SensorNoise
@@ -142,7 +142,7 @@ def with_calibration(pose: PlatePose, corners: Corners, camera: CameraModel, siz
         corners: Undistorted.
         camera: Intrinsics and lens.
         size: Side of the square [m].
-        lens: Covariance of its parameters, of which the pose does not count, shape (15, 15).
+        lens: Covariance of its parameters, of which the pose does not count, shape (18, 18).
     """
     _, jacobian = _linearised(pose.rotation, pose.translation, _square(size), corners.uv, camera.K)
     moved = undistorted_by_parameters(camera, corners.uv).reshape(8, -1)
@@ -199,7 +199,7 @@ def find_fiducials(
         camera: Intrinsics and lens.
         noise: Noise of the sensor.
         wanted: Plates by number of their code.
-        calibration: Covariance of the camera's parameters, see :data:`im_cell.camera_model.PARAMETERS`, shape (15, 15).
+        calibration: Covariance of the camera's parameters, see :data:`im_cell.camera_model.PARAMETERS`, shape (18, 18).
 
     Returns:
         What was found, by number, and for each of the others why it was not.
@@ -223,6 +223,6 @@ def find_fiducials(
         ideal = (corners.uv - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
         ambiguity = float(np.sqrt(poses[0].chi2 / max(poses[1].chi2, 1e-12))) if len(poses) > 1 else 0.0
         pose = with_calibration(poses[0], corners, camera, target.size, calibration)
-        found.append(FiducialFit(target, pose, camera.to_pixels(distort(ideal, camera.D)), ambiguity))
+        found.append(FiducialFit(target, pose, camera.through_lens(ideal), ambiguity))
         del missed[target.id]
     return sorted(found, key=lambda fit: fit.target.id), missed

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
+from im_cell.lens import EQUIDISTANT
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ class Point:
         position: Where it is, shape (3,) [m].
         covariance: By spots and calibration together, shape (3, 3) [m^2].
         by_spots: The spots' part of it, shape (3, 3) [m^2].
-        by_cameras: How it moves with the parameters of the c cameras, shape (3, 15 c) [m by the unit of each].
+        by_cameras: How it moves with the parameters of the c cameras, shape (3, 18 c) [m by the unit of each].
     """
 
     position: Array
@@ -45,7 +46,7 @@ def triangulate(
         spots: Where each saw the point, shape (2,) [px].
         covariances: Of the spots, shape (2, 2) [px^2].
         calibration: Covariance of the parameters of all cameras, see :data:`im_cell.camera_model.PARAMETERS`, shape
-            (15 c, 15 c).
+            (18 c, 18 c).
 
     Returns:
         The point.
@@ -131,8 +132,10 @@ def rectify(left: CameraModel, right: CameraModel) -> Rectification:
     size = (left.width, left.height)
     if not np.linalg.norm(t) > _SHORTEST_BASELINE_M:
         raise DataError("the cameras of a stereo pair are at the same place")
+    # Which way images are turned does not depend on the lenses; OpenCV takes none but its own here.
+    first, second = (np.zeros(5) if camera.lens is EQUIDISTANT else camera.D for camera in (left, right))
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
-        left.K, left.D, right.K, right.D, size, rotation, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1.0
+        left.K, first, right.K, second, size, rotation, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1.0
     )
     finite = np.all(np.isfinite(np.hstack((R1, R2, P1, P2))))
     if not finite or not P2[0, 3] < 0.0 or abs(P2[1, 3]) > 1e-9:

@@ -10,7 +10,9 @@ import yaml
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
+from im_cell.lens import lens_of
 from im_core.config import FieldError, load_model
+from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 
@@ -64,6 +66,17 @@ def _of_shape(*shapes: tuple[int, int]) -> pydantic.AfterValidator:
     return pydantic.AfterValidator(check)
 
 
+def _coefficients(matrix: Matrix, info: pydantic.ValidationInfo) -> Matrix:
+    if 1 not in (matrix.rows, matrix.cols):
+        raise ValueError(f"it is {matrix.rows} x {matrix.cols}, it must be one row or one column")
+    if (model := info.data.get("distortion_model")) is not None:
+        try:
+            lens_of(model).all_of(matrix.data)
+        except DataError as error:
+            raise ValueError(error.message) from error
+    return matrix
+
+
 def _camera_matrix(matrix: Matrix) -> Matrix:
     K = matrix.array
     if np.any(K[[0, 1, 2, 2], [1, 0, 0, 1]] != 0.0) or K[2, 2] != 1.0:
@@ -101,8 +114,8 @@ class IntrinsicsFile(pydantic.BaseModel):
         image_width, image_height: Size of the image [px].
         camera_name: Name of the camera, as whoever wrote the file called it.
         camera_matrix: K [px].
-        distortion_model: `plumb_bob`.
-        distortion_coefficients: k1, k2, p1, p2, and k3 if there is a fifth.
+        distortion_model: `plumb_bob`, `rational_polynomial` or `equidistant`.
+        distortion_coefficients: Those of the model; `plumb_bob` may do without k3.
         rectification_matrix, projection_matrix: R and P; they follow from the rest, and are not used.
     """
 
@@ -112,8 +125,8 @@ class IntrinsicsFile(pydantic.BaseModel):
     image_height: Side
     camera_name: str = ""
     camera_matrix: Annotated[Matrix, _of_shape((3, 3)), pydantic.AfterValidator(_camera_matrix)]
-    distortion_model: Literal["plumb_bob"] = "plumb_bob"
-    distortion_coefficients: Annotated[Matrix, _of_shape((1, 5), (1, 4), (5, 1), (4, 1))]
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
+    distortion_coefficients: Annotated[Matrix, pydantic.AfterValidator(_coefficients)]
     rectification_matrix: Annotated[Matrix, _of_shape((3, 3))] | None = None
     projection_matrix: Annotated[Matrix, _of_shape((3, 4))] | None = None
 
@@ -126,9 +139,9 @@ class IntrinsicsFile(pydantic.BaseModel):
     @property
     def model(self) -> CameraModel:
         """Intrinsics and lens; the pose is none."""
-        D = np.zeros(5)
-        D[: len(self.distortion_coefficients.data)] = self.distortion_coefficients.data
-        return CameraModel(self.image_width, self.image_height, self.camera_matrix.array, D)
+        D = lens_of(self.distortion_model).all_of(self.distortion_coefficients.data)
+        size = (self.image_width, self.image_height)
+        return CameraModel(*size, self.camera_matrix.array, D, distortion_model=self.distortion_model)
 
 
 def read_intrinsics(path: Path) -> IntrinsicsFile:
@@ -157,7 +170,7 @@ def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None 
         "image_height": model.height,
         "camera_name": name,
         "camera_matrix": _matrix(model.K),
-        "distortion_model": "plumb_bob",
+        "distortion_model": model.distortion_model,
         "distortion_coefficients": _matrix(model.D[None, :]),
         "rectification_matrix": _matrix(rectified.R),
         "projection_matrix": _matrix(rectified.P),

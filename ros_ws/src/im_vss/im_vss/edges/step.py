@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from im_cell.camera_model import POSE_PARAMETERS, CameraModel, distort_jacobian
+from im_cell.camera_model import POSE_PARAMETERS, CameraModel
 from im_cell.sensor import SensorNoise
 
 Array = NDArray[np.float64]
@@ -176,7 +176,7 @@ def undistorted_by_parameters(camera: CameraModel, undistorted_pixels: Array) ->
     here = replace(camera, R_cam_base=np.eye(3), t_cam_base=np.zeros(3))
     seen = here.project_by_parameters(np.column_stack((ideal, np.ones(len(ideal)))))
     seen[..., -POSE_PARAMETERS:] = 0.0
-    return np.asarray(-np.linalg.solve(pinhole @ distort_jacobian(ideal, camera.D) @ inverse, seen))
+    return np.asarray(-np.linalg.solve(pinhole @ camera.lens.jacobian(ideal, camera.D) @ inverse, seen))
 
 
 def follow_edge(

@@ -13,6 +13,7 @@ from std_msgs.msg import Header
 from im_cell.calibration_files import implausible
 from im_cell.camera_model import CameraModel
 from im_cell.laser_model import LaserModel
+from im_cell.lens import PLUMB_BOB, lens_of
 from im_core.errors import DataError
 from im_msgs.msg import Spot, SpotCandidates
 from im_vss.camera_book import CameraEntry
@@ -58,7 +59,7 @@ def to_camera_info(entry: CameraEntry, stamp_ns: int) -> CameraInfo:
         header=header,
         width=model.width,
         height=model.height,
-        distortion_model="plumb_bob",
+        distortion_model=model.distortion_model,
         d=model.D.tolist(),
         k=model.K.ravel(),
         r=entry.rectified.R.ravel(),
@@ -70,20 +71,16 @@ def from_camera_info(info: CameraInfo) -> CameraModel:
     """Intrinsics and lens of a camera info.
 
     Raises:
-        DataError: It is not a finite `plumb_bob` camera of 4 or 5 coefficients, or no camera is like that.
+        DataError: It is not finite, its lens model is unknown or has other coefficients, or no camera is like that.
     """
-    if info.distortion_model not in ("plumb_bob", ""):
-        raise DataError(f"distortion model '{info.distortion_model}' is not 'plumb_bob'", model=info.distortion_model)
-    if len(info.d) not in (0, 4, 5):
-        raise DataError(f"plumb_bob has 4 or 5 coefficients (or none), got {len(info.d)}", coefficients=len(info.d))
-    D = np.zeros(5)
-    D[: len(info.d)] = info.d
+    lens = lens_of(info.distortion_model or PLUMB_BOB.name)
+    D = lens.all_of(info.d) if len(info.d) else np.zeros(len(lens.coefficients))
     K = np.array(info.k).reshape(3, 3)
     if not np.array_equal(K[2], [0.0, 0.0, 1.0]) or K[1, 0] != 0.0 or K[0, 1] != 0.0:
         raise DataError(f"K = {K.ravel().tolist()} is not [fx 0 cx; 0 fy cy; 0 0 1]")
     if why_not := implausible(K, info.width, info.height):
         raise DataError(f"{why_not} of images of {info.width} x {info.height} px")
-    return CameraModel(info.width, info.height, K, D)
+    return CameraModel(info.width, info.height, K, D, distortion_model=lens.name)
 
 
 def to_transform(entry: CameraEntry, stamp_ns: int) -> TransformStamped:

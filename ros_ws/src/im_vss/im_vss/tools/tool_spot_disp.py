@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.camera_model import CameraModel, distort
+from im_cell.camera_model import CameraModel
 from im_vss.edges import EllipseFit, LineFit
 from im_vss.fiducial import FiducialFit
 from im_vss.managers import VisionClient
@@ -98,7 +98,7 @@ def _through_lens(model: CameraModel, fit: LineFit) -> Array:
     """Places in the image on a line, which is straight only without the lens, shape (n, 2) [px]."""
     places = fit.start + _ALONG[:, None] * (fit.end - fit.start)
     ideal = (places - model.K[:2, 2]) / model.K[[0, 1], [0, 1]]
-    return np.asarray(model.to_pixels(distort(ideal, model.D)))
+    return np.asarray(model.through_lens(ideal))
 
 
 def _fiducials(camera: str, model: CameraModel, seen: Fiducials) -> Marker:
