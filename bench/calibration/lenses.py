@@ -8,12 +8,41 @@ from numpy.typing import NDArray
 from bench.calibration.synthetic import SyntheticScene, random_rotations
 from im_calibration.problem.problem import CalibrationProblem
 from im_cell.camera_model import CameraModel
+from im_cell.lens import EQUIDISTANT, PLUMB_BOB, RATIONAL_POLYNOMIAL, LensModel
 from im_cell.workspace import Workspace
 
 Array = NDArray[np.float64]
 
 _DISTANCE_M = 3.0
 _TURN = 0.5  # between neighbouring cameras, about the middle of the workspace [rad]
+
+
+@dataclass(frozen=True)
+class LensKind:
+    """A kind of lens: what each coefficient does to the corner of the image, relative to its distance from the middle.
+
+    Attributes:
+        model: Its lens model.
+        mean: Mean effects.
+        spread: Standard deviations of the effects.
+    """
+
+    model: LensModel
+    mean: tuple[float, ...]
+    spread: tuple[float, ...]
+
+
+KINDS = {
+    "mild": LensKind(PLUMB_BOB, (-0.02, 0.0, 0.0, 0.0, 0.0), (0.02, 0.01, 0.001, 0.001, 0.0)),
+    "barrel": LensKind(PLUMB_BOB, (-0.12, 0.02, 0.0, 0.0, 0.0), (0.02, 0.01, 0.001, 0.001, 0.0)),
+    "k3": LensKind(PLUMB_BOB, (-0.15, 0.06, 0.0, 0.0, 0.05), (0.02, 0.02, 0.001, 0.001, 0.01)),
+    "rational": LensKind(
+        RATIONAL_POLYNOMIAL, (0.2, 0.02, 0.0, 0.0, 0.0, 0.45, 0.15, 0.03),
+        (0.02, 0.01, 0.001, 0.001, 0.0, 0.03, 0.02, 0.01),
+    ),
+    "fisheye": LensKind(EQUIDISTANT, (-0.02, 0.01, 0.0, 0.0), (0.02, 0.01, 0.003, 0.001)),
+}  # fmt: skip
+"""Lenses by name: what is usual, a strong k3, wide ones."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +58,8 @@ class LensDesign:
         metre: Length of a metre in the unit of the data set: 1000 for millimetres.
         depth_m: Half the depth of the workspace [m]; 0: as deep as it is wide.
         image_size: Width and height [px].
+        lens: Kind of lens, see :data:`KINDS`.
+        fitted: Name of the lens model that is calibrated.
     """
 
     view_deg: float
@@ -39,6 +70,8 @@ class LensDesign:
     metre: float = 1.0
     depth_m: float = 0.0
     image_size: tuple[int, int] = (1280, 1024)
+    lens: str = "mild"
+    fitted: str = PLUMB_BOB.name
 
 
 def make_lens_scene(design: LensDesign, seed: int) -> SyntheticScene:
@@ -68,6 +101,7 @@ def make_lens_scene(design: LensDesign, seed: int) -> SyntheticScene:
         spots=spots,
         spot_covariances=np.tile(design.sigma_px**2 * np.eye(2), (c, n, 1, 1)),
         workspace=Workspace((-x, -y, -z), (x, y, z)),
+        lens_models=(design.fitted,) * c,
     )
     return SyntheticScene(problem, cameras, np.zeros(3), np.zeros(6), np.zeros((c, n), dtype=bool))
 
@@ -84,7 +118,10 @@ def _draw_camera(rng: np.random.Generator, design: LensDesign, index: int) -> Ca
     corner = float(np.hypot(width, height)) / 2.0 / focal
     fx, fy = focal * (1.0 + rng.normal(0.0, 0.01, 2))
     cx, cy = np.array([width, height]) / 2.0 - 0.5 + rng.normal(0.0, 10.0, 2)
-    shares = rng.normal((-0.02, 0.0, 0.0, 0.0), (0.02, 0.01, 0.001, 0.001))
-    D = np.append(shares / corner ** np.array([2, 4, 1, 1]), 0.0)
+    kind = KINDS[design.lens]
+    if kind.model is EQUIDISTANT:
+        fx, fy = (f * np.tan(np.deg2rad(design.view_deg) / 2.0) / np.deg2rad(design.view_deg / 2.0) for f in (fx, fy))
+        corner = float(np.hypot(width, height)) / 2.0 / fx
+    D = rng.normal(kind.mean, kind.spread) / corner ** np.array(kind.model.powers)
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return CameraModel(width, height, K, D, rotation, -design.metre * rotation @ centre)
+    return CameraModel(width, height, K, D, rotation, -design.metre * rotation @ centre, kind.model.name)

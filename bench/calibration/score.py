@@ -11,7 +11,7 @@ from bench.calibration.opencv import opencv_cameras
 from bench.calibration.synthetic import Design, SyntheticScene, make_scene
 from im_calibration.estimation.covariance import covariance_of
 from im_calibration.estimation.residuals import linearise
-from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, intrinsics_of
 from im_calibration.judgement.calibration import Calibration
 from im_calibration.judgement.expected import ExpectedError, expected_error, rms
 from im_calibration.pipeline import calibrate
@@ -28,7 +28,8 @@ def true_unknowns(scene: SyntheticScene) -> Unknowns:
     """The unknowns as they are, LED positions at those measured."""
     cameras, layout = scene.cameras, ParameterLayout.of(scene.problem)
     return Unknowns(
-        np.array([[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2], *c.D[:4]] for c in cameras]),
+        tuple(c.lens for c in cameras),
+        intrinsics_of(cameras),
         np.array([c.R_cam_base for c in cameras]),
         np.array([c.t_cam_base for c in cameras]),
         scene.led_offset_error if layout.led else np.zeros(3),
@@ -110,7 +111,7 @@ def deviations(calibration: Calibration, scene: SyntheticScene) -> Array:
         model = estimate.model
         turned = Rotation.from_matrix(model.R_cam_base @ true.R_cam_base.T).as_rotvec()
         matrix = model.K - true.K
-        parts += [np.diag(matrix)[:2], matrix[:2, 2], (model.D - true.D)[:4], turned]
+        parts += [np.diag(matrix)[:2], matrix[:2, 2], (model.D - true.D)[: true.lens.estimated], turned]
         parts.append(model.t_cam_base - true.t_cam_base)
     if scene.problem.led_offset_prior_sd > 0.0:
         parts.append(calibration.led_offset_error - scene.led_offset_error)

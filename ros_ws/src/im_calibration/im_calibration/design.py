@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from im_calibration.estimation.projection import image
 from im_calibration.estimation.residuals import linearise
-from im_calibration.estimation.unknowns import PER_CAMERA, ParameterLayout, Unknowns
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, intrinsics_of
 from im_calibration.judgement.calibration import Calibration
 from im_calibration.judgement.expected import inside, sensitivity
 from im_calibration.problem.problem import CalibrationProblem
@@ -115,7 +115,8 @@ def unknowns_of(calibration: Calibration, poses: int) -> Unknowns:
     """The estimate as a value of all unknowns, the LED of any number of poses where the robot puts it."""
     models = [camera.model for camera in calibration.cameras]
     return Unknowns(
-        np.array([[m.K[0, 0], m.K[1, 1], m.K[0, 2], m.K[1, 2], *m.D[:4]] for m in models]),
+        tuple(m.lens for m in models),
+        intrinsics_of(models),
         np.array([m.R_cam_base for m in models]),
         np.array([m.t_cam_base for m in models]),
         calibration.led_offset_error,
@@ -129,7 +130,7 @@ class _Errors:
 
     def __init__(self, unknowns: Unknowns, problem: CalibrationProblem) -> None:
         gains = sensitivity(unknowns, problem.image_sizes, problem.workspace)
-        self._size = PER_CAMERA * len(problem.camera_names)
+        self._size = sum(one.shape[-1] for one in gains.pixels)
         self._pixels, self._points = gains.reprojection_weight(), gains.triangulation_weight()
 
     def __call__(self, covariance: Array) -> tuple[float, float]:
@@ -161,7 +162,7 @@ def _predicted(problem: CalibrationProblem, candidates: Candidates, unknowns: Un
         pose_names=candidates.names,
     )
     points = unknowns.robot_positions(predicted)
-    pixels = image(unknowns.intrinsics, unknowns.rotations, unknowns.translations, points)
+    pixels = image(unknowns, points)
     return replace(predicted, spots=np.where(inside(pixels, problem.image_sizes)[..., None], pixels, np.nan))
 
 

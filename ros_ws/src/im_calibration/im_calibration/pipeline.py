@@ -13,20 +13,24 @@ from im_calibration.estimation.projection import project
 from im_calibration.estimation.search import best_explanation
 from im_calibration.estimation.solve import Fit
 from im_calibration.estimation.unknown_noise import find_noise
-from im_calibration.estimation.unknowns import PER_CAMERA, ParameterLayout, Unknowns
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
 from im_calibration.judgement.agreement import CameraAgreement, camera_agreements
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
 from im_calibration.judgement.checks import Checks, check
 from im_calibration.judgement.expected import expected_error, rms
+from im_calibration.judgement.lenses import LensFault, lens_faults
 from im_calibration.judgement.neighbours import Neighbours, compare_neighbours
 from im_calibration.judgement.noise import UNLIKELY, Noise, noise_of
 from im_calibration.judgement.scale import Scale, measure_scale
 from im_calibration.judgement.verdicts import judge
 from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem
 from im_cell.camera_model import CameraModel
+from im_cell.lens import PLUMB_BOB
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+_RULED = 1.0 - 1e-4
 
 
 def calibrate(problem: CalibrationProblem) -> Calibration:
@@ -66,11 +70,13 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
     factors = _factors(gated, sorted_problem, layout) if found is None else found.factors
     checks = check(gated, sorted_problem, layout)
     neighbours = compare_neighbours(gated.fit.linearisation, gated.used, sorted_problem.positions)
-    agreements = camera_agreements(gated.fit.linearisation, gated.used)
+    agreements = camera_agreements(gated.fit.linearisation, gated.used, layout)
+    chi2_per_dof = gated.fit.chi2 / max(1, _freedom(gated.fit, gated.used, layout))
+    faults = lens_faults(gated, sorted_problem, layout, chi2_per_dof)
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
     noise = noise_of(stated, gated.used, factors, (1.0, 1.0) if found is None else found.scale)
-    return _describe(problem, layout, gated, checks, agreements, noise, neighbours)
+    return _describe(problem, layout, gated, checks, agreements, noise, neighbours, faults)
 
 
 def _factors(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> NoiseFactors:
@@ -87,7 +93,7 @@ def _freedom(fit: Fit, used: Mask, layout: ParameterLayout) -> int:
     """Degrees of freedom of chi-square; what a lens prior contributes is none, its share of what is known counts."""
     prior = layout.prior(fit.unknowns)
     from_prior = float((covariance_of(fit.information).matrix * prior.lens_information).sum())
-    return round(2 * int(used.sum()) - PER_CAMERA * layout.cameras + from_prior)
+    return round(2 * int(used.sum()) - layout.cameras_size + from_prior)
 
 
 def _describe(
@@ -98,11 +104,12 @@ def _describe(
     agreements: tuple[CameraAgreement, ...],
     noise: Noise,
     neighbours: Neighbours,
+    faults: tuple[LensFault, ...],
 ) -> Calibration:
     fit, used, unknowns = gated.fit, gated.used, gated.fit.unknowns
     covariance = covariance_of(fit.information)
     robot_positions = unknowns.robot_positions(problem)
-    pixels, by_point, _ = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, robot_positions)
+    pixels, by_point, _ = project(unknowns, robot_positions)
     residuals = problem.spots - pixels
     spread = by_point @ problem.position_covariances @ np.swapaxes(by_point, 2, 3) + problem.spot_covariances
     cameras = []
@@ -135,8 +142,10 @@ def _describe(
         noise=noise,
         neighbours=neighbours,
     )
-    by_data = covariance_of(fit.information - prior.lens_information)
-    return replace(calibration, verdicts=judge(calibration, problem, layout, by_data, agreements))
+    # Terms of a larger lens model make up for each other; a hundredth of the prior keeps them from nowhere.
+    ruled = 1.0 if all(lens is PLUMB_BOB for lens in layout.lenses) else _RULED
+    by_data = covariance_of(fit.information - ruled * prior.lens_information)
+    return replace(calibration, verdicts=judge(calibration, problem, layout, by_data, agreements, faults))
 
 
 def _scale(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array, used: Mask) -> Scale | None:
@@ -147,15 +156,16 @@ def _scale(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array, u
 
 
 def _camera_model(unknowns: Unknowns, c: int, image_size: tuple[int, int]) -> CameraModel:
-    fx, fy, cx, cy, *lens = unknowns.intrinsics[c]
+    fx, fy, cx, cy = unknowns.intrinsics[c, :4]
     u, _, vt = np.linalg.svd(unknowns.rotations[c])
     return CameraModel(
         width=image_size[0],
         height=image_size[1],
         K=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
-        D=np.array([*lens, 0.0]),
+        D=unknowns.coefficients(c),
         R_cam_base=u @ vt,
         t_cam_base=unknowns.translations[c],
+        distortion_model=unknowns.lenses[c].name,
     )
 
 

@@ -10,16 +10,16 @@ from bench.calibration.synthetic import Design, make_scene
 from im_calibration.estimation.residuals import image_residuals, linearise
 from im_calibration.estimation.solve import maximise_likelihood, robust_fit
 from im_calibration.estimation.start import start
-from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, intrinsics_of
 
 EVERYTHING = Design(poses=14, anisotropy=3.0, joint_offset_prior_sd=0.003, missing_share=0.1)
 
 
 def true_unknowns(scene):
     cameras = scene.cameras
-    intrinsics = [[c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2], *c.D[:4]] for c in cameras]
     return Unknowns(
-        np.array(intrinsics),
+        tuple(c.lens for c in cameras),
+        intrinsics_of(cameras),
         np.array([c.R_cam_base for c in cameras]),
         np.array([c.t_cam_base for c in cameras]),
         scene.led_offset_error,

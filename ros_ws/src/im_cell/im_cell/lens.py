@@ -153,10 +153,14 @@ class Brown(LensModel):
 
     def _radial(self, r2: Array, D: ArrayLike) -> tuple[Array, Array, Array]:
         """Radial factor, twice its derivative by `r2`, and its denominator."""
-        k1, k2, _, _, k3, k4, k5, k6 = np.append(np.asarray(D, dtype=float), np.zeros(8 - np.size(D)))
-        below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+        k1, k2, _, _, k3, *rest = np.asarray(D, dtype=float).tolist()
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         above_slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)
+        if not rest:
+            return radial, 2.0 * above_slope, np.ones(())
+        k4, k5, k6 = rest
+        below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        radial = radial / below
         below_slope = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6)
         return radial, 2.0 * ((above_slope - radial * below_slope) / below), below
 

@@ -10,6 +10,7 @@ from im_calibration.commands import command
 from im_calibration.problem.dataset import load_problems
 from im_calibration.problem.problem import NOISE_SOURCES
 from im_calibration.reporting.report import answer
+from im_cell.lens import LENSES
 from im_core.clock import monotonic
 from im_core.errors import DataError
 from im_core.files import write_whole
@@ -19,6 +20,7 @@ _QUIET_S = 2.0
 _EPILOG = """\
 IN.json (format vislab-calib-1, field by field in docs/calibration.md) holds, for n poses of the robot and c cameras:
   image_size [w, h], or [[w, h], ...], one a camera
+  distortion_model: plumb_bob, rational_polynomial or equidistant, or a list of one a camera
   sigma_u_px[c][n] [px], or cov_u_px2[c][n][2][2] [px^2]     noise of the spots; null: not known, estimate it
   cov_x_m2[n][3][3] [m^2]                                    noise of the positions; null: not known, estimate it
   wrist_R_base[n][3][3], led_offset_nominal_known, led_offset_prior_sd_m [m]
@@ -29,7 +31,8 @@ IN.json (format vislab-calib-1, field by field in docs/calibration.md) holds, fo
 Truth, held-out points and bounds that such a file may hold as well are not read; any other field is refused.
 
 OUT.json holds an entry for each trial, in order:
-  cameras[].K, D, R_cam_base, t_cam_base_m   led_offset_error_m   joint_offsets_rad   chi2_per_dof   p_value
+  cameras[].K, distortion_model, D, R_cam_base, t_cam_base_m   led_offset_error_m   joint_offsets_rad
+  chi2_per_dof   p_value
   flags: UNOBSERVABLE (the poses cannot tell some parameters; verdicts[] names them) and
          MISFIT (the stated noise cannot explain the residuals); both with what to do about it in verdicts[].advice
   noise: factors by which the noise of image and robot differs from the stated one (factor, low to high: 95 %), whether
@@ -65,12 +68,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="estimated: take the stated noise of image and robot for right up to a factor each, and estimate the "
         "factors; what is null in IN.json always is (%(default)s)",
     )
+    parser.add_argument(
+        "--lens-model",
+        choices=tuple(LENSES),
+        help="of all cameras, instead of distortion_model in IN.json, which is plumb_bob where it is not given",
+    )
     options = parser.parse_args(arguments)
-    return command.run("calibrate_dataset", lambda: _calibrate(options.input, options.output, options.noise))
+    return command.run(
+        "calibrate_dataset", lambda: _calibrate(options.input, options.output, options.noise, options.lens_model)
+    )
 
 
-def _calibrate(source: Path, target: Path, noise: str) -> None:
+def _calibrate(source: Path, target: Path, noise: str, lens: str | None) -> None:
     problems = load_problems(source)
+    if lens is not None:
+        problems = tuple(replace(problem, lens_models=(lens,) * len(problem.camera_names)) for problem in problems)
     if noise == "estimated":
         problems = tuple(replace(problem, noise_to_estimate=NOISE_SOURCES) for problem in problems)
     if target.is_dir() or not target.parent.is_dir():

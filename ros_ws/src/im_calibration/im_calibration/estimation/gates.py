@@ -181,10 +181,10 @@ def _iterate(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayo
         recurring = recurring or chosen.tobytes() in history or len(history) >= _ROUNDS
         if recurring:
             chosen &= used
-        enough = _enough(chosen, layout)
+        enough = _enough(chosen, problem, layout)
         if not enough:  # what is used contradicts itself so much that nothing agrees with it: the worst has to go
             chosen = _without_worst(used, _own_distances(prediction))
-            enough = _enough(chosen, layout) and chosen.sum() >= _LEAST_SHARE * detected.sum()
+            enough = _enough(chosen, problem, layout) and chosen.sum() >= _LEAST_SHARE * detected.sum()
         if np.array_equal(chosen, used) or not enough:
             if fit.steps == _STEPS:
                 fit = maximise_likelihood(unknowns, problem, layout, used)
@@ -220,7 +220,7 @@ def _first_gate(unknowns: Unknowns, problem: CalibrationProblem, layout: Paramet
     typical = float(np.median(distances[seen])) / scipy.stats.chi2.median(2)
     gate = scipy.stats.chi2.isf(FALSE_ALARM, 2) * max(1.0, typical)
     chosen = np.asarray(seen & (distances <= gate))
-    return chosen if _enough(chosen, layout) else seen
+    return chosen if _enough(chosen, problem, layout) else seen
 
 
 def _own_distances(prediction: Prediction) -> Array:
@@ -229,9 +229,9 @@ def _own_distances(prediction: Prediction) -> Array:
     return np.asarray(np.maximum((spots * solved).sum(axis=2), 0.0))
 
 
-def _enough(chosen: Mask, layout: ParameterLayout) -> bool:
+def _enough(chosen: Mask, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
     """Whether each camera keeps more coordinates than it has unknowns."""
-    return bool(chosen.sum(axis=1).min() >= 8) and 2 * int(chosen.sum()) > 14 * layout.cameras
+    return bool(np.all(chosen.sum(axis=1) > problem.fewest_spots)) and 2 * int(chosen.sum()) > layout.cameras_size
 
 
 def _gate(dof: int) -> float:

@@ -56,19 +56,17 @@ def linearise(
         used: Which spots count, shape (c, n).
         image_covariances: Covariances of the spots, shape (c, n, 2, 2) [px^2]; None: those of the problem.
     """
-    pixels, by_point, by_camera = project(
-        unknowns.intrinsics, unknowns.rotations, unknowns.translations, unknowns.led_positions(problem)
-    )
+    pixels, by_point, by_camera = project(unknowns, unknowns.led_positions(problem))
     c, n = used.shape
     residuals = by_pose(np.where(used[..., None], problem.spots - pixels, 0.0))
     stacked = np.ascontiguousarray(np.swapaxes(np.where(used[..., None, None], by_point, 0.0), 0, 1)).reshape(
         n, 2 * c, 3
     )
-    by_camera = np.where(used[..., None, None], by_camera, 0.0)
-
     jacobians = np.zeros((n, 2 * c, layout.size))
     for camera in range(c):
-        jacobians[:, 2 * camera : 2 * camera + 2, layout.camera_slice(camera)] = by_camera[camera]
+        jacobians[:, 2 * camera : 2 * camera + 2, layout.camera_slice(camera)] = np.where(
+            used[camera, :, None, None], by_camera[camera], 0.0
+        )
     if layout.led:
         jacobians[:, :, layout.led_slice] = stacked @ problem.wrist_rotations
     if layout.joints and problem.joint_jacobians is not None:
@@ -86,7 +84,7 @@ def linearise(
 
 def image_residuals(unknowns: Unknowns, problem: CalibrationProblem, used: Mask) -> Array | None:
     """Spots minus images of the estimated positions, shape (n, 2c) [px]; None if a used spot is behind its camera."""
-    pixels = image(unknowns.intrinsics, unknowns.rotations, unknowns.translations, unknowns.led_positions(problem))
+    pixels = image(unknowns, unknowns.led_positions(problem))
     if not np.all(np.isfinite(pixels[used])):
         return None
     return by_pose(np.where(used[..., None], problem.spots - pixels, 0.0))

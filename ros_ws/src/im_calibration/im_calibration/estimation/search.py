@@ -16,8 +16,8 @@ from im_calibration.estimation.gates import FALSE_ALARM, TRUSTED_SHARE, Gated, f
 from im_calibration.estimation.residuals import projectable
 from im_calibration.estimation.solve import robust_cost, robust_fit
 from im_calibration.estimation.start import FLAT, core_extent, start
-from im_calibration.estimation.unknowns import PER_CAMERA, ParameterLayout, Unknowns
-from im_calibration.problem.problem import MINIMUM_SPOTS, CalibrationProblem
+from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.problem.problem import CalibrationProblem
 
 REDUNDANT_SPOTS = 25
 """Spots of a camera from which on the gates have not been seen to end in a wrong set."""
@@ -67,7 +67,7 @@ def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
 def _plausible(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
     """Whether most spots are believed, and the noise explains them; else it is worth to search on."""
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
-    freedom = max(1, 2 * int(gated.used.sum()) - PER_CAMERA * layout.cameras)
+    freedom = max(1, 2 * int(gated.used.sum()) - layout.cameras_size)
     return bool(believed and gated.fit.chi2 < scipy.stats.chi2.isf(_UNLIKELY, freedom))
 
 
@@ -79,8 +79,8 @@ def robust_start(problem: CalibrationProblem, layout: ParameterLayout) -> Unknow
         fits.append(robust_fit(again, problem, layout, problem.detected))
     best = min(fits, key=lambda fit: robust_cost(fit.unknowns, problem, layout)).unknowns
     seen = problem.detected & projectable(best, problem)
-    for camera, spots in zip(problem.camera_names, seen.sum(axis=1), strict=True):
-        if spots < MINIMUM_SPOTS:
+    for camera, spots, fewest in zip(problem.camera_names, seen.sum(axis=1), problem.fewest_spots, strict=True):
+        if spots < fewest:
             extent = core_extent(problem.positions)
             if extent[2] < FLAT * extent[0]:
                 raise DegenerateDataError(
@@ -97,7 +97,7 @@ def _starts_from_parts(problem: CalibrationProblem, layout: ParameterLayout, off
     """Robust fits of random parts of the poses; every other one from the offsets found before."""
     rng, n = np.random.default_rng(_SEED), len(problem.positions)
     for i in range(_MOST_PARTS):
-        chosen = np.sort(rng.permutation(n)[: max(MINIMUM_SPOTS, round(_PART * n))])
+        chosen = np.sort(rng.permutation(n)[: max(problem.fewest_spots.max(), round(_PART * n))])
         part = problem.taking(chosen)
         try:
             begin = start(part, layout, offsets if i % 2 else None)
@@ -105,5 +105,5 @@ def _starts_from_parts(problem: CalibrationProblem, layout: ParameterLayout, off
         except (DegenerateDataError, InconsistentDataError):
             continue  # this part says nothing; the others may
         unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
-        if (problem.detected & projectable(unknowns, problem)).sum(axis=1).min() >= MINIMUM_SPOTS:
+        if np.all((problem.detected & projectable(unknowns, problem)).sum(axis=1) >= problem.fewest_spots):
             yield unknowns

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, lens_reach, rotation_exp
-from im_calibration.problem.problem import MINIMUM_SPOTS, CalibrationProblem
+from im_calibration.problem.problem import CalibrationProblem
+from im_cell.lens import EQUIDISTANT
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,8 @@ _FOCAL_LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)
 FLAT = 0.02
 """Thickness over length of a cloud of positions below which it counts as a plane."""
 _THIN = 0.02
+_WIDEST_ANGLES = (0.3, 0.45, 0.6, 0.75, 0.9, 1.05, 1.2, 1.35, 1.5, 1.7, 1.9)
+_PINHOLE_ANGLE = 1.2
 _CORE_SHARE, _CORE_ROUNDS = 0.85, 6
 
 
@@ -56,8 +59,11 @@ def start(problem: CalibrationProblem, layout: ParameterLayout, offsets: Unknown
     points = problem.positions if offsets is None else offsets.robot_positions(problem)
     known = 0.0 if offsets is None else 0.8
     cameras = [_start_camera(problem, c, points, known) for c in range(len(problem.camera_names))]
+    intrinsics = np.zeros((len(cameras), 4 + max(lens.estimated for lens in layout.lenses)))
+    intrinsics[:, :4] = [camera.intrinsics for camera in cameras]
     return Unknowns(
-        np.array([[*camera.intrinsics, 0.0, 0.0, 0.0, 0.0] for camera in cameras]),
+        layout.lenses,
+        intrinsics,
         np.array([camera.rotation for camera in cameras]),
         np.array([camera.translation for camera in cameras]),
         np.zeros(3) if offsets is None else offsets.led_offset,
@@ -70,9 +76,10 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
     name, seen = problem.camera_names[c], problem.detected[c]
     width, height = problem.image_sizes[c]
     everything = tuple(f"{name}.{group}" for group in ("intrinsics", "distortion", "pose"))
-    if seen.sum() < MINIMUM_SPOTS:
+    fewest = int(problem.fewest_spots[c])
+    if seen.sum() < fewest:
         raise DegenerateDataError(
-            f"Camera {name} saw the LED in {int(seen.sum())} poses, at least {MINIMUM_SPOTS} are needed.",
+            f"Camera {name} saw the LED in {int(seen.sum())} poses, at least {fewest} are needed.",
             "Add poses in its view, or leave the camera out.",
             parameters=everything,
             camera=name,
@@ -88,8 +95,11 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
             camera=name,
         )
     tolerance = _pixel_tolerance(problem, c, points, pixels, 1.0 - known)
+    lens = problem.lenses[c]
     if extent[2] < FLAT * extent[0]:
         found = planar_start(points, pixels, (width, height), tolerance)
+    elif lens is EQUIDISTANT:
+        found = fisheye_start(points, pixels, (width, height), tolerance)
     else:
         found = _ransac(points, pixels, tolerance, width) or affine_start(points, pixels, (width, height), tolerance)
     if found is None and extent[2] < FLAT * extent[0]:
@@ -101,7 +111,8 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
         )
     if found is None:
         raise InconsistentDataError(f"No camera explains where {name} saw the LED.", camera=name)
-    return _centred(PinholeStart(*found), (width, height))
+    camera = PinholeStart(*found)
+    return camera if lens is EQUIDISTANT else _centred(camera, (width, height))
 
 
 def _centred(camera: PinholeStart, image_size: tuple[int, int]) -> PinholeStart:
@@ -156,7 +167,7 @@ def _pixel_tolerance(problem: CalibrationProblem, c: int, points: Array, pixels:
     return float(np.sqrt(lens**2 + 2.0 * spread + 2.0 * image**2))
 
 
-def _ransac(points: Array, pixels: Array, tolerance: float, width: int) -> tuple[Array, Array, Array] | None:
+def _ransac(points: Array, pixels: Array, tolerance: float, width: float) -> tuple[Array, Array, Array] | None:
     """Best pinhole camera over random samples, refitted to what agrees with it."""
     order = np.lexsort((*pixels.T, *points.T))
     points, pixels = points[order], pixels[order]
@@ -276,6 +287,45 @@ def _affine_camera(points: Array, pixels: Array, tolerance: float) -> tuple[Arra
         scale = max(tolerance**2, 4.0 * float(np.median(squared)))
         weights = (1.0 + squared / scale) ** -2
     return linear, centre, image
+
+
+def fisheye_start(
+    points: Array, pixels: Array, image_size: tuple[int, int], tolerance: float
+) -> tuple[Array, Array, Array] | None:
+    """Pose and focal length of an equidistant lens: linear equations for each of several focal lengths, the best wins.
+
+    Args:
+        points: Positions that fill a volume, shape (m, 3) [m].
+        pixels: Their images, shape (m, 2) [px].
+        image_size: Width and height [px].
+        tolerance: Deviation that counts as small [px].
+
+    Returns:
+        fx, fy, cx, cy, rotation and translation; None if there is no such camera.
+    """
+    middle = (np.array(image_size) - 1.0) / 2.0
+    off = pixels - middle
+    radius = np.linalg.norm(off, axis=1)
+    best, found = np.inf, None
+    for widest in _WIDEST_ANGLES:
+        focal = float(np.hypot(*middle)) / widest
+        angle = radius / focal
+        near = angle < _PINHOLE_ANGLE  # farther out, pixels of a pinhole camera are too far out for linear equations
+        ideal = focal * off * (np.tan(np.minimum(angle, _PINHOLE_ANGLE)) / np.maximum(radius, 1e-9))[:, None]
+        if near.sum() < _SAMPLE_SIZE:
+            continue
+        camera = _ransac(points[near], ideal[near] + middle, tolerance, focal)
+        if camera is None:
+            continue
+        _, rotation, translation = camera
+        in_camera = points @ rotation.T + translation
+        across = np.linalg.norm(in_camera[:, :2], axis=1)
+        scale = np.arctan2(across, in_camera[:, 2]) / np.maximum(across, 1e-12)
+        squared = ((in_camera[:, :2] * (focal * scale)[:, None] + middle - pixels) ** 2).sum(axis=1)
+        cost = float((squared / (squared + tolerance**2)).sum())
+        if cost < best:
+            best, found = cost, (np.array([focal, focal, *middle]), rotation, translation)
+    return found
 
 
 def planar_start(

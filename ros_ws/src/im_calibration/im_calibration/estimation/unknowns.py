@@ -1,35 +1,50 @@
 """The unknowns of a calibration and their places in the parameter vector."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.problem.problem import CalibrationProblem
+from im_cell.camera_model import CameraModel
+from im_cell.lens import PLUMB_BOB, RATIONAL_POLYNOMIAL, LensModel
 
 Array = NDArray[np.float64]
 
-CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "rx", "ry", "rz", "tx", "ty", "tz")
-"""Order of one camera's parameters: [px] x 4, [-] x 4, rotation vector in the camera frame [rad] x 3, [m] x 3."""
+_PINHOLE = ("fx", "fy", "cx", "cy")
+_POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
 
-PER_CAMERA = len(CAMERA_PARAMETERS)
+CENTRE_PRIOR_SD = 0.075
+"""How far the principal point of any machine-vision lens is from the middle of its image [image widths], if the image
+ends :data:`LENS_RADIUS` from the axis. That of a longer lens is off by an angle."""
 
-LENS_PRIOR_SD = {"cx": 0.075, "cy": 0.075, "k1": 0.7, "k2": 1.5, "p1": 0.015, "p2": 0.015}
-"""What any machine-vision lens keeps to whose image ends :data:`LENS_RADIUS` from the axis: the principal point near
-the middle of the image [image widths], moderate distortion [-]. Far wider than what data of a good design say, so that
-it matters only where they say little: there the likelihood is so flat and bent that its maximum runs away to lenses
-nobody can buy."""
-
-LENS_POWERS = {"cx": 1, "cy": 1, "k1": 2, "k2": 4, "p1": 1, "p2": 1}
-"""The power of the radius with which a term's effect grows, relative to the radius itself; the principal point of a
-long lens is off as an angle."""
+LENS_PRIOR_SD = {1: 0.015, 2: 0.7, 4: 1.5, 6: 4.0, 8: 10.0}
+"""Coefficients that any machine-vision lens keeps to whose image ends :data:`LENS_RADIUS` from the axis [-], by the
+power of their effect. Far wider than what data of a good design say, so that it matters only where they say little:
+there the likelihood is so flat and bent that its maximum runs away to lenses nobody can buy."""
 
 LENS_RADIUS = 0.6
 """Distance from the axis [-], of a tangent, at which a term's effect on the image is judged, or at the corner of the
 image if that is nearer. Farther out the terms of a wide lens are large and cancel each other."""
 
 
-def lens_reach(focal_px: float, image_size: tuple[int, int]) -> float:
+def camera_parameters(lens: LensModel) -> tuple[str, ...]:
+    """Order of a camera's parameters: [px] x 4, lens [-], rotation vector in the camera frame [rad] x 3, [m] x 3."""
+    return (*_PINHOLE, *lens.coefficients[: lens.estimated], *_POSE)
+
+
+def intrinsics_of(cameras: Sequence[CameraModel]) -> Array:
+    """Intrinsics of c cameras as :class:`Unknowns` have them."""
+    widest = max(camera.lens.estimated for camera in cameras)
+    intrinsics = np.zeros((len(cameras), 4 + widest))
+    for row, camera in zip(intrinsics, cameras, strict=True):
+        row[:4] = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
+        row[4 : 4 + camera.lens.estimated] = camera.D[: camera.lens.estimated]
+    return intrinsics
+
+
+def lens_reach(focal_px: float, image_size: tuple[int, int], lens: LensModel = PLUMB_BOB) -> float:
     """How far from the axis the effect of lens terms is judged, as a share of :data:`LENS_RADIUS`.
 
     A term k of power m moves a point there by ``k * (reach * LENS_RADIUS)^m`` of its distance from the middle of the
@@ -38,9 +53,10 @@ def lens_reach(focal_px: float, image_size: tuple[int, int]) -> float:
     Args:
         focal_px: Focal length [px].
         image_size: Width and height [px].
+        lens: The lens model; the quotient of `rational_polynomial` has no need of large terms, and with them poles.
     """
     corner = float(np.hypot(*image_size)) / 2.0 / focal_px
-    return min(1.0, corner / LENS_RADIUS)
+    return corner / LENS_RADIUS if lens is RATIONAL_POLYNOMIAL else min(1.0, corner / LENS_RADIUS)
 
 
 @dataclass(frozen=True)
@@ -67,7 +83,7 @@ class ParameterLayout:
     """Which unknowns a problem has, and where: the cameras, then the LED offset, then the joint offsets.
 
     Attributes:
-        cameras: Number of cameras.
+        lenses: Lens models of the cameras.
         led: Whether the LED offset is estimated.
         joints: Number of joint offsets that are estimated.
         image_sizes: Width and height of each image [px].
@@ -76,7 +92,7 @@ class ParameterLayout:
             image that ends at :data:`LENS_RADIUS`.
     """
 
-    cameras: int
+    lenses: tuple[LensModel, ...]
     led: bool
     joints: int
     image_sizes: tuple[tuple[int, int], ...]
@@ -90,19 +106,21 @@ class ParameterLayout:
         joints = 0
         if problem.joint_jacobians is not None and problem.joint_offset_prior_sd > 0.0:
             joints = problem.joint_jacobians.shape[2]
-        c = len(problem.camera_names)
-        size = PER_CAMERA * c + 3 * led + joints
-        mean, precision = np.zeros(size), np.zeros(size)
-        for camera, (width, height) in enumerate(problem.image_sizes):
-            block = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1))
-            mean[block][2:4] = (width - 1.0) / 2.0, (height - 1.0) / 2.0
-            for name, sd in LENS_PRIOR_SD.items():
-                precision[block][CAMERA_PARAMETERS.index(name)] = (sd * width if name in ("cx", "cy") else sd) ** -2
-        if led:
-            precision[PER_CAMERA * c : PER_CAMERA * c + 3] = problem.led_offset_prior_sd**-2
-        if joints:
-            precision[-joints:] = problem.joint_offset_prior_sd**-2
-        return ParameterLayout(c, led, joints, problem.image_sizes, mean, precision)
+        means, precisions = [], []
+        for (width, height), lens in zip(problem.image_sizes, problem.lenses, strict=True):
+            middle = ((width - 1.0) / 2.0, (height - 1.0) / 2.0)
+            means += [0.0, 0.0, *middle, *[0.0] * (lens.estimated + len(_POSE))]
+            precisions += [0.0, 0.0, *[(CENTRE_PRIOR_SD * width) ** -2] * 2]
+            precisions += [LENS_PRIOR_SD[power] ** -2 for power in lens.powers[: lens.estimated]] + [0.0] * len(_POSE)
+        means += [0.0] * (3 * led + joints)
+        precisions += [problem.led_offset_prior_sd**-2] * 3 if led else []
+        precisions += [problem.joint_offset_prior_sd**-2] * joints if joints else []
+        return ParameterLayout(problem.lenses, led, joints, problem.image_sizes, np.array(means), np.array(precisions))
+
+    @property
+    def cameras(self) -> int:
+        """Number of cameras."""
+        return len(self.lenses)
 
     @property
     def size(self) -> int:
@@ -110,21 +128,27 @@ class ParameterLayout:
         return len(self.prior_precision)
 
     @property
+    def cameras_size(self) -> int:
+        """Number of unknowns of all cameras, which are the first."""
+        return self.size - 3 * self.led - self.joints
+
+    @property
     def stated_precision(self) -> Array:
         """Inverse prior variances that the data set states: of LED and joint offsets, 0 elsewhere, shape (size,)."""
-        return np.asarray(np.where(np.arange(self.size) < PER_CAMERA * self.cameras, 0.0, self.prior_precision))
+        return np.asarray(np.where(np.arange(self.size) < self.cameras_size, 0.0, self.prior_precision))
 
     def prior(self, unknowns: "Unknowns") -> Prior:
         """The prior at a value of the unknowns; that of lens terms is one of their effect, and thus of fx as well."""
         deviation, precision = unknowns.prior_vector(self), self.prior_precision.copy()
         slopes = np.zeros((self.size, self.size))  # of the whitened deviation by fx, less that by the term itself
-        for c, size in enumerate(self.image_sizes):
-            focal, first = float(unknowns.intrinsics[c, 0]), PER_CAMERA * c
-            reach = lens_reach(focal, size)
+        for c, (size, lens) in enumerate(zip(self.image_sizes, self.lenses, strict=True)):
+            focal, first = float(unknowns.intrinsics[c, 0]), self.camera_slice(c).start
+            reach = lens_reach(focal, size, lens)
             if reach == 1.0:
                 continue
-            for name, power in LENS_POWERS.items():
-                term = first + CAMERA_PARAMETERS.index(name)
+            for term, power in enumerate((1, 1, *lens.powers[: lens.estimated]), start=first + 2):
+                if term < first + 4 and reach > 1.0:
+                    continue
                 precision[term] *= reach ** (2 * power)
                 slopes[term, first] = -power * deviation[term] / focal
         jacobian = slopes * np.sqrt(precision)[:, None]
@@ -138,7 +162,7 @@ class ParameterLayout:
     @property
     def led_slice(self) -> slice:
         """Place of the LED offset; empty if it is known."""
-        start = PER_CAMERA * self.cameras
+        start = self.cameras_size
         return slice(start, start + 3 * self.led)
 
     @property
@@ -148,11 +172,16 @@ class ParameterLayout:
 
     def camera_slice(self, c: int) -> slice:
         """Place of the parameters of camera `c`."""
-        return slice(PER_CAMERA * c, PER_CAMERA * (c + 1))
+        start = sum(_count(lens) for lens in self.lenses[:c])
+        return slice(start, start + _count(self.lenses[c]))
 
     def names(self, camera_names: tuple[str, ...]) -> tuple[str, ...]:
         """Name of each unknown, such as ``ceiling_left.fx``, ``led_offset.x``, ``joint_offset.0``."""
-        cameras = [f"{camera}.{name}" for camera in camera_names for name in CAMERA_PARAMETERS]
+        cameras = [
+            f"{camera}.{name}"
+            for camera, lens in zip(camera_names, self.lenses, strict=True)
+            for name in camera_parameters(lens)
+        ]
         led = [f"led_offset.{axis}" for axis in "xyz"] if self.led else []
         return (*cameras, *led, *(f"joint_offset.{j}" for j in range(self.joints)))
 
@@ -162,7 +191,9 @@ class Unknowns:
     """A value of all unknowns.
 
     Attributes:
-        intrinsics: fx, fy, cx, cy [px], k1, k2, p1, p2 [-] of each camera, shape (c, 8).
+        lenses: Lens models of the cameras.
+        intrinsics: fx, fy, cx, cy [px] and the coefficients of the lens that are estimated [-] of each camera, zeros
+            behind them, shape (c, 4 + most).
         rotations: Rotations base -> camera, shape (c, 3, 3).
         translations: Origin of the base in each camera frame, shape (c, 3) [m].
         led_offset: Error of the nominal LED offset, in the wrist frame, shape (3,) [m].
@@ -170,12 +201,18 @@ class Unknowns:
         displacements: LED positions minus where the robot's readings, offsets corrected, put them, shape (n, 3) [m].
     """
 
+    lenses: tuple[LensModel, ...]
     intrinsics: Array
     rotations: Array
     translations: Array
     led_offset: Array
     joint_offsets: Array
     displacements: Array
+
+    def coefficients(self, c: int) -> Array:
+        """Coefficients of the lens of camera `c`."""
+        lens = self.lenses[c]
+        return lens.all_of(self.intrinsics[c, 4 : 4 + lens.estimated])
 
     def robot_positions(self, problem: CalibrationProblem) -> Array:
         """LED positions by the robot, corrected for the offsets, shape (n, 3) [m]."""
@@ -196,11 +233,15 @@ class Unknowns:
             layout: Places of the unknowns in it.
             displacements: New displacements, shape (n, 3) [m].
         """
-        cameras = step[: PER_CAMERA * layout.cameras].reshape(layout.cameras, PER_CAMERA)
+        parts = [step[layout.camera_slice(c)] for c in range(layout.cameras)]
+        intrinsics = self.intrinsics.copy()
+        for row, part in zip(intrinsics, parts, strict=True):
+            row[: len(part) - 6] += part[:-6]
         return Unknowns(
-            self.intrinsics + cameras[:, :8],
-            rotation_exp(cameras[:, 8:11]) @ self.rotations,
-            self.translations + cameras[:, 11:],
+            self.lenses,
+            intrinsics,
+            rotation_exp(np.array([part[-6:-3] for part in parts])) @ self.rotations,
+            self.translations + np.array([part[-3:] for part in parts]),
             self.led_offset + (step[layout.led_slice] if layout.led else 0.0),
             self.joint_offsets + step[layout.joint_slice],
             displacements,
@@ -210,11 +251,17 @@ class Unknowns:
         """Deviation of each unknown from its prior mean, 0 where there is no prior, shape (size,)."""
         vector = np.zeros(layout.size)
         for c in range(layout.cameras):
-            vector[layout.camera_slice(c)][:8] = self.intrinsics[c]
+            block = vector[layout.camera_slice(c)]
+            block[:-6] = self.intrinsics[c, : len(block) - 6]
         if layout.led:
             vector[layout.led_slice] = self.led_offset
         vector[layout.joint_slice] = self.joint_offsets
         return np.where(layout.prior_precision > 0.0, vector - layout.prior_mean, 0.0)
+
+
+def _count(lens: LensModel) -> int:
+    """Number of unknowns of a camera."""
+    return len(_PINHOLE) + lens.estimated + len(_POSE)
 
 
 def skew(v: Array) -> Array:

@@ -7,7 +7,7 @@ import scipy
 from numpy.typing import NDArray
 
 from im_calibration.estimation.residuals import Linearisation
-from im_calibration.estimation.unknowns import PER_CAMERA
+from im_calibration.estimation.unknowns import ParameterLayout
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,7 +36,7 @@ class CameraAgreement:
         return float(scipy.stats.chi2.logsf(self.chi2, self.dof))
 
 
-def camera_agreements(line: Linearisation, used: Mask) -> tuple[CameraAgreement, ...]:
+def camera_agreements(line: Linearisation, used: Mask, layout: ParameterLayout) -> tuple[CameraAgreement, ...]:
     """How well each camera agrees with what the robot and the other cameras say.
 
     Cameras share the uncertain positions of the LED, so that each may agree with the robot by itself while they
@@ -45,13 +45,16 @@ def camera_agreements(line: Linearisation, used: Mask) -> tuple[CameraAgreement,
     Args:
         line: The problem at the estimate.
         used: Which spots count, shape (c, n).
+        layout: Places of the unknowns.
     """
     everyone = _chi2(line.residuals, line.covariances)
     found = []
     for c, spots in enumerate(used):
         others = np.delete(np.arange(line.residuals.shape[1]), (2 * c, 2 * c + 1))
         rest = _chi2(line.residuals[:, others], line.covariances[:, others[:, None], others])
-        found.append(CameraAgreement(everyone - rest, max(1, 2 * int(spots.sum()) - PER_CAMERA)))
+        block = layout.camera_slice(c)
+        unknowns = block.stop - block.start
+        found.append(CameraAgreement(everyone - rest, max(1, 2 * int(spots.sum()) - unknowns)))
     return tuple(found)
 
 

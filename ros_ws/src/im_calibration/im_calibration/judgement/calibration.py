@@ -64,7 +64,7 @@ class CameraEstimate:
     Attributes:
         name: Name of the camera.
         model: Intrinsics, lens and pose.
-        covariance: Covariance of :data:`im_calibration.estimation.unknowns.CAMERA_PARAMETERS`, shape (14, 14).
+        covariance: Covariance of :func:`im_calibration.estimation.unknowns.camera_parameters`, shape (k, k).
         spots_used: Number of spots that count.
         rms_px: RMS length of their residuals [px].
     """
@@ -77,7 +77,7 @@ class CameraEstimate:
 
     @property
     def standard_deviations(self) -> Array:
-        """Standard deviations of the 14 parameters, shape (14,)."""
+        """Standard deviations of the parameters, shape (k,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 

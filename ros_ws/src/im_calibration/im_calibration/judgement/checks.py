@@ -11,7 +11,7 @@ from im_calibration.estimation.projection import image
 from im_calibration.estimation.solve import maximise_likelihood
 from im_calibration.estimation.unknowns import ParameterLayout
 from im_calibration.judgement.expected import expected_error, inside, rms
-from im_calibration.problem.problem import MINIMUM_SPOTS, CalibrationProblem
+from im_calibration.problem.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def _split_half(gated: Gated, problem: CalibrationProblem, layout: ParameterLayo
     images, variances = [], []
     for half in (poses[::2], poses[1::2]):
         part, used = problem.taking(half), gated.used[:, half]
-        if used.sum(axis=1).min() < MINIMUM_SPOTS:
+        if np.any(used.sum(axis=1) < problem.fewest_spots):
             return float("nan"), float("nan")
         begin = replace(gated.fit.unknowns, displacements=gated.fit.unknowns.displacements[half])
         fit = maximise_likelihood(begin, part, layout, used)
@@ -65,10 +65,10 @@ def _split_half(gated: Gated, problem: CalibrationProblem, layout: ParameterLayo
         posterior = covariance_of(fit.information).matrix
         by_data = posterior @ (fit.information - layout.prior(fit.unknowns).information) @ posterior
         found = fit.unknowns
-        images.append(image(found.intrinsics, found.rotations, found.translations, points))
+        images.append(image(found, points))
         variances.append(expected_error(found, by_data, problem.image_sizes, problem.workspace).reprojection_px ** 2)
     whole = gated.fit.unknowns
-    pixels = image(whole.intrinsics, whole.rotations, whole.translations, points)
+    pixels = image(whole, points)
     seen = inside(pixels, problem.image_sizes)
     squares = np.where(seen, ((images[0] - images[1]) ** 2).sum(axis=2), np.nan)
     per_point = np.sqrt(np.nansum(squares, axis=0) / np.where(seen.any(axis=0), seen.sum(axis=0), np.nan))

@@ -1,12 +1,13 @@
 """Errors to expect in the workspace, from the covariance alone: what a user gets without knowing the truth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.estimation.projection import project
-from im_calibration.estimation.unknowns import PER_CAMERA, Unknowns
+from im_calibration.estimation.unknowns import Unknowns
 from im_cell.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -44,29 +45,28 @@ class Sensitivity:
     Attributes:
         points: The points, shape (m, 3) [m].
         seen: Which camera sees which point, shape (c, m).
-        pixels: Derivatives of the images by each camera's parameters, 0 where not seen, shape (c, m, 2, 14).
+        pixels: Derivatives of the images by each camera's parameters, 0 where not seen, c of shape (m, 2, k).
         points_moved: Derivatives of the triangulated points by the parameters of all cameras, NaN where fewer than two
-            cameras see the point, shape (m, 3, 14 c) [m].
+            cameras see the point, shape (m, 3, all k) [m].
     """
 
     points: Array
     seen: NDArray[np.bool_]
-    pixels: Array
+    pixels: tuple[Array, ...]
     points_moved: Array
 
     def reprojection_weight(self) -> Array:
-        """W for which ``trace(W P)`` is the mean square reprojection error by a covariance P, (14 c, 14 c) [px^2]."""
-        c = len(self.seen)
+        """W for which ``trace(W P)`` is the mean square reprojection error by a covariance P, (all k, all k) [px^2]."""
         count = self.seen.sum(axis=0)
         shares = np.where(count > 0, 1.0, 0.0) / np.maximum(count, 1) / max(1, int((count > 0).sum()))
-        weight = np.zeros((PER_CAMERA * c, PER_CAMERA * c))
-        for camera in range(c):
-            block = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1))
+        blocks = camera_blocks_of(self.pixels)
+        weight = np.zeros((blocks[-1].stop, blocks[-1].stop))
+        for camera, block in enumerate(blocks):
             weight[block, block] = np.einsum("m,mia,mib->ab", shares, self.pixels[camera], self.pixels[camera])
         return weight
 
     def triangulation_weight(self) -> Array | None:
-        """W for which ``trace(W P)`` is the mean square triangulation error, (14 c, 14 c) [mm^2]; None without any."""
+        """W for which ``trace(W P)`` is the mean square triangulation error, (all k, all k) [mm^2]; or None."""
         known = self.points_moved[self.seen.sum(axis=0) >= 2]
         if not len(known):
             return None
@@ -91,21 +91,26 @@ def sensitivity(unknowns: Unknowns, image_sizes: tuple[tuple[int, int], ...], wo
         workspace: Where.
     """
     points = workspace.grid()
-    c, m = len(image_sizes), len(points)
-    pixels, by_point, by_camera = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, points)
+    pixels, by_point, by_camera = project(unknowns, points)
     seen = inside(pixels, image_sizes)
     by_point = np.where(seen[..., None, None], by_point, 0.0)
-    by_camera = np.where(seen[..., None, None], by_camera, 0.0)
+    by_camera = tuple(np.where(seen[c, :, None, None], one, 0.0) for c, one in enumerate(by_camera))
     both = seen.sum(axis=0) >= 2
-    moved = np.zeros((m, 3, PER_CAMERA * c))
-    for camera in range(c):
-        block = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1))
+    blocks = camera_blocks_of(by_camera)
+    moved = np.zeros((len(points), 3, blocks[-1].stop))
+    for camera, block in enumerate(blocks):
         moved[:, :, block] = -np.swapaxes(by_point[camera], 1, 2) @ by_camera[camera]
     moved[~both] = np.nan
     if both.any():
         normal = np.einsum("cmij,cmik->mjk", by_point, by_point)[both]
         moved[both] = np.linalg.solve(normal, moved[both])
     return Sensitivity(points, seen, by_camera, moved)
+
+
+def camera_blocks_of(by_cameras: Sequence[Array]) -> tuple[slice, ...]:
+    """Places of the cameras' parameters one after the other, of derivatives by them."""
+    ends = np.cumsum([one.shape[-1] for one in by_cameras])
+    return tuple(slice(int(end) - one.shape[-1], int(end)) for one, end in zip(by_cameras, ends, strict=True))
 
 
 def inside(pixels: Array, image_sizes: tuple[tuple[int, int], ...]) -> NDArray[np.bool_]:
@@ -126,11 +131,11 @@ def expected_error(
         workspace: Where.
     """
     gains = sensitivity(unknowns, image_sizes, workspace)
-    c = len(image_sizes)
-    cameras = covariance[: PER_CAMERA * c, : PER_CAMERA * c]
+    blocks = camera_blocks_of(gains.pixels)
+    cameras = covariance[: blocks[-1].stop, : blocks[-1].stop]
     variance = np.zeros(gains.seen.shape)
-    for camera in range(c):
-        block, by_camera = slice(PER_CAMERA * camera, PER_CAMERA * (camera + 1)), gains.pixels[camera]
+    for camera, block in enumerate(blocks):
+        by_camera = gains.pixels[camera]
         variance[camera] = np.einsum("mij,jk,mik->m", by_camera, cameras[block, block], by_camera)
     count = gains.seen.sum(axis=0)
     reprojection = np.where(count > 0, np.sqrt(variance.sum(axis=0) / np.maximum(count, 1)), np.nan)

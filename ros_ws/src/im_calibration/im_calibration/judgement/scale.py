@@ -5,6 +5,7 @@ LEDs at a known distance L, triangulated at a distance d, says that the scale is
 say is combined by generalised least squares, the errors of the cameras being common to all of them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 
 from im_calibration.estimation.gates import FALSE_ALARM
 from im_calibration.estimation.projection import project
-from im_calibration.estimation.unknowns import PER_CAMERA, Unknowns
+from im_calibration.estimation.unknowns import Unknowns
+from im_calibration.judgement.expected import camera_blocks_of
 from im_calibration.problem.problem import KnownLengths
 
 Array = NDArray[np.float64]
@@ -67,7 +69,8 @@ def measure_scale(unknowns: Unknowns, covariance: Array, lengths: KnownLengths, 
     """
     c, k = len(lengths.spots), len(lengths.lengths)
     order = np.lexsort(np.nan_to_num(np.swapaxes(lengths.spots, 0, 1)).reshape(k, -1).T)  # sums in any order differ
-    cameras = covariance[: PER_CAMERA * c, : PER_CAMERA * c]
+    size = sum(10 + lens.estimated for lens in unknowns.lenses)
+    cameras = covariance[:size, :size]
     points = _triangulate(
         unknowns,
         cameras,
@@ -111,10 +114,11 @@ def _triangulate(unknowns: Unknowns, cameras: Array, spots: Array, spot_covarian
     good = seen.sum(axis=0) >= 2
     places = np.tile(np.asarray(guess, dtype=float), (m, 1))
     for _ in range(_STEPS):
-        pixels, by_point, by_camera = project(unknowns.intrinsics, unknowns.rotations, unknowns.translations, places)
+        pixels, by_point, by_camera = project(unknowns, places)
         good &= np.all(np.isfinite(pixels) | ~seen[..., None], axis=(0, 2))
         counts = (seen & good)[..., None, None]
-        by_point, by_camera = np.where(counts, by_point, 0.0), np.where(counts, by_camera, 0.0)
+        by_point = np.where(counts, by_point, 0.0)
+        by_camera = tuple(np.where(count, one, 0.0) for count, one in zip(counts, by_camera, strict=True))
         residuals = np.where(counts[..., 0], spots - pixels, 0.0)
         normal = np.einsum("cmai,cmab,cmbj->mij", by_point, weights, by_point)
         normal = np.where(good[:, None, None], normal, np.eye(3))
@@ -129,16 +133,17 @@ def _triangulate(unknowns: Unknowns, cameras: Array, spots: Array, spot_covarian
 
 
 def _agree(
-    residuals: Array, by_point: Array, by_camera: Array, noise: Array, cameras: Array, seen: NDArray[np.bool_]
+    residuals: Array, by_point: Array, by_camera: Sequence[Array], noise: Array, cameras: Array, seen: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Whether the spots of each point can be of one place, given their noise and the cameras', shape (m,)."""
     c, m = seen.shape
     rows = np.swapaxes(by_point, 0, 1).reshape(m, 2 * c, 3)
-    errors = np.zeros((m, 2 * c, PER_CAMERA * c))
+    blocks = camera_blocks_of(by_camera)
+    errors = np.zeros((m, 2 * c, blocks[-1].stop))
     spread = np.zeros((m, 2 * c, 2 * c))
     for i in range(c):
         pair = slice(2 * i, 2 * i + 2)
-        errors[:, pair, PER_CAMERA * i : PER_CAMERA * (i + 1)] = by_camera[i]
+        errors[:, pair, blocks[i]] = by_camera[i]
         spread[:, pair, pair] = np.where(seen[i][:, None, None], noise[i], np.eye(2))
     # A place that may be anywhere explains all of a residual but what the cameras say against each other.
     spread = spread + errors @ cameras @ np.swapaxes(errors, 1, 2) + rows @ np.swapaxes(rows, 1, 2)

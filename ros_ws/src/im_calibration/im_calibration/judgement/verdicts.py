@@ -7,17 +7,20 @@ from numpy.typing import NDArray
 from im_calibration.estimation.covariance import Covariance
 from im_calibration.estimation.gates import FALSE_ALARM, TRUSTED_SHARE
 from im_calibration.estimation.start import FLAT, core_extent, robust_extent
-from im_calibration.estimation.unknowns import CAMERA_PARAMETERS, LENS_POWERS, PER_CAMERA, ParameterLayout, lens_reach
+from im_calibration.estimation.unknowns import LENS_RADIUS, ParameterLayout, camera_parameters, lens_reach
 from im_calibration.judgement.agreement import CameraAgreement
 from im_calibration.judgement.calibration import Calibration, Verdict
+from im_calibration.judgement.lenses import LensFault
 from im_calibration.judgement.scale import Scale
 from im_calibration.problem.problem import CalibrationProblem
+from im_cell.camera_model import CameraModel
+from im_cell.lens import PLUMB_BOB
 
 Array = NDArray[np.float64]
 
 UNOBSERVABLE, MISFIT = "UNOBSERVABLE", "MISFIT"
 
-_FEWEST_SPOTS = 9
+_SPARE_SPOTS = 2
 _SAME_WRIST = 0.05
 _UNLIKELY = 1e-3
 _FEWEST_MOVED, _MOVED_SHARE = 6, 0.1
@@ -27,7 +30,9 @@ _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
 _LARGEST_CELL_M = 50.0
 _FOCAL_LIMIT = 0.07
 _TURN_LIMIT = 0.15
-_LENS_LIMITS = {"cx": 0.15, "cy": 0.15, "k1": 1.0, "k2": 12.0, "p1": 0.05, "p2": 0.05}
+_CENTRE_LIMIT = 0.15
+_LENS_LIMITS = {1: 0.05, 2: 1.0, 4: 12.0, 6: 40.0, 8: 100.0}
+_LENS_EFFECT = 0.36
 
 
 def judge(
@@ -36,6 +41,7 @@ def judge(
     layout: ParameterLayout,
     covariance: Covariance,
     agreements: tuple[CameraAgreement, ...],
+    faults: tuple[LensFault, ...],
 ) -> tuple[Verdict, ...]:
     """Reasons not to trust an estimate; none for a good one.
 
@@ -45,6 +51,7 @@ def judge(
         layout: Places of the unknowns.
         covariance: Covariance of the unknowns by the data alone, without the priors of the lens.
         agreements: How well each camera agrees with the robot and the other cameras.
+        faults: Lens models that leave patterns in the residuals.
     """
     verdicts = []
     misfit = _misfit(calibration, problem, agreements)
@@ -52,13 +59,16 @@ def judge(
         doubtful = misfit is not None
         verdict = _few_spots(calibration, problem, c, doubtful) or _flat(calibration, problem, c, doubtful)
         if verdict is None and misfit is None:  # the standard deviations of a misfit mean nothing
-            verdict = _unknown(calibration, covariance, c)
+            verdict = _unknown(calibration, layout, covariance, c)
         if verdict:
             verdicts.append(verdict)
     if layout.led and (verdict := _led_offset(calibration, problem, layout)):
         verdicts.append(verdict)
     if misfit:
         verdicts.append(misfit)
+    verdicts += [
+        _wrong_lens(calibration, layout, fault) for fault in faults if fault.explains or not (misfit or verdicts)
+    ]
     if calibration.scale and (verdict := _wrong_scale(calibration.scale)):
         verdicts.append(verdict)
     return tuple(verdicts)
@@ -67,14 +77,15 @@ def judge(
 def _few_spots(calibration: Calibration, problem: CalibrationProblem, c: int, misfit: bool) -> Verdict | None:
     """Too few spots; where the noise is not as stated, gates leave few of many, and more poses would not help."""
     camera = calibration.cameras[c]
-    enough = problem.detected[c].sum() if misfit else camera.spots_used
-    if enough >= _FEWEST_SPOTS:
+    enough, fewest = problem.detected[c].sum() if misfit else camera.spots_used, problem.fewest_spots[c] + _SPARE_SPOTS
+    if enough >= fewest:
         return None
+    names = camera_parameters(camera.model.lens)
     return Verdict(
         UNOBSERVABLE,
-        _camera_names(camera.name, CAMERA_PARAMETERS),
-        f"{camera.name} has {camera.spots_used} spots that agree, too few to check {PER_CAMERA} parameters.",
-        f"Give at least {_FEWEST_SPOTS}, better 30, poses in its view.",
+        _camera_names(camera.name, names),
+        f"{camera.name} has {camera.spots_used} spots that agree, too few to check {len(names)} parameters.",
+        f"Give at least {fewest}, better 30, poses in its view.",
     )
 
 
@@ -98,19 +109,25 @@ def _flat(calibration: Calibration, problem: CalibrationProblem, c: int, misfit:
     )
 
 
-def _unknown(calibration: Calibration, covariance: Covariance, c: int) -> Verdict | None:
+def _unknown(calibration: Calibration, layout: ParameterLayout, covariance: Covariance, c: int) -> Verdict | None:
     """Parameters whose standard deviation is beyond what any use of a camera bears."""
-    camera = calibration.cameras[c]
+    camera, lens = calibration.cameras[c], calibration.cameras[c].model.lens
     focal, size = float(camera.model.K[0, 0]), (camera.model.width, camera.model.height)
-    reach = lens_reach(focal, size)
+    reach, parameters = lens_reach(focal, size), camera_parameters(lens)
     # Of a long lens, focal length and distance differ by as little in the image as its field is deep.
     limits = dict.fromkeys(("fx", "fy"), _FOCAL_LIMIT * focal / reach) | dict.fromkeys(("rx", "ry", "rz"), _TURN_LIMIT)
-    for name, limit in _LENS_LIMITS.items():
-        limits[name] = (limit * size[0] if name in ("cx", "cy") else limit) * reach ** -LENS_POWERS[name]
-    block = slice(PER_CAMERA * c, PER_CAMERA * (c + 1))
-    deviations = dict(zip(CAMERA_PARAMETERS, covariance.standard_deviations[block], strict=True))
-    lost = dict(zip(CAMERA_PARAMETERS, covariance.null[block], strict=True))
-    names = tuple(name for name in CAMERA_PARAMETERS if lost[name] or deviations[name] > limits.get(name, np.inf))
+    limits |= dict.fromkeys(("cx", "cy"), _CENTRE_LIMIT * size[0] / reach)
+    limits |= {
+        name: _LENS_LIMITS[power] * reach**-power
+        for name, power in zip(lens.coefficients[: lens.estimated], lens.powers, strict=False)
+    }
+    block = layout.camera_slice(c)
+    deviations = dict(zip(parameters, covariance.standard_deviations[block], strict=True))
+    lost = dict(zip(parameters, covariance.null[block], strict=True))
+    names = tuple(name for name in parameters if lost[name] or deviations[name] > limits.get(name, np.inf))
+    if lens is not PLUMB_BOB and _lens_effect(camera.model, covariance.matrix[block, block], reach) < _LENS_EFFECT:
+        # Terms of such lenses make up for each other: what counts is what they do together.
+        names = tuple(name for name in names if name not in lens.coefficients)
     if not names:
         return None
     figures = ", ".join(f"{name} ± {deviations[name]:.2g}" for name in names)
@@ -120,6 +137,16 @@ def _unknown(calibration: Calibration, covariance: Covariance, c: int) -> Verdic
         f"The poses hardly determine {figures} of {camera.name}.",
         "Spread the poses over the whole view of the camera, near and far, or reduce the noise.",
     )
+
+
+def _lens_effect(model: CameraModel, covariance: Array, reach: float) -> float:
+    """Standard deviation of where the lens puts points at the edge of what is judged, over their distance."""
+    radius, lens = LENS_RADIUS * reach, model.lens
+    edge = radius * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    by_lens = lens.by_coefficients(edge, model.D, (1.0, 1.0))[..., : lens.estimated]
+    terms = slice(4, 4 + lens.estimated)
+    spread = by_lens @ covariance[terms, terms] @ np.swapaxes(by_lens, 1, 2)
+    return float(np.sqrt(np.linalg.eigvalsh(spread).max())) / radius
 
 
 def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: ParameterLayout) -> Verdict | None:
@@ -181,6 +208,19 @@ def _misfit(
         "Check that cameras and robot base did not move, that joint readings belong to the exposures, the robot's "
         "kinematic parameters, the stated noise, and the units and axes of the data [m, px].",
     )
+
+
+def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFault) -> Verdict:
+    """A lens model that is too small, with the one to take instead."""
+    name, lens = calibration.cameras[fault.camera].name, layout.lenses[fault.camera]
+    pattern = f", its residuals depend on {fault.against} (p {fault.chance:.1g})" if fault.chance < _UNLIKELY else ""
+    reason = f"The lens model {fault.model} does not fit {name}{pattern}"
+    advice = "No lens model known here does better: check the robot's kinematic parameters and what is before the lens."
+    if fault.better:
+        before, after = fault.held_out_px
+        reason += f"; {fault.better} predicts poses from the others to {after:.2g} px instead of {before:.2g} px"
+        advice = f"Calibrate {name} as {fault.better} (--lens-model, or distortion_model in the data set)."
+    return Verdict(MISFIT, _camera_names(name, lens.coefficients[: lens.estimated]), f"{reason}.", advice)
 
 
 def _strange_units(problem: CalibrationProblem) -> list[str]:

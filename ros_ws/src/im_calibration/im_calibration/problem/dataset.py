@@ -24,6 +24,7 @@ from pydantic import (
 
 from im_calibration.problem.fields import Lists, Names, kind_of, number, positive
 from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem, KnownLengths
+from im_cell.lens import lens_of
 from im_cell.workspace import Workspace
 from im_core.config import Fault, FieldError, Model, faults, field_name
 from im_core.errors import DataError, nearest
@@ -60,6 +61,20 @@ def _any_trials(trials: object) -> object:
     if not isinstance(trials, list) or not trials:
         raise ValueError("must be a list of at least one trial")
     return trials
+
+
+def _lens_models(value: object) -> tuple[str, ...]:
+    """Names of lens models, one for all cameras or one each; what follows a name in a text is for people."""
+    texts = [value] if isinstance(value, str) else value
+    if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
+        raise ValueError("must be the name of a lens model, or a list of one for each camera")
+    names = tuple(text.split()[0] if text.split() else text for text in texts)
+    for name in names:
+        try:
+            lens_of(name)
+        except DataError as error:
+            raise ValueError(f"is {name!r}: {error.message}") from error
+    return names
 
 
 class _Section(Model):
@@ -115,6 +130,7 @@ class DataSet(_Section):
     cov_u_px2: Annotated[Array | None, PlainValidator(Lists("c", "n", 2, 2, optional=True))] = None
     noise_to_estimate: tuple[Literal["image", "robot"], ...] = ()
     image_size: Annotated[Array, PlainValidator(_image_size)]
+    distortion_model: Annotated[tuple[str, ...], PlainValidator(_lens_models)] = ()
     led_offset_nominal_known: StrictBool = True
     led_offset_prior_sd_m: Annotated[float | None, PlainValidator(number)] = None
     joint_offset_prior_sd_rad: Annotated[float | None, PlainValidator(number)] = None
@@ -129,7 +145,6 @@ class DataSet(_Section):
     name: Any = None
     description: Any = None
     pixel_convention: Any = None
-    distortion_model: Any = None
     n_points: Any = None
     n_cameras: Any = None
     n_trials: Any = None
@@ -186,6 +201,7 @@ class DataSet(_Section):
             pose_names=self.pose_names or (),
             lengths=self._lengths(trial),
             noise_to_estimate=self._noise_to_estimate,
+            lens_models=self.distortion_model * c if len(self.distortion_model) == 1 else self.distortion_model,
         )
 
     @property
@@ -287,7 +303,7 @@ def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
     Args:
         problem: The observations.
     """
-    sizes = [list(size) for size in problem.image_sizes]
+    sizes, models = [list(size) for size in problem.image_sizes], problem.lens_models
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "camera_names": list(problem.camera_names),
@@ -295,6 +311,7 @@ def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
         "image_size": sizes[0] if len(set(problem.image_sizes)) == 1 else sizes,
         "cov_x_m2": problem.position_covariances.tolist(),
         **_spot_noise(problem.spot_covariances, problem.detected),
+        "distortion_model": models[0] if len(set(models)) == 1 else list(models),
         "noise_to_estimate": list(problem.noise_to_estimate),
         "wrist_R_base": problem.wrist_rotations.tolist(),
         "led_offset_nominal_known": problem.led_offset_prior_sd == 0.0,

@@ -5,14 +5,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.lens import PLUMB_BOB, LensModel, lens_of
 from im_cell.workspace import Workspace
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-MINIMUM_SPOTS = 7
-"""Fewest spots of a camera: 14 unknowns need 14 image coordinates."""
 
 NOISE_SOURCES = ("image", "robot")
 """What stated noise is of: the spots, and the positions by the robot."""
@@ -88,6 +86,7 @@ class CalibrationProblem:
         pose_names: One label a pose; empty: "0", "1", ...
         workspace: Where errors are predicted.
         lengths: Pairs of LEDs at known distances, which judge the robot's scale; None: there are none.
+        lens_models: Name of each camera's lens model, see :data:`im_cell.lens.LENSES`; empty: all `plumb_bob`.
         noise_to_estimate: Those of :data:`NOISE_SOURCES` whose covariances are known up to a common factor only.
     """
 
@@ -105,6 +104,7 @@ class CalibrationProblem:
     pose_names: tuple[str, ...] = ()
     workspace: Workspace = field(default_factory=Workspace)
     lengths: KnownLengths | None = None
+    lens_models: tuple[str, ...] = ()
     noise_to_estimate: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -145,6 +145,12 @@ class CalibrationProblem:
             object.__setattr__(self, "pose_names", tuple(str(i) for i in range(n)))
         if len(self.pose_names) != n:
             raise DataError(f"There are {len(self.pose_names)} pose names for {n} poses.")
+        if not self.lens_models:
+            object.__setattr__(self, "lens_models", (PLUMB_BOB.name,) * c)
+        if len(self.lens_models) != c:
+            raise DataError(f"There are {len(self.lens_models)} lens models for {c} cameras.")
+        for name in self.lens_models:
+            lens_of(name)
         self._check_values()
 
     def _check_values(self) -> None:
@@ -170,6 +176,16 @@ class CalibrationProblem:
             seen = self.detected[c]
             names = tuple(np.array(self.pose_names, dtype=object)[seen])
             _check_covariances(f"{camera} spot", self.spot_covariances[c][seen], names, strict=True)
+
+    @property
+    def lenses(self) -> tuple[LensModel, ...]:
+        """Lens models of the cameras."""
+        return tuple(lens_of(name) for name in self.lens_models)
+
+    @property
+    def fewest_spots(self) -> NDArray[np.intp]:
+        """Fewest spots of each camera: as many image coordinates as it has unknowns, shape (c,)."""
+        return np.array([(10 + lens.estimated + 1) // 2 for lens in self.lenses])
 
     @property
     def detected(self) -> Mask:

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
-from im_calibration.estimation.unknowns import CAMERA_PARAMETERS
+from im_calibration.estimation.unknowns import camera_parameters
 from im_calibration.judgement.calibration import Calibration, CameraEstimate
 from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
 from im_calibration.pipeline import calibrate
 from im_calibration.problem.problem import CalibrationProblem
+from im_cell.lens import lens_of
 
 
 def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str, Any]:
@@ -108,12 +109,15 @@ def _camera(camera: CameraEstimate) -> dict[str, Any]:
         "width": model.width,
         "height": model.height,
         "K": [numbers(row) for row in model.K],
+        "distortion_model": model.distortion_model,
         "D": numbers(model.D),
         "R_cam_base": [numbers(row) for row in model.R_cam_base],
         "t_cam_base_m": numbers(model.t_cam_base),
         "rms_px": number(camera.rms_px),
         "spots_used": camera.spots_used,
-        "standard_deviations": dict(zip(CAMERA_PARAMETERS, numbers(camera.standard_deviations), strict=True)),
+        "standard_deviations": dict(
+            zip(camera_parameters(model.lens), numbers(camera.standard_deviations), strict=True)
+        ),
         "covariance": [numbers(row) for row in camera.covariance],
     }
 
@@ -178,8 +182,7 @@ def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
     rows = [
         ("fx, fy [px]", (K[0][0], K[1][1]), ("fx", "fy"), 1.0),
         ("cx, cy [px]", (K[0][2], K[1][2]), ("cx", "cy"), 1.0),
-        ("k1, k2", D[:2], ("k1", "k2"), 1.0),
-        ("p1, p2 [1e-3]", D[2:4], ("p1", "p2"), 1e3),
+        *_lens_rows(camera["distortion_model"], D),
         ("t_cam_base [mm]", camera["t_cam_base_m"], ("tx", "ty", "tz"), 1e3),
     ]
     lines = [f"{camera['name']} ({camera['spots_used']} spots, residuals {_text(camera['rms_px'], '.3f')} px RMS)"]
@@ -189,6 +192,19 @@ def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
     lines.append(f"  rotation [mrad]   known to {spread}")
     lines.append(f"  stands at [m]     {', '.join(f'{value:.3f}' for value in centre)}")
     return lines
+
+
+def _lens_rows(model: str, D: Sequence[float]) -> list[tuple[str, list[float], tuple[str, ...], float]]:
+    """Rows of the estimated coefficients: radial ones two by two, and those of decentering."""
+    lens = lens_of(model)
+    values = dict(zip(lens.coefficients[: lens.estimated], D, strict=False))
+    pairs = {"k1, k2": 1.0, "p1, p2": 1e3, "k3, k4": 1.0, "k5, k6": 1.0}
+    rows = []
+    for label, scale in pairs.items():
+        names = tuple(label.split(", "))
+        if names[0] in values:
+            rows.append((label + " [1e-3]" * (scale != 1.0), [values[name] for name in names], names, scale))
+    return rows
 
 
 def _expected(errors: dict[str, Any]) -> str:
@@ -258,6 +274,7 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
     cameras = [
         {
             "K": camera.model.K.tolist(),
+            "distortion_model": camera.model.distortion_model,
             "D": camera.model.D.tolist(),
             "R_cam_base": camera.model.R_cam_base.tolist(),
             "t_cam_base_m": camera.model.t_cam_base.tolist(),

@@ -70,7 +70,7 @@ def find_lines(
         camera: Intrinsics and lens; what is straight in the world is fitted as straight.
         noise: Noise of the sensor.
         gates: What a line must be like.
-        calibration: Covariance of the camera's parameters, see :data:`im_cell.camera_model.PARAMETERS`, shape (15, 15).
+        calibration: Covariance of the camera's parameters, see :data:`im_cell.camera_model.PARAMETERS`, shape (18, 18).
     """
     segments = cv2.createLineSegmentDetector().detect(cv2.GaussianBlur(image, (0, 0), 1.0))[0]
     if segments is None:
@@ -98,7 +98,7 @@ def edge_covariance(edge: StraightEdge, camera: CameraModel, calibration: Array)
     Args:
         edge: The edge.
         camera: The camera it was fitted with.
-        calibration: Covariance of the camera's parameters, shape (15, 15).
+        calibration: Covariance of the camera's parameters, shape (18, 18).
     """
     reach = 0.5 * edge.length * edge.direction
     ends = undistorted_by_parameters(camera, np.stack((edge.middle - reach, edge.middle + reach)))

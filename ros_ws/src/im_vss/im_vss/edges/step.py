@@ -168,7 +168,7 @@ def undistorted_by_parameters(camera: CameraModel, undistorted_pixels: Array) ->
         undistorted_pixels: Where, shape (n, 2) [px].
 
     Returns:
-        Derivatives by :data:`im_cell.camera_model.PARAMETERS`, shape (n, 2, 15) [px by the unit of each].
+        Derivatives by :data:`im_cell.camera_model.PARAMETERS`, shape (n, 2, 18) [px by the unit of each].
     """
     pinhole = camera.K[:2, :2]
     inverse = np.linalg.inv(pinhole)

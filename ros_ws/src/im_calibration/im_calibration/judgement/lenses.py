@@ -1,0 +1,166 @@
+"""Whether the lens models are large enough: residuals against the place in the image, and what another model predicts.
+
+The score test asks whether terms that a model has not would lower chi-square, without fitting them: with E the
+derivatives of the images by such terms and J by the unknowns, their score ``E^T S^-1 r`` has the covariance
+``E^T S^-1 E - E^T S^-1 J P J^T S^-1 E``. Source: Rao, "Large sample tests of statistical hypotheses" (1948). Where
+it may be significant, other lens models are fitted, and the poses predicted from the others decide: Stone,
+"Cross-validatory choice and assessment of statistical predictions" (1974).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from im_calibration.errors import DegenerateDataError, InconsistentDataError
+from im_calibration.estimation.covariance import covariance_of
+from im_calibration.estimation.gates import TRUSTED_SHARE, Gated, predict_from_others
+from im_calibration.estimation.projection import image
+from im_calibration.estimation.residuals import camera_blocks
+from im_calibration.estimation.search import best_explanation
+from im_calibration.estimation.unknowns import ParameterLayout
+from im_calibration.problem.problem import CalibrationProblem
+from im_cell.lens import LENSES
+
+Array = NDArray[np.float64]
+
+_SUSPICIOUS, _UNLIKELY, _VERY_UNLIKELY = 0.05, 1e-3, 1e-6
+_LOST = 1e-4  # share of a term's information that the fitted terms leave, below which they say the same
+_WORST_SPOT = 30.0
+_SIGNIFICANT, _SUSPECTED = 3.0, 2.0  # standard deviations: over all suspected cameras, and of one of them
+
+
+@dataclass(frozen=True)
+class LensFault:
+    """A lens model that leaves a pattern in the residuals of a camera.
+
+    Attributes:
+        camera: Index of the camera.
+        model: Name of the lens model.
+        against: What the residuals depend on.
+        chance: Probability that noise does that.
+        better: Name of the model that predicts poses from the others better; empty: none does.
+        held_out_px: Median error of these predictions with the model and with the better one [px].
+        explains: Whether the better model leaves residuals that the stated noise explains.
+    """
+
+    camera: int
+    model: str
+    against: str
+    chance: float
+    better: str = ""
+    held_out_px: tuple[float, float] = (np.nan, np.nan)
+    explains: bool = False
+
+
+def lens_faults(
+    gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, noise: float
+) -> tuple[LensFault, ...]:
+    """Lens models that are too small, or of the wrong kind.
+
+    Where the residuals of a camera may hold a pattern, and of all cameras where the noise does not explain them, other
+    lens models are tried: the score test alone would miss patterns whose worst spots were rejected.
+
+    Args:
+        gated: The estimate.
+        problem: What it was made from.
+        layout: Places of the unknowns.
+        noise: Chi-square per degree of freedom, by which patterns of noise are larger.
+    """
+    patterns = [min(_patterns(gated, problem, layout, c, max(1.0, noise))) for c in range(layout.cameras)]
+    explained = _explains(gated, problem)
+    suspects = [c for c, (chance, _) in enumerate(patterns) if chance < _SUSPICIOUS or not explained]
+    faults = [LensFault(c, problem.lens_models[c], against, chance) for c, (chance, against) in enumerate(patterns)]
+    better = _with_better([faults[c] for c in suspects], gated, problem, layout) if suspects else ()
+    if better and (explained or better[0].explains):
+        return better
+    return tuple(fault for fault in faults if explained and fault.chance < _VERY_UNLIKELY)
+
+
+def _patterns(
+    gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, c: int, noise: float
+) -> tuple[tuple[float, str], ...]:
+    """Chance of the residuals' dependence on the distance from the middle of the image, and on the direction."""
+    line, unknowns = gated.fit.linearisation, gated.fit.unknowns
+    half = float(np.hypot(*problem.image_sizes[c])) / 2.0
+    off = (image(unknowns, unknowns.led_positions(problem))[c] - unknowns.intrinsics[c, 2:4]) / half
+    off = np.where(gated.used[c][:, None], off, 0.0)
+    r2 = (off**2).sum(axis=1)[:, None]
+    along = np.stack((off * r2**3, off * r2**4), axis=-1)
+    x, y = r2 * [1.0, 0.0], r2 * [0.0, 1.0]
+    across = np.stack((x, y, off * off[:, :1] * r2, off * off[:, 1:] * r2), axis=-1)
+    covariance = covariance_of(gated.fit.information).matrix
+    weights = np.linalg.inv(line.covariances)
+    weighted = weights @ line.jacobians
+    chances = []
+    distance, direction = (f"the {what} from the middle of the image" for what in ("distance", "direction"))
+    for terms, against in ((along, distance), (across, direction)):
+        fields = np.zeros((*line.residuals.shape, terms.shape[-1]))
+        fields[:, 2 * c : 2 * c + 2] = terms
+        score = np.einsum("nia,nij,nj->a", fields, weights, line.residuals)
+        own = np.einsum("nia,nij,njb->ab", fields, weights, fields)
+        common = np.einsum("nia,nip->ap", fields, weighted)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+        values, vectors = np.linalg.eigh((own - common @ covariance @ common.T) * scale[:, None] * scale)
+        kept = values > _LOST
+        projected = (vectors.T @ (scale * score))[kept]
+        statistic = float((projected**2 / values[kept]).sum()) / noise
+        chances.append((float(scipy.stats.chi2.sf(statistic, kept.sum())) if kept.any() else 1.0, against))
+    return tuple(chances)
+
+
+def _with_better(
+    suspects: list[LensFault], gated: Gated, problem: CalibrationProblem, layout: ParameterLayout
+) -> tuple[LensFault, ...]:
+    """The cameras whose poses another lens model predicts significantly better, with the best such model."""
+    cameras = [fault.camera for fault in suspects]
+    before = [_losses(gated, problem, layout, c) for c in cameras]
+    best, least = list[LensFault](), 0.0
+    for name in LENSES:
+        models = tuple(name if c in cameras else model for c, model in enumerate(problem.lens_models))
+        if models == problem.lens_models:
+            continue
+        other = replace(problem, lens_models=models)
+        try:
+            anew = best_explanation(other, ParameterLayout.of(other))
+        except (DegenerateDataError, InconsistentDataError, np.linalg.LinAlgError):
+            continue
+        if not np.isfinite(anew.fit.chi2):
+            continue
+        after = [_losses(anew, other, ParameterLayout.of(other), c) for c in cameras]
+        gains = [now - then for (then, _), (now, _) in zip(before, after, strict=True)]
+        together = np.concatenate(gains)
+        if together.sum() < least and _deviation(together) < -_SIGNIFICANT:
+            least, explains = float(together.sum()), _explains(anew, other)
+            best = [
+                replace(fault, better=name, held_out_px=(then, now), explains=explains)
+                for fault, (_, then), (_, now), gain in zip(suspects, before, after, gains, strict=True)
+                if fault.model != name and _deviation(gain) < -_SUSPECTED
+            ]
+    return tuple(best)
+
+
+def _deviation(gain: Array) -> float:
+    """Sum of a sample by its standard deviation."""
+    return float(gain.sum() / max(float(gain.std()) * len(gain) ** 0.5, 1e-300))
+
+
+def _losses(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, c: int) -> tuple[Array, float]:
+    """How badly each spot of a camera is predicted from the other poses, shape (m,), and the median error [px]."""
+    prediction = predict_from_others(gated.fit, problem, layout, gated.used)
+    seen = problem.detected[c]
+    errors = prediction.errors[seen, 2 * c : 2 * c + 2]
+    spread = camera_blocks(prediction.covariances)[c][seen]
+    squared = (errors * np.linalg.solve(spread, errors[..., None])[..., 0]).sum(axis=1)
+    error = float(np.sqrt(np.median((errors**2).sum(axis=1))))
+    return np.minimum(squared, _WORST_SPOT) + np.linalg.slogdet(spread)[1], error
+
+
+def _explains(gated: Gated, problem: CalibrationProblem) -> bool:
+    """Whether most spots agree with a fit, and the noise explains them."""
+    layout = ParameterLayout.of(problem)
+    prior = layout.prior(gated.fit.unknowns).lens_chi2
+    dof = 2 * int(gated.used.sum()) - layout.cameras_size
+    believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
+    return bool(believed and dof > 0 and scipy.stats.chi2.sf(gated.fit.chi2 - prior, dof) > _UNLIKELY)

@@ -1,0 +1,83 @@
+"""Lens models: those that are chosen are estimated, those that are too small are told, with the one to take."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bench.calibration.lenses import LensDesign, make_lens_scene
+from bench.calibration.score import errors
+from im_calibration import calibrate, dataset_of
+from im_calibration.commands.calibrate_dataset import main
+from im_calibration.judgement.expected import rms
+from im_calibration.problem.dataset import problems
+from im_core.errors import DataError
+
+
+@pytest.mark.parametrize(
+    ("lens", "view", "model"),
+    [
+        ("k3", 60.0, "rational_polynomial"),
+        ("rational", 70.0, "rational_polynomial"),
+        ("fisheye", 80.0, "equidistant"),
+        ("fisheye", 120.0, "equidistant"),
+    ],
+)
+def test_a_lens_is_found_by_its_own_model_as_well_as_predicted(lens, view, model):
+    found, expected = [], []
+    for seed in range(50, 52):
+        scene = make_lens_scene(LensDesign(view, 60, lens=lens, fitted=model, depth_m=1.0), seed)
+        calibration = calibrate(scene.problem)
+        assert calibration.success, calibration.message
+        assert {camera.model.distortion_model for camera in calibration.cameras} == {model}
+        found.append(errors(tuple(camera.model for camera in calibration.cameras), scene)[0])
+        expected.append(calibration.expected.reprojection_rms_px)
+    assert rms(np.array(found)) < 1.4 * rms(np.array(expected))
+
+
+@pytest.mark.parametrize(
+    ("lens", "view", "better"),
+    [("k3", 60.0, "rational_polynomial"), ("fisheye", 80.0, "equidistant")],
+)
+def test_a_model_too_small_is_told_with_the_one_to_take(lens, view, better):
+    scene = make_lens_scene(LensDesign(view, 60, lens=lens, depth_m=1.0), 2)
+    calibration = calibrate(scene.problem)
+    assert {verdict.kind for verdict in calibration.verdicts} == {"MISFIT"}
+    assert "The lens model plumb_bob does not fit camera_" in calibration.message
+    assert f"{better} predicts poses from the others to" in calibration.message
+    assert f"as {better} (--lens-model" in calibration.message
+
+
+@pytest.mark.parametrize(("lens", "view"), [("mild", 40.0), ("barrel", 60.0)])
+def test_a_model_that_fits_is_not_doubted(lens, view):
+    for seed in range(4):
+        calibration = calibrate(make_lens_scene(LensDesign(view, lens=lens, depth_m=1.0), seed).problem)
+        assert calibration.success, calibration.message
+
+
+def test_cameras_of_different_models_are_calibrated_together(tmp_path):
+    """A usual camera and a fisheye, through files and the command."""
+    scene = make_lens_scene(LensDesign(80.0, 60, lens="fisheye", depth_m=1.0), 7)
+    content = dataset_of(scene.problem)
+    content["distortion_model"] = ["rational_polynomial", "equidistant"]
+    assert [lens.estimated for lens in problems(content)[0].lenses] == [8, 4]
+    (tmp_path / "in.json").write_text(json.dumps(content))
+    assert main([str(tmp_path / "in.json"), str(tmp_path / "out.json")]) == 0
+    answer = json.loads((tmp_path / "out.json").read_text())["trials"][0]
+    assert [len(camera["D"]) for camera in answer["cameras"]] == [8, 4]
+    assert len(answer["parameters"]) == 18 + 14
+    assert main(["--lens-model", "equidistant", str(tmp_path / "in.json"), str(tmp_path / "out.json")]) == 0
+    answer = json.loads((tmp_path / "out.json").read_text())["trials"][0]
+    assert {camera["distortion_model"] for camera in answer["cameras"]} == {"equidistant"}
+    assert answer["flags"] == []
+
+
+def test_unknown_models_are_refused_by_field():
+    content = dataset_of(make_lens_scene(LensDesign(40.0, 10), 1).problem)
+    for value, sentence in (
+        ("omni", "distortion_model is 'omni': lens model 'omni' is unknown, it must be one of plumb_bob, ratio"),
+        (3, "distortion_model must be the name of a lens model"),
+        (["plumb_bob"] * 3, "There are 3 lens models for 2 cameras"),
+    ):
+        with pytest.raises(DataError, match=sentence):
+            problems({**content, "distortion_model": value})
