@@ -9,7 +9,13 @@ from im_mcs.client.kinematics import Kinematics
 from im_mcs.collision import Bodies, CollisionChecker
 from im_mcs.collision.braking_distance import BrakingDistance
 from im_mcs.collision.travel import lever_bounds
+from im_mcs.limits.limits import JointLimits
+from im_mcs.limits.motion_limits import Synchrony
 from im_mcs.planning import MotionLimits
+from im_mcs.planning.context import PlanContext
+from im_mcs.planning.joint import JointPreparation
+from im_mcs.planning.trajectory import Setpoint
+from im_mcs.protocol.requests import JointMove
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +35,60 @@ def test_paths_are_checked_on_the_way(kinematics, cell):
     assert {"first", "second", "distance_m", "clearance_m"} <= caught.value.facts.keys()
     with pytest.raises(DataError, match="a path of 0 points"):
         kinematics.check_path("left", [], q)
+
+
+class Detour:
+    """A motion that ends where it begins, and on its way goes through another position."""
+
+    duration = 2.0
+
+    def __init__(self, start, through):
+        self._start, self._through = start, through
+
+    def span(self, t):
+        share = np.sin(np.pi * t / self.duration)[:, None]
+        return Setpoint.at_rest(self._start + share * (self._through - self._start))
+
+    def point(self, t):
+        return 0
+
+
+def test_a_motion_is_checked_along_its_own_way(model, config, cell):
+    """Straight from end to end nothing is in the way."""
+    checker, index, velocity = CollisionChecker(model, config.collision.clearance_m), np.arange(9), np.ones(9)
+    q = cell.home.copy()
+    q[9] = 0.3
+    through = cell.home[:9].copy()
+    through[0] = 0.0
+    free = checker.check_motion(q, index, Detour(cell.home[:9], cell.home[:9]), velocity)
+    assert free == pytest.approx(checker.check_path(q, index, np.array([cell.home[:9], cell.home[:9]])))
+    with pytest.raises(ImError, match=r"on the way to point 1 \(\d+ % of the time\): left_.* right_"):
+        checker.check_motion(q, index, Detour(cell.home[:9], through), velocity)
+
+
+@pytest.mark.parametrize("synchrony", list(Synchrony))
+def test_a_path_is_checked_as_a_move_is_planned(config, model, cell, monkeypatch, synchrony):
+    """The same planner, the same limits, from rest where the path begins."""
+    planning = config.planning.model_copy(update={"synchrony": synchrony})
+    kinematics = Kinematics(config.model_copy(update={"planning": planning}), model)
+    start = cell.home[:9]
+    points = [start + 0.1, start + np.linspace(0.0, 0.2, 9)]
+    checked = []
+    monkeypatch.setattr(CollisionChecker, "check_motion", lambda *arguments: checked.append(arguments) or 1.0)
+    assert kinematics.check_path("left", [start.tolist(), *(p.tolist() for p in points)], cell.home) == 1.0
+    ((_, _, index, motion, velocity),) = checked
+    limits = JointLimits(cell, config.limits, config.slots).motion.of(index)
+    context = PlanContext(
+        model, JointLimits(cell, config.limits, config.slots), index, None, lambda: cell.home, 0.0045,
+        config.model_copy(update={"planning": planning}),
+    )  # fmt: skip
+    preparation = JointPreparation(context, JointMove(points=[p.tolist() for p in points]), lambda: Setpoint.at_rest(start))
+    while (planned := preparation.step()) is None:
+        pass
+    times = np.linspace(0.0, planned.duration, 50)
+    assert motion.duration == planned.duration
+    np.testing.assert_array_equal(motion.span(times).q, planned.span(times).q)
+    np.testing.assert_array_equal(velocity, limits.velocity)
 
 
 def test_distances_agree_with_sampled_capsules(model, cell):

@@ -117,6 +117,7 @@ def test_what_is_held_weighs_on_the_wrist_and_on_the_arm(plant):
 def test_a_wrist_that_presses_on_the_table_feels_it(plant):
     """Left wrist lowered onto the table: the table's push is felt upwards, more the harder the arm presses."""
     q = CELL.home.copy()
+    q[7] = 0.0  # so that what is found depends on the seed alone
     rng = np.random.default_rng(0)
     goal = np.array([CELL.boxes[2].center[0] - 0.2, CELL.boxes[2].center[1] - 0.15, 0.75 + 0.22])
     q = _reach(q, goal, rng)

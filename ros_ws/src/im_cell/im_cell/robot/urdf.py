@@ -1,13 +1,16 @@
 """URDF of the cell."""
 
+from collections.abc import Mapping
 from math import atan2, dist, hypot
 
 from im_cell.robot.cell import Cell
-from im_cell.robot.parameters import Box, Capsule, Vector
+from im_cell.robot.parameters import Box, Capsule, Limits, Vector
 from im_cell.robot.tree import ORIGIN, Joint, LinkInertia, far_end
 
 
-def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
+def urdf(
+    cell: Cell, *, frames: bool = True, shapes: bool = True, limits: Mapping[str, Limits] | None = None
+) -> str:
     """The cell as URDF, one element a line (pybullet does not parse one long line).
 
     Args:
@@ -15,13 +18,14 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
         frames: With the massless frames ``<side>_base``, ``<side>_wrist``, ``<side>_led``. pybullet gives a link
             without inertia a mass of 1 kg, so physics leaves them out.
         shapes: With visual and collision shapes.
+        limits: Limits of each joint, by name; None: those of the cell.
     """
     lines = ['<?xml version="1.0"?>', '<robot name="testbed">', '<link name="world">']
     if shapes:
         lines += [line for box in cell.boxes for line in _visual_box(box, box.color)]
     lines.append("</link>")
     for joint, link in zip(cell.joints, cell.links, strict=True):
-        lines += _joint(joint)
+        lines += _joint(joint, joint.limits if limits is None else limits[joint.name])
         lines += [f'<link name="{link.name}">', *_inertial(link)]
         if shapes:
             lines += _shapes_of(cell, link.name)
@@ -36,8 +40,7 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
     return "\n".join([*lines, "</robot>", ""])
 
 
-def _joint(joint: Joint) -> list[str]:
-    limits = joint.limits
+def _joint(joint: Joint, limits: Limits) -> list[str]:
     return [
         f'<joint name="{joint.name}" type="{joint.kind}">',
         f'<parent link="{joint.parent}"/>',

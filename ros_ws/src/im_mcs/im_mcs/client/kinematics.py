@@ -15,6 +15,7 @@ from im_mcs.inverse import InverseKinematics
 from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
+from im_mcs.planning.joint import JointPath
 from im_mcs.protocol.requests import unit_pose
 
 
@@ -102,7 +103,12 @@ class Kinematics:
             return solver.solve(target, q_all, start, self._collision if avoid_collisions else None)
 
     def check_path(self, group: str, points: list[list[float]], q_all: NDArray[np.float64]) -> float:
-        """Smallest distance on the straight joint path through ``points``, the first being where the group is [m].
+        """Smallest distance on the way that a move through ``points`` takes [m]: the move's own planner says which.
+
+        Args:
+            group: Name of the group.
+            points: Of the path, as positions of the group's joints; the first, at rest, is where the move begins.
+            q_all: Positions of all joints, shape (18,) [rad or m].
 
         Raises:
             NotFoundError: No such group.
@@ -113,8 +119,10 @@ class Kinematics:
         self._group(group)
         index = self.index(group)
         path = check_measured_path(self._limits, index, points, self._config.planning.max_points)
+        limits = self._limits.motion.of(index)
+        motion = JointPath(path[0], path[1:], limits, self._config.planning.synchrony)
         with self._lock:
-            return self._collision.check_path(q_all, index, path)
+            return self._collision.check_motion(q_all, index, motion, limits.velocity)
 
     def index(self, group: str) -> NDArray[np.intp]:
         """Ranks of a group's joints, shape (n,).

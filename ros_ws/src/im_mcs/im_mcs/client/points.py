@@ -99,9 +99,9 @@ def check_measured_path(
         DataError: None or too many points, a wrong size, or a value that is not finite.
         LimitError: A position after the first is out of its joint's range, or the first far out of it.
     """
-    if not 1 <= len(points) <= max_points:
+    if not 1 <= len(points) <= max_points + 1:
         raise DataError(
-            f"a path of {len(points)} points is not one of 1 to {max_points}; the first is where the group is",
+            f"a path of {len(points)} points is not one of 1 to {max_points + 1}; the first is where the group is",
             points=len(points),
         )
     checked = [limits.check_positions(index, points[0], "point 1", _ASTRAY)]

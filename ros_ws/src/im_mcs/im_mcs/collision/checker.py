@@ -1,6 +1,7 @@
 """Checks of positions and paths before anything moves."""
 
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,32 @@ from im_mcs.model import CellModel
 
 _STEP_RAD = 0.03
 _STEP_M = 0.015
+
+
+class Positions(Protocol):
+    """Where a motion is."""
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Positions at some times, shape (m, n) [rad or m]."""
+        ...
+
+
+class PlannedMotion(Protocol):
+    """A motion in its own time."""
+
+    @property
+    def duration(self) -> float:
+        """From start to end [s]."""
+        ...
+
+    def span(self, t: NDArray[np.float64]) -> Positions:
+        """Where it is at times ``t``, shape (m,) [s]."""
+        ...
+
+    def point(self, t: float) -> int:
+        """Index of the point that it is on its way to."""
+        ...
 
 
 class CollisionChecker:
@@ -80,6 +107,39 @@ class CollisionChecker:
                 whole[index] = a + (b - a) * (k / steps)
                 where = f"on the way to point {number} ({100 * k // steps} %)" if k < steps else f"at point {number}"
                 clearance = min(clearance, self.require_free(whole, where))
+        return clearance
+
+    def check_motion(
+        self, q_all: NDArray[np.float64], index: NDArray[np.intp], motion: PlannedMotion, velocity: NDArray[np.float64]
+    ) -> float:
+        """Check a motion along the way that it takes, whether that is straight or not.
+
+        Args:
+            q_all: Positions of all joints; those of other groups stay, shape (18,).
+            index: Joints of the group, shape (n,).
+            motion: As planned; it begins where the group is.
+            velocity: What none of its joints exceeds, shape (n,) [rad/s or m/s].
+
+        Returns:
+            Smallest distance on the way [m].
+
+        Raises:
+            ImError: Two bodies come too close; pair, point and place are named (code ``collision``).
+        """
+        step, whole = self._step[index], q_all.copy()
+        # half a step a sample, so that no gap between two that are looked at is longer than a step
+        count = max(1, int(np.ceil(2.0 * motion.duration * float((velocity / step).max()))))
+        times = np.linspace(0.0, motion.duration, count + 1)
+        q = motion.span(times).q
+        whole[index] = seen = q[0]
+        clearance = self.require_free(whole, "at the start")
+        for k in range(1, count + 1):
+            if k < count and (np.abs(q[k + 1] - seen) <= step).all():
+                continue
+            whole[index] = seen = q[k]
+            number = motion.point(float(times[k])) + 1
+            where = "at the end" if k == count else f"on the way to point {number} ({100 * k // count} % of the time)"
+            clearance = min(clearance, self.require_free(whole, where))
         return clearance
 
     def blocking(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.robot import Cell
+from im_cell.robot import Cell, Limits
 from im_core.errors import DataError, LimitError
 from im_mcs.limits.configuration import LimitShares
 from im_mcs.limits.motion_limits import MotionLimits
@@ -55,6 +55,14 @@ class JointLimits:
             [shares.following_error_m if unit == "m" else shares.following_error_rad for unit in self.units]
         )
         self._speed = speed * _OVERSPEED
+
+    def enforced(self) -> dict[str, Limits]:
+        """The limits that motions are planned with, of each joint by name; the torques as MCS allows them itself."""
+        motion = self.motion
+        columns = (self.lower, self.upper, motion.velocity, motion.acceleration, motion.jerk, self.torque)
+        fields = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        return {name: Limits(**dict(zip(fields, row, strict=True))) for name, row in zip(self.names, rows, strict=True)}
 
     def check_finite(
         self, index: NDArray[np.intp], values: Sequence[float], where: str, what: str = "position"

@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from im_core.ros import run as ros_run
 from im_core.ros.node import ManagedNode
 from im_mcs.limits.configuration import load_config
+from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
@@ -44,7 +45,8 @@ class McsNode(ManagedNode):
         self._last: dict[str, Any] | None = None
         self._fresh = False
         self._mcs = McsAccess(self, config, config_file, self._publish_state)
-        self._topics = Publishers(self, CellModel(self._mcs.cell))
+        cell = self._mcs.cell
+        self._topics = Publishers(self, CellModel(cell), JointLimits(cell, config.limits, config.slots))
         self._layers = Layers(self._mcs)
         motions = Motions(self._mcs)
         self._grippers = GripperServer(self._mcs)

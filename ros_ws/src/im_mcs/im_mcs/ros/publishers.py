@@ -16,6 +16,7 @@ from tf2_msgs.msg import TFMessage
 from im_cell.robot import Cell, urdf
 from im_core.ros import qos
 from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.ros import messages
 from im_mcs.state import State
@@ -28,9 +29,10 @@ class Publishers:
     Args:
         node: The node that publishes.
         model: Kinematics; used by this object alone.
+        limits: Those in force; ``/robot_description`` says what is enforced, not what the hardware could do.
     """
 
-    def __init__(self, node: Node, model: CellModel) -> None:
+    def __init__(self, node: Node, model: CellModel, limits: JointLimits) -> None:
         self._names = model.names
         self._frames = Frames(model.cell, model)
         self._state = node.create_publisher(McsState, "/mcs/state", qos.LATCHED)
@@ -40,7 +42,7 @@ class Publishers:
         self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
         self._tf_static.publish(TFMessage(transforms=self._frames.fixed()))
         self._description = node.create_publisher(String, "/robot_description", qos.LATCHED)
-        self._description.publish(String(data=urdf(model.cell)))
+        self._description.publish(String(data=urdf(model.cell, limits=limits.enforced())))
 
     def state(self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None) -> None:
         """``/mcs/state``."""
