@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Records topics of the machine into a bag (MCAP, rosbag2 format), also those that appear later, until Ctrl-C.
-# ros2 bag, Foxglove and PlotJuggler read it.
+# rosbag2, Foxglove and PlotJuggler read it.
 #
 #   scripts/record.sh                                     all topics, into bags/<date>-<time>/
 #   scripts/record.sh -o my_bag                           into my_bag/

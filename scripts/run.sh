@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs an executable of the workspace with everything sourced, like `ros2 run`.
+# Runs an executable of the workspace with everything sourced.
 #
 #   scripts/run.sh                                        lists packages and their executables
 #   scripts/run.sh PACKAGE                                lists the executables of one package

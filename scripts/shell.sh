@@ -5,7 +5,7 @@
 #   scripts/shell.sh COMMAND ARGS...     one command in that environment
 #   scripts/shell.sh python -c 'import rclpy, im_msgs.msg'
 #
-# The folder scripts/ is on its PATH: scripts/im is typed as im.
+# The folder scripts/ is on its PATH: `im recover` is scripts/im recover.
 #
 # Exit code: that of the command.
 set -euo pipefail

@@ -50,7 +50,7 @@ def test_the_schema_is_one_and_is_printed(capsys):
 
 
 def test_the_file_that_editors_read_is_the_one_that_the_models_make():
-    renew = "pnt schema > ros_ws/src/im_pnt/im_pnt/schema/net.schema.json"
+    renew = "scripts/im pnt schema > ros_ws/src/im_pnt/im_pnt/schema/net.schema.json"
     assert FILE.read_text(encoding="utf-8") == schema_text(), f"stale; renew it: {renew}"
 
 

@@ -11,7 +11,7 @@ from im_pnt_analysis.cli.terminal import OK, REFUSED
 DOCS = Path(__file__).resolve().parents[4] / "docs"
 PAGE = (DOCS / "nets.md").read_text(encoding="utf-8")
 SHOWN = re.findall(r"\[`nets/(\w+\.yaml)`\]\(nets/\1\)\n```yaml\n(.*?)```", PAGE, re.DOTALL)
-RUNS = re.findall(r"```console\n\$ pnt (.*?)\n(.*?)\n\.\.\.\n```", PAGE, re.DOTALL)
+RUNS = re.findall(r"```console\n\$ scripts/im pnt (.*?)\n(.*?)\n\.\.\.\n```", PAGE, re.DOTALL)
 
 
 def test_the_page_shows_the_files_that_are_there():

@@ -14,9 +14,9 @@ _DEFAULT = ("ring:100", "philosophers:100", "catching_philosophers:8", "kanban:2
 
 _DESCRIPTION = f"""Fires nets as nodes do and searches their markings, and prints how fast that is, in CPU time.
 
-  pnt bench                                  nets whose answers are known: {", ".join(_DEFAULT)}
-  pnt bench kanban:5 ring:1000               other sizes; families are {", ".join(FAMILIES)}
-  pnt bench dispatcher.yaml motion.yaml      your nets, composed
+  scripts/im pnt bench                                  nets whose answers are known: {", ".join(_DEFAULT)}
+  scripts/im pnt bench kanban:5 ring:1000               other sizes; families are {", ".join(FAMILIES)}
+  scripts/im pnt bench dispatcher.yaml motion.yaml      your nets, composed
 
 Actions confirm at once, guards are drawn by lot, and whenever nothing can fire the tape gets every symbol. Start and
 end of an action are two firings. How this compares with other libraries, scripts/bench.sh --nets tells."""

@@ -12,15 +12,15 @@ from im_pnt_analysis.cli.terminal import BAD_INPUT, OK, REFUSED
 _DESCRIPTION = """Works on Petri net transducers: YAML files with places, transitions, tapes, guards and actions, or
 PNML files of other tools. docs/nets.md tells how to write one.
 
-  pnt verify dispatcher.yaml motion_coordinator.yaml   may these nets run together?
-  pnt simulate dispatcher.yaml --seed 7 --steps 50     plays a net with imagined actions
-  pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why{draw}
-  pnt convert dispatcher.yaml dispatcher.pnml          writes it for other tools, or reads theirs
-  pnt schema > net.schema.json                         what editors complete and explain net files with
-  pnt bench dispatcher.yaml                            how fast it fires and is searched
+  scripts/im pnt verify dispatcher.yaml motion_coordinator.yaml   may these nets run together?
+  scripts/im pnt simulate dispatcher.yaml --seed 7 --steps 50     plays a net with imagined actions
+  scripts/im pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why{draw}
+  scripts/im pnt convert dispatcher.yaml dispatcher.pnml          writes it for other tools, or reads theirs
+  scripts/im pnt schema > net.schema.json                         what editors complete and explain net files with
+  scripts/im pnt bench dispatcher.yaml                            how fast it fires and is searched
 
 Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong."""
-_DRAW = "\n  pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)"
+_DRAW = "\n  scripts/im pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)"
 
 _COMMANDS = {
     "verify": "may the nets run?",
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else arguments
     raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("pnt", formatter_class=raw)
+    parser = argparse.ArgumentParser("im pnt", formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     called = next((word for word in words if not word.startswith("-")), "")
     for name, text in _COMMANDS.items():

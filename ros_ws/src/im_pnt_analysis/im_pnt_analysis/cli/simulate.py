@@ -15,8 +15,8 @@ _DESCRIPTION = """Plays nets, alone or composed, by their structure, delays and 
 
 Actions take their 'delay' and succeed with probability 'success'; alternatives are taken by priority and 'weight'
 (times the prior of a strategy); symbols and callers come when the nets have nothing else to do. Time is virtual.
---replay plays a counterexample as 'pnt verify --counterexample FILE' writes it, a file with a transition a line, or a
-sequence 'a -> b -> c', and says what is enabled at its end."""
+--replay plays a counterexample as 'scripts/im pnt verify --counterexample FILE' writes it, a file with a transition a
+line, or a sequence 'a -> b -> c', and says what is enabled at its end."""
 
 _STEPS = 100
 _SUMMARY_STEPS = 100_000

@@ -17,9 +17,9 @@ from im_pnt_analysis.timed.steady import Number, SteadyState, steady_state
 
 _DESCRIPTION = """Computes the steady state of timed nets: throughput of transitions, mean tokens and use of places.
 
-Exact for exponential delays, and for others where one thing happens at a time; 'pnt simulate --summary' estimates the
-rest. With --command: the expected duration of a command from its symbol to its answer, where its time goes, and its
-bottleneck, exact where means decide and by simulation otherwise. Symbols and callers come as soon as the nets have
+Exact for exponential delays, and for others where one thing happens at a time; 'scripts/im pnt simulate --summary'
+estimates the rest. With --command: the expected duration of a command from its symbol to its answer, where its time
+goes, and its bottleneck, exact where means decide and by simulation otherwise. Symbols and callers come as soon as the nets have
 nothing else to do; guards are true as often as 'weight' says."""
 
 _MARKINGS_SHOWN = 1000

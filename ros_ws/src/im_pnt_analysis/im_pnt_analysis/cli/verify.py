@@ -40,7 +40,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--timeout", type=seconds, default=60.0, metavar="S", help="time for everything [s] (60)")
     parser.add_argument("--states", type=count, default=20_000_000, metavar="N", help="markings to list (20000000)")
     parser.add_argument(
-        "--counterexample", metavar="FILE", help="where nets are refused, write what 'pnt simulate --replay' plays"
+        "--counterexample",
+        metavar="FILE",
+        help="where nets are refused, write what 'scripts/im pnt simulate --replay' plays",
     )
 
 

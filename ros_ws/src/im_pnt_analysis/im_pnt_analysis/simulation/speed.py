@@ -1,4 +1,4 @@
-"""How fast given nets fire and are searched, whatever they are: what ``pnt bench`` shows."""
+"""How fast given nets fire and are searched, whatever they are: what ``scripts/im pnt bench`` shows."""
 
 import random
 from collections.abc import Callable, Coroutine, Sequence

@@ -104,8 +104,8 @@ def _too_many(found: Markings, what: str) -> TooManyMarkingsError:
     place = max(range(len(last)), key=last.__getitem__)
     name = found.net.shown_places[place]
     return TooManyMarkingsError(
-        f"{what}; place {name} has come to {last[place]} tokens. 'pnt simulate --summary' estimates by simulation "
-        "what cannot be computed",
+        f"{what}; place {name} has come to {last[place]} tokens. 'scripts/im pnt simulate --summary' estimates by "
+        "simulation what cannot be computed",
         place=name,
     )
 

@@ -56,7 +56,7 @@ def stationary_sparse(rows: Rows[float], states: Sequence[int]) -> tuple[dict[in
     if not residual <= RESIDUAL or flow.min() < -RESIDUAL * flow.max():
         raise NetError(
             f"the balance equations of {n} markings could not be solved: residual {residual:.1e}, {RESIDUAL:g} is "
-            "allowed. 'pnt simulate --summary' estimates by simulation what cannot be computed"
+            "allowed. 'scripts/im pnt simulate --summary' estimates by simulation what cannot be computed"
         )
     time = np.maximum(flow, 0.0) / out
     time /= time.sum()

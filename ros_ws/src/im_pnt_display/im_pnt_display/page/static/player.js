@@ -18,7 +18,7 @@ export function shown(net, tokens) {
 export function readCounterexample(text) {
   const counterexample = JSON.parse(text);
   if (!Array.isArray(counterexample?.steps) || !counterexample.steps.length || !Array.isArray(counterexample.drawings))
-    throw new Error("it is no counterexample with drawings: pnt verify --counterexample FILE writes one");
+    throw new Error("it is no counterexample with drawings: scripts/im pnt verify --counterexample FILE writes one");
   for (const net of counterexample.drawings)
     if (typeof net.net !== "string" || !Array.isArray(net.drawing?.nodes)) throw new Error("a net in it has no drawing");
   return counterexample;
