@@ -16,7 +16,9 @@ TEXTS = [*PAGES, *SOURCES, *SCRIPTS]
 SUBCOMMANDS = set(re.findall(r"^  \[(\w+)\]=", (ROOT / "scripts" / "im").read_text(), re.MULTILINE))
 #: The command line of ROS is not in the wheels; a page that names it says so.
 ROS2 = re.compile(r"(?<![\w./-])ros2 (?:bag|launch|topic|service|action|param|lifecycle|node|run)\b")
-PNT = re.compile(r"(?<![\w./-])(?<!im )(?<!im_pnt_analysis )pnt (?:verify|simulate|time|convert|draw|schema|bench|journal)\b")
+PNT = re.compile(
+    r"(?<![\w./-])(?<!im )(?<!im_pnt_analysis )pnt (?:verify|simulate|time|convert|draw|schema|bench|journal)\b"
+)
 
 
 def executables(package):

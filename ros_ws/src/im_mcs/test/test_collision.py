@@ -82,7 +82,8 @@ def test_a_path_is_checked_as_a_move_is_planned(config, model, cell, monkeypatch
         model, JointLimits(cell, config.limits, config.slots), index, None, lambda: cell.home, 0.0045,
         config.model_copy(update={"planning": planning}),
     )  # fmt: skip
-    preparation = JointPreparation(context, JointMove(points=[p.tolist() for p in points]), lambda: Setpoint.at_rest(start))
+    move = JointMove(points=[point.tolist() for point in points])
+    preparation = JointPreparation(context, move, lambda: Setpoint.at_rest(start))
     while (planned := preparation.step()) is None:
         pass
     times = np.linspace(0.0, planned.duration, 50)

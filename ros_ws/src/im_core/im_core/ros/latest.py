@@ -24,6 +24,7 @@ class Latest(Generic[MessageT]):
 
     Attributes:
         message: The last message, None before the first.
+        silence_s: As given.
     """
 
     def __init__(
@@ -36,13 +37,13 @@ class Latest(Generic[MessageT]):
         heard: Callable[[], None] = lambda: None,
     ) -> None:
         self.message: MessageT | None = None
-        self._silence_s, self._heard_at, self._heard = silence_s, 0.0, heard
+        self.silence_s, self._heard_at, self._heard = silence_s, 0.0, heard
         node.create_subscription(message_type, topic, self._take, profile)
 
     @property
     def stale(self) -> bool:
         """Whether there is no message, or nothing was heard for so long that the last one may no longer be true."""
-        return self.message is None or clock.monotonic() - self._heard_at > self._silence_s
+        return self.message is None or clock.monotonic() - self._heard_at > self.silence_s
 
     def forget(self) -> None:
         """As before the first message; the next one will be new."""

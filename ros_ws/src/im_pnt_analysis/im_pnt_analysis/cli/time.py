@@ -19,8 +19,8 @@ _DESCRIPTION = """Computes the steady state of timed nets: throughput of transit
 
 Exact for exponential delays, and for others where one thing happens at a time; 'scripts/im pnt simulate --summary'
 estimates the rest. With --command: the expected duration of a command from its symbol to its answer, where its time
-goes, and its bottleneck, exact where means decide and by simulation otherwise. Symbols and callers come as soon as the nets have
-nothing else to do; guards are true as often as 'weight' says."""
+goes, and its bottleneck, exact where means decide and by simulation otherwise. Symbols and callers come as soon as the
+nets have nothing else to do; guards are true as often as 'weight' says."""
 
 _MARKINGS_SHOWN = 1000
 _DIGITS_SHOWN = 9

@@ -116,8 +116,8 @@ def _not_exponential(found: Markings) -> NetError:
     names = ", ".join(f"{timer.name} ({timer.delay})" for timer in timers)
     return NetError(
         f"the steady state can be computed for exponential delays only, or where one thing happens at a time; {names} "
-        "run beside others. 'scripts/im pnt simulate --summary' estimates it by simulation; with --approximate they are "
-        "taken for exponential delays of the same mean",
+        "run beside others. 'scripts/im pnt simulate --summary' estimates it by simulation; with --approximate they "
+        "are taken for exponential delays of the same mean",
         transitions=[timer.name for timer in timers],
     )
 

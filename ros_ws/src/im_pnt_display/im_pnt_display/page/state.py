@@ -30,6 +30,7 @@ class DisplayState:
         self._markings: dict[str, Change] = {}
         self._refusals: dict[str, Change] = {}
         self._firings: deque[Change] = deque(maxlen=FIRINGS_KEPT)
+        self._mcs: Change | None = None
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
         """Enters a net, or its new structure.
@@ -70,6 +71,18 @@ class DisplayState:
         self._firings.append(change)
         return change
 
+    def motion_control(self, condition: Mapping[str, object]) -> Change | None:
+        """Enters what the Motion Control System says of itself, None if that is nothing new.
+
+        Args:
+            condition: ``state``, ``reason``, ``power``, ``brakes``, and whether all that is ``stale``.
+        """
+        change: Change = {"kind": "mcs", **condition}
+        if change == self._mcs:
+            return None
+        self._mcs = change
+        return change
+
     def snapshot(self) -> Change:
         """Returns everything, for a viewer that begins."""
         return {
@@ -78,4 +91,5 @@ class DisplayState:
             "markings": list(self._markings.values()),
             "refusals": list(self._refusals.values()),
             "firings": list(self._firings),
+            "mcs": self._mcs,
         }

@@ -13,14 +13,17 @@ from im_core.errors import ImError, NotFoundError
 from im_core.names import run_dir
 from im_core.ros import qos
 from im_core.ros.calls import call
+from im_core.ros.latest import Latest
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main as run_main
-from im_msgs.msg import Firing, Marking, NetDescription, NetRefusal
+from im_msgs.msg import Firing, Marking, McsState, NetDescription, NetRefusal
 from im_msgs.srv import ControlNet
 from im_pnt_display.page import messages
 from im_pnt_display.page.server import DisplayServer
 
 ANSWER_S = 5.0
+#: /mcs repeats its state twice a second; after this silence what it said last is stale [s], and how often that is seen.
+MCS_SILENCE_S, MCS_LOOK_S = 3.0, 1.0
 
 
 class DisplayNode(ManagedNode):
@@ -32,6 +35,7 @@ class DisplayNode(ManagedNode):
         host = declare("host", "127.0.0.1", "address that the page is served on")
         port = declare("port", 8080, "TCP port of the page, the next free one if in use; 0: any", span=(0, 65535))
         self.server = DisplayServer(host, port, self._wanted)
+        self._mcs: Latest[McsState] | None = None
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
         self._nodes: dict[str, str] = {}
         self._operators: dict[str, Client] = {}
@@ -48,6 +52,8 @@ class DisplayNode(ManagedNode):
         self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_MANY)
         self.create_subscription(Firing, "/pnt/firings", self._fire, qos.EVENTS)
         self.create_subscription(NetRefusal, "/pnt/refusals", self._refuse, qos.LATCHED_MANY)
+        self._mcs = Latest(self, McsState, "/mcs/state", qos.LATCHED, MCS_SILENCE_S, self._show_mcs)
+        self.create_timer(MCS_LOOK_S, self._show_mcs, clock=self.steady_clock)
         self.get_logger().info(f"nets are shown at {self.server.url}")
 
     def phase_shutdown(self) -> None:
@@ -55,6 +61,15 @@ class DisplayNode(ManagedNode):
         self._drawing.shutdown(wait=False, cancel_futures=True)
         self.server.stop()
         (run_dir() / "pnt_display.url").unlink(missing_ok=True)
+
+    def _show_mcs(self) -> None:
+        """Show what MCS said last, and whether it still says it."""
+        if self._mcs is None or (said := self._mcs.message) is None:
+            return
+        condition = {"state": said.state, "reason": said.reason, "power": said.power, "brakes": said.brakes}
+        change = self.server.state.motion_control({**condition, "stale": self._mcs.stale})
+        if change is not None:
+            self.server.show(change)
 
     def _describe(self, message: NetDescription) -> None:
         self._draw(partial(self._draw_net, message))

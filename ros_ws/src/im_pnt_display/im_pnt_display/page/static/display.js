@@ -125,6 +125,17 @@ function ask(net, request, argument) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ net, request, argument }));
 }
 
+// What motion control says of itself; what is stale is said to be.
+function showMcs(mcs) {
+  const line = byId("mcs");
+  line.hidden = !mcs;
+  if (!mcs) return;
+  const said = `MCS ${mcs.state}, power ${mcs.power ? "on" : "off"}, brakes ${mcs.brakes ? "on" : "off"}`;
+  line.textContent = mcs.stale ? `/mcs is silent; it said last: ${said}` : [said, mcs.reason].filter(Boolean).join(": ");
+  line.title = mcs.reason;
+  line.classList.toggle("stale", mcs.stale);
+}
+
 function listRefusals() {
   byId("refusals").replaceChildren(...[...refusals.values()].map(({ net, message, counterexample }) => {
     const row = document.createElement("li");
@@ -219,8 +230,9 @@ function take(change) {
       for (const refusal of change.refusals) refusals.set(refusal.net, refusal);
       firings.push(...change.firings);
       firings.forEach(noteCommand);
-      listRefusals(); refresh(true); soon();
+      listRefusals(); showMcs(change.mcs); refresh(true); soon();
       break;
+    case "mcs": showMcs(change); break;
     case "net": nets.set(change.net, change); refresh(true); break;
     case "marking":
       markings.set(change.net, change);
