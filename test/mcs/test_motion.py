@@ -69,7 +69,6 @@ def test_kinematics_refuses_what_is_wrong(client):
 
 
 def test_a_line_is_straight(ready):
-    assert ready.move(ready.home + STEP).success  # away from the singularity of the wrist
     begin = position(ready.group_state().wrist)
     paths = ready.listen(GroupPath, "/left/path")
     setpoints = ready.listen(GroupSetpoints, "/left/setpoints")
@@ -87,6 +86,9 @@ def test_a_line_is_straight(ready):
 
 
 def test_wrong_lines_are_refused(ready):
+    folded = ready.home.copy()
+    folded[7] = 0.0
+    assert ready.move(folded).success
     assert "wrist singularity (left_j5 at 0)" in ready.move(line=[below(ready, 0.1)]).status.message
     assert ready.move(ready.home + STEP).success
     here, before = ready.group_state().wrist, ready.group_state().q_rest
