@@ -259,6 +259,10 @@ def test_the_page_of_interfaces_is_what_the_machine_offers(machine, run_script):
     written = (Path(__file__).resolve().parent.parent / "docs" / "interfaces.md").read_text()
     printed = run_script("run", "im_bringup", "interfaces").stdout
     assert printed.partition("## Topics")[0] == written.partition("## Topics")[0]
+    parameters = printed.partition("## Parameters")[2].partition("## Topics")[0]
+    rows = [line.split(" | ") for line in parameters.splitlines() if line.startswith("| `")]
+    assert len(rows) > 20
+    assert [row[0] for row in rows if not (row[1] and row[4])] == []  # each has a type and a description
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from im_mcs.protocol.requests import parse_request
 from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.rest import RestMonitor
 
-WAY = np.array([0.3, 0.5, 0.3, 0.8, -0.5, 0.5, 0.9, 0.9, 0.9])
+WAY = np.array([0.3, 0.5, 0.3, 0.8, -0.5, 0.5, 0.9, 0.6, 0.9])
 
 
 class NoLaw:
