@@ -1,7 +1,9 @@
 import fcntl
+import mmap
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -44,13 +46,27 @@ def test_shared_memory_of_the_dead_is_removed_and_that_of_the_living_stays(insta
     for name in gone + kept:
         (SHM / name).touch()
     try:
-        with (SHM / f"{alive}_el").open() as lock:
+        (SHM / alive).write_bytes(b"segment")
+        with (SHM / f"{alive}_el").open() as lock, (SHM / alive).open() as file:
             fcntl.flock(lock, fcntl.LOCK_EX)
+            memory = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
             assert set(gone) <= set(leftovers.remove_shared_memory())
             assert [name for name in gone + kept if (SHM / name).exists()] == kept
+            memory.close()
     finally:
         for name in gone + kept:
             (SHM / name).unlink(missing_ok=True)
+
+
+def test_who_takes_long_to_die_is_waited_for():
+    """A killed process on a busy computer: its memory is gone, its lock is not given back yet."""
+    segment = f"fastrtps_{os.getpid() + 2:016x}"
+    for name in (segment, f"{segment}_el"):
+        (SHM / name).touch()
+    with (SHM / f"{segment}_el").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        threading.Timer(1.5, fcntl.flock, (lock, fcntl.LOCK_UN)).start()
+        assert {segment, f"{segment}_el"} <= set(leftovers.remove_shared_memory())
 
 
 def test_a_mutex_whose_segment_is_gone_is_removed():

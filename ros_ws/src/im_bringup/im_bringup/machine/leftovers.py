@@ -12,7 +12,8 @@ from im_core.shm import ProcessId
 
 _SHM = Path("/dev/shm")
 _DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))(?:_[es]l|_mutex)?$")
-_DYING_S = 1.0
+# a killed process goes when it gets a processor: on a busy computer that takes its time
+_DYING_S = 10.0
 _LOCK = re.compile(r"_[es]l$")
 
 
@@ -77,7 +78,7 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
     Fast DDS holds a lock on the lock file of every segment in use; the kernel gives it back when the owner dies.
     A segment without a lock file, or a mutex whose segment is gone, is in use only if a process has it in its memory.
     One that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the memory
-    first, then the locks.
+    first, then the locks. For what is another user's, whose memory is hidden, nobody waits.
 
     Returns:
         Names of the files removed, and whether the owner of another one is dying.
@@ -94,7 +95,7 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
         in_memory = any(path.name in mapped for path in paths)
         in_use = any(not _unlocked(path) for path in locks) if locks else in_memory
         if in_use:
-            dying = dying or not in_memory
+            dying = dying or (not in_memory and any(_mine(path) for path in locks))
             continue
         for path in paths:
             path.unlink(missing_ok=True)
@@ -111,6 +112,13 @@ def _mapped_names() -> set[str]:
         except OSError:
             continue
     return names
+
+
+def _mine(path: Path) -> bool:
+    try:
+        return path.stat().st_uid == os.geteuid()
+    except OSError:
+        return False
 
 
 def _unlocked(path: Path) -> bool:
