@@ -17,7 +17,9 @@ from im_mcs.planning.polynomial import PiecewisePolynomial, powers, powers_to_je
 
 Array = NDArray[np.float64]
 
-_CELL_S = 0.01
+# length of a cell in the time asked for; the same of one that would be passed at full speed, if the time is too short
+_CELL_S, _CELL_AT_FULL_SPEED_S = 0.01, 0.02
+_MOST_CELLS = 1000
 # cells of a piece next to a rest, where the speed begins with 0
 _CELLS_AT_REST = 10
 _NEWTON = 6
@@ -54,7 +56,10 @@ class AskedPath:
         inner = edges[i + 1 : j]
         bounds = np.concatenate([[begin], inner, [end]])
         lengths = np.diff(bounds)
-        counts = np.maximum(np.ceil(lengths / _CELL_S - 1e-6), 1.0).astype(np.intp)
+        ways = np.abs(asked.coefficients[i : i + len(lengths), 1:] / unit)
+        far = (ways * lengths[:, None, None] ** np.arange(1, 6)[:, None]).sum(axis=1).max(axis=1)
+        most = np.minimum(far / _CELL_AT_FULL_SPEED_S, _MOST_CELLS)
+        counts = np.maximum(np.ceil(np.maximum(lengths / _CELL_S, most) - 1e-6), 1.0).astype(np.intp)
         counts[[0, -1]] = np.maximum(counts[[0, -1]], _CELLS_AT_REST)
         rank = np.repeat(np.arange(len(lengths)), counts)
         within = np.arange(len(rank)) - np.repeat(np.cumsum(counts) - counts, counts)

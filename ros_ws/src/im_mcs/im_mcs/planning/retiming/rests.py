@@ -11,8 +11,9 @@ from im_mcs.planning.retiming.asked_path import CHUNK, AskedPath
 Array = NDArray[np.float64]
 
 _STILL = 1e-9
-# a path that turns by a right angle within this time, where it is slowest, is not run through but stopped in [s]
-_TURN_S = 0.02
+# a path that turns by sixty degrees and more within such times, where it is slowest, is not run through but stopped in
+_TURN_S = (0.02, 0.004, 1e-3, 1e-4, 1e-5)
+_SHARP = 0.5
 _STEPS = 8
 _SAME_S = 1e-9
 
@@ -47,15 +48,24 @@ def rests(trajectory: PiecewisePolynomial, path: AskedPath, unit: Array) -> Gene
         some = lowest[k : k + CHUNK]
         tau = _slowest(trajectory, path.tau[some - 1], path.tau[some], path.tau[some + 1], unit)
         yield
-        here, before, after = (_way(trajectory, tau + off, unit) for off in (0.0, -_TURN_S, _TURN_S))
-        stops = ((here**2).sum(axis=1) <= _STILL**2) | ((before * after).sum(axis=1) < 0.0)
+        stops = (_way(trajectory, tau, unit) ** 2).sum(axis=1) <= _STILL**2
+        for off in _TURN_S:
+            stops |= _turned(_way(trajectory, tau - off, unit), _way(trajectory, tau + off, unit))
         found += tau[stops].tolist()
         yield
+    sharp = np.flatnonzero(_turned(path.first / unit, path.last / unit))
+    found += path.tau[sharp + (speed[sharp + 1] < speed[sharp])].tolist()
     times = np.unique(found)
     edges = np.append(trajectory.edges, trajectory.duration)
     nearest = edges[np.clip(np.searchsorted(edges, times - _SAME_S), 0, len(edges) - 1)]
     times = np.unique(np.where(np.abs(nearest - times) <= _SAME_S, nearest, times))
     return np.asarray(times[~_within(times, trajectory, still)])
+
+
+def _turned(before: Array, after: Array) -> NDArray[np.bool_]:
+    """Where one direction and another, shape (m, n) each, are far apart; what stands still has none."""
+    size = np.sqrt((before**2).sum(axis=1) * (after**2).sum(axis=1))
+    return np.asarray(((before * after).sum(axis=1) < _SHARP * size) & (size > _STILL**2))
 
 
 def _within(times: Array, trajectory: PiecewisePolynomial, still: NDArray[np.bool_]) -> NDArray[np.bool_]:

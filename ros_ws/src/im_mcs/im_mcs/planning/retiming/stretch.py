@@ -18,7 +18,11 @@ Array = NDArray[np.float64]
 # share of the limits that is aimed at: the rest is for what lies between nodes
 _SHARE = 0.985
 _ENOUGH = 1.01
-_ROUNDS = 14
+_ROUNDS, _PATIENCE, _STUCK = 14, 4, 0.95
+# what a whole stretch may be slowed down by, and how deep rests may be nested that spare it that
+_SLOWEST, _STOPS = 1.3, 5
+# a stretch that becomes longer than this is given a rest instead
+_LONGEST_S, _LONGER = 10.0, 10.0
 # share of the acceleration that a change of the rate may take
 _CHANGE = 0.35
 _SHORTEST_SPAN_S = 0.03
@@ -42,20 +46,29 @@ class Retimed:
     coefficients: Array
     asked: Array
 
+    def followed_by(self, other: "Retimed") -> "Retimed":
+        """This one and then another, which begins where it ends."""
+        return Retimed(
+            np.concatenate([self.lengths, other.lengths]),
+            np.concatenate([self.coefficients, other.coefficients]),
+            np.concatenate([self.asked, other.asked[1:]]),
+        )
+
 
 def retime_stretch(
-    trajectory: PiecewisePolynomial, begin: float, end: float, limits: MotionLimits
+    trajectory: PiecewisePolynomial, begin: float, end: float, limits: MotionLimits, stops: int = _STOPS
 ) -> Generator[None, None, Retimed]:
     """Re-time what lies between two rests, a slice at a time.
 
-    Where limits are passed, the rate is lowered, there and as far around as the average reaches; what is left after
-    some rounds slows down the stretch as a whole.
+    Where limits are passed, the rate is lowered, there and as far around as the average reaches. Where that does not
+    help, as where a path turns too sharply for its cells, the motion rests; what is left slows down the whole stretch.
 
     Args:
         trajectory: Asked.
         begin: Asked time of the first rest [s].
         end: Of the second.
         limits: Of its joints.
+        stops: How many rests it may be given, one within the other.
     """
     path = AskedPath(trajectory, begin, end, limits.velocity)
     yield from path.measure()
@@ -64,21 +77,40 @@ def retime_stretch(
     square, room = _first_rates(path, limits)
     yield
     square = gentle(square, room)
-    for _ in range(_ROUNDS):
+    before, longest = np.inf, _LONGEST_S + _LONGER * (end - begin)
+    for rank in range(_ROUNDS):
         law = yield from _law(path, speed * np.sqrt(square), limits)
         nodes, retimed, over = yield from _motion(path, law, limits)
-        if over.max() <= _ENOUGH:
+        worst = float(over.max())
+        if worst <= _ENOUGH or (rank >= _PATIENCE and worst > _STUCK * before) or law.duration > longest:
             break
+        before = worst
         slower = np.minimum(1.0 / over, 1.0)
-        step = float(nodes[1])
-        reach = int(np.ceil((law.duration - law.times[-1]) / step)) + 1
-        around = minimum_filter1d(slower, reach + 1, origin=-((reach + 1) // 2), mode="nearest")
-        at = np.clip((law.times / step).astype(np.intp), 0, len(slower) - 1)
+        square = gentle(square * _around(law, slower, float(nodes[1])) ** 2, room)
         yield
-        square = gentle(square * around[at] ** 2, room)
-    factor = max(1.0, float(over.max()), (end - begin) / law.duration)
+    place = float(retimed.asked[int(over.argmax()) : int(over.argmax()) + 2].mean())
+    if worst > _SLOWEST and stops > 0 and begin < place < end:
+        before_it = yield from retime_stretch(trajectory, begin, place, limits, stops - 1)
+        behind_it = yield from retime_stretch(trajectory, place, end, limits, stops - 1)
+        return before_it.followed_by(behind_it)
+    factor = max(1.0, worst, (end - begin) / law.duration)
     scale = (1.0 / factor) ** np.arange(6)
     return Retimed(retimed.lengths * factor, retimed.coefficients * scale[:, None], retimed.asked)
+
+
+def _around(law: TimeLaw, slower: Array, step: float) -> Array:
+    """The least of some factors where the speed at the ends of cells matters, shape (m + 1,).
+
+    Args:
+        law: Law in force.
+        slower: Factors of pieces of time of one length, one after the other.
+        step: Length of these [s].
+    """
+    reach = int(np.ceil((law.duration - law.times[-1]) / step)) + 1
+    later = minimum_filter1d(slower, reach + 1, origin=-((reach + 1) // 2), mode="nearest")
+    at = np.clip((law.times / step).astype(np.intp), 0, len(slower) - 1)
+    within = np.minimum(np.minimum.reduceat(slower, at)[:-1], np.minimum(later[at[:-1]], later[at[1:]]))
+    return np.minimum(np.append(within, 1.0), np.append(1.0, within))
 
 
 def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:

@@ -1,0 +1,324 @@
+"""Trajectories that ask for more than limits allow: on their own path, within limits, at rest where they end."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
+
+from im_core.errors import ImError
+from im_mcs.limits.saturation import Saturations
+from im_mcs.planning.trajectory import Setpoint
+from im_mcs.safety import SetpointLimiter
+
+FINE_S = 0.0005
+OFF = {"rad": 1e-3, "m": 1e-4}
+PERIODS = (0.0045, 0.001, 0.002)
+
+
+def points(times, *rows):
+    names = ("positions", "velocities", "accelerations")
+    return [
+        {"time": float(t), **{name: row[k].tolist() for name, row in zip(names, rows, strict=False)}}
+        for k, t in enumerate(times)
+    ]
+
+
+def follow(rig, times, *rows, **more):
+    """Follow a trajectory to its end; its goal, what was followed, and from which setpoint on."""
+    goal = rig.request({"kind": "trajectory", "points": points(times, *rows), **more})
+    before = rig.group.planner.follower
+    for _ in range(5000):
+        if rig.group.planner.follower is not before or goal in rig.results:
+            break
+        rig.ticks(1)
+    begin = len(rig.trace) - 2
+    trajectory = getattr(rig.group.planner.follower, "trajectory", None)
+    rig.run()
+    return goal, trajectory, begin
+
+
+def units(rig):
+    return np.array([OFF[rig.all_limits.units[i]] for i in rig.index])
+
+
+def check_limits(rig, trajectory):
+    """Velocity, acceleration and jerk of a whole trajectory, on a grid finer than any servo's, and its two rests."""
+    step = min(FINE_S, trajectory.duration / 400.0)
+    t = np.append(np.arange(0.0, trajectory.duration, step), trajectory.duration)
+    s, limits = trajectory.span(t), rig.limits
+    assert (np.abs(s.v) <= 1.001 * limits.velocity).all()
+    assert (np.abs(s.a) <= 1.001 * limits.acceleration).all()
+    # the last setpoint is at rest by definition: what leads to it counts
+    assert (np.abs(np.diff(s.a, axis=0)) <= 1.001 * limits.jerk * np.diff(t)[:, None] + 1e-9).all()
+    assert not s.v[-1].any()
+    assert np.abs(s.v[0]).max() < 1e-9
+    assert np.abs(s.a[0]).max() < 1e-9
+
+
+def check_executed(rig, config):
+    """The limiter lets every setpoint through."""
+    counts, names = Saturations(18), rig.all_limits.names
+    plan_s = rig.period * rig.group.planner.divisor
+    limiter = SetpointLimiter(rig.all_limits, rig.period, plan_s, config.safety.jerk_factor, counts)
+    limiter.hold(rig.index, rig.trace[0].q)
+    for setpoint in rig.trace:
+        wanted = np.zeros((3, len(names)))
+        wanted[:, rig.index] = setpoint.q, setpoint.v, setpoint.a
+        assert not limiter.limit(wanted)
+    assert not counts.counts.any()
+
+
+def off_path(path, knots, q):
+    """Distances, shape (m, n), of positions from an asked path: from the lines between places close together on it."""
+    places = path(np.unique(np.concatenate([np.linspace(a, b, 401) for a, b in pairwise(knots)])))
+    nearest = np.array([((places - row) ** 2).sum(axis=1).argmin() for row in q])
+    best, off = np.full(len(q), np.inf), np.zeros_like(q)
+    for side in (-1, 0):
+        first = np.clip(nearest + side, 0, len(places) - 2)
+        way = places[first + 1] - places[first]
+        size = np.maximum((way * way).sum(axis=1), 1e-300)
+        share = np.clip(((q - places[first]) * way).sum(axis=1) / size, 0.0, 1.0)
+        d = q - places[first] - share[:, None] * way
+        closer = np.abs(d).max(axis=1) < best
+        best[closer], off[closer] = np.abs(d).max(axis=1)[closer], d[closer]
+    return off
+
+
+def trapezoid(step, share, way, limits):
+    """Times, positions, velocities, accelerations of a trapezoidal profile along a way, without its first point."""
+    speed, force = share * (limits.velocity / np.abs(way)).min(), share * (limits.acceleration / np.abs(way)).min()
+    peak = min(speed, np.sqrt(force))
+    ramp = peak / force
+    end = 1.0 / peak + ramp
+    t = np.append(np.arange(step, end - step / 2.0, step), end)
+    covered = np.where(t < ramp, 0.5 * force * t**2, 0.5 * force * ramp**2 + peak * (t - ramp))
+    covered = np.where(t > end - ramp, 1.0 - 0.5 * force * (end - t) ** 2, covered)
+    change = np.where(t < ramp, force, np.where(t > end - ramp, -force, 0.0))
+    return t, *(x[:, None] * way for x in (covered, np.minimum(peak, force * np.minimum(t, end - t)), change))
+
+
+@pytest.mark.parametrize("many", [1, 2, 3])
+@pytest.mark.parametrize(("step", "share"), [(0.1, 0.5), (0.02, 0.9), (0.01, 0.1)])
+def test_trapezoidal_profiles_stay_on_their_line(rig, way, config, step, share, many):
+    t, *rows = trapezoid(step, share, way, rig.limits)
+    rows[0] += rig.home
+    goal, trajectory, _ = follow(rig, t, *rows[:many])
+    assert rig.code(goal) is None
+    assert rig.results[goal][1]["retimed"] == trajectory.report
+    off = rig.q - rig.home
+    off -= (off @ way / (way @ way))[:, None] * way
+    assert np.abs(off).max() < 1e-7
+    np.testing.assert_allclose(rig.trace[-1].q, rows[0][-1], atol=1e-9)
+    assert t[-1] <= trajectory.duration < t[-1] + 0.5
+    check_limits(rig, trajectory)
+    check_executed(rig, config)
+    rig.check_motion()
+
+
+@pytest.mark.parametrize("shape", ["cosine", "minimum jerk"])
+def test_smooth_profiles_with_velocities_stay_on_their_line(rig, way, config, shape):
+    x = np.linspace(0.0, 1.0, 21)[1:, None]
+    covered, speed = (
+        ((1.0 - np.cos(np.pi * x)) / 2.0, np.pi * np.sin(np.pi * x) / 2.0)
+        if shape == "cosine"
+        else (x**3 * (10.0 + x * (6.0 * x - 15.0)), 30.0 * (x * (1.0 - x)) ** 2)
+    )
+    goal, trajectory, _ = follow(rig, 2.0 * x[:, 0], rig.home + covered * way, speed * way / 2.0)
+    assert rig.code(goal) is None
+    off = rig.q - rig.home
+    off -= (off @ way / (way @ way))[:, None] * way
+    assert np.abs(off).max() < 1e-7
+    np.testing.assert_allclose(rig.trace[-1].q, rig.home + way, atol=1e-9)
+    assert trajectory.duration < 2.2
+    check_limits(rig, trajectory)
+    check_executed(rig, config)
+
+
+@settings(max_examples=6, deadline=None)
+@given(data=st.data())
+@pytest.mark.parametrize("many", [1, 2, 3])
+def test_whatever_is_asked_for_is_followed_on_its_path_or_refused(make_rig, config, many, data):
+    """Random courses, most of them far too fast: curved ones, duplicate points, pieces of a millisecond, all joints."""
+    whole = data.draw(st.booleans())
+    rig = make_rig(name="testbed", preset="1x18") if whole else make_rig()
+    n, count = len(rig.index), data.draw(st.integers(1, 4))
+    random = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    h = data.draw(st.lists(st.sampled_from([0.001, 0.05, 0.2, 0.6]), min_size=count, max_size=count))
+    lower, upper = rig.all_limits.lower[rig.index] + 0.3, rig.all_limits.upper[rig.index] - 0.3
+    size = data.draw(st.sampled_from([0.02, 0.1, 0.3]))
+    q = np.clip(rig.home + np.cumsum(random.normal(size=(count, n)) * size, axis=0), lower, upper)
+    if count > 1 and data.draw(st.booleans()):
+        q[1] = q[0]
+    times = np.cumsum(h)
+    v = random.normal(size=(count, n)) * data.draw(st.sampled_from([0.0, 0.2])) * rig.limits.velocity
+    a = random.normal(size=(count, n)) * data.draw(st.sampled_from([0.0, 0.3])) * rig.limits.acceleration
+    v[-1], a[-1] = 0.0, 0.0
+    goal, trajectory, begin = follow(rig, times, *(q, v, a)[:many])
+    if rig.code(goal) is not None:
+        assert rig.code(goal) == "limit"
+        assert "position at" in rig.results[goal][0].message
+        assert not rig.v.any()
+        return
+    check_limits(rig, trajectory)
+    check_executed(rig, config)
+    np.testing.assert_allclose(rig.trace[-1].q, q[-1], atol=1e-9)
+    assert not rig.trace[-1].v.any()
+    assert not rig.trace[-1].a.any()
+    assert trajectory.duration >= times[-1] - 1e-9
+    if many == 1:
+        return  # which spline joins positions alone is looked at in test_spline.py
+    knots, start = np.concatenate([[0.0], times]), np.zeros((1, n))
+    rows = [np.vstack([rig.home[None], q]), np.vstack([start, v]), np.vstack([start, a])]
+    path = CubicHermiteSpline(knots, *rows[:2]) if many == 2 else BPoly.from_derivatives(knots, np.stack(rows, axis=1))
+    assert (np.abs(off_path(path, knots, rig.q[begin::4])) <= units(rig)).all()
+
+
+def test_a_trajectory_within_limits_keeps_its_time_to_the_last_digit(rig, way):
+    x = np.linspace(0.0, 1.0, 6)[1:, None]
+    covered, speed = x**3 * (10.0 + x * (6.0 * x - 15.0)), 30.0 * (x * (1.0 - x)) ** 2
+    change = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)
+    rows = rig.home + covered * way, speed * way / 4.0, change * way / 16.0
+    goal, trajectory, _ = follow(rig, 4.0 * x[:, 0], *rows)
+    assert rig.code(goal) is None
+    assert "retimed" not in rig.results[goal][1]
+    assert trajectory.duration == 4.0
+    np.testing.assert_allclose(trajectory.span(4.0 * x[:, 0]).q, rows[0], atol=1e-14)
+
+
+def test_one_place_that_is_too_fast_does_not_slow_down_the_others(rig, way):
+    """Eight legs from rest to rest, one of them too quick."""
+    ends = [rig.home + s * way for s in (0.0, 0.5, 0.1, 0.6, 0.2, 0.5, 0.0, 0.4)]
+    times = np.cumsum([3.0, 3.0, 3.0, 0.3, 3.0, 3.0, 3.0])
+    zero = np.zeros((7, 9))
+    goal, trajectory, _ = follow(rig, times, np.array(ends[1:]), zero, zero)
+    assert rig.code(goal) is None
+    late = [trajectory.asked_time(t) for t in (9.0, 9.3)]
+    assert late[0] == pytest.approx(9.0, abs=1e-9)
+    assert late[1] < 9.2
+    for k in (3, 4, 5, 6):
+        behind = trajectory.duration - times[-1] + times[k]
+        np.testing.assert_allclose(trajectory.at(behind).q, ends[k + 1], atol=1e-9)
+    check_limits(rig, trajectory)
+
+
+def test_a_corner_where_the_arm_rests_stays_a_corner(rig, way, config):
+    turned = way * [1, -1, 1, -1, 1, -1, 1, -1, 1]
+    q = rig.home + np.array([0.3 * way, 0.3 * way + 0.2 * turned])
+    goal, trajectory, _ = follow(rig, [0.8, 1.5], q, np.zeros((2, 9)))
+    assert rig.code(goal) is None
+    at = trajectory.points.index(1)
+    np.testing.assert_allclose(trajectory.at(float(trajectory.edges[at])).q, q[0], atol=1e-9)
+    check_limits(rig, trajectory)
+    check_executed(rig, config)
+
+
+def test_one_joint_that_turns_round_reaches_where_it_turns(rig, config):
+    q = np.tile(rig.home, (3, 1))
+    q[:, 3] += [0.5, 0.1, 0.4]
+    goal, trajectory, _ = follow(rig, [0.5, 1.0, 1.5], q)
+    assert rig.code(goal) is None
+    spline = CubicSpline([0.0, 0.5, 1.0, 1.5], [0.0, 0.5, 0.1, 0.4], bc_type="clamped")
+    highest = spline(np.linspace(0.4, 0.7, 3001)).max()
+    reached = trajectory.span(np.linspace(0.0, trajectory.duration, 20001)).q[:, 3].max()
+    assert reached == pytest.approx(highest, abs=2e-3)
+    check_limits(rig, trajectory)
+    check_executed(rig, config)
+
+
+def test_what_takes_over_from_a_motion_and_must_be_re_timed_begins_at_rest(rig, way, config):
+    first = rig.move(rig.home + way)
+    rig.ticks(120)
+    assert rig.trace[-1].v.any()
+    end = rig.home + 0.2 * way
+    second = rig.request({"kind": "trajectory", "points": points([0.3], end[None])}, policy="replace")
+    rig.run()
+    assert (rig.code(first), rig.code(second)) == ("replaced", None)
+    np.testing.assert_allclose(rig.trace[-1].q, end, atol=1e-9)
+    rig.check_motion()
+    check_executed(rig, config)
+
+
+def test_a_pause_of_a_re_timed_trajectory_holds_on_its_path(rig, way, config):
+    t, *rows = trapezoid(0.1, 0.5, way, rig.limits)
+    goal = rig.request({"kind": "trajectory", "points": points(t, rig.home + rows[0], rows[1])})
+    rig.ticks(150)
+    rig.group.pause()
+    rig.run()
+    assert not rig.trace[-1].v.any()
+    rig.group.resume()
+    rig.run()
+    assert rig.code(goal) is None
+    off = rig.q - rig.home
+    off -= (off @ way / (way @ way))[:, None] * way
+    assert np.abs(off).max() < 1e-7
+    check_executed(rig, config)
+
+
+def test_a_setpoint_that_is_cut_ends_the_goal_and_is_caught_up_with(rig, way):
+    """Judged is what was asked for: what limits leave of it is no success."""
+    t, *rows = trapezoid(0.1, 0.3, way, rig.limits)
+    goal = rig.request({"kind": "trajectory", "points": points(t, rig.home + rows[0], rows[1])})
+    rig.ticks(150)
+    asked = rig.group.planner.setpoint
+    left = Setpoint(asked.q - 1e-3, asked.v, asked.a)
+    rig.group.cut(left, ["left_j2"], rig.tick)
+    assert rig.group.setpoint is left
+    assert not rig.group.still
+    rig.run()
+    fault = rig.results[goal][0]
+    assert fault.code == "limited"
+    assert fault.facts["joint"] == "left_j2"
+    assert f"left_j2 was cut to its limits at tick {150}" in fault.message
+    assert not rig.group.setpoint.v.any()
+    assert not rig.group.setpoint.a.any()
+
+
+def test_tolerances_are_judged_against_what_was_asked_for(rig, way):
+    """A setpoint that limits have moved away is an error, though the arm follows it."""
+    t, *rows = trapezoid(0.1, 0.3, way, rig.limits)
+    request = {"kind": "trajectory", "points": points(t, rig.home + rows[0], rows[1]), "path_tolerance": [0.002] * 9}
+    goal = rig.request(request)
+    rig.ticks(150)
+    rig.error[4] = 0.003  # the arm is where the limits have left the setpoint
+    rig.ticks(1)
+    rig.error[:] = 0.0
+    rig.run()
+    assert rig.code(goal) == "path_tolerance"
+
+
+@pytest.mark.parametrize("period_s", PERIODS)
+def test_splines_keep_their_limits_at_every_servo_period(make_rig, config, way, period_s):
+    timed = config.at_period(period_s)
+    rig = make_rig(divisor=timed.servo.planning_divisor, servo=timed.servo)
+    t, *rows = trapezoid(0.1, 0.9, way, rig.limits)
+    goal, trajectory, _ = follow(rig, t, rig.home + rows[0], rows[1])
+    assert rig.code(goal) is None
+    check_limits(rig, trajectory)
+    check_executed(rig, timed)
+    rig.check_motion()
+
+
+def test_a_long_trajectory_is_prepared_in_many_slices(rig, way):
+    t = np.arange(1, 1001) * 0.01
+    wave, speed = 0.1 * (1.0 - np.cos(0.4 * np.pi * t)), 0.04 * np.pi * np.sin(0.4 * np.pi * t)
+    goal = rig.request(
+        {"kind": "trajectory", "points": points(t, rig.home + wave[:, None] * way, speed[:, None] * way)}
+    )
+    while rig.group.planner.progress == 1.0 and goal not in rig.results:
+        rig.ticks(1)
+    assert goal not in rig.results
+    assert rig.tick > 40
+
+
+def test_where_nothing_may_be_re_timed_it_is_refused_with_the_facts(make_rig, refusing, way):
+    rig = make_rig(planning=refusing)
+    t, *rows = trapezoid(0.1, 0.5, way, rig.limits)
+    goal = rig.request({"kind": "trajectory", "points": points(t, rig.home + rows[0], rows[1])})
+    rig.run()
+    fault = rig.results[goal][0]
+    assert isinstance(fault, ImError)
+    assert {"joint", "time", "value", "limit"} <= set(fault.facts)
+    assert not rig.v.any()
