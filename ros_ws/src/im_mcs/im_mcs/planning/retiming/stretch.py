@@ -110,7 +110,7 @@ def _around(law: TimeLaw, slower: Array, step: float) -> Array:
     later = minimum_filter1d(slower, reach + 1, origin=-((reach + 1) // 2), mode="nearest")
     at = np.clip((law.times / step).astype(np.intp), 0, len(slower) - 1)
     within = np.minimum(np.minimum.reduceat(slower, at)[:-1], np.minimum(later[at[:-1]], later[at[1:]]))
-    return np.minimum(np.append(within, 1.0), np.append(1.0, within))
+    return np.asarray(np.minimum(np.append(within, 1.0), np.append(1.0, within)))
 
 
 def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:
