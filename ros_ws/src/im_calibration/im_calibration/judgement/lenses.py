@@ -28,7 +28,8 @@ Array = NDArray[np.float64]
 _SUSPICIOUS, _UNLIKELY, _VERY_UNLIKELY = 0.05, 1e-3, 1e-6
 _LOST = 1e-4  # share of a term's information that the fitted terms leave, below which they say the same
 _WORST_SPOT = 30.0
-_SIGNIFICANT, _SUSPECTED = 3.0, 2.0  # standard deviations: over all suspected cameras, and of one of them
+_GAIN, _ONE_GAIN = 25.0, 10.0  # lower -2 log likelihood of held-out poses: of all suspected cameras, of one of them
+_STEADY, _ONE_STEADY = 2.3, 2.0  # and in standard deviations, so that no few spots decide
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def _with_better(
     """The cameras whose poses another lens model predicts significantly better, with the best such model."""
     cameras = [fault.camera for fault in suspects]
     before = [_losses(gated, problem, layout, c) for c in cameras]
-    best, least = list[LensFault](), 0.0
+    best, least = list[LensFault](), -_GAIN
     for name in LENSES:
         models = tuple(name if c in cameras else model for c, model in enumerate(problem.lens_models))
         if models == problem.lens_models:
@@ -131,12 +132,12 @@ def _with_better(
         after = [_losses(anew, other, ParameterLayout.of(other), c) for c in cameras]
         gains = [now - then for (then, _), (now, _) in zip(before, after, strict=True)]
         together = np.concatenate(gains)
-        if together.sum() < least and _deviation(together) < -_SIGNIFICANT:
+        if together.sum() < least and _deviation(together) < -_STEADY:
             least, explains = float(together.sum()), _explains(anew, other)
             best = [
                 replace(fault, better=name, held_out_px=(then, now), explains=explains)
                 for fault, (_, then), (_, now), gain in zip(suspects, before, after, gains, strict=True)
-                if fault.model != name and _deviation(gain) < -_SUSPECTED
+                if fault.model != name and gain.sum() < -_ONE_GAIN and _deviation(gain) < -_ONE_STEADY
             ]
     return tuple(best)
 
