@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "calibrate_dataset = im_calibration.commands.calibrate_dataset:main",
+            "make_dataset = im_calibration.commands.make_dataset:main",
             "next_best_pose = im_calibration.commands.next_best_pose:main",
         ],
     },

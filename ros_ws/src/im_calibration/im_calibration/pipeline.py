@@ -10,12 +10,13 @@ from im_calibration.estimation.covariance import covariance_of
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated
 from im_calibration.estimation.noise import NoiseFactors, noise_factors
 from im_calibration.estimation.projection import project
-from im_calibration.estimation.search import best_explanation
+from im_calibration.estimation.search import REDUNDANT_SPOTS, best_explanation, first_explanation, plausible
 from im_calibration.estimation.solve import Fit
 from im_calibration.estimation.unknown_noise import find_noise
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
 from im_calibration.judgement.agreement import CameraAgreement, camera_agreements
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
+from im_calibration.judgement.causes import find_cause
 from im_calibration.judgement.checks import Checks, check
 from im_calibration.judgement.expected import expected_error, rms
 from im_calibration.judgement.lenses import LensFault, lens_faults
@@ -31,6 +32,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _RULED = 1.0 - 1e-4
+_NO_NOISE_SHARE = 0.005
+_HOPELESS = 9.0  # times the stated variance, for the typical of many poses: no other start makes that right
 
 
 def calibrate(problem: CalibrationProblem) -> Calibration:
@@ -61,30 +64,48 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
 def _calibrate(stated: CalibrationProblem) -> Calibration:
     order = _canonical_order(stated)
     layout = ParameterLayout.of(stated)
-    found = find_noise(stated.taking(order), layout, stated.noise_to_estimate) if stated.noise_to_estimate else None
-    problem = stated if found is None else stated.with_noise(*found.scale)
-    sorted_problem = problem.taking(order)
-    gated = best_explanation(sorted_problem, layout) if found is None else found.gated
+    cause, found = "", None
+    if stated.noise_to_estimate:
+        found = find_noise(stated.taking(order), layout, stated.noise_to_estimate)
+        problem = stated.with_noise(*found.scale)
+        sorted_problem, gated = problem.taking(order), found.gated
+    else:
+        problem, sorted_problem = stated, stated.taking(order)
+        gated = first_explanation(sorted_problem, layout)
+    if _nonsense(gated, problem, layout):
+        cause = find_cause(problem if found is None else stated)
+    hopeless = gated.scale > _HOPELESS and len(stated.positions) >= REDUNDANT_SPOTS
+    if found is None and not cause and not hopeless:
+        gated = best_explanation(gated, sorted_problem, layout)
     if not np.isfinite(gated.fit.chi2):
         raise InconsistentDataError("No set of cameras explains the spots.")
-    factors = _factors(gated, sorted_problem, layout) if found is None else found.factors
+    factors = _factors(gated, sorted_problem, layout, cause) if found is None else found.factors
     checks = check(gated, sorted_problem, layout)
     neighbours = compare_neighbours(gated.fit.linearisation, gated.used, sorted_problem.positions)
     agreements = camera_agreements(gated.fit.linearisation, gated.used, layout)
     chi2_per_dof = gated.fit.chi2 / max(1, _freedom(gated.fit, gated.used, layout))
-    faults = lens_faults(gated, sorted_problem, layout, chi2_per_dof)
+    faults = () if cause else lens_faults(gated, sorted_problem, layout, chi2_per_dof)
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
     noise = noise_of(stated, gated.used, factors, (1.0, 1.0) if found is None else found.scale)
-    return _describe(problem, layout, gated, checks, agreements, noise, neighbours, faults)
+    return _describe(problem, layout, gated, checks, agreements, noise, neighbours, faults, cause)
 
 
-def _factors(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> NoiseFactors:
+def _nonsense(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
+    """Whether it is worth to ask what the data may be instead; residuals as large as part of the image are no noise."""
+    if not plausible(gated, problem, layout):
+        return True
+    residuals = np.linalg.norm(gated.fit.linearisation.residuals.reshape(-1, 2), axis=1)
+    width = min(width for width, _ in problem.image_sizes)
+    return bool(np.median(residuals[residuals > 0.0]) > _NO_NOISE_SHARE * width)
+
+
+def _factors(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, cause: str) -> NoiseFactors:
     """What the residuals say about the stated noise; where it is too small, gates have cut them off, and must widen."""
     dof = _freedom(gated.fit, gated.used, layout)
     few = bool(np.any(gated.used.sum(axis=1) < TRUSTED_SHARE * problem.detected.sum(axis=1)))
     chi2 = gated.fit.chi2 - layout.prior(gated.fit.unknowns).lens_chi2
-    if few or chance_of(chi2, dof) < UNLIKELY:
+    if not cause and (few or chance_of(chi2, dof) < UNLIKELY):
         return find_noise(problem, layout, NOISE_SOURCES).factors
     return noise_factors(gated.fit.unknowns, problem, layout, gated.used)
 
@@ -105,6 +126,7 @@ def _describe(
     noise: Noise,
     neighbours: Neighbours,
     faults: tuple[LensFault, ...],
+    cause: str,
 ) -> Calibration:
     fit, used, unknowns = gated.fit, gated.used, gated.fit.unknowns
     covariance = covariance_of(fit.information)
@@ -141,6 +163,7 @@ def _describe(
         scale=_scale(problem, unknowns, covariance.matrix, used),
         noise=noise,
         neighbours=neighbours,
+        cause=cause,
     )
     # Terms of a larger lens model make up for each other; a hundredth of the prior keeps them from nowhere.
     ruled = 1.0 if all(lens is PLUMB_BOB for lens in layout.lenses) else _RULED

@@ -28,8 +28,8 @@ _SEED = 1989
 _UNLIKELY = 1e-3
 
 
-def best_explanation(problem: CalibrationProblem, layout: ParameterLayout) -> Gated:
-    """The fit with gates of the best start.
+def first_explanation(problem: CalibrationProblem, layout: ParameterLayout) -> Gated:
+    """The fit with gates of the start that all poses give.
 
     Args:
         problem: The observations, in canonical order if the result shall not depend on the order.
@@ -39,14 +39,25 @@ def best_explanation(problem: CalibrationProblem, layout: ParameterLayout) -> Ga
         DegenerateDataError: A camera has too few spots, or the positions lie on a line.
         InconsistentDataError: No camera explains the spots.
     """
-    best = fit_with_gates(robust_start(problem, layout), problem, layout)
-    all_believed = np.array_equal(best.used, problem.detected) and _plausible(best, problem, layout)
+    return fit_with_gates(robust_start(problem, layout), problem, layout)
+
+
+def best_explanation(first: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> Gated:
+    """The fit with gates of the best start.
+
+    Args:
+        first: That of the start that all poses give.
+        problem: The observations, in canonical order if the result shall not depend on the order.
+        layout: Places of the unknowns.
+    """
+    best = first
+    all_believed = np.array_equal(best.used, problem.detected) and plausible(best, problem, layout)
     if all_believed or best.used.sum(axis=1).min() >= REDUNDANT_SPOTS:
         return best
     few = len(problem.positions) < REDUNDANT_SPOTS
     least = unexplained(best, problem)
     for i, unknowns in enumerate(_starts_from_parts(problem, layout, best.fit.unknowns)):
-        if i >= _PARTS and (not few or _plausible(best, problem, layout)):
+        if i >= _PARTS and (not few or plausible(best, problem, layout)):
             break
         gated = fit_with_gates(unknowns, problem, layout)
         cost = unexplained(gated, problem)
@@ -64,7 +75,7 @@ def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
     return float(gated.fit.chi2 + gates) if np.isfinite(gated.fit.chi2) else float("inf")
 
 
-def _plausible(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
+def plausible(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
     """Whether most spots are believed, and the noise explains them; else it is worth to search on."""
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
     freedom = max(1, 2 * int(gated.used.sum()) - layout.cameras_size)

@@ -89,7 +89,9 @@ def maximise_likelihood(
             return Fit(unknowns, information, chi2, line, steps)
 
 
-def robust_fit(start: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask) -> Fit:
+def robust_fit(
+    start: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask, rounds: int = _ROBUST_ROUNDS
+) -> Fit:
     """Fit with the Geman-McClure loss on each spot, its scale following the median of the residuals down.
 
     Args:
@@ -97,13 +99,14 @@ def robust_fit(start: Unknowns, problem: CalibrationProblem, layout: ParameterLa
         problem: The observations.
         layout: Places of the unknowns.
         used: Spots to consider, shape (c, n); those behind their camera are ignored while they are.
+        rounds: Bound on the number of changes of scale.
 
     Returns:
         A fit that gross outliers have hardly moved; its chi-square is the weighted one.
     """
     unknowns = start
     previous = np.inf
-    for _ in range(_ROBUST_ROUNDS):
+    for _ in range(rounds):
         unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
         visible = used & projectable(unknowns, problem)
         distances = spot_distances(linearise(unknowns, problem, layout, visible))

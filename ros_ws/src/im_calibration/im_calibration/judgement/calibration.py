@@ -106,6 +106,7 @@ class Calibration:
         scale: What known lengths say about the robot's scale; None without any.
         noise: What is known about the noise.
         neighbours: Whether the residuals are noise.
+        cause: What data that fit no camera may be instead, a sentence; empty: nothing is known.
     """
 
     cameras: tuple[CameraEstimate, ...]
@@ -128,6 +129,7 @@ class Calibration:
     scale: Scale | None
     noise: Noise
     neighbours: Neighbours
+    cause: str
 
     @property
     def success(self) -> bool:
@@ -164,6 +166,8 @@ class Calibration:
     def message(self) -> str:
         """The outcome in a few sentences."""
         misfit = any(verdict.kind == "MISFIT" for verdict in self.verdicts)
+        if self.cause:  # then it is not the noise
+            return self._outcome
         condition = "If nothing else is wrong: " if misfit and self.noise.remark else ""
         pattern = self.neighbours.remark if misfit or self.noise.estimated else ""
         return " ".join(text for text in (self._outcome, f"{condition}{self.noise.remark}", pattern) if text)

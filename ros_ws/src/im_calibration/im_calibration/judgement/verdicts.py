@@ -185,9 +185,9 @@ def _misfit(
     contradictory = np.flatnonzero(used < trusted * detected)
     moved = [c for c in range(len(calibration.cameras)) if _moved_alike(calibration, problem, c)]
     outside = _outside_image(problem)
-    if not len(contradictory) and not noisy and not moved and not outside:
+    if not len(contradictory) and not noisy and not moved and not outside and not calibration.cause:
         return None
-    reasons = []
+    reasons = [calibration.cause] if calibration.cause else []
     if noisy:
         reasons.append(
             f"The residuals are {np.sqrt(calibration.chi2_per_dof):.1f} times as large as the stated noise explains "

@@ -1,0 +1,179 @@
+"""Data sets from what others write: spots and positions as lines of text, or as matrices of OpenCV."""
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, model_validator
+
+from im_calibration.problem.dataset import SCHEMA
+from im_core.config import FieldError, Model, parse_model
+from im_core.errors import DataError
+
+Array = NDArray[np.float64]
+
+_LARGEST_FILE = 100_000_000
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one camera saw.
+
+    Attributes:
+        spots: Where, shape (n, 2) [px].
+        positions: Of what, as the file has them, shape (n, 3).
+        image_size: Width and height [px]; None where the file does not say.
+    """
+
+    spots: Array
+    positions: Array
+    image_size: tuple[int, int] | None = None
+
+
+def read_text(path: Path) -> Sighting:
+    """Lines ``u v x y z``, separated by blanks, tabs, commas or semicolons; a # begins a comment.
+
+    Args:
+        path: The file.
+
+    Raises:
+        DataError: It cannot be read, or a line is none of these; file and line are named.
+    """
+    rows = []
+    for number, line in enumerate(_text(path).splitlines(), 1):
+        content = line.partition("#")[0].strip()
+        if not content:
+            continue
+        words = re.split(r"[\s,;]+", content)
+        if len(words) != 5:
+            raise _wrong(path, number, f"{len(words)} numbers, the 5 of u v x y z are needed")
+        try:
+            row = [float(word) for word in words]
+        except ValueError:
+            raise _wrong(path, number, f"'{content[:60]}' is not five numbers u v x y z") from None
+        if not np.all(np.isfinite(row)):
+            raise _wrong(path, number, "a number is not finite")
+        rows.append(row)
+    if not rows:
+        raise DataError(f"{path}: holds no line u v x y z.", file=str(path))
+    table = np.array(rows)
+    return Sighting(table[:, :2], table[:, 2:])
+
+
+class _Matrix(Model):
+    """A matrix as ``cv::FileStorage`` writes it."""
+
+    rows: Annotated[int, Field(ge=1)]
+    cols: Annotated[int, Field(ge=1)]
+    dt: str
+    data: list[float]
+
+    def vectors(self, size: int) -> Array:
+        """Its rows, as vectors of that size."""
+        return np.array(self.data, dtype=float).reshape(-1, size)
+
+
+class _OpenCvFile(Model):
+    """Image points and the points they are images of, of one camera; other fields of the file are not read."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    image_width: Annotated[int, Field(ge=1)] | None = None
+    image_height: Annotated[int, Field(ge=1)] | None = None
+    image_points: _Matrix
+    object_points: _Matrix
+
+    @model_validator(mode="after")
+    def _fit(self) -> Self:
+        for name, matrix, size in (("image_points", self.image_points, 2), ("object_points", self.object_points, 3)):
+            if not matrix.data or len(matrix.data) % size:
+                raise FieldError((name, "data"), f"has {len(matrix.data)} numbers, a multiple of {size} is needed")
+        spots, points = len(self.image_points.data) // 2, len(self.object_points.data) // 3
+        if spots != points:
+            raise FieldError(("object_points", "data"), f"holds {points} points, image_points holds {spots}")
+        return self
+
+
+def read_opencv(path: Path) -> Sighting:
+    """A YAML file of ``cv::FileStorage`` with ``image_points``, ``object_points``, ``image_width``, ``image_height``.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ConfigError: It is no such file; file and line are named.
+        DataError: It cannot be read.
+    """
+    text = re.sub(r"\A%YAML[: ]", "#YAML ", _text(path)).replace("!!opencv-matrix", "")
+    found = parse_model(text, _OpenCvFile, str(path))
+    size = (found.image_width, found.image_height) if found.image_width and found.image_height else None
+    return Sighting(found.image_points.vectors(2), found.object_points.vectors(3), size)
+
+
+def dataset_from(
+    sightings: Mapping[str, Sighting],
+    image_size: tuple[int, int] | None,
+    metres: float,
+    sigma_px: float | None,
+    sigma_m: float | None,
+) -> dict[str, Any]:
+    """A data set of what cameras saw; spots of the same position, to the last digit, are of one pose.
+
+    Args:
+        sightings: By name of the camera.
+        image_size: Width and height of images whose file does not say it [px].
+        metres: Length of the unit of the positions [m].
+        sigma_px: Standard deviation of each image coordinate [px]; None: not known.
+        sigma_m: Standard deviation of each coordinate of the positions [m]; None: not known, 0: exact.
+
+    Raises:
+        DataError: The size of an image is not known.
+    """
+    unsized = [name for name, sighting in sightings.items() if not (sighting.image_size or image_size)]
+    if unsized:
+        raise DataError(f"The image size of {', '.join(unsized)} is not known; give --image-size WIDTHxHEIGHT.")
+    keys = {name: _keys(sighting.positions) for name, sighting in sightings.items()}
+    poses = list(dict.fromkeys(key for each in keys.values() for key in each))
+    n, c = len(poses), len(sightings)
+    seen = []
+    for name, sighting in sightings.items():
+        spots = dict(zip(keys[name], sighting.spots.tolist(), strict=True))
+        seen.append([spots.get(pose) for pose in poses])
+    return {
+        "schema": SCHEMA,
+        "camera_names": list(sightings),
+        "image_size": [list(sighting.image_size or image_size or ()) for sighting in sightings.values()],
+        "sigma_u_px": None if sigma_px is None else [[sigma_px] * n] * c,
+        "cov_x_m2": None if sigma_m is None else [(sigma_m**2 * np.eye(3)).tolist()] * n,
+        "trials": [{"x_base_m": [[metres * value for value in pose[:3]] for pose in poses], "u_px": seen}],
+    }
+
+
+def _keys(positions: Array) -> Sequence[tuple[float, ...]]:
+    """Each position with how often it was there before."""
+    before: Counter[tuple[float, ...]] = Counter()
+    keys = []
+    for position in map(tuple, positions.tolist()):
+        keys.append((*position, float(before[position])))
+        before[position] += 1
+    return keys
+
+
+def _text(path: Path) -> str:
+    try:
+        if not path.is_file() or path.stat().st_size > _LARGEST_FILE:
+            raise DataError(f"{path}: a regular file of at most {_LARGEST_FILE} bytes is needed.", file=str(path))
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}.", file=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: is no text in UTF-8.", file=str(path)) from error
+
+
+def _wrong(path: Path, line: int, sentence: str) -> DataError:
+    return DataError(f"{path}:{line}: {sentence}.", file=str(path), line=line)
