@@ -76,7 +76,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
         cause = find_cause(problem if found is None else stated)
     hopeless = gated.scale > _HOPELESS and len(stated.positions) >= REDUNDANT_SPOTS
     if found is None and not cause and not hopeless:
-        gated = best_explanation(gated, sorted_problem, layout)
+        gated = best_explanation(sorted_problem, layout, gated)
     if not np.isfinite(gated.fit.chi2):
         raise InconsistentDataError("No set of cameras explains the spots.")
     factors = _factors(gated, sorted_problem, layout, cause) if found is None else found.factors

@@ -10,7 +10,7 @@ from bench.calibration.synthetic import Design, make_scene
 from im_calibration import calibrate
 from im_calibration.design import unknowns_of
 from im_calibration.estimation.gates import fit_with_gates
-from im_calibration.estimation.search import best_explanation, first_explanation, unexplained
+from im_calibration.estimation.search import best_explanation, unexplained
 from im_calibration.estimation.start import affine_start
 from im_calibration.estimation.unknowns import ParameterLayout
 
@@ -67,7 +67,7 @@ def test_a_set_that_the_first_start_misses_is_found(seed):
 def test_no_start_explains_more_than_the_one_that_wins():
     problem = make_scene(CROWDED, 1043).problem
     layout = ParameterLayout.of(problem)
-    best = best_explanation(first_explanation(problem, layout), problem, layout)
+    best = best_explanation(problem, layout)
     again = fit_with_gates(best.fit.unknowns, problem, layout)
     assert unexplained(best, problem) <= unexplained(again, problem) + 1e-6
 

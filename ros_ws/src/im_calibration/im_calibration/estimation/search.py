@@ -42,15 +42,19 @@ def first_explanation(problem: CalibrationProblem, layout: ParameterLayout) -> G
     return fit_with_gates(robust_start(problem, layout), problem, layout)
 
 
-def best_explanation(first: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> Gated:
+def best_explanation(problem: CalibrationProblem, layout: ParameterLayout, first: Gated | None = None) -> Gated:
     """The fit with gates of the best start.
 
     Args:
-        first: That of the start that all poses give.
         problem: The observations, in canonical order if the result shall not depend on the order.
         layout: Places of the unknowns.
+        first: That of the start that all poses give, by :func:`first_explanation`; None: not known yet.
+
+    Raises:
+        DegenerateDataError: A camera has too few spots, or the positions lie on a line.
+        InconsistentDataError: No camera explains the spots.
     """
-    best = first
+    best = first or first_explanation(problem, layout)
     all_believed = np.array_equal(best.used, problem.detected) and plausible(best, problem, layout)
     if all_believed or best.used.sum(axis=1).min() >= REDUNDANT_SPOTS:
         return best

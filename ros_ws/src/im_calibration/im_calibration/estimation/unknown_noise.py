@@ -57,7 +57,7 @@ def find_noise(problem: CalibrationProblem, layout: ParameterLayout, free: tuple
     unknowns = robust_start(problem.with_noise(*scale), layout)
     gated, scale = _settle(unknowns, problem, layout, free, scale)
     if gated.used.sum(axis=1).min() < REDUNDANT_SPOTS:
-        searched = best_explanation(gated, problem.with_noise(*scale), layout)
+        searched = best_explanation(problem.with_noise(*scale), layout, gated)
         gated, scale = _settle(searched.fit.unknowns, problem, layout, free, scale)
     factors = noise_factors(gated.fit.unknowns, problem, layout, gated.used, free)
     return NoiseFound(gated, factors, (float(scale[0]), float(scale[1])))
