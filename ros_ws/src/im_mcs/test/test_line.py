@@ -6,6 +6,7 @@ from im_core.errors import ImError, LimitError, StateError
 from im_mcs.limits.limits import JointLimits
 from im_mcs.planning.context import PlanContext
 from im_mcs.planning.line.line import LinePreparation
+from im_mcs.planning.planner import GroupPlanner
 from im_mcs.protocol.requests import LineMove
 
 PERIOD = 0.0045
@@ -149,6 +150,23 @@ def test_limits_hold_between_the_ticks_too(lines, blend):
     x = trajectory.lengths[:, None, None] * np.linspace(0.0, 1.0, 17)[:, None]
     c3, c4, c5 = (trajectory.coefficients[:, None, k] for k in (3, 4, 5))
     assert (np.abs(6.0 * c3 + x * (24.0 * c4 + x * 60.0 * c5)) <= limits.jerk * 1.0005).all()
+
+
+@pytest.mark.parametrize("period_s", [0.0045, 0.002, 0.001])
+def test_setpoints_keep_the_limits_at_every_servo_period(lines, config, period_s):
+    """What the loop follows, tick by tick: the trajectory at its knots, and quintics between."""
+    servo, limits = config.at_period(period_s).servo, lines.limits.motion.of(SIX)
+    trajectory = lines.prepare(SIX, [lines.target([0.0, 0.2, 0.1]), lines.target([0.1, 0.3, 0.0])], blend=0.05)
+    planner = GroupPlanner(lines.start[SIX], period_s, servo.planning_divisor, limits)
+    planner.follow(trajectory, 1.0)
+    setpoints = [planner.setpoint]
+    while not planner.finished:
+        setpoints.append(planner.advance())
+    v, a = np.array([s.v for s in setpoints]), np.array([s.a for s in setpoints])
+    assert (np.abs(v) <= 1.001 * limits.velocity).all()
+    assert (np.abs(a) <= 1.001 * limits.acceleration).all()
+    assert (np.abs(np.diff(a, axis=0)) <= 1.001 * limits.jerk * period_s).all()
+    np.testing.assert_allclose(setpoints[-1].q, trajectory.end_setpoint.q, atol=1e-12)
 
 
 def test_a_pose_where_the_wrist_is_takes_no_time(lines):

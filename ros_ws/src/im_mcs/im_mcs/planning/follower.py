@@ -25,6 +25,8 @@ class PathFollower:
 
     Attributes:
         trajectory: What is followed.
+        between: Setpoints of the ticks between the last knot and the one before it, shape (ticks - 1, n) each, while
+            the rate stays: a quintic through both knots would pass the limit of jerk where the trajectory's jumps.
 
     Args:
         trajectory: Begins at the present setpoint, as seen at ``rate``.
@@ -46,6 +48,7 @@ class PathFollower:
         self._now: Setpoint | None = None
         self._brake: tuple[PiecewisePolynomial, float] | None = None
         self.sigma, self.rate, self.rate_change = 0.0, rate, 0.0
+        self.between: Setpoint | None = None
         self._rate_before = rate
         self._judged, self._straight = -math.inf, True
 
@@ -78,16 +81,21 @@ class PathFollower:
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
         """The setpoint some servo ticks on, and how many they are; ``rate`` is the one wanted from now on."""
+        self.between = None
         if self._brake is not None:
             return self._braked(*self._brake)
         if rate != self._clock.rate:
             self._change(rate)
             if self._brake is not None:
                 return self._braked(*self._brake)
-        ticks = self._divisor
-        if self.rate > _LEAST and self._t >= self._clock.ramp_s:
+        ticks, steady = self._divisor, self._t >= self._clock.ramp_s
+        if self.rate > _LEAST and steady:
             left = (self.trajectory.duration - self.sigma) / (self.rate * self._tick_s)
             ticks = min(max(math.ceil(left - _LEAST), 1), ticks)
+        if steady and ticks > 1 and self._clock.rate > 0.0:
+            later = np.arange(1, ticks, dtype=np.float64) * (self._tick_s * self._clock.rate)
+            s = self.trajectory.span(np.asarray(self.sigma + later, dtype=np.float64))
+            self.between = scaled(s, self._clock.rate, 0.0)
         self._t += ticks * self._tick_s
         self.sigma, self.rate, self.rate_change = self._clock.at(self._t)
         if self.sigma >= self.trajectory.duration - _LEAST * self._tick_s:
@@ -144,6 +152,7 @@ class Standing:
     progress, point, sigma = 1.0, 0, 0.0
     rate = 1.0
     ahead = None
+    between = None
 
     def __init__(self, q: NDArray[np.float64]) -> None:
         self.end_setpoint = Setpoint.at_rest(q)

@@ -51,6 +51,11 @@ class Follower(Protocol):
         ...
 
     @property
+    def between(self) -> Setpoint | None:
+        """Setpoints of the ticks between the last knot and the one before it, shape (ticks - 1, n) each, if known."""
+        ...
+
+    @property
     def rate(self) -> float:
         """Rate in force."""
         ...
@@ -64,8 +69,9 @@ class GroupPlanner:
     """Follows one motion after the other; between them it holds.
 
     A motion is evaluated every ``divisor`` ticks (the paper: "typically calculated at a frequency that is a multiple of
-    the servo frequency"), at *knots*; in between, setpoints are the quintic through both neighbours, so that position,
-    velocity and acceleration are continuous. A motion is followed from a knot on.
+    the servo frequency"), at *knots*, and there for the ticks up to the next one, at once. While its rate changes,
+    setpoints in between are the quintic through both knots, so that position, velocity and acceleration are
+    continuous. A motion is followed from a knot on.
 
     Attributes:
         setpoint: Of this tick.
@@ -157,7 +163,10 @@ class GroupPlanner:
         self._ready = [knot]
         if ticks > 1:
             ends = np.array((before.q, before.v, before.a, knot.q, knot.v, knot.a))
-            if np.count_nonzero(ends[1:3]) or np.count_nonzero(ends[4:]):
+            exact = self.follower.between
+            if exact is not None:
+                self._ready += [Setpoint(*row) for row in zip(exact.q, exact.v, exact.a, strict=True)][::-1]
+            elif np.count_nonzero(ends[1:3]) or np.count_nonzero(ends[4:]):
                 between = self._bases[ticks].dot(ends)
                 self._ready += [Setpoint(*between[k : k + 3]) for k in range(3 * ticks - 6, -1, -3)]
             elif not self.follower.still:

@@ -56,7 +56,7 @@ class StreamFollower:
 
     finished = False
     progress, point, sigma = 0.0, 0, 0.0
-    ahead = None
+    ahead = between = None
 
     def __init__(
         self,
