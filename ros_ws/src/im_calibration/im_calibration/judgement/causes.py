@@ -59,7 +59,7 @@ def find_cause(problem: CalibrationProblem) -> str:
         return sentence
     if len(problem.positions) < _MANY:  # few poses with outliers can be bent to say so
         return ""
-    return _moved(problem, unknowns) or _led_beyond(problem, unknowns)
+    return _moved(problem, unknowns) or (_led_beyond(problem, unknowns) if whole < _GROSS else "")
 
 
 def _shifted(problem: CalibrationProblem, shift: int) -> CalibrationProblem:
