@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import JointTolerance
+from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -363,6 +363,40 @@ def test_what_is_too_long_is_refused_by_its_length(ready_once, monkeypatch):
         error = client.follow(request)[1]().result.error_string
         assert len(error) < 100
         assert "1000000 bytes" in error or "1000 entries" in error
+
+
+def test_controller_state_tells_what_was_asked_measured_and_given_out(ready):
+    told = ready.listen(JointTrajectoryControllerState, "/left/controller_state")
+    answer = ready.follow(goal(ready, (1.0, ready.home + STEP)))[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+    ready.until(lambda: told and np.allclose(told[-1].reference.positions, ready.home + STEP))
+    stamps = [message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec for message in told]
+    assert len(set(stamps)) >= 40
+    assert np.diff(stamps).max() < 0.03
+    for message in told:
+        assert list(message.joint_names) == ready.joints
+        for name in ("positions", "velocities"):
+            wanted, measured = (np.array(getattr(point, name)) for point in (message.reference, message.feedback))
+            np.testing.assert_array_equal(getattr(message.error, name), wanted - measured)
+        assert len(message.reference.accelerations) == len(message.output.effort) == 9
+        assert message.speed_scaling_factor == 1.0
+    assert max(abs(message.reference.velocities[3]) for message in told) > 0.05
+    assert max(np.abs(message.error.positions).max() for message in told) < 0.01
+    assert any(message.output.effort[4] != 0.0 for message in told)  # the shoulder carries the arm
+
+
+def test_the_rate_of_controller_state_is_a_parameter(ready):
+    told = ready.listen(JointTrajectoryControllerState, "/left/controller_state")
+    (answer,) = ready.mcs.set_parameters([Parameter("controller_state_rate", value=5.0)])
+    assert answer.successful
+    try:
+        del told[:]
+        assert ready.follow(goal(ready, (2.0, ready.home + STEP)))[1]().status == SUCCEEDED
+        stamps = {message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec for message in told}
+        assert 8 <= len(stamps) <= 1 + 5.0 * (max(stamps) - min(stamps) + 0.2)
+    finally:
+        ready.mcs.set_parameters([Parameter("controller_state_rate", value=50.0)])
+    assert not ready.mcs.set_parameters([Parameter("controller_state_rate", value=0.0)])[0].successful
 
 
 @pytest.fixture

@@ -28,6 +28,20 @@ float64 position
 float64 velocity
 float64 acceleration
 """,
+    "control_msgs/msg/JointTrajectoryControllerState": """
+std_msgs/Header header
+string[] joint_names
+trajectory_msgs/JointTrajectoryPoint reference
+trajectory_msgs/JointTrajectoryPoint feedback
+trajectory_msgs/JointTrajectoryPoint error
+trajectory_msgs/JointTrajectoryPoint output
+string[] multi_dof_joint_names
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_reference
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_feedback
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_output
+float64 speed_scaling_factor
+""",
     "control_msgs/action/FollowJointTrajectory_Goal": """
 trajectory_msgs/JointTrajectory trajectory
 trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
@@ -106,10 +120,10 @@ def _with_services(action: str) -> dict[str, str]:
     return parts
 
 
-def _built_hashes(action):
+def _built_hashes(name, kind="action"):
     """Type hashes in the built package, by type name."""
     folder = Path(get_package_share_directory("control_msgs"))
-    described = json.loads((folder / "action" / f"{action}.json").read_text(encoding="utf-8"))
+    described = json.loads((folder / kind / f"{name}.json").read_text(encoding="utf-8"))
     return {entry["type_name"]: entry["hash_string"] for entry in described["type_hashes"]}
 
 
@@ -120,6 +134,11 @@ def test_type_hashes_are_those_of_jazzy(store, action):
     assert len(ours) >= 13
     for name in ours:
         assert built[name] == store.hash_rihs01(name), name
+
+
+def test_the_type_hash_of_the_controller_state_is_that_of_jazzy(store):
+    name = "control_msgs/msg/JointTrajectoryControllerState"
+    assert _built_hashes("JointTrajectoryControllerState", "msg")[name] == store.hash_rihs01(name)
 
 
 def test_the_hash_of_the_action_is_on_the_wire(store):

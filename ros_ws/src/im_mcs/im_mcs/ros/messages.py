@@ -142,6 +142,11 @@ def laws(snapshot: NDArray[np.void]) -> dict[str, str]:
     return {text(row["name"]): text(row["controller"]) for row in snapshot["groups"]}
 
 
+def speeds(snapshot: NDArray[np.void]) -> dict[str, float]:
+    """Rate in force of each group: 1 as planned, 0 halted."""
+    return {text(row["name"]): float(row["speed"]) for row in snapshot["groups"]}
+
+
 def text(value: bytes) -> str:
     """A text of the snapshot; one that was cut in the middle of a letter loses that."""
     return bytes(value).decode(errors="ignore")

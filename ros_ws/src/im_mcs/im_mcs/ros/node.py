@@ -14,6 +14,7 @@ from im_mcs.model import CellModel
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.command_topics import CommandTopics
+from im_mcs.ros.controller_state import ControllerStates
 from im_mcs.ros.gripper_server import GripperServer
 from im_mcs.ros.layers import Layers
 from im_mcs.ros.motions import Motions
@@ -48,6 +49,7 @@ class McsNode(ManagedNode):
         cell = self._mcs.cell
         self._topics = Publishers(self, CellModel(cell), JointLimits(cell, config.limits, config.slots))
         self._layers = Layers(self._mcs)
+        self._controllers = ControllerStates(self._mcs)
         motions = Motions(self._mcs)
         self._grippers = GripperServer(self._mcs)
         self._servers = (
@@ -88,6 +90,7 @@ class McsNode(ManagedNode):
             self._last, self._fresh = samples[-1], True
             self._topics.joints(samples)
             self._layers.publish(samples, lambda: messages.laws(self._mcs.client().snapshot()))
+            self._controllers.publish(samples, lambda: messages.speeds(self._mcs.client().snapshot()))
 
     def _publish_state(self) -> None:
         snapshot = self._mcs.client().snapshot() if self._mcs.keeper.running else None
