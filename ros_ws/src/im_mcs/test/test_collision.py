@@ -35,6 +35,8 @@ def test_paths_are_checked_on_the_way(kinematics, cell):
     assert {"first", "second", "distance_m", "clearance_m"} <= caught.value.facts.keys()
     with pytest.raises(DataError, match="a path of 0 points"):
         kinematics.check_path("left", [], q)
+    with pytest.raises(DataError, match="blend -1 is not >= 0"):
+        kinematics.check_path("left", [start, start], q, -1.0)
 
 
 class Detour:
@@ -66,8 +68,9 @@ def test_a_motion_is_checked_along_its_own_way(model, config, cell):
         checker.check_motion(q, index, Detour(cell.home[:9], through), velocity)
 
 
+@pytest.mark.parametrize("blend", [0.0, 0.05])
 @pytest.mark.parametrize("synchrony", list(Synchrony))
-def test_a_path_is_checked_as_a_move_is_planned(config, model, cell, monkeypatch, synchrony):
+def test_a_path_is_checked_as_a_move_is_planned(config, model, cell, monkeypatch, synchrony, blend):
     """The same planner, the same limits, from rest where the path begins."""
     planning = config.planning.model_copy(update={"synchrony": synchrony})
     kinematics = Kinematics(config.model_copy(update={"planning": planning}), model)
@@ -75,14 +78,14 @@ def test_a_path_is_checked_as_a_move_is_planned(config, model, cell, monkeypatch
     points = [start + 0.1, start + np.linspace(0.0, 0.2, 9)]
     checked = []
     monkeypatch.setattr(CollisionChecker, "check_motion", lambda *arguments: checked.append(arguments) or 1.0)
-    assert kinematics.check_path("left", [start.tolist(), *(p.tolist() for p in points)], cell.home) == 1.0
+    assert kinematics.check_path("left", [start.tolist(), *(p.tolist() for p in points)], cell.home, blend) == 1.0
     ((_, _, index, motion, velocity),) = checked
     limits = JointLimits(cell, config.limits, config.slots).motion.of(index)
     context = PlanContext(
         model, JointLimits(cell, config.limits, config.slots), index, None, lambda: cell.home, 0.0045,
         config.model_copy(update={"planning": planning}),
     )  # fmt: skip
-    move = JointMove(points=[point.tolist() for point in points])
+    move = JointMove(points=[point.tolist() for point in points], blend=blend)
     preparation = JointPreparation(context, move, lambda: Setpoint.at_rest(start))
     while (planned := preparation.step()) is None:
         pass

@@ -102,25 +102,30 @@ class Kinematics:
             solver = InverseKinematics(self._model, self._limits, index, wrist)
             return solver.solve(target, q_all, start, self._collision if avoid_collisions else None)
 
-    def check_path(self, group: str, points: list[list[float]], q_all: NDArray[np.float64]) -> float:
+    def check_path(
+        self, group: str, points: list[list[float]], q_all: NDArray[np.float64], blend: float = 0.0
+    ) -> float:
         """Smallest distance on the way that a move through ``points`` takes [m]: the move's own planner says which.
 
         Args:
             group: Name of the group.
             points: Of the path, as positions of the group's joints; the first, at rest, is where the move begins.
             q_all: Positions of all joints, shape (18,) [rad or m].
+            blend: Of the move: how far from a point its corner may begin [rad or m]; 0: rest in each point.
 
         Raises:
             NotFoundError: No such group.
-            DataError: A value is not finite, or sizes are wrong.
+            DataError: A value is not finite, sizes are wrong, or ``blend`` is not >= 0.
             LimitError: A point is out of range.
             ImError: Two bodies come too close (code ``collision``).
         """
         self._group(group)
+        if not blend >= 0.0:
+            raise DataError(f"blend {blend:g} is not >= 0", value=blend)
         index = self.index(group)
         path = check_measured_path(self._limits, index, points, self._config.planning.max_points)
         limits = self._limits.motion.of(index)
-        motion = JointPath(path[0], path[1:], limits, self._config.planning.synchrony)
+        motion = JointPath(path[0], path[1:], limits, self._config.planning.synchrony, blend)
         with self._lock:
             return self._collision.check_motion(q_all, index, motion, limits.velocity)
 

@@ -231,7 +231,8 @@ class KinematicsServices:
             list(request.path.joint_names),
             [list(point.positions) for point in request.path.points],
         )
-        response.clearance = await self._ask(mcs.kinematics.check_path, request.group, points, self._q_all())
+        check = mcs.kinematics.check_path
+        response.clearance = await self._ask(check, request.group, points, self._q_all(), request.blend)
         return ""
 
     def _q_all(self) -> NDArray[np.float64]:
