@@ -145,6 +145,22 @@ def test_a_request_is_not_kept_waiting_by_a_testbed_that_does_not_tick(turns):
     assert "the testbed does not answer: the testbed has not ticked for 0.1" in reply["error"]["message"]
 
 
+def test_a_testbed_that_nobody_has_asked_for_time_yet_is_not_blamed_for_a_request_that_waits(turns):
+    """Its sender has written it, and was then kept from the processor."""
+    turns.owner.requests.send({"id": 7, "request": "reserve", "arguments": {"group": "left"}})
+    looks, whole = [], turns.driver.wait
+
+    def wait(timeout_s):
+        clock.sleep(0.01)
+        return len(looks) > 40 and whole(timeout_s)
+
+    turns.driver.time_asked = lambda: looks.append(0) or False
+    turns.driver.wait = wait
+    turn(turns)
+    reply = next(event for event in turns.seen if event.get("id") == 7)
+    assert reply["success"], reply
+
+
 def test_a_silent_owner_is_stopped_for_and_power_goes(turns):
     to_motion(turns)
     deadline = clock.monotonic() + 60.0

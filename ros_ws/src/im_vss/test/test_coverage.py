@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from bench.calibration.synthetic import Design
 from bench.vss import coverage
 from bench.vss.coverage import MEASUREMENTS, calibrated, lines
+from im_cell.camera_model import PARAMETERS
 
 SEEDS = 4
 BY_CHANCE = 1e-4
@@ -37,7 +38,7 @@ def test_the_truth_is_as_far_off_as_stated(cameras, name):
 
 
 def test_without_the_cameras_it_is_far_too_far_off(cameras, monkeypatch):
-    monkeypatch.setattr(coverage.Measured, "known", lambda self, *names: np.zeros((15, 15)))
+    monkeypatch.setattr(coverage.Measured, "known", lambda self, *names: np.zeros((len(PARAMETERS), len(PARAMETERS))))
     total, freedom = squared_distances("fiducial", cameras)
     assert total > 2.0 * chi2.ppf(1.0 - BY_CHANCE, freedom)
 

@@ -42,6 +42,14 @@ class GuardedTestbed:
         """
         return _guard("wait", lambda: self._testbed.wait(timeout_s))
 
+    def time_asked(self) -> bool:
+        """Whether a tick must come: time passes by itself, or somebody has asked for it.
+
+        Raises:
+            LinkError: It does not say.
+        """
+        return _guard("time_asked", self._testbed.time_asked)
+
     def read(self) -> Measured:
         """The newest measured state.
 

@@ -111,7 +111,8 @@ class ServoProcess:
         """Wait for a tick; whether it came. At clock factor 0 none comes while nobody wants time.
 
         The testbed is silent only while this process listens: time in which a busy computer let it wait itself,
-        and the testbed as likely, is counted as the one wait that it was.
+        and the testbed as likely, is counted as the one wait that it was. Nor is it silent while whoever has sent a
+        request has not come to asking for time yet.
 
         Raises:
             LinkError: The testbed is gone, or a tick that must come does not.
@@ -119,7 +120,8 @@ class ServoProcess:
         silence_s, before = 0.0, clock.monotonic()
         while not self._testbed.wait(_WAIT_S):
             self._channel.heartbeat.beat()
-            due = self._mcs.wants_time or self._pacer.period_s > 0.0 or not self._channel.requests.empty()
+            asked = not self._channel.requests.empty() and self._testbed.time_asked()
+            due = self._mcs.wants_time or self._pacer.period_s > 0.0 or asked
             now = clock.monotonic()
             silence_s = silence_s + min(now - before, 2.0 * _WAIT_S) if due else 0.0
             before = now

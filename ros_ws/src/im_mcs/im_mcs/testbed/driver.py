@@ -107,6 +107,15 @@ class ChannelDriver(Protocol):
         ...
 
 
+@runtime_checkable
+class TimeKeeper(Protocol):
+    """A driver whose time passes only while it is asked for, and that can tell whether it is."""
+
+    def time_asked(self) -> bool:
+        """Whether somebody has asked for time beyond the present tick."""
+        ...
+
+
 class ReportedFault(NamedTuple):
     """Something that hardware itself reports to be broken.
 

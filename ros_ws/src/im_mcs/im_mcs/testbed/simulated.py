@@ -55,6 +55,10 @@ class SimulatedDriver:
         """
         return self._link.wait_state(timeout_s)
 
+    def time_asked(self) -> bool:
+        """Whether somebody has asked for time beyond the present tick."""
+        return self._link.time_asked()
+
     def read(self) -> Measured:
         """Encoder readings, power, brakes and grippers of the newest tick."""
         return Measured(*self._link.read_state())

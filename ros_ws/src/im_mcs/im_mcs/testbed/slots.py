@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
 from im_mcs.limits.slots import Kind, Slot, Testbed
-from im_mcs.testbed.driver import ChannelDriver, Drive, Measured, SelfReporting, load_driver
+from im_mcs.testbed.driver import ChannelDriver, Drive, Measured, SelfReporting, TimeKeeper, load_driver
 
 _COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}
 
@@ -79,6 +79,10 @@ class TestbedInterface:
             LinkError: The hardware is gone.
         """
         return self._clock.wait(timeout_s)
+
+    def time_asked(self) -> bool:
+        """Whether a tick must come: time passes by itself, or somebody has asked for it."""
+        return not isinstance(self._clock, TimeKeeper) or self._clock.time_asked()
 
     def read(self) -> Measured:
         """The newest measured state, in the order of the slots.
