@@ -33,6 +33,8 @@ Mask = NDArray[np.bool_]
 
 _RULED = 1.0 - 1e-4
 _NO_NOISE_SHARE = 0.005
+# From an origin that far rotations and translations of a camera look alike: a nearer one, a multiple away, serves.
+_FAR_M = 10.0
 _HOPELESS = 9.0  # times the stated variance, for the typical of many poses: no other start makes that right
 
 
@@ -40,7 +42,8 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
     """Calibrate all cameras of a problem together.
 
     DLT and RANSAC start, robust fit, chi-square gates and maximum likelihood until stable, covariance, verdicts. The
-    result does not depend on the order of the poses, and the same problem gives the same bits.
+    result does not depend on the order of the poses, nor on how far the origin of the world is, and the same problem
+    gives the same bits.
 
     Args:
         problem: The observations.
@@ -53,8 +56,11 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
         InconsistentDataError: There is no estimate at all: spots that fit no camera, or noise stated so small that
             double precision cannot tell it from zero.
     """
+    far = _FAR_M * np.round(problem.positions.mean(axis=0) / _FAR_M)
     try:
-        return _calibrate(problem)
+        if not far.any():
+            return _calibrate(problem)
+        return _calibrate(problem.moved(-far)).moved(far)
     except np.linalg.LinAlgError as error:
         raise InconsistentDataError(
             "The stated noise is too small beside the other numbers to compute with."

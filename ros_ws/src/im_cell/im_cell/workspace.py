@@ -31,6 +31,11 @@ class Workspace:
         if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
             raise DataError(f"The workspace from {self.low} to {self.high} m has a side that is not longer than zero.")
 
+    def moved(self, by: Array) -> "Workspace":
+        """The box moved by ``by``, shape (3,) [m]."""
+        low, high = (tuple(float(a + b) for a, b in zip(corner, by, strict=True)) for corner in (self.low, self.high))
+        return Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+
     def grid(self, counts: tuple[int, int, int] = (10, 5, 5)) -> Array:
         """Centres of equal cells, so that a mean over them is a mean over the volume.
 

@@ -1,6 +1,6 @@
 """What a calibration ends with: the cameras, how well they are known, and whether to trust them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -130,6 +130,29 @@ class Calibration:
     noise: Noise
     neighbours: Neighbours
     cause: str
+
+    def moved(self, by: Array) -> "Calibration":
+        """The same in a world whose origin is elsewhere: all places have ``by`` added, shape (3,) [m].
+
+        A rotation of a camera then turns the world about another point, so that errors of rotations become errors of
+        translations: with x = exp(w) R X + t, ``t - R by`` moves by ``(R by) x w`` more than t.
+        """
+        cameras, blocks = [], []
+        for camera in self.cameras:
+            rotated = camera.model.R_cam_base @ by
+            block = np.eye(len(camera.covariance))
+            block[-3:, -6:-3] = np.cross(rotated, np.eye(3)).T
+            model = replace(camera.model, t_cam_base=camera.model.t_cam_base - rotated)
+            cameras.append(replace(camera, model=model, covariance=block @ camera.covariance @ block.T))
+            blocks.append(block)
+        whole = scipy.linalg.block_diag(*blocks, np.eye(len(self.covariance) - sum(map(len, blocks))))
+        return replace(
+            self,
+            cameras=tuple(cameras),
+            covariance=whole @ self.covariance @ whole.T,
+            led_positions=self.led_positions + by,
+            expected=replace(self.expected, points=self.expected.points + by),
+        )
 
     @property
     def success(self) -> bool:

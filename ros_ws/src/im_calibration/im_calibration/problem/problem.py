@@ -205,6 +205,10 @@ class CalibrationProblem:
             position_covariances=robot**2 * self.position_covariances,
         )
 
+    def moved(self, by: Array) -> "CalibrationProblem":
+        """The problem in a world whose origin is elsewhere: all places have ``by`` added, shape (3,) [m]."""
+        return replace(self, positions=self.positions + by, workspace=self.workspace.moved(by))
+
     def taking(self, poses: NDArray[np.intp]) -> "CalibrationProblem":
         """The problem of some poses, in the order given.
 
