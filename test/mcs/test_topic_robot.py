@@ -65,7 +65,7 @@ def robot():
 
 @pytest.fixture
 def config(tmp_path):
-    """``mcs.yaml`` with another driver, a law that does not expect friction, and patience with a busy computer."""
+    """``mcs.yaml`` with another driver, a law that expects delay and no friction, and patience with a busy computer."""
     data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
     data["slots"] = [slot for slot in data["slots"] if slot.get("kind", "joint") == "joint"]
     for slot in data["slots"]:
@@ -78,11 +78,12 @@ def config(tmp_path):
     }
     data["testbed"].update(clock="robot", drivers={"robot": {"driver": DRIVER, "settings": settings}})
     data["control"]["parameters"].update(
-        bandwidth_rad_s=15.0, integral_rad_s=2.0, feedforward={"gravity": 1.0, "inertia": 1.0}
+        bandwidth_rad_s=8.0, integral_rad_s=1.0, feedforward={"gravity": 1.0, "inertia": 1.0}
     )
+    data["limits"].update(following_error_rad=0.5, following_error_m=0.2)
     data["safety"].update(driver_age_s=2.0, driver_age_estop_s=4.0)
     data["servo"]["max_overruns"] = 200
-    data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=10.0)
+    data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=30.0)
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     return path
@@ -95,7 +96,7 @@ def test_a_trajectory_moves_a_robot_that_speaks_topics_and_its_death_is_an_estop
     goal.trajectory.joint_names = client.joints
     target = client.home + 0.05
     goal.trajectory.points = [
-        JointTrajectoryPoint(positions=target.tolist(), time_from_start=Duration(seconds=2.0).to_msg())
+        JointTrajectoryPoint(positions=target.tolist(), time_from_start=Duration(seconds=4.0).to_msg())
     ]
     result = client.follow(goal)[1]().result
     assert result.error_code == result.SUCCESSFUL, result.error_string
