@@ -5,6 +5,7 @@ import threading
 
 import pytest
 import rclpy
+import yaml
 from control_msgs.action import FollowJointTrajectory
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -17,6 +18,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_cell.robot import load_cell
 from im_core import clock
+from im_core.config import package_file
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import spin_in_thread
@@ -155,9 +157,18 @@ class Client:
 
 
 @pytest.fixture(scope="module")
-def machine():
-    """Testbed at clock factor 0, MCS, and a client."""
-    with _machine(TestbedNode, McsNode, parameters={"testbed:factor": 0.0, "testbed:seed": 3}) as client:
+def machine(tmp_path_factory):
+    """Testbed at clock factor 0, MCS, and a client.
+
+    A protective stop waits ten minutes to be resumed: without a clock, five seconds are over before a busy computer
+    lets the client ask.
+    """
+    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+    data["protective"]["patience_s"] = 600.0
+    config = tmp_path_factory.mktemp("mcs") / "mcs.yaml"
+    config.write_text(yaml.safe_dump(data), encoding="utf-8")
+    parameters = {"testbed:factor": 0.0, "testbed:seed": 3, "mcs:config": config}
+    with _machine(TestbedNode, McsNode, parameters=parameters) as client:
         yield client
 
 
