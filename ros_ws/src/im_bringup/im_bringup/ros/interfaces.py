@@ -11,6 +11,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.node import Node, NodeNameNonExistentError
 
 from im_core import clock
+from im_core.errors import ImError
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import Spinner
 
@@ -32,7 +33,7 @@ in which unit.
 _TYPES = ("", "bool", "integer", "double", "string")
 #: So many nodes are "all".
 _MANY = 6
-CALL_S = 10.0
+CALL_S = 30.0
 
 
 def tables(node: Node) -> str:
@@ -144,10 +145,15 @@ def main() -> int:
     ).parse_args()
     rclpy.init(args=[])
     node = Node("interfaces")
-    with Spinner([node]):
-        settle(node)
-        page = tables(node)
-    rclpy.try_shutdown()
+    try:
+        with Spinner([node]):
+            settle(node)
+            page = tables(node)
+    except ImError as error:
+        print(f"interfaces: {error.message}", file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()
     if "/bootstrap" not in page:
         print("interfaces: no machine runs in this ROS domain; start one with scripts/start.sh", file=sys.stderr)
         return 3
