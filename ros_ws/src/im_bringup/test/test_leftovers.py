@@ -58,6 +58,18 @@ def test_shared_memory_of_the_dead_is_removed_and_that_of_the_living_stays(insta
             (SHM / name).unlink(missing_ok=True)
 
 
+def test_a_port_of_the_dead_stays_while_the_living_write_to_it():
+    """Another machine on this host, one of whose nodes has died and comes back: its port is taken over as it is."""
+    port = f"fastrtps_port{20_000 + os.getpid() % 9999}"
+    (SHM / port).write_bytes(b"port")
+    (SHM / f"{port}_el").touch()  # nobody holds it
+    with (SHM / port).open() as file:
+        memory = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
+        assert not {port, f"{port}_el"} & set(leftovers.remove_shared_memory())
+        memory.close()
+    assert {port, f"{port}_el"} <= set(leftovers.remove_shared_memory())
+
+
 def test_who_takes_long_to_die_is_waited_for():
     """A killed process on a busy computer: its memory is gone, its lock is not given back yet."""
     segment = f"fastrtps_{os.getpid() + 2:016x}"

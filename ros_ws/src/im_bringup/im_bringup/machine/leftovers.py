@@ -73,11 +73,12 @@ def remove_shared_memory() -> list[str]:
 
 
 def _remove_dds_segments() -> tuple[list[str], bool]:
-    """Remove segments whose owner is dead.
+    """Remove segments that nobody uses any more.
 
-    Fast DDS holds a lock on the lock file of every segment in use; the kernel gives it back when the owner dies.
-    A segment without a lock file, or a mutex whose segment is gone, is in use only if a process has it in its memory.
-    One that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the memory
+    Fast DDS holds a lock on the lock file of every segment whose owner lives; the kernel gives it back when the owner
+    dies. Who else has it in memory goes on writing into it, into the port of a dead process too: the next owner takes
+    that port over. If its name were removed, he would make another one, and hear nothing of those who know the first.
+    A segment that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the memory
     first, then the locks. For what is another user's, whose memory is hidden, nobody waits.
 
     Returns:
@@ -93,9 +94,10 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
     for paths in files.values():
         locks = [path for path in paths if _LOCK.search(path.name)]
         in_memory = any(path.name in mapped for path in paths)
-        in_use = any(not _unlocked(path) for path in locks) if locks else in_memory
-        if in_use:
-            dying = dying or (not in_memory and any(_mine(path) for path in locks))
+        if in_memory:
+            continue
+        if any(not _unlocked(path) for path in locks):
+            dying = dying or any(_mine(path) for path in locks)
             continue
         for path in paths:
             path.unlink(missing_ok=True)
