@@ -88,9 +88,11 @@ class Client:
 
     def act(self, action_type, name, goal, feedback=None):
         """Send a goal; its handle, and a function that waits for the result."""
-        client = self._clients.get(name) or ActionClient(self.node, action_type, name)
-        self._clients[name] = client
-        assert client.wait_for_server(10.0)
+        if name not in self._clients:
+            self._clients[name] = ActionClient(self.node, action_type, name)
+            assert self._clients[name].wait_for_server(60.0)
+            clock.sleep(0.5)  # the server must have discovered the client, too, or its answer is lost; nothing tells
+        client = self._clients[name]
         handle = wait(client.send_goal_async(goal, feedback_callback=feedback))
         result = handle.get_result_async()
         return handle, lambda: wait(result)
