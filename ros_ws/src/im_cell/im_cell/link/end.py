@@ -54,6 +54,10 @@ class LinkEnd:
         """Wall time between ticks [s]; 0 at clock factor 0, as fast as it goes."""
         return self.period_s / self.factor if self.factor > 0.0 else 0.0
 
+    def time_asked(self) -> bool:
+        """Whether somebody has asked for time beyond the present tick."""
+        return int(self._shared.view["demand_until"].max()) > self.tick
+
     def physics_alive(self) -> bool:
         """Whether the physics process runs."""
         return self._shared.block.owner_alive()

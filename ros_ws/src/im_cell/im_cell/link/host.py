@@ -154,7 +154,7 @@ class HostEnd(LinkEnd):
             return True
         if int(view["servo_pid"]) and int(view["command_wants_time"]):
             return True
-        return int(view["demand_until"].max()) > int(view["tick"])
+        return self.time_asked()
 
     def await_demand(self, timeout_s: float) -> bool:
         """Wait until somebody wants a tick, at most ``timeout_s`` [s]; whether somebody does."""

@@ -44,10 +44,6 @@ class ServoEnd(LinkEnd):
             raise LinkError("the testbed's physics process is gone")
         return False
 
-    def time_asked(self) -> bool:
-        """Whether somebody has asked for time beyond the present tick."""
-        return int(self._shared.view["demand_until"].max()) > self.tick
-
     def read_state(self) -> TickState:
         """The measured state of the newest tick; never torn, from any process.
 

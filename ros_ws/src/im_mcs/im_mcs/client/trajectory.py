@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError, ImError, NotFoundError
 from im_mcs.client.points import JointsError, joint_order
+from im_mcs.protocol.points import TimedPoints
 
 UNSET = 0.0
 """A tolerance that is not given: the server's own holds."""
@@ -109,20 +110,8 @@ class Present:
 
 
 @dataclass(frozen=True)
-class Course:
-    """Points in time, in the order of the group.
-
-    Attributes:
-        times: From now on, shape (m,) [s].
-        q: Positions, shape (m, n) [rad or m].
-        v: Velocities, shape (m, n), if there are any.
-        a: Accelerations, shape (m, n), if there are any.
-    """
-
-    times: NDArray[np.float64]
-    q: NDArray[np.float64]
-    v: NDArray[np.float64] | None
-    a: NDArray[np.float64] | None
+class Course(TimedPoints):
+    """Points in time from now on, in the order of the group."""
 
     def since(self, first: int, delay_s: float) -> "Course":
         """The points from one on, later by ``delay_s`` [s]."""

@@ -30,7 +30,7 @@ from im_mcs.client.trajectory import (
     trajectory_path,
 )
 from im_mcs.client.wire import UUID_BYTES, CdrReader, check_points, read_head, read_tolerances, read_trajectory
-from im_mcs.protocol.points import TimedPoints, share_points
+from im_mcs.protocol.points import share_points
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.goal_bytes import GoalBytes, with_goals_as_bytes
@@ -195,7 +195,7 @@ class TrajectoryServer:
 
     def _share(self, course: Course) -> tuple[SharedBlock, dict[str, Any]]:
         name = f"{names.instance()}_mcs_points_{next(self._numbers)}"
-        return share_points(name, TimedPoints(course.times, course.q, course.v, course.a))
+        return share_points(name, course)
 
     def _feedback(self, group: str, handle: ServerGoalHandle, progress: MotionProgress) -> None:
         """Desired and actual motion; their times are the place on what was asked for, and the time since it began."""
