@@ -173,7 +173,7 @@ def test_a_command_survives_the_death_of_a_coordinator(machine, victim):
     machine.allow("thought")
     machine.until(lambda: machine.arm.goals, "the goal")
     machine.allow("moved")
-    machine.until(answer.done, "the answer", 30.0)
+    machine.until(answer.done, "the answer")
     assert answer.result().success, answer.result().message
     assert len(machine.arm.goals) == 1
 
@@ -196,7 +196,7 @@ def test_a_goal_is_asked_about_and_not_sent_again(machine):
     machine.restart("back")
     clock.sleep(3.0)
     machine.allow("moved")
-    machine.until(answer.done, "the answer", 30.0)
+    machine.until(answer.done, "the answer")
     assert answer.result().success, answer.result().message
     assert len(machine.arm.goals) == 1
 

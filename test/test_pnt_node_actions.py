@@ -217,7 +217,8 @@ def test_a_cancellation_that_the_server_refuses_at_first_is_asked_for_again(mach
     assert hardware.refusals == -1
 
 
-def test_an_action_that_is_not_there_is_named(machine):
+def test_an_action_that_is_not_there_is_named(machine, monkeypatch):
+    monkeypatch.setattr("im_pnt.ros.actions.DISCOVERY_TIMEOUT_S", 1.0)
     outcome = run(machine[0], "absent")
     assert "the action /nowhere/move is not there" in outcome.status.message
 

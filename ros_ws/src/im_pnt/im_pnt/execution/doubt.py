@@ -11,8 +11,8 @@ from im_pnt.execution.timers import Timers
 
 FIRST_PERIOD_S, LAST_PERIOD_S = 0.1, 10.0
 """An action that still runs is asked about again after as long as it is in doubt already, within these limits [s]."""
-ANSWER_LIMIT_S = 5.0
-"""Time that an answer may take [s]."""
+ANSWER_LIMIT_S = 30.0
+"""Time that an answer may take [s]; longer than it takes to discover who is asked."""
 
 
 class Asker(Protocol):

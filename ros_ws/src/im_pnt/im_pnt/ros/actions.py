@@ -21,7 +21,8 @@ from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import Action, GoalAction, ServiceAction, TopicAction
 
-DISCOVERY_TIMEOUT_S = 6.0
+DISCOVERY_TIMEOUT_S = 20.0
+"""Time in which a server that lives is discovered, also on a busy computer [s]."""
 SETTLING_S = 1.0
 """Time in which a client and its server have certainly discovered each other, both ways [s]."""
 LATE_ANSWER_S = 30.0
@@ -73,9 +74,7 @@ class Surroundings:
             return await wait(self.node, future, timeout_s, what)
         return await self.heartbeats.wait(future, task, timeout_s, what)
 
-    async def until_ready(
-        self, ready: Callable[[], bool], made: float, task: str | None, what: str, limit_s: float = DISCOVERY_TIMEOUT_S
-    ) -> None:
+    async def until_ready(self, ready: Callable[[], bool], made: float, task: str | None, what: str) -> None:
         """Waits for a server to be discovered, and to have discovered us: what is sent before may be lost.
 
         Args:
@@ -83,12 +82,11 @@ class Surroundings:
             made: When the client was made (monotonic) [s].
             task: Task of the server, if it is known.
             what: What is waited for.
-            limit_s: Longest wait [s].
 
         Raises:
             StateError: It is not there.
         """
-        deadline = monotonic() + limit_s
+        deadline = monotonic() + DISCOVERY_TIMEOUT_S
         since = self.heartbeats.incarnation(task) if task else None
         while not ready():
             missing = self.heartbeats.missing(task, since) if task else ""

@@ -28,7 +28,6 @@ ACCEPT_TIMEOUT_S = 30.0
 GOAL_TIMEOUT_S = 600.0
 CANCEL_TIMEOUT_S = 2.0
 CANCEL_AGAIN_S = 0.2
-ASK_DISCOVERY_S = 3.0
 ASK_S = 1.0
 
 _NAMESPACE = uuid.UUID("6f0d9f4e-5f0c-4c7e-9a83-0c4ff1f1d0c1")
@@ -103,7 +102,7 @@ class GoalActions:
             return Answer(Outcome.RUNNING, asked=f"{action.name}: its result is awaited")
         (client, made), task = self._client(action), around.task(action)
         try:
-            await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}", ASK_DISCOVERY_S)
+            await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
             if activity not in self._results:
                 self._results[activity] = self._follow(activity, self._handle(client, activity))
             result = self._results[activity]
