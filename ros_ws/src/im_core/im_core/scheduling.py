@@ -7,6 +7,7 @@ import os
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
 _FAVOURED_NICENESS = -15
+_TURNS_PRIORITY = 10
 _CORE = "IM_SERVO_CORE"
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
@@ -32,16 +33,17 @@ def prefer(priority: int, paced: bool) -> bool:
     """Go before other processes: memory locked, garbage collector quiet, and as much priority as is permitted.
 
     A paced process sleeps every tick and gets SCHED_FIFO. One that runs as fast as it goes would starve the rest of
-    the computer that way, as soon as two machines share it. It gets SCHED_FIFO on one core, the same for all such
-    processes (servo and physics take turns in any case), which leaves the others free; a single core is only favoured
-    by niceness. Where SCHED_FIFO is not permitted, a paced process goes to the core of :func:`reserve`.
+    the computer that way, as soon as two machines share it. It gets SCHED_RR on one core, the same for all such
+    processes (servo and physics take turns in any case, machines by time slices), which leaves the others free; a
+    single core is only favoured by niceness. Where neither is permitted, a paced process goes to the core of
+    :func:`reserve`.
 
     Args:
-        priority: SCHED_FIFO priority, 1 to 99.
+        priority: Of SCHED_FIFO or SCHED_RR, 1 to 99; of the latter all processes have the same.
         paced: Whether the process sleeps until a deadline in every tick.
 
     Returns:
-        Whether SCHED_FIFO is in force.
+        Whether SCHED_FIFO or SCHED_RR is in force.
     """
     gc.collect()
     gc.freeze()
@@ -52,8 +54,10 @@ def prefer(priority: int, paced: bool) -> bool:
         if not paced and len(cores) == 1:
             os.setpriority(os.PRIO_PROCESS, 0, _FAVOURED_NICENESS)
             return False
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        if not paced:
+        if paced:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        else:
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_TURNS_PRIORITY))
             os.sched_setaffinity(0, {max(cores)})
     except PermissionError:
         if paced and _CORE in os.environ:

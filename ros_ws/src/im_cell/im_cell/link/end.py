@@ -58,6 +58,11 @@ class LinkEnd:
         """Whether somebody has asked for time beyond the present tick."""
         return int(self._shared.view["demand_until"].max()) > self.tick
 
+    @property
+    def physics_pid(self) -> int:
+        """The physics process."""
+        return self._shared.block.owner_pid
+
     def physics_alive(self) -> bool:
         """Whether the physics process runs."""
         return self._shared.block.owner_alive()

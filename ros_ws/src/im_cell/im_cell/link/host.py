@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from im_cell.link.block import MAX_LIGHTS, LinkBlock
 from im_cell.link.end import LinkEnd
 from im_cell.link.values import ExposureRequest, Faults, JawObject, LaserBeam, Sensors, TickCommand, TrueState
-from im_core import clock
 from im_core.errors import DataError
 from im_core.shm import ProcessId
+from im_core.silence import Silence
 
 DEFAULT_LIGHTS = ("left_led", "right_led")
 _SLICE_S = 0.05
@@ -83,7 +83,8 @@ class HostEnd(LinkEnd):
         """Post the tick to the servo and wait for its command.
 
         Args:
-            timeout_s: After this wall time [s] the servo is declared gone and counted as lost.
+            timeout_s: After this time [s], in which it had a processor or wanted none, the servo is declared gone and
+                counted as lost.
 
         Returns:
             The command, without power while the emergency stop circuit is cut; None if there is no servo, or none any
@@ -95,12 +96,12 @@ class HostEnd(LinkEnd):
         tick, pid = int(view["tick"]), int(view["servo_pid"])
         shared.command.drain()
         shared.state.post()
-        deadline = 0.0
+        silence: Silence | None = None
         while not shared.command.wait(_SLICE_S) or int(view["command_tick"]) != tick:
-            deadline = deadline or clock.monotonic() - _SLICE_S + timeout_s
+            silence = silence or Silence(pid, longest_look_s=2.0 * _SLICE_S)
             if int(view["servo_pid"]) != pid:
                 return None
-            if clock.monotonic() > deadline or not ProcessId(pid, int(view["servo_start"])).alive():
+            if silence.look() > timeout_s or not ProcessId(pid, int(view["servo_start"])).alive():
                 self._declare_gone()
                 return None
         if int(view["servo_pid"]) != pid:

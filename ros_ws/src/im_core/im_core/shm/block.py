@@ -129,6 +129,11 @@ class SharedBlock:
         start = _HEADER_BYTES + offset
         return memoryview(self._memory)[start : start + count]
 
+    @property
+    def owner_pid(self) -> int:
+        """The process that created the block."""
+        return self._owner.pid
+
     def owner_alive(self) -> bool:
         """Whether the process that created the block still runs."""
         return self._owner.alive()

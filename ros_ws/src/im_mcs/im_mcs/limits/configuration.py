@@ -63,9 +63,9 @@ class Safety(Model):
     brake_s: float = Field(
         gt=0, description="a brake that was obeying contradicts its command this long: an e-stop [s]"
     )
-    owner_silence_s: float = Field(gt=0, description="wall time without a sign of life of the mcs node [s]")
-    servo_silence_s: float = Field(gt=0, description="wall time without a sign of life of the servo process [s]")
-    testbed_silence_s: float = Field(gt=0, description="wall time to wait for a tick that must come [s]")
+    owner_silence_s: float = Field(gt=0, description="time with a processor, without a sign of life of /mcs [s]")
+    servo_silence_s: float = Field(gt=0, description="time with a processor, without a sign of life of the servo [s]")
+    testbed_silence_s: float = Field(gt=0, description="time with a processor, without a tick that must come [s]")
     jerk_factor: float = Field(ge=1, description="jerk of a setpoint that is cut, as a multiple of the limit")
     record_s: float = Field(gt=0, le=60, description="time before an abort that is kept as evidence [s]")
 

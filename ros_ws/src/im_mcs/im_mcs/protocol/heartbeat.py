@@ -1,28 +1,34 @@
 """Signs of life of two processes to each other."""
 
+import os
 from typing import Self
 
 from im_core import clock
 from im_core.shm import SharedBlock
+from im_core.silence import Silence
 
 OWNER, SERVO = 0, 1
+
+_LOOK_S = 0.02
 
 
 class ServoHeartbeat:
     """A counter for each side; who sees the other's stand still knows for how long.
 
     Args:
-        block: Two counters.
+        block: Two counters and two process ids.
         mine: Which one this side moves.
     """
 
     def __init__(self, block: SharedBlock, mine: int) -> None:
         """Use :meth:`create` or :meth:`attach`."""
         self._block = block
-        self._counters = block.array("<u8", 2)
+        self._counters, self._pids = block.array("<u8", 2), block.array("<u8", 2, offset=16)
         self._mine, self._other = mine, 1 - mine
+        self._pids[mine] = os.getpid()
         self._seen = int(self._counters[self._other])
-        self._since = clock.monotonic()
+        self._silence: Silence | None = None
+        self._since = self._next_look = clock.monotonic()
 
     @classmethod
     def create(cls, name: str) -> Self:
@@ -45,11 +51,22 @@ class ServoHeartbeat:
         self._counters[self._mine] += 1
 
     def silence_s(self) -> float:
-        """For how long the other side has given none that this side saw, wall time [s]; 0 before its first."""
+        """For how long the other side has given none that this side saw, as :class:`Silence` counts [s].
+
+        It is 0 before the first; a side that does not listen for a while is not deceived about the other.
+        """
         now, seen = clock.monotonic(), int(self._counters[self._other])
         if seen != self._seen or seen == 0:
-            self._seen, self._since = seen, now
-        return now - self._since
+            self._seen, self._silence, self._since = seen, None, now
+            return 0.0
+        if self._silence is None:
+            self._silence = Silence(int(self._pids[self._other]), now - self._since)
+        elif now >= self._next_look:
+            self._silence.look()
+        else:
+            return self._silence.seconds
+        self._next_look = now + _LOOK_S
+        return self._silence.seconds
 
     def close(self) -> None:
         """Release the memory; the creator removes the name."""

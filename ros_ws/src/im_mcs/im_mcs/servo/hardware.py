@@ -50,6 +50,11 @@ class GuardedTestbed:
         """
         return _guard("time_asked", self._testbed.time_asked)
 
+    @property
+    def hardware_pid(self) -> int:
+        """Process of this host that ticks; 0 where none does."""
+        return self._testbed.hardware_pid
+
     def read(self) -> Measured:
         """The newest measured state.
 

@@ -7,6 +7,7 @@ from typing import Any
 from im_cell.robot import load_cell
 from im_core import clock, scheduling
 from im_core.errors import LinkError
+from im_core.silence import Silence
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.channel import ServoChannel
@@ -110,23 +111,23 @@ class ServoProcess:
     def _wait(self) -> bool:
         """Wait for a tick; whether it came. At clock factor 0 none comes while nobody wants time.
 
-        The testbed is silent only while this process listens: time in which a busy computer let it wait itself,
-        and the testbed as likely, is counted as the one wait that it was. Nor is it silent while whoever has sent a
-        request has not come to asking for time yet.
+        The testbed is silent only while it could tick and this process listens; time in which a busy computer let
+        either of them wait does not count. Nor is it silent while whoever has sent a request has not come to asking
+        for time yet.
 
         Raises:
             LinkError: The testbed is gone, or a tick that must come does not.
         """
-        silence_s, before = 0.0, clock.monotonic()
+        silence: Silence | None = None
         while not self._testbed.wait(_WAIT_S):
             self._channel.heartbeat.beat()
             asked = not self._channel.requests.empty() and self._testbed.time_asked()
             due = self._mcs.wants_time or self._pacer.period_s > 0.0 or asked
-            now = clock.monotonic()
-            silence_s = silence_s + min(now - before, 2.0 * _WAIT_S) if due else 0.0
-            before = now
-            if silence_s > self._config.safety.testbed_silence_s:
-                raise LinkError(f"the testbed has not ticked for {silence_s:.1f} s", seconds=silence_s)
+            if silence is None or not due:
+                silence = Silence(self._testbed.hardware_pid, longest_look_s=2.0 * _WAIT_S)
+            elif silence.look() > self._config.safety.testbed_silence_s:
+                silent_s = silence.seconds
+                raise LinkError(f"the testbed has not ticked for {silent_s:.1f} s", seconds=silent_s)
             if not self._running or not self._owner_alive():
                 return False
         return True

@@ -116,6 +116,16 @@ class TimeKeeper(Protocol):
         ...
 
 
+@runtime_checkable
+class HostedHardware(Protocol):
+    """A driver whose hardware is a process of this host, which is not silent while it is kept from the processor."""
+
+    @property
+    def hardware_pid(self) -> int:
+        """The process."""
+        ...
+
+
 class ReportedFault(NamedTuple):
     """Something that hardware itself reports to be broken.
 

@@ -59,6 +59,11 @@ class SimulatedDriver:
         """Whether somebody has asked for time beyond the present tick."""
         return self._link.time_asked()
 
+    @property
+    def hardware_pid(self) -> int:
+        """The physics process."""
+        return self._link.physics_pid
+
     def read(self) -> Measured:
         """Encoder readings, power, brakes and grippers of the newest tick."""
         return Measured(*self._link.read_state())

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
 from im_mcs.limits.slots import Kind, Slot, Testbed
-from im_mcs.testbed.driver import ChannelDriver, Drive, Measured, SelfReporting, TimeKeeper, load_driver
+from im_mcs.testbed.driver import ChannelDriver, Drive, HostedHardware, Measured, SelfReporting, TimeKeeper, load_driver
 
 _COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}
 
@@ -83,6 +83,11 @@ class TestbedInterface:
     def time_asked(self) -> bool:
         """Whether a tick must come: time passes by itself, or somebody has asked for it."""
         return not isinstance(self._clock, TimeKeeper) or self._clock.time_asked()
+
+    @property
+    def hardware_pid(self) -> int:
+        """Process of this host that ticks; 0 where none does."""
+        return self._clock.hardware_pid if isinstance(self._clock, HostedHardware) else 0
 
     def read(self) -> Measured:
         """The newest measured state, in the order of the slots.
