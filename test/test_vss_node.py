@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from geometry_msgs.msg import PointStamped
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
@@ -113,10 +114,11 @@ def test_images_infos_and_marker(machine):
     machine.light(on=True)
     raw = machine.listen(Image, "/ceiling_left/image_raw", qos.SENSOR)
     info = machine.listen(CameraInfo, "/ceiling_left/camera_info", qos.SENSOR)
+    spots = machine.listen(PointStamped, "/ceiling_left/spot", qos.EVENTS)
     shown = machine.listen(Image, "/ceiling_left/image_display", qos.SENSOR)
     clock.sleep(0.5)
     answer = machine.call(SpotFind, "/vss/spot_find", cameras=["ceiling_left"])
-    machine.until(lambda: len(raw) == 2 and len(info) == 2 and len(shown) == 1)
+    machine.until(lambda: len(raw) == 2 and len(info) == 2 and len(shown) == 1 and len(spots) == 1)
     assert [image.header for image in raw] == [camera.header for camera in info]
     assert raw[1].header.frame_id == "ceiling_left_optical_frame"
     assert raw[1].header.stamp == shown[0].header.stamp == answer.spots[0].stamp

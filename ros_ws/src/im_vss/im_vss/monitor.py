@@ -67,13 +67,16 @@ class Picture:
 
 
 class Screen(Protocol):
-    """The monitors and image outputs."""
+    """The monitors, and the outputs of images and spots."""
 
     def raw(self, frame: Frame) -> None:
         """Put out an image as it was taken."""
 
     def display(self, camera: str, image: Image, stamp_ns: int) -> None:
         """Show an image, shape (h, w, 3), red-green-blue [DN]."""
+
+    def spot(self, camera: str, place: tuple[float, float], stamp_ns: int) -> None:
+        """Put out where the light was found in an image, column and row [px]."""
 
 
 class Monitors:

@@ -44,13 +44,16 @@ class Screen:
     """Remembers what it was shown."""
 
     def __init__(self):
-        self.frames, self.displays = [], []
+        self.frames, self.displays, self.spots = [], [], []
 
     def raw(self, frame):
         self.frames.append(frame)
 
     def display(self, camera, image, stamp_ns):
         self.displays.append((camera, image, stamp_ns))
+
+    def spot(self, camera, place, stamp_ns):
+        self.spots.append((camera, place, stamp_ns))
 
 
 @pytest.fixture
@@ -92,6 +95,9 @@ def test_spot_find_calls_its_four_tools(system):
     for spot in result.spots:
         assert spot.stamp_ns == 1001
         assert (spot.finding.spot.u, spot.finding.spot.v) == pytest.approx((200.25, 100.5), abs=0.01)
+    assert rig.screen.spots == [
+        (spot.camera, (spot.finding.spot.u, spot.finding.spot.v), spot.stamp_ns) for spot in result.spots
+    ]
     (order,) = rig.source.orders
     assert (order.blank_light, order.exposure_s) == ((True, False), 0.009)
     assert [frame.stamp_ns for frame in rig.screen.frames] == [1000, 1001] * 2

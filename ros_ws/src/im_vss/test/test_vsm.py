@@ -46,6 +46,9 @@ class Screen:
     def display(self, camera, image, stamp_ns):
         """Nothing is shown."""
 
+    def spot(self, camera, place, stamp_ns):
+        """Nothing is put out."""
+
 
 @pytest.fixture
 def system(tmp_path):

@@ -1,12 +1,17 @@
-"""``make_dataset text|opencv CAMERA=FILE... OUT.json``: a data set for ``calibrate_dataset`` from files of others."""
+"""``make_dataset text|opencv|bag ... OUT.json``: a data set for ``calibrate_dataset`` from files of others."""
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from im_calibration.commands import command
+from im_calibration.problem.bags import BagTopics, dataset_from_bag
 from im_calibration.problem.convert import dataset_from, read_opencv, read_text
 from im_calibration.problem.dataset import problems
 from im_core.errors import DataError
@@ -20,17 +25,35 @@ text    lines  u v x y z  of one camera: where it saw a point [px], and where th
         does not move, nor the camera. Blanks, tabs, commas or semicolons between; # begins a comment.
 opencv  a YAML file of cv::FileStorage with the matrices image_points (n x 2) and object_points (n x 3), and image_width
         and image_height where --image-size is not given.
+bag     a rosbag2, MCAP or SQLite: spots as geometry_msgs/PointStamped, x and y in pixels, stamped as their images, and
+        poses; `make_dataset bag --help` says more.
 
-Points of several cameras belong together where x, y and z are the same to the last digit. The centre of the upper left
-pixel is (0, 0): of files that count from 1, or from the corner of the image, only the principal point is off.
-Noise that is not given is null in OUT.json, and calibrate_dataset estimates it. A calibration block or a board is
---sigma-position 0, or as exact as it was made; a robot is as good as its repeatability.
+Points of several cameras in text or opencv files belong together where x, y and z are the same to the last digit. The
+centre of the upper left pixel is (0, 0): of files that count from 1, or from the corner of the image, only the
+principal point is off. Noise that is not given is null in OUT.json, and calibrate_dataset estimates it. A calibration
+block or a board is --sigma-position 0, or as exact as it was made; a robot is as good as its repeatability.
 
 exit codes: 0 OUT.json is written; 1 a file cannot be used (file and line are named); 2 wrong arguments; 130 interrupted
 
 examples: scripts/run.sh im_calibration make_dataset text cam=block.txt block.json --image-size 1280x1024 --unit mm
           scripts/run.sh im_calibration make_dataset opencv left=l.yml right=r.yml pair.json --sigma-px 0.2
+          scripts/run.sh im_calibration make_dataset bag bags/demo demo.json --spots wall=/wall/spot --poses /tf \\
+              --frames world left_led
           scripts/run.sh im_calibration calibrate_dataset block.json cameras.json
+"""
+
+_BAG_EPILOG = """\
+Each spot goes with the pose whose stamp is nearest, spots of several cameras within --tolerance with the same one; a
+spot that has none within it is left out, and how many are is said. Where no message of a topic is stamped, the times of
+recording count. One spot a pose is best: the robot at rest has one error, however often it is looked at.
+
+--poses is a topic of
+  geometry_msgs/PoseStamped   the tool in the base of the robot, the light at --led-offset in it
+  geometry_msgs/PointStamped  the light itself
+  tf2_msgs/TFMessage          with --frames BASE TOOL: the tool, by the transforms up to the base, and /tf_static
+
+Image size and lens model come from sensor_msgs/CameraInfo beside the spots, /NAME/camera_info for /NAME/spot, or on
+--camera-info; the focal length is estimated, not taken.
 """
 
 
@@ -44,45 +67,103 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     parser = command.parser("make_dataset", "Make a data set of what cameras saw of points at known places.", _EPILOG)
-    parser.add_argument("format", choices=sorted(_READERS), help="what the files are")
-    parser.add_argument("cameras", nargs="+", type=_camera, metavar="CAMERA=FILE", help="a name and its file")
-    parser.add_argument("output", type=Path, metavar="OUT.json", help="the data set, whole or not at all")
-    parser.add_argument("--image-size", type=_size, metavar="WIDTHxHEIGHT", help="of the images [px]")
-    parser.add_argument("--unit", choices=sorted(_UNITS), default="m", help="of the positions (%(default)s)")
-    parser.add_argument("--sigma-px", type=_positive, help="noise of each image coordinate [px]; without: not known")
-    parser.add_argument(
-        "--sigma-position", type=_not_negative, help="noise of each coordinate [--unit]; 0: exact; without: not known"
+    formats = parser.add_subparsers(dest="format", required=True, metavar="{text,opencv,bag}")
+    for name in _READERS:
+        files = formats.add_parser(name, description=f"A data set from {name} files.")
+        files.add_argument("cameras", nargs="+", type=_named, metavar="CAMERA=FILE", help="a name and its file")
+        files.add_argument("--unit", choices=sorted(_UNITS), default="m", help="of the positions (%(default)s)")
+        _add_common(files, "--unit")
+    bag = formats.add_parser(
+        "bag",
+        description="A data set from a bag.",
+        epilog=_BAG_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    _add_bag(bag)
+    _add_common(bag, "m")
     return command.run("make_dataset", lambda: _convert(parser.parse_args(arguments)))
 
 
+def _add_common(parser: argparse.ArgumentParser, unit: str) -> None:
+    parser.add_argument("output", type=Path, metavar="OUT.json", help="the data set, whole or not at all")
+    parser.add_argument("--image-size", type=_size, metavar="WIDTHxHEIGHT", help="of the images [px]")
+    parser.add_argument("--sigma-px", type=_positive, help="noise of each image coordinate [px]; without: not known")
+    parser.add_argument(
+        "--sigma-position", type=_not_negative, help=f"noise of each coordinate [{unit}]; 0: exact; without: not known"
+    )
+
+
+def _add_bag(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bag", type=Path, metavar="BAG", help="its folder, or its one file")
+    a_topic: Any = {"nargs": "+", "type": _named, "metavar": "CAMERA=TOPIC"}
+    parser.add_argument("--spots", required=True, help="names and where their spots are", **a_topic)
+    parser.add_argument("--poses", required=True, metavar="TOPIC", help="where the tool is, or the light")
+    parser.add_argument("--frames", nargs=2, metavar=("BASE", "TOOL"), help="of transforms on --poses")
+    parser.add_argument(
+        "--camera-info", default=[], help="where the camera infos are, if not beside the spots", **a_topic
+    )
+    parser.add_argument("--led-offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="in the tool [m]")
+    parser.add_argument("--led-offset-sd", type=_positive, help="how well it is known, each axis [m]; without: exact")
+    parser.add_argument("--tolerance", type=_positive, default=0.01, help="of stamps [s] (%(default)s)")
+
+
 def _convert(options: argparse.Namespace) -> None:
-    named = dict(options.cameras)
-    if len(named) != len(options.cameras):
-        raise DataError("Each camera may be given once.")
-    metres, target = _UNITS[options.unit], options.output
-    sightings = {name: _READERS[options.format](path) for name, path in named.items()}
-    sigma_m = None if options.sigma_position is None else metres * options.sigma_position
-    content = dataset_from(sightings, options.image_size, metres, options.sigma_px, sigma_m)
+    content, remark = _from_bag(options) if options.format == "bag" else _from_files(options)
     (problem,) = problems(content)
+    target = options.output
     try:
         write_whole(target, json.dumps(content, indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise DataError(f"{target}: {error.strerror}.", file=str(target)) from error
-    spots = ", ".join(
-        f"{count} spots of {name}" for name, count in zip(named, problem.detected.sum(axis=1), strict=True)
-    )
+    counts = zip(problem.camera_names, problem.detected.sum(axis=1), strict=True)
+    told = [f"{len(problem.positions)} positions", *(f"{count} spots of {name}" for name, count in counts)]
     unknown = " and ".join(problem.noise_to_estimate)
-    print(
-        f"{target}: {len(problem.positions)} positions, {spots}" + (f"; {unknown} noise not known" if unknown else "")
+    print(f"{target}: {', '.join(told)}" + (f"; {unknown} noise not known" if unknown else "") + remark)
+
+
+def _from_files(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    metres = _UNITS[options.unit]
+    read = _READERS[options.format]
+    sightings = {name: read(Path(path)) for name, path in _once(options.cameras).items()}
+    sigma_m = None if options.sigma_position is None else metres * options.sigma_position
+    return dataset_from(sightings, options.image_size, metres, options.sigma_px, sigma_m), ""
+
+
+def _from_bag(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """The data set, and how its spots were paired."""
+    spots, infos = _once(options.spots), _once(options.camera_info)
+    if foreign := infos.keys() - spots.keys():
+        raise DataError(f"--camera-info names {', '.join(sorted(foreign))}, --spots {', '.join(spots)}.")
+    offset = None if options.led_offset is None else np.array(options.led_offset)
+    if offset is not None and not np.all(np.abs(offset) < math.inf):
+        raise DataError("--led-offset has a number that is not finite.")
+    made = dataset_from_bag(
+        options.bag,
+        BagTopics(spots, options.poses, tuple(options.frames) if options.frames else None, infos),
+        tolerance_s=options.tolerance,
+        led_offset=offset,
+        led_offset_sd=options.led_offset_sd,
+        image_size=options.image_size,
+        sigma_px=options.sigma_px,
+        sigma_m=options.sigma_position,
     )
+    apart, left_out = 1e3 * made.pairing.apart_s, made.pairing.left_out
+    moved = f"in which the light moved {1e3 * made.moved_m:.2g} mm"
+    remark = f"\nspots and their poses are at most {apart:.3g} ms apart, {moved}"
+    return made.content, remark + (f"; {left_out} spots without a pose of their own are left out" if left_out else "")
 
 
-def _camera(text: str) -> tuple[str, Path]:
+def _once(named: list[tuple[str, str]]) -> dict[str, str]:
+    if len(dict(named)) != len(named):
+        raise DataError("Each camera may be given once.")
+    return dict(named)
+
+
+def _named(text: str) -> tuple[str, str]:
     name, equals, path = text.partition("=")
     if not (name and equals and path):
-        raise argparse.ArgumentTypeError(f"'{text}' is not CAMERA=FILE")
-    return name, Path(path)
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form CAMERA=...")
+    return name, path
 
 
 def _size(text: str) -> tuple[int, int]:

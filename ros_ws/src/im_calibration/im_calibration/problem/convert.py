@@ -134,23 +134,40 @@ def dataset_from(
     Raises:
         DataError: The size of an image is not known.
     """
-    unsized = [name for name, sighting in sightings.items() if not (sighting.image_size or image_size)]
-    if unsized:
-        raise DataError(f"The image size of {', '.join(unsized)} is not known; give --image-size WIDTHxHEIGHT.")
     keys = {name: _keys(sighting.positions) for name, sighting in sightings.items()}
     poses = list(dict.fromkeys(key for each in keys.values() for key in each))
-    n, c = len(poses), len(sightings)
     seen = []
     for name, sighting in sightings.items():
         spots = dict(zip(keys[name], sighting.spots.tolist(), strict=True))
         seen.append([spots.get(pose) for pose in poses])
+    sizes = {name: sighting.image_size or image_size for name, sighting in sightings.items()}
+    positions = [[metres * value for value in pose[:3]] for pose in poses]
+    return {**dataset_head(sizes, len(poses), sigma_px, sigma_m), "trials": [{"x_base_m": positions, "u_px": seen}]}
+
+
+def dataset_head(
+    image_sizes: Mapping[str, tuple[int, int] | None], n: int, sigma_px: float | None, sigma_m: float | None
+) -> dict[str, Any]:
+    """A data set of n poses without its trials.
+
+    Args:
+        image_sizes: Width and height of the images of each camera [px]; None: not known.
+        n: How many poses.
+        sigma_px: Standard deviation of each image coordinate [px]; None: not known.
+        sigma_m: Standard deviation of each coordinate of the positions [m]; None: not known, 0: exact.
+
+    Raises:
+        DataError: The size of an image is not known.
+    """
+    unsized = [name for name, size in image_sizes.items() if not size]
+    if unsized:
+        raise DataError(f"The image size of {', '.join(unsized)} is not known; give --image-size WIDTHxHEIGHT.")
     return {
         "schema": SCHEMA,
-        "camera_names": list(sightings),
-        "image_size": [list(sighting.image_size or image_size or ()) for sighting in sightings.values()],
-        "sigma_u_px": None if sigma_px is None else [[sigma_px] * n] * c,
+        "camera_names": list(image_sizes),
+        "image_size": [list(size) for size in image_sizes.values() if size],
+        "sigma_u_px": None if sigma_px is None else [[sigma_px] * n] * len(image_sizes),
         "cov_x_m2": None if sigma_m is None else [(sigma_m**2 * np.eye(3)).tolist()] * n,
-        "trials": [{"x_base_m": [[metres * value for value in pose[:3]] for pose in poses], "u_px": seen}],
     }
 
 

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader, ReaderError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from im_core.bag import messages_of
 from im_core.errors import DataError
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -98,30 +96,10 @@ def _arrays(moments: list[tuple[int, list[tuple[int, Any]]]], n: int, g: int, w:
 
 def _messages(bag: Path, topic: str) -> Iterator[tuple[int, int, Readings]]:
     """Stamp in the message [ns], when it was recorded [ns], and readings, message by message."""
-    try:
-        with Reader(bag) as reader:
-            connections = [connection for connection in reader.connections if connection.topic == topic]
-            if not connections:
-                topics = ", ".join(sorted({connection.topic for connection in reader.connections})) or "none"
-                raise DataError(f"{bag}: there is no topic '{topic}' in it; it has {topics}")
-            store = _store(connections)
-            for connection, logged_ns, data in reader.messages(connections=connections):
-                message: Any = store.deserialize_cdr(data, connection.msgtype)
-                stamp = message.header.stamp if connection.msgtype == _JOINT_STATE else message.stamp
-                yield stamp.sec * 10**9 + stamp.nanosec, logged_ns, _readings(message, connection.msgtype)
-    except (ReaderError, OSError) as error:
-        raise DataError(f"{bag}: cannot be read: {error}") from None
-
-
-def _store(connections: Sequence[Connection]) -> Any:
-    """Types as the bag defines them."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for connection in connections:
-        if connection.msgtype not in (_JOINT_STATE, _SLOT_STATES):
-            raise DataError(f"topic '{connection.topic}' is {connection.msgtype}, not {_JOINT_STATE} or {_SLOT_STATES}")
-        types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
-        store.register({name: spec for name, spec in types.items() if name not in store.types})
-    return store
+    for found in messages_of(bag, {topic: (_JOINT_STATE, _SLOT_STATES)}):
+        message = found.content
+        stamp = message.header.stamp if found.type == _JOINT_STATE else message.stamp
+        yield stamp.sec * 10**9 + stamp.nanosec, found.logged_ns, _readings(message, found.type)
 
 
 def _readings(message: Any, kind: str) -> Readings:

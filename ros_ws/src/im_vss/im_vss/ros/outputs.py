@@ -1,7 +1,8 @@
-"""Image topics of the cameras, their camera infos and static transforms."""
+"""Topics of the cameras: images, spots, camera infos and static transforms."""
 
 import threading
 
+from geometry_msgs.msg import Point, PointStamped
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
@@ -13,14 +14,14 @@ from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_vss.camera_book import CameraBook
 from im_vss.laser.book import LaserBook
-from im_vss.ros.messages import to_camera_info, to_image, to_laser_transform, to_transform
+from im_vss.ros.messages import to_camera_info, to_header, to_image, to_laser_transform, to_transform
 
 
 class ImageOutputs:
     """The :class:`im_vss.monitor.Screen` of the node: what is shown is published, if anybody looks."""
 
     def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook) -> None:
-        """Create ``image_raw``, ``camera_info`` and ``image_display`` of each camera, and ``/tf_static``.
+        """Create ``image_raw``, ``camera_info``, ``image_display`` and ``spot`` of each camera, and ``/tf_static``.
 
         Camera infos are latched: their publishers serve volatile subscribers too, and who comes later has the present
         calibration before the next image.
@@ -33,6 +34,7 @@ class ImageOutputs:
         self._raw = self._publishers(names, Image, "image_raw", qos.IMAGES)
         self._info = self._publishers(names, CameraInfo, "camera_info", qos.LATCHED)
         self._display = self._publishers(names, Image, "image_display", qos.IMAGES)
+        self._spot = self._publishers(names, PointStamped, "spot", qos.EVENTS)
         self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
 
     def raw(self, frame: Frame) -> None:
@@ -47,6 +49,11 @@ class ImageOutputs:
         """Publish what a monitor shows."""
         if self._display[camera].get_subscription_count():
             self._display[camera].publish(to_image(self._book[camera].frame, stamp_ns, image))
+
+    def spot(self, camera: str, place: tuple[float, float], stamp_ns: int) -> None:
+        """Publish where the light was found, x and y in pixels; bags keep it, of which data sets are made."""
+        header = to_header(self._book[camera].frame, stamp_ns)
+        self._spot[camera].publish(PointStamped(header=header, point=Point(x=place[0], y=place[1])))
 
     def publish_calibrations(self) -> None:
         """Publish what cameras are like, and where they and the laser scanner are, as far as is known."""

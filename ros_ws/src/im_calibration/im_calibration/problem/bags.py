@@ -1,0 +1,305 @@
+"""Data sets from bags of anyone: spots of a light as points, and where the tool was, paired by their stamps."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from im_calibration.problem.convert import dataset_head
+from im_cell.lens import LENSES, PLUMB_BOB
+from im_core.bag import BagMessage, messages_of, topics_of
+from im_core.errors import DataError
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"
+_TF, _CAMERA_INFO = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/CameraInfo"
+_TF_STATIC = "/tf_static"
+_UNIT = 1e-3
+
+
+@dataclass(frozen=True)
+class BagTopics:
+    """What of a bag is what.
+
+    Attributes:
+        spots: Topic of the spots of each camera: ``geometry_msgs/PointStamped``, x and y in pixels.
+        poses: Topic of the tool, ``geometry_msgs/PoseStamped``, or of the light, ``geometry_msgs/PointStamped``, or of
+            transforms, ``tf2_msgs/TFMessage``.
+        frames: Of the transforms: the base and the tool; None for other topics.
+        infos: Topic of the ``sensor_msgs/CameraInfo`` of each camera; those not in it: beside the spots, if there.
+    """
+
+    spots: Mapping[str, str]
+    poses: str
+    frames: tuple[str, str] | None
+    infos: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Spots with the poses they belong to.
+
+    Attributes:
+        pose_of: Which pose each place of the data set is, shape (n,).
+        spot_of: Which spot of each camera, shape (c, n); -1: none.
+        left_out: Spots with no pose within the tolerance, and those that another one was nearer to.
+        apart_s: Largest distance in time of a spot and its pose [s].
+    """
+
+    pose_of: NDArray[np.intp]
+    spot_of: NDArray[np.intp]
+    left_out: int
+    apart_s: float
+
+
+@dataclass(frozen=True)
+class BagDataSet:
+    """A data set, how its spots were paired, and how far the light moved between a spot and its pose at most [m]."""
+
+    content: dict[str, Any]
+    pairing: Pairing
+    moved_m: float
+
+
+@dataclass(frozen=True)
+class _Track:
+    """What changes with time: stamps, shape (m,) [ns]; positions, shape (m, 3) [m]; rotations, shape (m, 3, 3)."""
+
+    stamps: Stamps
+    positions: Array
+    rotations: Array | None = None
+
+
+def dataset_from_bag(
+    bag: Path,
+    topics: BagTopics,
+    *,
+    tolerance_s: float,
+    led_offset: Array | None,
+    led_offset_sd: float | None,
+    image_size: tuple[int, int] | None,
+    sigma_px: float | None,
+    sigma_m: float | None,
+) -> BagDataSet:
+    """A data set of the spots that a bag holds; each spot goes with the pose whose stamp is nearest.
+
+    Args:
+        bag: The bag.
+        topics: What of it is what.
+        tolerance_s: Largest distance of the stamps of a spot and its pose, and of the spots of one pose [s].
+        led_offset: The light in the frame of the tool, shape (3,) [m]; None: the poses are those of the light.
+        led_offset_sd: How well it is known, each axis [m]; None: it is exact.
+        image_size: Width and height of images of which the bag has no camera info [px].
+        sigma_px: Standard deviation of each image coordinate [px]; None: not known.
+        sigma_m: Standard deviation of each coordinate of the positions [m]; None: not known, 0: exact.
+
+    Raises:
+        DataError: The bag cannot be read, lacks a topic, or what is in it does not go together; one sentence.
+    """
+    seen = {name: _track(bag, topic, (_POINT,)) for name, topic in topics.spots.items()}
+    if topics.frames is None and topics_of(bag).get(topics.poses) == _TF:
+        raise DataError(f"{bag}: '{topics.poses}' has transforms; give --frames BASE TOOL, between which frames.")
+    tool = _transforms(bag, topics) if topics.frames else _track(bag, topics.poses, (_POSE, _POINT))
+    light = tool.positions
+    if led_offset is not None or led_offset_sd is not None:
+        if tool.rotations is None:
+            raise DataError(f"{bag}: '{topics.poses}' has points; an LED offset needs poses, which turn.")
+        light = light + tool.rotations @ (np.zeros(3) if led_offset is None else led_offset)
+    pairing = pair([track.stamps for track in seen.values()], tool.stamps, tolerance_s)
+    if not len(pairing.pose_of):
+        span = (min(track.stamps[0] for track in seen.values()) - tool.stamps[0]) * 1e-9
+        late = f"the first spot comes {span:.3f} s after the first pose"
+        raise DataError(f"{bag}: no spot has a pose within {tolerance_s:g} s; {late}.")
+    infos = _camera_infos(bag, topics)
+    sizes = {name: infos[name][0] if name in infos else image_size for name in seen}
+    content = dataset_head(sizes, len(pairing.pose_of), sigma_px, sigma_m)
+    if infos:
+        content["distortion_model"] = [infos[name][1] if name in infos else PLUMB_BOB.name for name in seen]
+    if tool.rotations is not None:
+        content["wrist_R_base"] = tool.rotations[pairing.pose_of].tolist()
+    if led_offset_sd is not None:
+        content |= {"led_offset_nominal_known": False, "led_offset_prior_sd_m": led_offset_sd}
+    spots = [
+        [None if i < 0 else track.positions[i, :2].tolist() for i in of]
+        for track, of in zip(seen.values(), pairing.spot_of, strict=True)
+    ]
+    content["trials"] = [{"x_base_m": light[pairing.pose_of].tolist(), "u_px": spots}]
+    return BagDataSet(content, pairing, _moved(light, tool.stamps, pairing))
+
+
+def pair(spots: list[Stamps], poses: Stamps, tolerance_s: float) -> Pairing:
+    """Spots of several cameras that were seen together, each with the pose nearest in time.
+
+    Args:
+        spots: Of each camera, ascending, shape (k,) each [ns].
+        poses: Ascending, shape (m,) [ns].
+        tolerance_s: Largest distance of what belongs together [s].
+    """
+    tolerance = round(tolerance_s * 1e9)
+    every = sorted((int(stamp), camera, i) for camera, stamps in enumerate(spots) for i, stamp in enumerate(stamps))
+    groups: list[dict[int, tuple[int, int]]] = []
+    begun = 0
+    for stamp, camera, i in every:
+        if not groups or stamp - begun > tolerance or camera in groups[-1]:
+            groups.append({})
+            begun = stamp
+        groups[-1][camera] = (stamp, i)
+    best: dict[int, tuple[int, dict[int, tuple[int, int]]]] = {}
+    for group in groups:
+        middle = sum(stamp for stamp, _ in group.values()) // len(group)
+        after = int(np.searchsorted(poses, middle))
+        nearest = min((k for k in (after - 1, after) if 0 <= k < len(poses)), key=lambda k: abs(int(poses[k]) - middle))
+        apart = max(abs(int(poses[nearest]) - stamp) for stamp, _ in group.values())
+        if apart <= tolerance and (nearest not in best or apart < best[nearest][0]):
+            best[nearest] = (apart, group)
+    pose_of = np.array(sorted(best), dtype=np.intp)
+    spot_of = np.full((len(spots), len(pose_of)), -1, dtype=np.intp)
+    for column, k in enumerate(pose_of):
+        for camera, (_, i) in best[int(k)][1].items():
+            spot_of[camera, column] = i
+    return Pairing(
+        pose_of,
+        spot_of,
+        left_out=len(every) - int((spot_of >= 0).sum()),
+        apart_s=max((apart for apart, _ in best.values()), default=0) * 1e-9,
+    )
+
+
+def _moved(light: Array, stamps: Stamps, pairing: Pairing) -> float:
+    """How far the light went in the longest time between a spot and its pose, by the poses before and after [m]."""
+    if len(light) < 2:
+        return 0.0
+    lasted = np.maximum(np.diff(stamps), 1) * 1e-9
+    speed = np.linalg.norm(np.diff(light, axis=0), axis=1) / lasted
+    around = np.maximum(np.append(speed, 0.0), np.insert(speed, 0, 0.0))
+    return float(around[pairing.pose_of].max() * pairing.apart_s)
+
+
+def _track(bag: Path, topic: str, types: tuple[str, ...]) -> _Track:
+    """Points or poses over time, by their stamps, or as they were recorded where none is stamped.
+
+    Those that are not finite were not measured.
+    """
+    found = list(messages_of(bag, {topic: types}))
+    frames = {message.content.header.frame_id for message in found}
+    if len(frames) > 1:
+        raise DataError(f"{bag}: '{topic}' is in several frames: {', '.join(sorted(frames))}; one is needed.")
+    stamps = [_stamp(message.content.header) for message in found]
+    if any(stamps) and not all(stamps):
+        raise DataError(f"{bag}: {stamps.count(0)} of {len(stamps)} messages on '{topic}' have no stamp.", topic=topic)
+    if not any(stamps):
+        stamps = [message.logged_ns for message in found]
+    rows = np.array([_row(message) for message in found]).reshape(len(found), -1)
+    times = np.array(stamps, dtype=np.int64)
+    order = [i for i in np.argsort(times, kind="stable") if np.isfinite(rows[i]).all()]
+    if not order:
+        raise DataError(f"{bag}: topic '{topic}' has no message with finite numbers.", topic=topic)
+    turns = _rotations(rows[order, 3:], f"{bag}: '{topic}'") if rows.shape[1] > 3 else None
+    return _Track(times[order], rows[order, :3], turns)
+
+
+def _row(message: BagMessage) -> list[float]:
+    content = message.content
+    if message.type == _POINT:
+        return _vector(content.point)
+    return _vector(content.pose.position) + _quaternion(content.pose.orientation)
+
+
+def _transforms(bag: Path, topics: BagTopics) -> _Track:
+    """The tool in the base at each message that moves it, by the newest transform of each frame on the way."""
+    assert topics.frames is not None
+    base, tool = topics.frames
+    known: dict[str, tuple[str, Array, Rotation]] = {}
+    if _TF_STATIC in topics_of(bag):
+        for message in messages_of(bag, {_TF_STATIC: (_TF,)}):
+            known.update(_steps(message.content, bag))
+    rows: list[tuple[int, Array, Array]] = []
+    for message in messages_of(bag, {topics.poses: (_TF,)}):
+        steps = _steps(message.content, bag)
+        known.update(steps)
+        way = _way(known, base, tool)
+        if way is None or not set(way) & set(steps):
+            continue
+        position, rotation = np.zeros(3), Rotation.identity()
+        for frame in way:
+            _, shift, turn = known[frame]
+            position, rotation = turn.apply(position) + shift, turn * rotation
+        stamps = [_stamp(each.header) for each in message.content.transforms if each.child_frame_id in way]
+        rows.append((max(stamps) or message.logged_ns, position, rotation.as_matrix()))
+    if not rows:
+        frames = ", ".join(sorted(known)) or "none"
+        raise DataError(f"{bag}: '{topics.poses}' does not say where '{tool}' is in '{base}'; it moves {frames}.")
+    rows.sort(key=lambda row: row[0])
+    when, positions, rotations = zip(*rows, strict=True)
+    return _Track(np.array(when, dtype=np.int64), np.array(positions), np.array(rotations))
+
+
+def _steps(content: Any, bag: Path) -> dict[str, tuple[str, Array, Rotation]]:
+    """Parent, translation and rotation by the frame of each transform that is finite."""
+    steps = {}
+    for each in content.transforms:
+        shift, turn = _vector(each.transform.translation), _quaternion(each.transform.rotation)
+        if np.isfinite(shift + turn).all():
+            rotation = _rotations(np.array([turn]), f"{bag}: the transform of '{each.child_frame_id}'")[0]
+            steps[each.child_frame_id] = (each.header.frame_id, np.array(shift), Rotation.from_matrix(rotation))
+    return steps
+
+
+def _way(known: Mapping[str, tuple[str, Array, Rotation]], base: str, tool: str) -> list[str] | None:
+    """Frames from the tool up to the base, without the base; None: it does not hang on it."""
+    way: list[str] = []
+    frame = tool
+    while frame != base:
+        if frame not in known or frame in way:
+            return None
+        way.append(frame)
+        frame = known[frame][0]
+    return way
+
+
+def _camera_infos(bag: Path, topics: BagTopics) -> dict[str, tuple[tuple[int, int], str]]:
+    """Image size and lens model of each camera that the bag describes."""
+    have = topics_of(bag)
+    beside = {name: f"{topic.rpartition('/')[0]}/camera_info" for name, topic in topics.spots.items()}
+    chosen = {name: topic for name, topic in beside.items() if have.get(topic) == _CAMERA_INFO} | dict(topics.infos)
+    found = {}
+    for name, topic in chosen.items():
+        info = next(_infos(bag, topic), None)
+        if info is None and name in topics.infos:
+            raise DataError(f"{bag}: topic '{topic}' says no image size.", topic=topic)
+        if info is not None:
+            model = info.distortion_model if info.distortion_model in LENSES else PLUMB_BOB.name
+            found[name] = ((int(info.width), int(info.height)), model)
+    return found
+
+
+def _infos(bag: Path, topic: str) -> Iterator[Any]:
+    for message in messages_of(bag, {topic: (_CAMERA_INFO,)}):
+        if message.content.width and message.content.height:
+            yield message.content
+
+
+def _rotations(quaternions: Array, what: str) -> Array:
+    """Rotation matrices, shape (m, 3, 3), of quaternions x, y, z, w."""
+    lengths = np.linalg.norm(quaternions, axis=1)
+    if (wrong := np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)).size:
+        raise DataError(f"{what} has an orientation of length {lengths[wrong[0]]:g}, a quaternion has 1.")
+    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
+
+
+def _stamp(header: Any) -> int:
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+def _vector(v: Any) -> list[float]:
+    return [v.x, v.y, v.z]
+
+
+def _quaternion(q: Any) -> list[float]:
+    return [q.x, q.y, q.z, q.w]

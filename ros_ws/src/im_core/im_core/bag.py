@@ -1,0 +1,108 @@
+"""Messages out of a bag (rosbag2: MCAP, SQLite), decoded; whatever is wrong with a bag is one sentence."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from im_core.errors import DataError
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """A message of a bag.
+
+    Attributes:
+        topic: Where it was sent.
+        type: E.g. ``sensor_msgs/msg/JointState``.
+        content: Its fields, as ``rosbags`` decodes them.
+        logged_ns: When it was recorded [ns].
+    """
+
+    topic: str
+    type: str
+    content: Any
+    logged_ns: int
+
+
+def topics_of(bag: Path) -> dict[str, str]:
+    """Type of each topic of a bag.
+
+    Args:
+        bag: Folder of the bag, or a file of it.
+
+    Raises:
+        DataError: It cannot be read.
+    """
+    with closing(_opened(bag)) as reader:
+        return {connection.topic: connection.msgtype for connection in reader.connections}
+
+
+def messages_of(bag: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[BagMessage]:
+    """The messages of some topics, in order of the time of recording.
+
+    Args:
+        bag: Folder of the bag, or a file of it.
+        wanted: Topics, and which types each may have.
+
+    Raises:
+        DataError: The bag cannot be read, has no such topic, or one of another type; says what there is.
+    """
+    with closing(_opened(bag)) as reader:
+        chosen = [connection for connection in reader.connections if connection.topic in wanted]
+        have = {connection.topic for connection in chosen}
+        for topic in wanted:
+            if topic not in have:
+                topics = ", ".join(sorted({connection.topic for connection in reader.connections})) or "none"
+                raise DataError(f"{bag}: there is no topic '{topic}' in it; it has {topics}", topic=topic)
+        for connection in chosen:
+            if connection.msgtype not in (types := wanted[connection.topic]):
+                allowed = " or ".join(types)
+                raise DataError(f"{bag}: topic '{connection.topic}' is {connection.msgtype}, not {allowed}")
+        messages = _decoded(reader, chosen)
+        while True:
+            try:
+                message = next(messages)
+            except StopIteration:
+                return
+            except Exception as error:  # what a reader meets in bytes that were cut or spoilt has any name
+                raise _unreadable(bag, error) from error
+            yield message
+
+
+def _opened(bag: Path) -> Reader:
+    try:
+        reader = Reader(bag)
+        reader.open()
+    except Exception as error:
+        raise _unreadable(bag, error) from error
+    return reader
+
+
+def _decoded(reader: Reader, connections: Sequence[Connection]) -> Iterator[BagMessage]:
+    store = _types(connections)
+    for connection, logged_ns, data in reader.messages(connections=connections):
+        content = store.deserialize_cdr(data, connection.msgtype)
+        yield BagMessage(connection.topic, connection.msgtype, content, logged_ns)
+
+
+def _types(connections: Sequence[Connection]) -> Typestore:
+    """Types of Jazzy, and others as the bag defines them."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for connection in connections:
+        if connection.msgdef.format == MessageDefinitionFormat.MSG:
+            types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+            store.register({name: spec for name, spec in types.items() if name not in store.types})
+    return store
+
+
+def _unreadable(bag: Path, error: Exception) -> DataError:
+    """One sentence, however many lines the reader used."""
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return DataError(f"{bag}: cannot be read: {reason[:200]}", file=str(bag))
