@@ -16,6 +16,11 @@ def cpu() -> float:
     return time.process_time()
 
 
+thread_cpu = time.thread_time
+"""CPU time that the calling thread has used [s]: what only computes is limited by it, and is late on a busy computer
+instead of failing."""
+
+
 def stamp_name() -> str:
     """The present local date and time as a name for a folder, e.g. ``20260131-142501``."""
     return time.strftime("%Y%m%d-%H%M%S")

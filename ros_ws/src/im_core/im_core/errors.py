@@ -55,6 +55,15 @@ class LinkError(ImError):
     default_code = "link"
 
 
+class StoreError(ImError):
+    """A file cannot be written or read: the disk is full, has failed, or may not be written to.
+
+    What the file held before is still there; the same may be tried again.
+    """
+
+    default_code = "store"
+
+
 class LimitError(ImError):
     """A value beyond its limit.
 

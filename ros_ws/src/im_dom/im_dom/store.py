@@ -2,10 +2,12 @@
 
 import re
 import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from im_core.errors import DataError, NotFoundError, StateError
+from im_core.errors import DataError, NotFoundError, StateError, StoreError
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_./-]{0,127}")
 TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
@@ -48,18 +50,32 @@ class ObjectRecord:
 class ObjectStore:
     """The data objects of one machine, in one file.
 
+    Each change is made whole or not at all. All methods raise a :class:`.StoreError` where the file cannot be written
+    or read (the disk is full or has failed); what was stored before is still there then.
+
     Args:
         path: SQLite file, made if missing; ``:memory:`` keeps nothing.
+
+    Raises:
+        StoreError: It cannot be opened.
     """
 
     def __init__(self, path: str | Path = ":memory:") -> None:
-        try:
+        self._path = str(path)
+        with self._doing("opened"):
             self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=NORMAL")
             self._db.execute(SCHEMA)
+
+    @contextmanager
+    def _doing(self, what: str) -> Iterator[None]:
+        try:
+            yield
         except sqlite3.Error as error:
-            raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
+            raise StoreError(
+                f"the object store {self._path} cannot be {what}: {error}", file=self._path, reason=str(error)
+            ) from error
 
     def put(self, name: str, kind: str, data: bytes, place: str, source: str, stamp_ns: int) -> ObjectRecord:
         """Store an object and make it valid.
@@ -71,12 +87,13 @@ class ObjectStore:
         _match(TYPE, "type of a data object", kind, "package/msg/Name")
         if place:
             _match(PLACE, "place of a data object", place, "net.place")
-        self._db.execute(
-            "INSERT INTO objects VALUES (?, ?, 1, 1, ?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET"
-            " type = excluded.type, version = version + 1, valid = 1, place = excluded.place,"
-            " source = excluded.source, stamp_ns = excluded.stamp_ns, data = excluded.data",
-            (name, kind, place, source, stamp_ns, data),
-        )
+        with self._doing("written"):
+            self._db.execute(
+                "INSERT INTO objects VALUES (?, ?, 1, 1, ?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET"
+                " type = excluded.type, version = version + 1, valid = 1, place = excluded.place,"
+                " source = excluded.source, stamp_ns = excluded.stamp_ns, data = excluded.data",
+                (name, kind, place, source, stamp_ns, data),
+            )
         return self.record(name)
 
     def record(self, name: str) -> ObjectRecord:
@@ -85,7 +102,8 @@ class ObjectStore:
         Raises:
             NotFoundError: There is none of that name.
         """
-        row = self._db.execute(f"SELECT {COLUMNS} FROM objects WHERE name = ?", (name,)).fetchone()
+        with self._doing("read"):
+            row = self._db.execute(f"SELECT {COLUMNS} FROM objects WHERE name = ?", (name,)).fetchone()
         if row is None:
             raise NotFoundError(kind="data object", name=name, known=[record.name for record in self.records()])
         return _record(row)
@@ -111,14 +129,16 @@ class ObjectStore:
             )
         if kind and kind != record.type:
             raise DataError(f"data object '{name}' is a {record.type}, not a {kind}", object=name, type=record.type)
-        (data,) = self._db.execute("SELECT data FROM objects WHERE name = ?", (name,)).fetchone()
+        with self._doing("read"):
+            (data,) = self._db.execute("SELECT data FROM objects WHERE name = ?", (name,)).fetchone()
         return record, bytes(data)
 
     def records(self, prefix: str = "") -> list[ObjectRecord]:
         """All objects whose name begins with ``prefix``, by name."""
-        rows = self._db.execute(
-            f"SELECT {COLUMNS} FROM objects WHERE substr(name, 1, ?) = ? ORDER BY name", (len(prefix), prefix)
-        )
+        with self._doing("read"):
+            rows = self._db.execute(
+                f"SELECT {COLUMNS} FROM objects WHERE substr(name, 1, ?) = ? ORDER BY name", (len(prefix), prefix)
+            ).fetchall()
         return [_record(row) for row in rows]
 
     def invalidate(self, name: str, source: str, stamp_ns: int) -> ObjectRecord:
@@ -128,14 +148,16 @@ class ObjectStore:
             NotFoundError: There is none of that name.
         """
         self.record(name)
-        self._db.execute(
-            "UPDATE objects SET valid = 0, source = ?, stamp_ns = ? WHERE name = ?", (source, stamp_ns, name)
-        )
+        with self._doing("written"):
+            self._db.execute(
+                "UPDATE objects SET valid = 0, source = ?, stamp_ns = ? WHERE name = ?", (source, stamp_ns, name)
+            )
         return self.record(name)
 
     def close(self) -> None:
         """Write everything and close the file."""
-        self._db.close()
+        with self._doing("closed"):
+            self._db.close()
 
 
 def _match(pattern: re.Pattern[str], what: str, value: str, allowed: str) -> None:

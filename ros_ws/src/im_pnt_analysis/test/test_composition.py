@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_core.errors import ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.events import Answer, CommandCancelled, Outcome
@@ -140,7 +140,7 @@ def test_waiting_and_being_stuck_are_told_apart_in_diagrams_too(data):
     for nets in (loaded, [caller, asking("one", "two"), asking("two", "one")], [away], [ends]):
         problem = problem_of(nets)
         listed, counted = verify(nets), Report([])
-        answer_from_diagrams(counted, problem, "", monotonic() + 10.0)
+        answer_from_diagrams(counted, problem, "", thread_cpu() + 10.0)
         for answer in ("states", "labelled_arcs", "has_deadlock", "deadlock_states", "place_bounds", "reversible"):
             assert getattr(counted, answer) == getattr(listed, answer), answer
         found = [(r.kind, len(r.sequence), r.marking.keys() <= set(problem.compiled.places)) for r in counted.refusals]
@@ -180,7 +180,7 @@ def searched_markings(server: str) -> set[frozenset[tuple[str, int]]]:
     nets = [parse_net(CALLER), parse_net(server)]
     problem = problem_of(nets)
     search = Search(problem.compiled, problem.initial)
-    assert search.run(SearchLimits(states=1_000_000), monotonic() + 60.0) == ""
+    assert search.run(SearchLimits(states=1_000_000), thread_cpu() + 60.0) == ""
     own = {
         f"{name}.{place}"
         for name, executor in Process(nets, {"prepare": hold, "serve": hold}).exchange.nets.items()

@@ -3,7 +3,7 @@ from itertools import combinations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt_analysis.search.coverability import coverability
@@ -88,7 +88,7 @@ def test_bounds_are_those_of_the_kanban_cards_and_unknown_where_a_place_grows():
     assert set(place_bounds(compiled, initial(compiled)).values()) == {7}
     grown = compile_net(Net("n", {"a": Place("a")}, {"t": Transition("t", outputs={"a": 1}, origin="t")}))
     assert (place_bounds(grown, (0,)), structurally_bounded(grown)) == ({"a": None}, False)
-    assert set(place_bounds(compiled, initial(compiled), deadline=monotonic() - 1.0).values()) == {None}
+    assert set(place_bounds(compiled, initial(compiled), deadline=thread_cpu() - 1.0).values()) == {None}
 
 
 def test_bounds_of_huge_markings_are_exact():
@@ -158,7 +158,7 @@ def test_siphons_stop_at_their_limit_and_in_time():
     compiled = compile_net(catching_philosophers(20))
     few = siphons(compiled, limit=5)
     assert (len(few.sets), few.complete, few.reason) == (5, False, "more than 5")
-    none = siphons(compiled, deadline=monotonic() - 1.0)
+    none = siphons(compiled, deadline=thread_cpu() - 1.0)
     assert (none.complete, none.reason) == (False, "the time is up")
 
 
@@ -214,7 +214,7 @@ def test_growth_is_found_behind_a_long_way():
 def test_coverability_stops_at_its_limits():
     compiled = compile_net(kanban(5))
     assert coverability(compiled, initial(compiled), max_nodes=100).reason == "more than 100 markings"
-    assert "time is up" in coverability(compiled, initial(compiled), deadline=monotonic() - 1.0).reason
+    assert "time is up" in coverability(compiled, initial(compiled), deadline=thread_cpu() - 1.0).reason
 
 
 @settings(max_examples=300, deadline=None)

@@ -1,6 +1,7 @@
 """Every answer of the report, against generated nets of known size and a search written from the definitions."""
 
 from math import comb
+from time import sleep
 
 import pytest
 from hypothesis import given, settings
@@ -107,6 +108,13 @@ def test_numbers_stay_exact_beyond_a_word():
     report = verify([huge], SearchLimits(seconds=5.0))
     assert report.states == 2
     assert report.max_token_in_place == 10**30
+
+
+def test_the_limit_is_cpu_time_so_that_a_busy_computer_makes_an_answer_late_and_not_missing():
+    report = verify([philosophers(3)], SearchLimits(seconds=1.0), progress=lambda _: sleep(0.6))
+    assert report.time_s > 1.0
+    assert report.has_deadlock is not None
+    assert not report.unknown.keys() & {"bounded", "states", "has_deadlock"}
 
 
 def test_what_the_limits_do_not_permit_is_null_with_a_reason():

@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("nets", nargs="*", metavar="FILE", help="net files, composed; or nets of families")
     parser.add_argument("--firings", type=int, default=100_000, metavar="N", help="firings of each (100000)")
     parser.add_argument("--states", type=int, default=1_000_000, metavar="N", help="markings to search (1000000)")
-    parser.add_argument("--timeout", type=float, default=30.0, metavar="S", help="time of a search or run [s] (30)")
+    parser.add_argument("--timeout", type=float, default=30.0, metavar="S", help="CPU time of a search or run [s] (30)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same firings (0)")
     parser.add_argument("--json", action="store_true", help="print one JSON list instead of a table")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_core.errors import ImError
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.model.net import Net
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     if options.plain:
         from im_pnt_analysis.composition.plain_net import plain_net
 
-        net, notes = plain_net(net, monotonic() + _BOUNDS_S)
+        net, notes = plain_net(net, thread_cpu() + _BOUNDS_S)
         text = pnml_text(net, plain=True)
     elif suffix in _YAML_SUFFIXES:
         net, notes = _with_our_names(net)

@@ -33,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--timeout", type=float, default=60.0, metavar="S", help="time for the markings [s] (60)")
+    parser.add_argument("--timeout", type=float, default=60.0, metavar="S", help="CPU time for the markings [s] (60)")
     parser.add_argument("--approximate", action="store_true", help="take all delays for exponential ones")
     parser.add_argument("--command", dest="symbol", metavar="SYMBOL", help="expected duration of this command")
     parser.add_argument("--measured", metavar="FILE", help="with --command: firings to compare with (JSON)")

@@ -37,7 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--json", action="store_true", help="print one JSON object with every answer")
-    parser.add_argument("--timeout", type=seconds, default=60.0, metavar="S", help="time for everything [s] (60)")
+    parser.add_argument("--timeout", type=seconds, default=60.0, metavar="S", help="CPU time for everything [s] (60)")
     parser.add_argument("--states", type=count, default=20_000_000, metavar="N", help="markings to list (20000000)")
     parser.add_argument(
         "--counterexample",

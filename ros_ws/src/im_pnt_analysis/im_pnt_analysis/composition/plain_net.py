@@ -18,7 +18,7 @@ def plain_net(net: Net, deadline: float | None = None) -> tuple[Net, tuple[str, 
 
     Args:
         net: The net as written; its phases, coordination structures and surroundings become part of it.
-        deadline: Time of :func:`im_core.clock.monotonic` until which bounds are looked for [s]; None: without end.
+        deadline: Time of :func:`im_core.clock.thread_cpu` until which bounds are looked for [s]; None: without end.
 
     Raises:
         NetError: An inhibitor arc from a place without a known bound.

@@ -16,7 +16,7 @@ from operator import le
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled
 
 
@@ -108,7 +108,7 @@ def coverability(
     Args:
         compiled: The net.
         initial: Initial marking, tokens of each place.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
         max_nodes: Number of markings at which to give up.
     """
     tree = _Tree(compiled, tuple(initial))
@@ -145,7 +145,7 @@ class _Tree:
             # one in breadth, for short sequences, one in depth, for growth that appears only there
             node = queue.popleft() if steps % 2 else queue.pop()
             steps += 1
-            if deadline is not None and monotonic() > deadline:
+            if deadline is not None and thread_cpu() > deadline:
                 return f"the time is up after {len(self.nodes)} markings"
             if len(self.nodes) > max_nodes:
                 return f"more than {max_nodes} markings"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt_analysis.search.packing import Packing, Words
 from im_pnt_analysis.search.state_space import StateSpace
 
@@ -38,14 +38,14 @@ class GrowthTest:
         """Returns the first growth among the markings that were found since the last call.
 
         Args:
-            deadline: Time on the monotonic clock at which to give up [s]; the rest is looked at in the next call.
+            deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; the rest is looked at in the next call.
         """
         while self._seen < self._found.count:
-            if monotonic() > deadline:
+            if thread_cpu() > deadline:
                 return None
             end = min(self._found.count, self._seen + _CHUNK)
             growth = self._compare(self._seen, end, deadline)
-            if growth is not None or monotonic() > deadline:
+            if growth is not None or thread_cpu() > deadline:
                 return growth
             self._seen = end
         return None
@@ -57,7 +57,7 @@ class GrowthTest:
         fixed = _inhibiting(packing)
         equal = np.zeros((packing.words, len(later)), np.uint64)
         best: Growth | None = None
-        while len(current) and monotonic() <= deadline:
+        while len(current) and thread_cpu() <= deadline:
             equal |= fixed[:, found.rows[current]]
             current = found.parents[current]
             covers = _covers(packing, found.words[:, later], found.words[:, current], equal)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled
 from im_pnt_analysis.search.frontier import NarrowFrontier, OverflowedError, expand_wide
 from im_pnt_analysis.search.packing import TooManyTokensError
@@ -27,7 +27,7 @@ class SearchLimits:
 
     Attributes:
         states: Number of markings.
-        seconds: Time for everything [s].
+        seconds: CPU time for everything [s].
         memory: Memory for what explicit search stores [bytes].
     """
 
@@ -90,7 +90,7 @@ class Search:
 
         Args:
             limits: Where to give up.
-            deadline: Time on the monotonic clock at which to give up [s].
+            deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
 
         Returns:
             Why it ended early; empty if every reachable marking is found.
@@ -123,7 +123,7 @@ class Search:
             return f"more than {limits.states} markings"
         if self.found.memory > limits.memory:
             return f"{self.found.count} markings and no end: more memory than {limits.memory / 2**30:.3g} GiB"
-        if monotonic() > deadline:
+        if thread_cpu() > deadline:
             return f"not finished in time, {self.found.count} markings"
         return ""
 
@@ -147,7 +147,7 @@ class Search:
                     break
                 if narrow.count > limits.states or expanded - begin > _MET_AT_ONCE:
                     break
-                if expanded % _CLOCK_EVERY == 0 and monotonic() > deadline:
+                if expanded % _CLOCK_EVERY == 0 and thread_cpu() > deadline:
                     break
         finally:
             self.expanded, self._layer_end = expanded, layer_end

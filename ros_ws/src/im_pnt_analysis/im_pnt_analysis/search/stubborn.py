@@ -7,7 +7,7 @@ state space generation", 1991; strong stubborn sets of place/transition nets). I
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled
 from im_pnt_analysis.structure.reduction import reduce_for_deadlock
 
@@ -44,7 +44,7 @@ def find_deadlock(
     Args:
         compiled: The net.
         initial: Initial marking, tokens of each place.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
         max_states: Number of markings at which to give up.
     """
     reduced = reduce_for_deadlock(compiled, initial, deadline)
@@ -80,7 +80,7 @@ def search(compiled: Compiled, initial: Vector, deadline: float | None = None, m
                 following = stubborn.enabled_after(after, transition, enabled)
                 heappush(queue, (len(following), len(parents), after, following))
         steps += 1
-        if steps % _CHECK_EVERY == 1 and deadline is not None and monotonic() > deadline:
+        if steps % _CHECK_EVERY == 1 and deadline is not None and thread_cpu() > deadline:
             return Deadlock(None, states_searched=len(parents), reason=f"the time is up after {len(parents)} markings")
         if len(parents) > max_states:
             return Deadlock(None, states_searched=len(parents), reason=f"more than {max_states} markings")

@@ -4,7 +4,7 @@ import random
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass
 
-from im_core.clock import cpu, monotonic
+from im_core.clock import cpu, thread_cpu
 from im_core.errors import ImError
 from im_pnt.distributed.exchange import Exchange
 from im_pnt.execution.actions import FunctionRunner
@@ -79,18 +79,18 @@ def _search(nets: Sequence[Net], limits: SearchLimits) -> tuple[int, float, str]
     bounds = p_semiflows(problem.compiled).place_bounds(problem.compiled.places, problem.initial)
     began = cpu()
     search = Search(problem.compiled, problem.initial, bounds, kinds=problem.kinds)
-    stopped = search.run(limits, monotonic() + limits.seconds)
+    stopped = search.run(limits, thread_cpu() + limits.seconds)
     return search.found.count, cpu() - began, stopped
 
 
 def _fire(nets: Sequence[Net], firings: int, seconds: float, seed: int) -> tuple[int, float]:
     """Fires so often; nets that get stuck begin anew. Only what fires is counted, and its time."""
-    deadline = monotonic() + seconds
+    deadline = thread_cpu() + seconds
     fired, used = 0, 0.0
     for life in range(firings):
         players = _Players(nets, seed + life)
         in_vain = 0
-        while fired + players.fired < firings and in_vain < _TRIES and monotonic() < deadline:
+        while fired + players.fired < firings and in_vain < _TRIES and thread_cpu() < deadline:
             began, before = cpu(), players.fired
             players.pump(min(_AT_ONCE, firings - fired - before))
             if players.fired > before:
@@ -100,7 +100,7 @@ def _fire(nets: Sequence[Net], firings: int, seconds: float, seed: int) -> tuple
                 in_vain += 1
                 players.stir()
         fired += players.fired
-        if fired >= firings or not players.fired or monotonic() >= deadline:
+        if fired >= firings or not players.fired or thread_cpu() >= deadline:
             break
     return fired, used
 

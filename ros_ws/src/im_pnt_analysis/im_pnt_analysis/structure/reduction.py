@@ -7,7 +7,7 @@ are not kept. Nodes at inhibitor arcs are left as they are.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.net import Net, Place, Transition
 
@@ -167,13 +167,13 @@ def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: 
     Args:
         compiled: The net.
         initial: Initial marking, tokens of each place.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to stop, with what is reduced by then [s].
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to stop, with what is reduced by then [s].
     """
     net = NetReduction(compiled, initial)
     delayed: list[tuple[int, ...]] = []
     rules = (_dead_transitions, _redundant_places, _redundant_transitions, _post_agglomeration)
     changed = True
-    while changed and (deadline is None or monotonic() < deadline):
+    while changed and (deadline is None or thread_cpu() < deadline):
         changed = False
         for rule in rules:
             changed = rule(net) or changed

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import gcd
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, IndexedArcs
 
 _EFFORT = 20
@@ -57,7 +57,7 @@ def p_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | Non
     Args:
         compiled: The net.
         max_rows: Rows of the working table at which to leave some out.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to stop [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to stop [s]; None: never.
     """
     return _semiflows(_by_place(compiled), compiled.places, compiled.change, max_rows, deadline)
 
@@ -68,7 +68,7 @@ def t_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | Non
     Args:
         compiled: The net.
         max_rows: Rows of the working table at which to leave some out.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to stop [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to stop [s]; None: never.
     """
     return _semiflows(compiled.change, compiled.transitions, _by_place(compiled), max_rows, deadline)
 
@@ -106,7 +106,7 @@ def _missing(
     cone = Cone(columns, size)
     covered = {index for weights in flows for index in weights}
     for index in range(size):
-        if index not in covered and (deadline is None or monotonic() < deadline):
+        if index not in covered and (deadline is None or thread_cpu() < deadline):
             weights = cone.cheapest([1] * size, [index], equal=True, deadline=deadline)
             if weights:
                 covered.update(weights)
@@ -159,7 +159,7 @@ class _Table:
         for first in sorted(up, key=lambda row: len(row.weights)):
             for second in sorted(down, key=lambda row: len(row.weights)):
                 tried += 1
-                if tried % 64 == 1 and self._deadline is not None and monotonic() > self._deadline:
+                if tried % 64 == 1 and self._deadline is not None and thread_cpu() > self._deadline:
                     self.reason = "the time is up"
                     return False
                 if len(self.rows) >= self._max_rows or tried > _EFFORT * self._max_rows:

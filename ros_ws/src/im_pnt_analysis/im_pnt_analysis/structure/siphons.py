@@ -8,8 +8,11 @@ empty in a dead marking of an ordinary net are a siphon, so a net whose siphons 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, IndexedArcs
+
+_LEAST_MS = 20
+_INTERRUPTED = ("timeout", "canceled")  # what z3 says when its time is over
 
 
 class ClosedSets:
@@ -151,7 +154,7 @@ def siphons(compiled: Compiled, limit: int = 200, deadline: float | None = None)
     Args:
         compiled: The net.
         limit: Number at which to stop.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
     """
     return _minimal_sets(compiled, siphon_sets(compiled), limit, deadline)
 
@@ -162,7 +165,7 @@ def traps(compiled: Compiled, limit: int = 200, deadline: float | None = None) -
     Args:
         compiled: The net.
         limit: Number at which to stop.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
     """
     return _minimal_sets(compiled, trap_sets(compiled), limit, deadline)
 
@@ -173,7 +176,7 @@ def siphon_trap_property(compiled: Compiled, initial: tuple[int, ...], deadline:
     Args:
         compiled: The net.
         initial: Initial marking, tokens of each place.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
     """
     ordinary = all(weight == 1 for arcs in compiled.inputs for _, weight in arcs)
     proves = bool(compiled.transitions) and ordinary and not any(compiled.inhibitors)
@@ -227,15 +230,19 @@ class _ClosedSetSearch:
         """Returns a set that is not excluded; None: there is none, or a limit is met and ``reason`` says which."""
         if not self._member:
             return None
-        if self._deadline is not None:
-            left = self._deadline - monotonic()
-            if left <= 0.0:
-                self.reason = "the time is up"
+        answer = self._z3.unknown
+        while answer == self._z3.unknown:
+            if self._deadline is not None:
+                left = self._deadline - thread_cpu()
+                if left <= 0.0:
+                    self.reason = "the time is up"
+                    return None
+                # the solver counts wall time: on a busy computer it is asked again for the CPU time that is left
+                self._solver.set("timeout", max(_LEAST_MS, min(2**31, int(1000 * left))))
+            answer = self._solver.check()
+            if answer == self._z3.unknown and self._solver.reason_unknown() not in _INTERRUPTED:
+                self.reason = f"the solver gives up: {self._solver.reason_unknown()}"
                 return None
-            self._solver.set("timeout", max(1, min(2**31, int(1000 * left))))
-        answer = self._solver.check()
-        if answer == self._z3.unknown:
-            self.reason = "the time is up"
         if answer != self._z3.sat:
             return None
         model = self._solver.model()

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csr_array
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, IndexedArcs
 
 _LARGEST = 10**9
@@ -55,11 +55,11 @@ class Cone:
             positive: Components that are positive.
             equal: Whether every inequality is met with equality.
             slack: Whether some inequality is not.
-            deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+            deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
         """
         if not self._numeric:
             return self._exactly({index: Fraction(1) for index in positive}, positive, equal=equal, slack=slack)
-        left = None if deadline is None else max(0.01, deadline - monotonic())
+        left = None if deadline is None else max(0.01, deadline - thread_cpu())
         lower = np.zeros(self._size)
         lower[list(positive)] = 1.0
         zeros = np.zeros(len(self._rows))
@@ -120,12 +120,12 @@ def place_bounds(compiled: Compiled, initial: Sequence[int], deadline: float | N
     Args:
         compiled: The net; inhibitor arcs are left out, which keeps the bounds true.
         initial: Initial marking, tokens of each place.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
     """
     bounds: dict[str, int | None] = dict.fromkeys(compiled.places)
     cone = weightings(compiled)
     for place in range(len(compiled.places)):
-        if deadline is not None and monotonic() > deadline:
+        if deadline is not None and thread_cpu() > deadline:
             break
         weights = cone.cheapest(initial, [place], deadline=deadline)
         total = sum(weight * initial[other] for other, weight in weights.items())
@@ -141,7 +141,7 @@ def structurally_bounded(compiled: Compiled, deadline: float | None = None) -> b
 
     Args:
         compiled: The net; with inhibitor arcs the answer False is about the net without them.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
     """
     everywhere = range(len(compiled.places))
     if not compiled.places or weightings(compiled).cheapest([1] * len(everywhere), everywhere, deadline=deadline):

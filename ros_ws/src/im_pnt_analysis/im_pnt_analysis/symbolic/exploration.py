@@ -71,7 +71,7 @@ def explore(
         compiled: The net; inhibitor arcs are exact.
         initial: Initial marking, tokens of each place.
         bounds: Known upper bounds of the places; where one has none, 10,000 tokens end the search.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
     """
     with deep_recursion(len(compiled.places)):
         return _Explorer(compiled, initial, bounds or {}, deadline).answers()

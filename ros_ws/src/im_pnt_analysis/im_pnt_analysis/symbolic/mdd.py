@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 
 EMPTY, UNIT = 0, 1
 """The nodes below the lowest level: no marking, and the one that is left when all places are read."""
@@ -30,7 +30,7 @@ class Diagram:
 
     Args:
         order: Places from the top level to the lowest one.
-        deadline: Time of :func:`im_core.clock.monotonic` at which to give up [s]; None: never.
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
         max_nodes: Number of nodes at which to give up.
     """
 
@@ -71,7 +71,7 @@ class Diagram:
             GaveUpError: The deadline has passed.
         """
         self._steps += 1
-        if self._steps % _CHECK_EVERY == 0 and self._deadline is not None and monotonic() > self._deadline:
+        if self._steps % _CHECK_EVERY == 0 and self._deadline is not None and thread_cpu() > self._deadline:
             raise GaveUpError(f"the time is up with {len(self.pairs)} nodes of the decision diagram")
 
     @contextmanager
@@ -83,7 +83,7 @@ class Diagram:
             nodes: Nodes that may be made.
         """
         before = self._deadline, self._max_nodes
-        now = monotonic()
+        now = thread_cpu()
         if self._deadline is not None:
             self._deadline = now + time * (self._deadline - now)
         self._max_nodes = min(self._max_nodes, len(self.pairs) + nodes)

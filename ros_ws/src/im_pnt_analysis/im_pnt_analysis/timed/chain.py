@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, cast
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.errors import NetError
 from im_pnt_analysis.timed.elimination import Eliminated, N, eliminate, stationary
 from im_pnt_analysis.timed.model import TimedNet
@@ -58,12 +58,12 @@ def reach(net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0) -> M
     Args:
         net: The timed net.
         states: Markings at most.
-        seconds: Time for it [s].
+        seconds: CPU time for it [s].
 
     Raises:
         TooManyMarkingsError: More markings than that, or more time.
     """
-    deadline = monotonic() + seconds
+    deadline = thread_cpu() + seconds
     compiled = net.compiled
     found = Markings(net, [net.initial], [(-1, -1)])
     number = {net.initial: 0}
@@ -72,7 +72,7 @@ def reach(net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0) -> M
     fire = compiled.fire
     current = 0
     while current < len(found.vectors):
-        if current % 256 == 0 and monotonic() > deadline:
+        if current % 256 == 0 and thread_cpu() > deadline:
             raise _too_many(found, f"the markings were not all found in {seconds:g} s, {len(found.vectors)} so far")
         vector = found.vectors[current]
         if any(vector[place] for place in ends):
@@ -240,7 +240,7 @@ def class_probabilities(links: Chain[N], classes: Sequence[Sequence[int]], deadl
     Args:
         links: The chain; it begins in its first marking.
         classes: All its recurrent classes.
-        deadline: When to give up, on the monotonic clock [s]; None: never.
+        deadline: When to give up, in :func:`im_core.clock.thread_cpu` [s]; None: never.
 
     Raises:
         TookTooLongError: The deadline has passed.
@@ -270,7 +270,7 @@ def class_measure(links: Chain[N], members: Sequence[int], deadline: float | Non
     Args:
         links: The chain.
         members: States of the class, a tangible one first.
-        deadline: When elimination gives up, on the monotonic clock [s]; None: never.
+        deadline: When elimination gives up, in :func:`im_core.clock.thread_cpu` [s]; None: never.
 
     Raises:
         TookTooLongError: The deadline has passed.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Generic, TypeVar
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 
 N = TypeVar("N", Fraction, float)
 Rows = Sequence[dict[int, N]]
@@ -54,7 +54,7 @@ def eliminate(rows: Rows[N], remove: Collection[int], deadline: float | None = N
     Args:
         rows: The chain; every removed state can be left for good.
         remove: States to remove.
-        deadline: When to give up, on the monotonic clock [s]; None: never.
+        deadline: When to give up, in :func:`im_core.clock.thread_cpu` [s]; None: never.
 
     Raises:
         TookTooLongError: The deadline has passed.
@@ -76,7 +76,7 @@ def eliminate(rows: Rows[N], remove: Collection[int], deadline: float | None = N
         if now > cost:
             heapq.heappush(heap, (now, state))
             continue
-        if deadline is not None and monotonic() > deadline:
+        if deadline is not None and thread_cpu() > deadline:
             raise TookTooLongError
         left.discard(state)
         row = work[state]
@@ -111,7 +111,7 @@ def stationary(rows: Rows[N], states: Sequence[int], one: N, deadline: float | N
         rows: Rates; what leads out of ``states`` is not there.
         states: The states of the chain.
         one: The number 1 in the arithmetic wanted.
-        deadline: When to give up, on the monotonic clock [s]; None: never.
+        deadline: When to give up, in :func:`im_core.clock.thread_cpu` [s]; None: never.
 
     Raises:
         TookTooLongError: The deadline has passed.

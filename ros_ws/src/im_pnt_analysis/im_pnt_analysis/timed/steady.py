@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-from im_core.clock import monotonic
+from im_core.clock import monotonic, thread_cpu
 from im_pnt.errors import NetError
 from im_pnt.model.net import Net
 from im_pnt_analysis.timed.chain import Markings, chain, class_measure, class_probabilities, reach, recurrent_classes
@@ -87,7 +87,7 @@ def steady_state(
     Args:
         nets: The nets.
         approximate: Take other delays for exponential ones of the same mean.
-        seconds: Time for the search of the markings [s].
+        seconds: CPU time for the search of the markings [s].
         states: Markings at most.
 
     Raises:
@@ -105,7 +105,7 @@ def steady_state(
         raise _not_exponential(found)
     try:
         if len(found.vectors) <= _EXACT_STATES:
-            return _solve(found, fraction, begin, deadline=monotonic() + _EXACT_SECONDS)
+            return _solve(found, fraction, begin, deadline=thread_cpu() + _EXACT_SECONDS)
     except TookTooLongError:
         pass
     return _solve(found, float, begin, deadline=None)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from itertools import chain, islice
 
-from im_core.clock import monotonic
+from im_core.clock import thread_cpu
 from im_pnt.verification import Counterexample
 from im_pnt_analysis.search.coverability import Coverability
 from im_pnt_analysis.search.reachability import Search
@@ -25,7 +25,7 @@ def conserve(report: Report, problem: Problem, deadline: float, max_rows: int) -
     Args:
         report: Gets the answers.
         problem: The nets.
-        deadline: Time on the monotonic clock at which everything ends [s].
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which everything ends [s].
         max_rows: Rows of the working table at which to leave some out; every place that can be is covered all the same.
 
     Returns:
@@ -45,7 +45,7 @@ def solve_bounds(report: Report, problem: Problem, deadline: float) -> None:
     Args:
         report: Gets the answer, if all places are bounded.
         problem: The nets.
-        deadline: Time on the monotonic clock at which to give up [s].
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
     from im_pnt_analysis.structure.state_equation import structurally_bounded
 
@@ -59,7 +59,7 @@ def describe(report: Report, problem: Problem, deadline: float) -> None:
     Args:
         report: Gets the answers.
         problem: The nets.
-        deadline: Time on the monotonic clock at which everything ends [s].
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which everything ends [s].
     """
     from im_pnt_analysis.structure.siphons import siphons, traps
 
@@ -78,7 +78,7 @@ def _solver(reason: str) -> str:
 
 
 def _share(deadline: float) -> float:
-    now = monotonic()
+    now = thread_cpu()
     return now + _SHARE * max(0.0, deadline - now)
 
 
@@ -100,7 +100,7 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
         report: Gets the answers and refusals.
         problem: The nets.
         search: Finished.
-        deadline: Time on the monotonic clock at which to give up [s].
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
     found, compiled = search.found, problem.compiled
     never = [name for name, fired in zip(compiled.transitions, found.fired, strict=True) if not fired]
@@ -121,7 +121,7 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
     _answer_bounds(report, problem, search, deadline)
     _refuse(report, problem, search, dead)
     expected = _GRAPH_COST * (found.count + found.labelled_arcs)
-    if monotonic() + expected > deadline:
+    if thread_cpu() + expected > deadline:
         report.leave(f"the components of {found.count} markings and {found.labelled_arcs} arcs would take too long")
         return
     graph = ReachabilityGraph(search)
@@ -141,14 +141,14 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
     )
     for refusal in islice(lost, _SHOWN):
         report.refuse(refusal)
-        if monotonic() > deadline:
+        if thread_cpu() > deadline:
             break
     report.answer(_COMPONENTS, resources_return=not report.refusals)
 
 
 def _answer_bounds(report: Report, problem: Problem, search: Search, deadline: float) -> None:
     found, places = search.found, problem.compiled.places
-    if monotonic() + _COLUMN_COST * len(places) * found.count > deadline:
+    if thread_cpu() + _COLUMN_COST * len(places) * found.count > deadline:
         reason = f"the bounds of {len(places)} places in {found.count} markings would take too long"
         report.leave(reason, "place_bounds", "max_token_in_place", "max_token_per_marking", "safe")
         return
@@ -170,7 +170,7 @@ def answer_from_part(report: Report, problem: Problem, search: Search, deadline:
         report: Gets the answers and refusals.
         problem: The nets.
         search: Not finished.
-        deadline: Time on the monotonic clock at which to give up [s].
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
     found = search.found
     method = f"{EXPLICIT} of some markings"
@@ -179,7 +179,7 @@ def answer_from_part(report: Report, problem: Problem, search: Search, deadline:
         report.answer(method, has_deadlock=True)
         if problem.closed and problem.compiled.transitions:
             report.answer("a dead marking is reachable", live=False, live_transitions=0, reversible=dead != [0])
-    if monotonic() + _COLUMN_COST * len(problem.initial) * found.count < deadline:
+    if thread_cpu() + _COLUMN_COST * len(problem.initial) * found.count < deadline:
         bounds, _ = place_bounds(found)
         if max(bounds, default=0) > 1:
             report.answer(method, safe=False)
@@ -209,7 +209,7 @@ def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: f
         report: Gets the answers and refusals.
         problem: The nets; bounded.
         why: Why the markings are not listed.
-        deadline: Time on the monotonic clock at which to give up [s].
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
     compiled = problem.compiled
     found = explore(compiled, problem.initial, deadline=deadline)
@@ -301,7 +301,7 @@ def answer_from_stubborn_sets(report: Report, problem: Problem, states: int, dea
         report: Gets the answer, and the refusal.
         problem: The nets; closed.
         states: Number of markings at which to give up.
-        deadline: Time on the monotonic clock at which to give up [s].
+        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
     found = find_deadlock(problem.compiled, problem.initial, deadline, states)
     report.answer(_STUBBORN_SETS, has_deadlock=found.found)

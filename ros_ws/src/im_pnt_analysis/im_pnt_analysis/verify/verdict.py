@@ -8,7 +8,7 @@ deadlock is left.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from im_core.clock import monotonic
+from im_core.clock import monotonic, thread_cpu
 from im_pnt.model.net import Net
 from im_pnt_analysis.search.growth import GrowthTest
 from im_pnt_analysis.search.packing import TooManyTokensError
@@ -63,7 +63,7 @@ def verify(
     limits = limits or SearchLimits()
     problem = problem_of(nets)
     report = Report([net.name for net in nets], assumptions=list(problem.composition.assumptions))
-    _Verification(problem, report, limits, begin + limits.seconds, progress).run(structure=structure)
+    _Verification(problem, report, limits, thread_cpu() + limits.seconds, progress).run(structure=structure)
     report.decide()
     report.time_s = round(monotonic() - begin, 4)
     return report
@@ -143,7 +143,7 @@ class _Verification:
             if count == _FEW:
                 self.progress("bounds by linear programming")
                 solve_bounds(report, self.problem, later)
-            if report.bounded or self._over(search) or monotonic() > later:
+            if report.bounded or self._over(search) or thread_cpu() > later:
                 break
         if not report.bounded and not search.complete:
             self._cover()
@@ -179,10 +179,10 @@ class _Verification:
         search.run(replace(self.limits, states=min(states, self.limits.states)), deadline)
 
     def _over(self, search: Search) -> bool:
-        return search.found.count > self.limits.states or monotonic() > self.deadline
+        return search.found.count > self.limits.states or thread_cpu() > self.deadline
 
     def _later(self) -> float:
-        now = monotonic()
+        now = thread_cpu()
         return now + _SHARE * max(0.0, self.deadline - now)
 
 
