@@ -6,8 +6,10 @@
 #   scripts/record.sh -o my_bag                           into my_bag/
 #   scripts/record.sh --topics /joint_states /pnt/firings /tf
 #
-# SIGINT (Ctrl-C) and SIGTERM end it properly; a recorder killed otherwise leaves a bag that cannot be read.
-# Exit codes: 0 recorded, 2 bad usage or the folder exists.
+# A bag consists of parts of at most 256 MiB or 5 minutes; each can be read when the next has begun. SIGINT (Ctrl-C) and
+# SIGTERM end the recording properly; a recorder killed otherwise loses the last part. It ends by itself, with all that
+# was written, before less than 64 MiB of the disk are free.
+# Exit codes: 0 recorded, 1 the disk is full or nearly so (said), 2 bad usage or the folder exists.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi

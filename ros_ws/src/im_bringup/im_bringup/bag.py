@@ -1,12 +1,15 @@
 """Bags of ROS messages: MCAP through ``rosbags``; messages pass as the bytes the middleware delivers."""
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+import shutil
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import yaml
 from rosbags.interfaces import (
     Connection,
     Nodetype,
@@ -21,13 +24,34 @@ from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer, WriterEr
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from im_bringup.tasks.executables import prefixes
-from im_core.errors import DataError
+from im_core.errors import DataError, StoreError
+from im_core.files import write_whole
 
 _FOREVER = QosTime(9223372036, 854775807)
 
 #: Topics that start and end machines, and that carry tokens between nets: recorded, but replayed only by name.
 CONTROL_TOPICS = ("/im/phase", "/im/task_status")
 CONTROL_SUFFIXES = ("/tokens",)
+
+
+#: Folder inside the bag where the part that is being written is, and after how many bytes the disk is looked at.
+_OPEN = "open"
+_LOOK_EVERY = 2**20
+
+
+@dataclass(frozen=True)
+class PartLimits:
+    """Limits of the parts of a bag.
+
+    Attributes:
+        size_bytes: Size of messages after which the next part begins [bytes].
+        time_ns: Time after which the next part begins [ns].
+        free_bytes: The recording ends before less of the disk is free [bytes].
+    """
+
+    size_bytes: int = 256 * 2**20
+    time_ns: int = 300 * 10**9
+    free_bytes: int = 64 * 2**20
 
 
 @dataclass(frozen=True)
@@ -118,24 +142,31 @@ def _named_types(description: Any) -> Iterator[str]:
 
 
 class BagWriter:
-    """Writes a bag; what was written can be read only after :meth:`close`.
+    """Writes a bag in parts: each is a file that is complete when the next begins, and can be read from then on.
+
+    A recorder that is killed loses the part that it was writing, and no other; so does a disk that is full.
 
     Args:
         path: Folder of the bag; it must not exist.
+        limits: When the next part begins, and how much of the disk is left alone.
 
     Raises:
         DataError: It exists, or cannot be made.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, limits: PartLimits | None = None) -> None:
         self.path = path
         self.counts: dict[str, int] = {}
+        self._limits = limits or PartLimits()
         self._types = Types()
+        self._topics: dict[str, tuple[str, Delivery]] = {}
+        self._parts: list[dict[str, Any]] = []
         self._connections: dict[str, Connection] = {}
+        self._size, self._looked, self._begun_ns = 0, 0, 0
+        self._broken: StoreError | None = None
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
-            self._writer.open()
+            path.mkdir(parents=True)
+            self._begin_part()
         except (WriterError, OSError) as error:
             raise DataError(f"the bag {path} cannot be made: {error}", path=str(path)) from error
 
@@ -146,10 +177,9 @@ class BagWriter:
             DataError: Its type is not defined in any sourced workspace.
         """
         self._types.know(type_name)
-        self._connections[topic] = self._writer.add_connection(
-            topic, type_name, typestore=self._types.store, offered_qos_profiles=[delivery.to_qos()]
-        )
+        self._topics[topic] = type_name, delivery
         self.counts[topic] = 0
+        self._connect(topic)
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append a message.
@@ -158,13 +188,98 @@ class BagWriter:
             topic: An announced topic.
             stamp_ns: When it came, wall time [ns].
             data: The message, serialised (CDR).
+
+        Raises:
+            StoreError: The disk is full, or nearly so; :meth:`close` keeps what was written before.
         """
-        self._writer.write(self._connections[topic], stamp_ns, data)
+        if self._broken is not None:
+            raise self._broken
+        try:
+            self._writer.write(self._connections[topic], stamp_ns, data)
+        except OSError as error:
+            self._writer.abort()
+            self._broken = StoreError.of("written", self.path, error)
+            raise self._broken from error
         self.counts[topic] += 1
+        self._size += len(data)
+        self._begun_ns = self._begun_ns or stamp_ns
+        if self._size >= self._looked + _LOOK_EVERY:
+            self._looked = self._size
+            free = shutil.disk_usage(self.path).free
+            if free < self._limits.free_bytes:
+                kept = self._limits.free_bytes / 2**20
+                reason = f"{free / 2**20:.0f} MiB are free on the disk, and {kept:.0f} stay free"
+                raise StoreError(f"{self.path} is not written any longer: {reason}", file=str(self.path), reason=reason)
+        if self._size >= self._limits.size_bytes or stamp_ns - self._begun_ns >= self._limits.time_ns:
+            self._end_part()
+            self._begin_part()
 
     def close(self) -> None:
-        """Finish the bag."""
-        self._writer.close()
+        """Finish the bag.
+
+        Raises:
+            StoreError: Its last part cannot be written; those before it are kept.
+        """
+        if self._broken is None:
+            self._end_part()
+        shutil.rmtree(self.path / _OPEN, ignore_errors=True)
+
+    def _begin_part(self) -> None:
+        self._writer = Writer(self.path / _OPEN, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+        self._size, self._looked, self._begun_ns = 0, 0, 0
+        for topic in self._topics:
+            self._connect(topic)
+
+    def _connect(self, topic: str) -> None:
+        type_name, delivery = self._topics[topic]
+        self._connections[topic] = self._writer.add_connection(
+            topic, type_name, typestore=self._types.store, offered_qos_profiles=[delivery.to_qos()]
+        )
+
+    def _end_part(self) -> None:
+        """Close the file that is written, give it its name, and list it."""
+        name = f"{self.path.name}_{len(self._parts)}.mcap" if self._parts else f"{self.path.name}.mcap"
+        part = self.path / _OPEN
+        try:
+            self._writer.close()
+            described = yaml.safe_load((part / "metadata.yaml").read_text(encoding="utf-8"))
+            os.replace(part / f"{_OPEN}.mcap", self.path / name)
+            self._parts.append(_named(described["rosbag2_bagfile_information"], name))
+            content = {"rosbag2_bagfile_information": _joined(self._parts)}
+            write_whole(self.path / "metadata.yaml", yaml.safe_dump(content, sort_keys=False))
+            shutil.rmtree(part)
+        except OSError as error:
+            self._broken = StoreError.of("written", self.path, error)
+            raise self._broken from error
+
+
+def _named(part: dict[str, Any], name: str) -> dict[str, Any]:
+    """The description of a part whose file got its name."""
+    return {**part, "relative_file_paths": [name], "files": [{**part["files"][0], "path": name}]}
+
+
+def _joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The description of a bag of several parts; the last one has all topics."""
+    files = [file for part in parts for file in part["files"] if file["message_count"]] or parts[0]["files"]
+    begin = min(file["starting_time"]["nanoseconds_since_epoch"] for file in files)
+    end = max(file["starting_time"]["nanoseconds_since_epoch"] + file["duration"]["nanoseconds"] for file in files)
+    counts: Counter[str] = Counter()
+    for part in parts:
+        for topic in part["topics_with_message_count"]:
+            counts[topic["topic_metadata"]["name"]] += topic["message_count"]
+    return {
+        **parts[-1],
+        "relative_file_paths": [name for part in parts for name in part["relative_file_paths"]],
+        "files": [file for part in parts for file in part["files"]],
+        "starting_time": {"nanoseconds_since_epoch": begin},
+        "duration": {"nanoseconds": end - begin},
+        "message_count": sum(part["message_count"] for part in parts),
+        "topics_with_message_count": [
+            {**topic, "message_count": counts[topic["topic_metadata"]["name"]]}
+            for topic in parts[-1]["topics_with_message_count"]
+        ],
+    }
 
 
 class BagReader:

@@ -1,8 +1,8 @@
 import pytest
 
 from im_bringup import bag
-from im_bringup.bag import BagReader, BagWriter, Delivery, chosen_topics
-from im_core.errors import DataError
+from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits, chosen_topics
+from im_core.errors import DataError, StoreError
 
 
 @pytest.fixture
@@ -46,6 +46,52 @@ def test_a_public_reader_reads_it(tmp_path, workspace):
         ((schema, channel, message),) = make_reader(file).iter_messages()
     assert (schema.name, channel.topic, message.log_time) == ("my_msgs/msg/Outer", "/a", 5)
     assert "MSG: my_msgs/Inner" in schema.data.decode()
+
+
+STRING = "std_msgs/msg/String"
+RELIABLE = Delivery(reliable=True, latched=False, depth=10)
+
+
+def written_in_parts(path, limits, count=9):
+    """Messages of 100 bytes, one a second; the second topic appears with the third message."""
+    writer = BagWriter(path, limits)
+    writer.add_topic("/a", STRING, RELIABLE)
+    for number in range(count):
+        if number == 2:
+            writer.add_topic("/b", STRING, RELIABLE)
+        writer.write("/b" if number >= 2 and number % 2 else "/a", (1000 + number) * 10**9, bytes([number]) * 100)
+    return writer
+
+
+@pytest.mark.parametrize("limits", [PartLimits(size_bytes=300), PartLimits(time_ns=2 * 10**9)])
+def test_a_bag_is_split_by_size_and_by_time_and_read_as_one(tmp_path, limits):
+    writer = written_in_parts(tmp_path / "bag", limits)
+    writer.write("/a", 1009 * 10**9, b"last")
+    writer.close()
+    files = sorted(path.name for path in (tmp_path / "bag").iterdir())
+    assert files == ["bag.mcap", "bag_1.mcap", "bag_2.mcap", "bag_3.mcap", "metadata.yaml"]
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.counts == {"/a": 7, "/b": 3}
+        assert reader.duration_s == pytest.approx(9.0)
+        read = [(topic, data[:1]) for topic, _, data in reader.messages(["/a", "/b"])]
+        assert [data for _, data in read] == [*(bytes([number]) for number in range(9)), b"l"]
+        assert [topic for topic, _ in read[:4]] == ["/a", "/a", "/a", "/b"]
+
+
+def test_a_recorder_that_is_killed_loses_only_the_part_it_was_writing(tmp_path):
+    written_in_parts(tmp_path / "bag", PartLimits(size_bytes=300), count=8)  # and never closed
+    with BagReader(tmp_path / "bag") as reader:
+        assert sum(reader.counts.values()) == 6
+
+
+def test_a_recording_ends_before_the_disk_is_full_and_is_whole(tmp_path):
+    writer = BagWriter(tmp_path / "bag", PartLimits(free_bytes=2**60))
+    writer.add_topic("/a", STRING, RELIABLE)
+    with pytest.raises(StoreError, match=r"is not written any longer: .* MiB are free on the disk"):
+        writer.write("/a", 5, bytes(2**20))
+    writer.close()
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.counts == {"/a": 1}
 
 
 def test_an_unknown_type_is_named(tmp_path, workspace):

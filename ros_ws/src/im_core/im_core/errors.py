@@ -55,13 +55,38 @@ class LinkError(ImError):
     default_code = "link"
 
 
-class StoreError(ImError):
+class StoreError(ImError, OSError):
     """A file cannot be written or read: the disk is full, has failed, or may not be written to.
 
     What the file held before is still there; the same may be tried again.
+
+    Args:
+        message: One sentence.
+        file: The file or folder.
+        reason: What the operating system or the library says.
+        errno: Number of the operating system's error, if it is one.
     """
 
     default_code = "store"
+
+    def __init__(self, message: str, *, file: str, reason: str, errno: int | None = None) -> None:
+        super().__init__(message, file=file, reason=reason)
+        self.errno, self.strerror, self.filename = errno, reason, file
+
+    def __str__(self) -> str:
+        return self.message
+
+    @classmethod
+    def of(cls, what: str, file: object, error: OSError) -> "StoreError":
+        """The error of the operating system as one of ours.
+
+        Args:
+            what: What cannot be done with the file: ``written``, ``made``.
+            file: The file or folder.
+            error: Why.
+        """
+        reason = error.strerror or str(error)
+        return cls(f"{file} cannot be {what}: {reason}", file=str(file), reason=reason, errno=error.errno)
 
 
 class LimitError(ImError):

@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+from im_core.files import make_folder
+
 
 def instance() -> str:
     """Prefix of every shared memory and semaphore name.
@@ -13,14 +15,18 @@ def instance() -> str:
 
 
 def run_dir() -> Path:
-    """Folder for logs, databases and pid files of this machine; made if missing."""
-    path = Path(os.environ.get("IM_RUN_DIR") or Path.cwd() / ".run" / instance())
-    path.mkdir(parents=True, exist_ok=True)
-    return path
+    """Folder for logs, databases and pid files of this machine; made if missing.
+
+    Raises:
+        StoreError: It cannot be made.
+    """
+    return make_folder(Path(os.environ.get("IM_RUN_DIR") or Path.cwd() / ".run" / instance()))
 
 
 def results_dir() -> Path:
-    """Folder for the results of commands; made if missing."""
-    path = Path(os.environ.get("IM_RESULTS_DIR") or Path.cwd() / "results")
-    path.mkdir(parents=True, exist_ok=True)
-    return path
+    """Folder for the results of commands; made if missing.
+
+    Raises:
+        StoreError: It cannot be made.
+    """
+    return make_folder(Path(os.environ.get("IM_RESULTS_DIR") or Path.cwd() / "results"))

@@ -6,6 +6,7 @@ import threading
 
 import pytest
 
+from im_core.errors import StoreError
 from im_core.files import write_whole
 
 
@@ -39,7 +40,7 @@ def test_what_cannot_be_written_leaves_nothing(tmp_path):
     (tmp_path / "folder" / "full").touch()
     with pytest.raises(OSError, match="folder"):
         write_whole(tmp_path / "folder", "text")
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(StoreError, match=r"missing/a cannot be written: No such file or directory"):
         write_whole(tmp_path / "missing" / "a", "text")
     with pytest.raises(UnicodeEncodeError):
         write_whole(tmp_path / "b", "\ud800")

@@ -1,5 +1,6 @@
 """Where the time of a command went, and its report on disk."""
 
+import itertools
 import json
 import os
 from collections import defaultdict
@@ -7,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from im_core.files import write_whole
+from im_core.errors import StoreError
+from im_core.files import make_folder, write_whole
 
 LATEST = "latest"
 
@@ -124,22 +126,36 @@ def _rejections(skipped: Sequence[SkippedPose]) -> list[dict[str, str]]:
 
 
 def make_directory(results: Path, stamp: str) -> Path:
-    """A new folder ``results/<stamp>``, with a counter behind it when two runs share a second."""
-    for attempt in range(1000):
+    """A new folder ``results/<stamp>``, with a counter behind it when two runs share a second.
+
+    Raises:
+        StoreError: It cannot be made.
+    """
+    make_folder(results)
+    for attempt in itertools.count():
         path = results / (stamp if attempt == 0 else f"{stamp}-{attempt}")
         try:
-            path.mkdir(parents=True)
+            path.mkdir()
         except FileExistsError:
             continue
-        return path
-    raise FileExistsError(f"{results}/{stamp} and a thousand like it exist")
+        except OSError as error:
+            raise StoreError.of("made", path, error) from error
+        break
+    return path
 
 
 def write_report(directory: Path, report: Mapping[str, object]) -> Path:
-    """Write ``report.json`` at one stroke, and let ``latest`` beside the folder point to it."""
+    """Write ``report.json`` at one stroke, and let ``latest`` beside the folder point to it.
+
+    Raises:
+        StoreError: It cannot be written; ``latest`` is what it was.
+    """
     path = write_whole(directory / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
     link = directory.parent / f".{LATEST}.{os.getpid()}"
-    link.unlink(missing_ok=True)
-    link.symlink_to(directory.name)
-    os.replace(link, directory.parent / LATEST)
+    try:
+        link.unlink(missing_ok=True)
+        link.symlink_to(directory.name)
+        os.replace(link, directory.parent / LATEST)
+    except OSError as error:
+        raise StoreError.of("written", directory.parent / LATEST, error) from error
     return path

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -142,3 +143,13 @@ def test_a_command_fails_with_a_report_even_if_the_data_objects_are_what_failed(
     report = json.loads((Path(str(play.job.memory["directory"])) / "report.json").read_text())
     assert (report["success"], report["message"]) == (False, "the arm is gone")
     assert isinstance(play.host.objects["skipped/1"], SkippedPose)
+
+
+def test_a_command_whose_report_cannot_be_written_ends_and_says_both(play: Play) -> None:
+    play.pose()
+    shutil.rmtree(str(play.job.memory["directory"]))
+    play("note_failure", LinkError("the arm is gone"))
+    play("report_failure")
+    message = str(play.job.results["message"])
+    assert message.startswith("the arm is gone; there is no report: ")
+    assert message.endswith("cannot be written: No such file or directory")

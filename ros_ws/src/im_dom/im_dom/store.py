@@ -57,16 +57,18 @@ class ObjectStore:
         path: SQLite file, made if missing; ``:memory:`` keeps nothing.
 
     Raises:
-        StoreError: It cannot be opened.
+        DataError: It cannot be opened.
     """
 
     def __init__(self, path: str | Path = ":memory:") -> None:
         self._path = str(path)
-        with self._doing("opened"):
+        try:
             self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self._db.execute("PRAGMA journal_mode=WAL")
             self._db.execute("PRAGMA synchronous=NORMAL")
             self._db.execute(SCHEMA)
+        except sqlite3.Error as error:
+            raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
 
     @contextmanager
     def _doing(self, what: str) -> Iterator[None]:

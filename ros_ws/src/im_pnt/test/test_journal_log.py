@@ -174,6 +174,7 @@ def test_where_the_disk_is_full_nothing_is_half_written():
         log.append('["lost"]')
     with pytest.raises(JournalError, match="cannot be written"):
         log.replace(HEADER, {})
+    assert [name for name in files.names() if name.endswith(".new")] == []
     files.full = False
     log.append('["kept"]')
     assert [batch for _, batch in Log(files, Sync.OS).recover().batches] == [["kept"]]

@@ -3,6 +3,7 @@
 import argparse
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.bag import BagWriter, Delivery, default_folder
 from im_core import clock
-from im_core.errors import ImError
+from im_core.errors import ImError, StoreError
 from im_core.ros.interfaces import interface_class
 from im_core.ros.run import Spinner
 
@@ -35,6 +36,9 @@ class BagRecorder(Node):
         self._bag = bag
         self._only = set(only)
         self._refused: set[str] = set()
+        #: Why the recording ended before it was asked to, if it did.
+        self.trouble: StoreError | None = None
+        self.on_trouble: Callable[[], None] = lambda: None
         self.create_timer(DISCOVERY_PERIOD_S, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def discover(self) -> None:
@@ -64,8 +68,15 @@ class BagRecorder(Node):
             self._refused.add(topic)
             print(f"record: {topic} is left out: {error.message}", file=sys.stderr)
             return
+
         def write(data: bytes) -> None:
-            self._bag.write(topic, int(clock.wall() * 1e9), data)
+            if self.trouble is not None:
+                return
+            try:
+                self._bag.write(topic, int(clock.wall() * 1e9), data)
+            except StoreError as error:
+                self.trouble = error
+                self.on_trouble()
 
         self.create_subscription(message_class, topic, write, to_profile(delivery), raw=True)
 
@@ -107,6 +118,7 @@ def main() -> int:
     spinner = Spinner([recorder])
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: spinner.request_stop())
+    recorder.on_trouble = spinner.request_stop
     print(f"record: into {path}; Ctrl-C ends it", flush=True)
     try:
         spinner.spin()
@@ -114,9 +126,22 @@ def main() -> int:
     finally:
         spinner.stop()
         rclpy.try_shutdown()
-        bag.close()
+        unfinished = closed(bag)
+    trouble = recorder.trouble or unfinished
+    if trouble is not None:
+        print(f"record: {trouble.message}", file=sys.stderr)
+        return 1
     print(f"record: {sum(bag.counts.values())} messages of {len(bag.counts)} topics in {path}")
     return 0
+
+
+def closed(bag: BagWriter) -> StoreError | None:
+    """Finish a bag; why its last part could not be written, if it could not."""
+    try:
+        bag.close()
+    except StoreError as error:
+        return error
+    return None
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import yaml
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.executables import path_of
 from im_core import clock, names, scheduling
+from im_core.files import make_folder, write_whole
 from im_core.process import ChildProcess, await_ends, last_words
 
 #: Every process of a machine has this in its environment, with the machine's instance as value.
@@ -224,6 +225,7 @@ def commands(deployment: Deployment, host: str, run_dir: Path) -> list[TaskComma
 
     Raises:
         NotFoundError: The host, a package or an executable does not exist.
+        StoreError: A parameter file cannot be written.
     """
     result = []
     for placed in deployment.on_host(host):
@@ -235,12 +237,15 @@ def commands(deployment: Deployment, host: str, run_dir: Path) -> list[TaskComma
 
 
 def write_parameters(run_dir: Path, task: str, parameters: Mapping[str, ParameterValue]) -> Path:
-    """Write a ROS parameter file that holds for every node of the task's process."""
+    """Write a ROS parameter file that holds for every node of the task's process.
+
+    Raises:
+        StoreError: It cannot be written.
+    """
     path = run_dir / "parameters" / f"{task}.yaml"
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     content = {"/**": {"ros__parameters": dict(parameters)}}
-    path.write_text(yaml.safe_dump(content, sort_keys=True), encoding="utf-8")
-    return path
+    return write_whole(path, yaml.safe_dump(content, sort_keys=True))
 
 
 def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:

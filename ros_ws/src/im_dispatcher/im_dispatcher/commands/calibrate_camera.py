@@ -9,7 +9,7 @@ from pathlib import Path
 
 from im_cell.robot import load_cell
 from im_core import clock
-from im_core.errors import ImError, StateError
+from im_core.errors import ImError, StateError, StoreError
 from im_core.names import results_dir
 from im_dispatcher.command import CommandDescription, CommandHost
 from im_dispatcher.expectation import beside, expectation
@@ -139,7 +139,10 @@ class CalibrateCamera:
             skipped: list[SkippedPose] = []
             with contextlib.suppress(ImError):  # the data objects may be what failed
                 skipped = await self._skipped(ctx)
-            self._finish(ctx, failed(reason, skipped))
+            try:
+                self._finish(ctx, failed(reason, skipped))
+            except StoreError as error:  # the command ends all the same, and says both
+                ctx.result["message"] = f"{reason}; there is no report: {error.message}"
 
     # What they share.
 

@@ -69,7 +69,7 @@ class StrategyBook:
         """Writes the book; the file is replaced whole or not at all.
 
         Raises:
-            OSError: It cannot be written.
+            StoreError: It cannot be written.
         """
         content = {name: {"successes": s, "failures": f} for name, (s, f) in sorted(self._counts.items())}
         write_whole(path, json.dumps({"strategies": content}, indent=1) + "\n")

@@ -1,5 +1,6 @@
 """The files of a journal: a folder that one process holds, with files that only grow."""
 
+import contextlib
 import fcntl
 import os
 from pathlib import Path
@@ -131,8 +132,9 @@ class Folder:
             os.close(lock)
             text = f"{self.name}: the journal is in use by process {holder}; a journal belongs to one process"
             raise JournalError(text, file=self.name, pid=holder) from error
-        os.ftruncate(lock, 0)
-        os.write(lock, b"%d\n" % os.getpid())
+        with contextlib.suppress(OSError):  # a disk that is full: the lock holds, though it does not say whose it is
+            os.ftruncate(lock, 0)
+            os.write(lock, b"%d\n" % os.getpid())
         self._lock = lock
 
     def unlock(self) -> None:

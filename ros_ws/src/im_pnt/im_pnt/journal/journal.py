@@ -197,7 +197,8 @@ class Journal:
         if self._log.size > self._compact_at:
             try:
                 self.compact()
-            except NetError as error:  # an action that runs holds what JSON cannot carry; it may have let it go later
+            except (NetError, JournalError) as error:
+                # an action that runs holds what JSON cannot carry, or the disk is full; both may be over later
                 self._compact_at = 2 * self._log.size
                 self._observer.troubled("", f"the journal is not compacted now: {error}")
 

@@ -235,6 +235,8 @@ class Log:
         except OSError as error:
             if file is not None:
                 file.close()
+                with contextlib.suppress(OSError):  # what was begun would keep a full disk full
+                    self._files.remove(f"{name}.new")
             raise self._failed("written", error) from error
         if self._file is not None:
             self._file.close()

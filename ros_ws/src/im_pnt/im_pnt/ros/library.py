@@ -10,7 +10,7 @@ from pathlib import Path
 
 from im_core.clock import monotonic
 from im_core.errors import StateError
-from im_core.files import write_whole
+from im_core.files import make_folder, write_whole
 from im_core.ros import qos
 from im_core.ros.calls import pause, run_in_thread
 from im_core.ros.node import ManagedNode
@@ -42,8 +42,7 @@ class Library:
 
     def keep_in(self, folder: Path) -> None:
         """Has nets that came later kept in a folder, where a node that died finds them."""
-        folder.mkdir(parents=True, exist_ok=True)
-        self._kept = folder
+        self._kept = make_folder(folder)
 
     def follow(self, node: ManagedNode) -> None:
         """Learns the nets of other nodes."""

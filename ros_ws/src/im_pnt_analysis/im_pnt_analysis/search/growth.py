@@ -38,7 +38,8 @@ class GrowthTest:
         """Returns the first growth among the markings that were found since the last call.
 
         Args:
-            deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; the rest is looked at in the next call.
+            deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; the rest is looked at in the
+                next call.
         """
         while self._seen < self._found.count:
             if thread_cpu() > deadline:

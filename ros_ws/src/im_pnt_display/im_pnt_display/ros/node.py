@@ -10,6 +10,7 @@ from rclpy.client import Client
 from rclpy.parameter import Parameter
 
 from im_core.errors import ImError, NotFoundError
+from im_core.files import write_whole
 from im_core.names import run_dir
 from im_core.ros import qos
 from im_core.ros.calls import call
@@ -47,7 +48,7 @@ class DisplayNode(ManagedNode):
             LinkError: No port is free.
         """
         self.server.start()
-        (run_dir() / "pnt_display.url").write_text(self.server.url + "\n", encoding="utf-8")
+        write_whole(run_dir() / "pnt_display.url", self.server.url + "\n")
         self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_MANY)
         self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_MANY)
         self.create_subscription(Firing, "/pnt/firings", self._fire, qos.EVENTS)
