@@ -1,5 +1,6 @@
 """Fixtures of the tests with nodes and processes. Every session has a ROS domain and a run folder of its own."""
 
+import fcntl
 import json
 import os
 import shutil
@@ -18,7 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def pytest_configure(config):
     """Set the environment before any test module imports rclpy."""
-    os.environ["ROS_DOMAIN_ID"] = str(100 + os.getpid() % 101)
+    config.stash[DOMAIN], domain = own_domain()
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     folder = Path(tempfile.mkdtemp(prefix="im_test_"))
     for name in ("run", "results", "ros"):
@@ -29,7 +31,20 @@ def pytest_configure(config):
     config.stash[FOLDER] = folder
 
 
-FOLDER = pytest.StashKey()
+FOLDER, DOMAIN = pytest.StashKey(), pytest.StashKey()
+
+
+def own_domain():
+    """The lock of a ROS domain that no other session on this host tests in, and its number; its ports are free."""
+    for domain in range(100, 39, -1):
+        lock = (Path(tempfile.gettempdir()) / f"im_test_domain_{domain}.lock").open("a")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+        else:
+            return lock, domain
+    raise pytest.UsageError("60 sessions test on this host; each needs a ROS domain of its own")
 
 
 def pytest_unconfigure(config):
