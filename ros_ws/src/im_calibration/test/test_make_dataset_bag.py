@@ -173,7 +173,7 @@ def nonsense(of):
         "points": (points, ["--led-offset", "0", "0", "1"], "'/tool' has points; an LED offset needs poses"),
         "transforms": (moving, [], "'/tool' has transforms; give --frames BASE TOOL"),
         "way": (moving, ["--frames", "base", "led"], "'/tool' does not say where 'led' is in 'base'; it moves arm"),
-        "apart": (shifted, [], "no spot has a pose within 0.01 s; the first spot comes -0.504 s after the first pose"),
+        "apart": (shifted, [], "no spot has a pose within 0.02 s; the first spot comes -0.504 s after the first pose"),
         "nan": ([("/tool", point(1, [np.nan] * 3))], [], "topic '/tool' has no message with finite numbers"),
         "size": (poses(), [], "The image size of left, right is not known; give --image-size WIDTHxHEIGHT."),
         "camera": (poses(), ["--camera-info", "up=/info"], "--camera-info names up, --spots left, right."),

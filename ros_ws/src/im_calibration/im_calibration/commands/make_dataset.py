@@ -104,7 +104,7 @@ def _add_bag(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--led-offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="in the tool [m]")
     parser.add_argument("--led-offset-sd", type=_positive, help="how well it is known, each axis [m]; without: exact")
-    parser.add_argument("--tolerance", type=_positive, default=0.01, help="of stamps [s] (%(default)s)")
+    parser.add_argument("--tolerance", type=_positive, default=0.02, help="of stamps [s] (%(default)s)")
 
 
 def _convert(options: argparse.Namespace) -> None:
