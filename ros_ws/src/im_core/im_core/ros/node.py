@@ -26,6 +26,7 @@ from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.callers import client_of
 from im_core.ros.coroutines import Alarms, Coroutines, Promise, Work
+from im_core.ros.parameter_bounds import bounded
 from im_core.ros.parameters import FixedParameters
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
@@ -101,6 +102,7 @@ class ManagedNode(Node):
         The callback may be a coroutine. It may also return a function: that is given who called, as
         :func:`im_core.ros.callers.client_of` says, and returns what the callback would have returned.
         """
+        srv_type, callback = bounded(srv_type, callback)
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
         )

@@ -2,7 +2,7 @@
 
 To make objects of a message of 100,000 points takes rclpy seconds, in which no thread of the node runs. What follows
 hooks in where rclpy asks a generated class to convert: a class whose conversion encodes the message again (a hundredth
-of the time), or notes that it is too long. It relies on the four capsules that rosidl gives every generated class.
+of the time), or notes that it is too long.
 """
 
 import ctypes
@@ -14,6 +14,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.type_support import check_for_type_support
 from unique_identifier_msgs.msg import UUID
 
+from im_core.ros.conversion import Sequence, capsule, converted_by
 from im_mcs.client.wire import UUID_BYTES
 
 
@@ -30,12 +31,6 @@ class GoalBytes:
     points: int
 
 
-class _Sequence(ctypes.Structure):
-    """As rosidl has sequences and texts."""
-
-    _fields_ = (("data", ctypes.c_void_p), ("size", ctypes.c_size_t), ("capacity", ctypes.c_size_t))
-
-
 class _Head(ctypes.Structure):
     """How a request for a goal with a trajectory begins, in C."""
 
@@ -43,9 +38,9 @@ class _Head(ctypes.Structure):
         ("goal_id", ctypes.c_uint8 * UUID_BYTES),
         ("stamp_s", ctypes.c_int32),
         ("stamp_ns", ctypes.c_uint32),
-        ("frame_id", _Sequence),
-        ("joint_names", _Sequence),
-        ("points", _Sequence),
+        ("frame_id", Sequence),
+        ("joint_names", Sequence),
+        ("points", Sequence),
     )
 
 
@@ -57,7 +52,6 @@ class _Request:
     goal: GoalBytes
 
 
-_CONVERT = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p)
 _CREATE = ctypes.PYFUNCTYPE(ctypes.c_void_p)
 _FILL = ctypes.PYFUNCTYPE(ctypes.c_bool, ctypes.py_object, ctypes.c_void_p)
 _DESTROY = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)
@@ -80,8 +74,8 @@ def with_goals_as_bytes(action: Any, most_points: Callable[[], int]) -> Any:
         data = encode(address) if points <= most_points() else b""
         return _Request(UUID(uuid=list(head.goal_id)), GoalBytes(data, points))
 
-    taking = type("BytesMetaclass", (kind,), {"_CONVERT_TO_PY": _capsule(_CONVERT(convert))})
-    service = type("SendGoalService", (action.Impl.SendGoalService,), {"Request": taking("Request", (), {})})
+    request = converted_by(action.Impl.SendGoalService.Request, convert)
+    service = type("SendGoalService", (action.Impl.SendGoalService,), {"Request": request})
     return type(action)("GoalsAsBytes", (action,), {"Impl": type("Impl", (action.Impl,), {"SendGoalService": service})})
 
 
@@ -96,9 +90,9 @@ def _encoder(kind: Any) -> Callable[[int], bytes]:
         (type,),
         {
             "_TYPE_SUPPORT": kind._TYPE_SUPPORT,
-            "_CREATE_ROS_MESSAGE": _capsule(_CREATE(lambda: here[0])),
-            "_CONVERT_FROM_PY": _capsule(_FILL(lambda _, __: True)),
-            "_DESTROY_ROS_MESSAGE": _capsule(_DESTROY(lambda _: None)),
+            "_CREATE_ROS_MESSAGE": capsule(_CREATE(lambda: here[0])),
+            "_CONVERT_FROM_PY": capsule(_FILL(lambda _, __: True)),
+            "_DESTROY_ROS_MESSAGE": capsule(_DESTROY(lambda _: None)),
         },
     )
     given: Any = giving("Given", (), {})
@@ -108,14 +102,3 @@ def _encoder(kind: Any) -> Callable[[int], bytes]:
         return bytes(_rclpy.rclpy_serialize(given(), given))
 
     return encode
-
-
-_functions: list[Any] = []
-"""Functions whose address a capsule holds; they live as long as the process."""
-
-
-def _capsule(function: Any) -> Any:
-    make = ctypes.pythonapi.PyCapsule_New
-    make.restype, make.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
-    _functions.append(function)
-    return make(ctypes.cast(function, ctypes.c_void_p), None, None)
