@@ -1,6 +1,8 @@
 """Who may know whom (docs/architecture.md): read from the import statements of all packages."""
 
 import ast
+import functools
+import re
 from pathlib import Path
 
 import pytest
@@ -57,9 +59,15 @@ LIBRARIES = {
 HOST_END = "im_cell.link.HostEnd"
 
 
+@functools.cache
+def tree(path):
+    """The syntax tree of a file; many tests look at it."""
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
 def imports(path):
     """Dotted names of what a file imports, with line numbers; ``from a import b`` gives ``a.b``."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield node.lineno, alias.name
@@ -145,6 +153,69 @@ def test_truth_is_for_who_simulates_and_who_judges(package):
     assert not offences(package, forbidden)
 
 
+#: Who opens files beside the readers of im_core, and which; all others are files from elsewhere.
+OPEN_FILES = {
+    "im_core/files.py": "the reader",
+    "im_core/jsontext.py": "the reader of JSON",
+    "im_core/yamltext.py": "the reader of YAML",
+    "im_core/bag.py": "the reader of bags",
+    "im_bringup/bag.py": "what its own writer has written",
+    "im_core/process.py": "logs and standard input of children",
+    "im_core/shm/block.py": "/proc",
+    "im_core/silence.py": "/proc",
+    "im_bringup/machine/members.py": "/proc",
+    "im_bringup/machine/leftovers.py": "/proc, locks of Fast DDS",
+    "im_mcs/control/law_server.py": "standard input, from its parent",
+    "im_pnt/journal/folder.py": "the node's own journal, in a folder that it has locked",
+    "im_dom/store.py": "the DOM's own data base",
+}
+OPENERS = {"open", "read_text", "read_bytes", "fdopen", "load", "safe_load", "full_load", "unsafe_load", "load_all"}
+OPENERS |= {"safe_load_all", "loadtxt", "genfromtxt", "fromfile", "imread", "FileStorage", "connect", "Reader"}
+MODULES_THAT_OPEN = {"os", "io", "yaml", "json", "np", "numpy", "cv2", "sqlite3", "pickle", "tomllib"}
+
+
+def opens(path):
+    """Calls in a file that open one or parse YAML: of a path, of a library, or the built-in."""
+    for node in ast.walk(tree(path)):
+        if not isinstance(node, ast.Call):
+            continue
+        match node.func:
+            case ast.Name(id="open" | "Reader" as name):
+                yield node.lineno, name
+            case ast.Attribute(value=ast.Name(id=library), attr=name) if library in MODULES_THAT_OPEN:
+                if name in OPENERS:
+                    yield node.lineno, f"{library}.{name}"
+            case ast.Attribute(value=value, attr="read_text" | "read_bytes" | "open" as name):
+                if name != "open" or (node.args and isinstance(node.args[0], ast.Constant)):
+                    yield node.lineno, f"{ast.unparse(value)}.{name}"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_files_from_elsewhere_pass_the_readers(package):
+    """Size, depth and kind of a file are checked in one place (docs/security.md), so that none can be forgotten."""
+    found = {relative(path): [f"{line}: {call}" for line, call in opens(path)] for path in files(package)}
+    readers = {"files.read_text", "files.read_bytes"}
+    wrong = {
+        path: told
+        for path, calls in found.items()
+        if path not in OPEN_FILES and (told := [call for call in calls if call.partition(": ")[2] not in readers])
+    }
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_only_members_of_the_machine_and_children_are_signalled(package):
+    """A number in a record may be a stranger's: ``signal_member`` looks, and a child's is its parent's to know."""
+    allowed = {"im_bringup/machine/members.py": "pidfd_send_signal", "im_core/process.py": "os.kill"}
+    wrong = []
+    for path in files(package):
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            call = re.search(r"os\.kill\b|killpg|pidfd_send_signal|pthread_kill", line)
+            if call and allowed.get(relative(path)) != call.group():
+                wrong.append(f"{relative(path)}:{number}: {line.strip()}")
+    assert not wrong
+
+
 def modules():
     """The modules of all packages by dotted name."""
     found = {}
@@ -221,7 +292,7 @@ def test_one_class_name_means_one_thing():
     """A search for a name finds one thing; names that begin with an underscore are a module's own affair."""
     found = {}
     for module, path in modules().items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in tree(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 found.setdefault(node.name, []).append(module)
     assert not {name: places for name, places in found.items() if len(places) > 1}

@@ -20,12 +20,13 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from im_bringup.tasks.executables import prefixes
+from im_core.bag import open_bag, unreadable_bag
 from im_core.errors import DataError, StoreError
-from im_core.files import write_whole
+from im_core.files import read_text, write_whole
 
 _FOREVER = QosTime(9223372036, 854775807)
 
@@ -129,7 +130,7 @@ def definition_of(name: str) -> str:
     for prefix in prefixes():
         path = prefix / "share" / package / f"{rest}.msg"
         if path.is_file():
-            return path.read_text(encoding="utf-8")
+            return read_text(path)
     raise DataError(f"the type {name} is not defined in any sourced workspace", type=name)
 
 
@@ -293,12 +294,11 @@ class BagReader:
     """
 
     def __init__(self, path: Path) -> None:
-        folder = path.parent if path.is_file() else path
+        self._path = path.parent if path.is_file() else path
         try:
-            self._reader = Reader(folder)
-            self._reader.open()
-        except (ReaderError, OSError) as error:
-            raise DataError(f"{path} is not a bag that can be read: {error}", path=str(path)) from error
+            self._reader = open_bag(self._path)
+        except DataError as error:
+            raise DataError(f"{path} is not a bag that can be read: {error.message}", path=str(path)) from error
 
     def __enter__(self) -> Self:
         """Nothing to do; the bag is open."""
@@ -331,12 +331,23 @@ class BagReader:
         return {connection.topic: Delivery.of(connection) for connection in self._reader.connections}
 
     def messages(self, topics: Iterable[str]) -> Iterator[tuple[str, int, bytes]]:
-        """Topic, time of arrival [ns] and bytes of the messages of some topics, in order of time."""
+        """Topic, time of arrival [ns] and bytes of the messages of some topics, in order of time.
+
+        Raises:
+            DataError: The bag is damaged.
+        """
         wanted = set(topics)
         connections = [connection for connection in self._reader.connections if connection.topic in wanted]
         if not connections:
             return
-        for connection, stamp_ns, data in self._reader.messages(connections):
+        messages = iter(self._reader.messages(connections))
+        while True:
+            try:
+                connection, stamp_ns, data = next(messages)
+            except StopIteration:
+                return
+            except Exception as error:  # what a reader meets in bytes that were cut or spoilt has any name
+                raise unreadable_bag(self._path, error) from error
             yield connection.topic, stamp_ns, bytes(data)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from im_bringup.machine import leftovers
+from im_bringup.tasks.agent import MARKER
 from im_core import clock
 
 SHM = Path("/dev/shm")
@@ -22,8 +23,8 @@ def instance(monkeypatch):
 
 def test_processes_are_found_by_their_machine_and_killed(instance):
     code = [sys.executable, "-S", "-c", "import time; time.sleep(30)"]
-    mine = subprocess.Popen(code, env={**os.environ, leftovers.MARKER: instance})
-    other = subprocess.Popen(code, env={**os.environ, leftovers.MARKER: instance + "0"})
+    mine = subprocess.Popen(code, env={**os.environ, MARKER: instance})
+    other = subprocess.Popen(code, env={**os.environ, MARKER: instance + "0"})
     try:
         deadline = clock.monotonic() + 60.0
         while [process.pid for process in leftovers.processes()] != [mine.pid]:

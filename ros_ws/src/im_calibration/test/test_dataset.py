@@ -180,11 +180,11 @@ def test_the_command_writes_the_answers(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (b"{\n", "in.json:2: not JSON"),
+        (b"{\n", "in.json:2:1: not JSON"),
         (b"[]", "in.json: the data set is a list"),
-        (b"[NaN]", "NaN is no number of JSON"),
-        (b"[" * 100_000, "nested too deeply"),
-        (b"\xff\xfe", "in.json: not JSON"),
+        (b"[NaN]", "in.json: NaN is not a number of JSON"),
+        (b"[" * 100_000, "in.json: values nest deeper than 40"),
+        (b"\xff\xfe", "in.json:1:1: is not UTF-8 text"),
     ],
 )
 def test_the_command_says_what_is_wrong_with_a_file(tmp_path, capsys, text, sentence):
@@ -198,7 +198,7 @@ def test_the_command_says_what_is_wrong_with_a_file(tmp_path, capsys, text, sent
 
 def test_the_command_names_a_file_it_cannot_use(tmp_path, capsys):
     assert calibrate_dataset.main([str(tmp_path / "none.json"), str(tmp_path / "out.json")]) == 1
-    assert "none.json: No such file" in capsys.readouterr().err
+    assert "none.json: cannot be read: No such file" in capsys.readouterr().err
     source = tmp_path / "in.json"
     source.write_text(json.dumps(SMALL))
     for target in (tmp_path, tmp_path / "no" / "out.json", source):

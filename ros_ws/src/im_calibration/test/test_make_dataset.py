@@ -97,7 +97,7 @@ def test_what_is_wrong_with_a_file_is_named_with_its_line(kind, text, sentence, 
 
 def test_files_and_arguments_that_cannot_be_used_are_named(tmp_path, capsys):
     assert make_dataset.main(["text", f"a={tmp_path}", "out.json"]) == command.BAD_INPUT
-    assert "a regular file" in capsys.readouterr().err
+    assert "not a regular file" in capsys.readouterr().err
     for wrong in (["a"], ["a=b", "--image-size", "12"], ["a=b", "--sigma-px", "0"]):
         with pytest.raises(SystemExit) as end:
             make_dataset.main(["text", wrong[0], "out.json", *wrong[1:]])

@@ -12,6 +12,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from im_core.errors import DataError
+from im_core.files import MEBIBYTE, FileError, check_regular, printable, read_text
+from im_core.yamltext import YamlError, read_yaml
+
+METADATA = "metadata.yaml"
+
+_LARGEST_METADATA = 16 * MEBIBYTE
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,40 @@ class BagMessage:
     logged_ns: int
 
 
+def open_bag(bag: Path) -> Reader:
+    """A bag, looked at before it is opened; how long it is has no limit, its messages are read one by one.
+
+    Args:
+        bag: Folder of the bag, or a file of it.
+
+    Raises:
+        DataError: It cannot be read: a file of it is a FIFO or a device, its metadata are larger or deeper than such
+            are, or it is damaged; the last may show only while messages are read.
+    """
+    try:
+        folder = bag if bag.is_dir() else None
+        for path in folder.iterdir() if folder else (bag,):
+            if not path.is_dir():  # one that is being written has a folder
+                check_regular(path, path.stat())
+        if folder:
+            _check_metadata(folder / METADATA)
+        reader = Reader(bag)
+        reader.open()
+    except FileError:
+        raise
+    except Exception as error:
+        raise unreadable_bag(bag, error) from error
+    return reader
+
+
+def _check_metadata(path: Path) -> None:
+    text = read_text(path, _LARGEST_METADATA)
+    try:
+        read_yaml(text, str(path))
+    except YamlError as error:
+        raise FileError(path, error.sentence, error.place.line) from error
+
+
 def topics_of(bag: Path) -> dict[str, str]:
     """Type of each topic of a bag.
 
@@ -40,7 +80,7 @@ def topics_of(bag: Path) -> dict[str, str]:
     Raises:
         DataError: It cannot be read.
     """
-    with closing(_opened(bag)) as reader:
+    with closing(open_bag(bag)) as reader:
         return {connection.topic: connection.msgtype for connection in reader.connections}
 
 
@@ -54,7 +94,7 @@ def messages_of(bag: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[Ba
     Raises:
         DataError: The bag cannot be read, has no such topic, or one of another type; says what there is.
     """
-    with closing(_opened(bag)) as reader:
+    with closing(open_bag(bag)) as reader:
         chosen = [connection for connection in reader.connections if connection.topic in wanted]
         have = {connection.topic for connection in chosen}
         for topic in wanted:
@@ -72,17 +112,8 @@ def messages_of(bag: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[Ba
             except StopIteration:
                 return
             except Exception as error:  # what a reader meets in bytes that were cut or spoilt has any name
-                raise _unreadable(bag, error) from error
+                raise unreadable_bag(bag, error) from error
             yield message
-
-
-def _opened(bag: Path) -> Reader:
-    try:
-        reader = Reader(bag)
-        reader.open()
-    except Exception as error:
-        raise _unreadable(bag, error) from error
-    return reader
 
 
 def _decoded(reader: Reader, connections: Sequence[Connection]) -> Iterator[BagMessage]:
@@ -102,7 +133,7 @@ def _types(connections: Sequence[Connection]) -> Typestore:
     return store
 
 
-def _unreadable(bag: Path, error: Exception) -> DataError:
-    """One sentence, however many lines the reader used."""
+def unreadable_bag(bag: Path, error: Exception) -> DataError:
+    """What a bag's reader raised as one sentence, however many lines it used."""
     reason = " ".join(str(error).split()) or type(error).__name__
-    return DataError(f"{bag}: cannot be read: {reason[:200]}", file=str(bag))
+    return FileError(bag, f"cannot be read: {printable(reason)[:200]}")

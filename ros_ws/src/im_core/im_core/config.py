@@ -14,6 +14,7 @@ from typing import Annotated, TypeVar, Union, get_args, get_origin
 import pydantic
 
 from im_core.errors import ConfigError, nearest
+from im_core.files import MEBIBYTE, FileError, read_text
 from im_core.yamltext import Location, RepeatedKeyError, Value, YamlError, as_data, find, read_yaml
 
 
@@ -38,6 +39,7 @@ class FieldError(ValueError):
 
 ModelT = TypeVar("ModelT", bound=pydantic.BaseModel)
 _MOST_FAULTS = 50
+_LARGEST_YAML = 16 * MEBIBYTE
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +152,9 @@ def field_name(location: Location) -> str:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}", file=str(path)) from error
+        return read_text(path, _LARGEST_YAML)
+    except FileError as error:
+        raise ConfigError(error.message, file=str(path)) from error
 
 
 def _config_error(*told: tuple[Value, Location, str]) -> ConfigError:

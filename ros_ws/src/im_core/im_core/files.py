@@ -1,11 +1,96 @@
-"""Files that are written whole or not at all."""
+"""Files from elsewhere are read within limits; files of ours are written whole or not at all."""
 
 import contextlib
 import os
+import stat
 import threading
 from pathlib import Path
 
-from im_core.errors import StoreError
+from im_core.errors import DataError, StoreError
+
+MEBIBYTE = 2**20
+LARGEST = 64 * MEBIBYTE
+"""Largest file where nobody says otherwise [bytes]."""
+
+
+class FileError(DataError):
+    """A file that is not read: missing, no regular file, too large, not text, or not what it should be.
+
+    Args:
+        file: The file.
+        sentence: What is wrong with it.
+        line: Where, from 1; None: all of it.
+        column: Where in the line, from 1.
+
+    Attributes:
+        sentence: As given.
+        line: As given.
+        column: As given.
+    """
+
+    def __init__(self, file: str | Path, sentence: str, line: int | None = None, column: int | None = None) -> None:
+        shown = printable(str(file))
+        where = ":".join([shown, *(str(each) for each in (line, column) if each is not None)])
+        super().__init__(f"{where}: {sentence}", file=shown, line=line, column=column)
+        self.sentence, self.line, self.column = sentence, line, column
+
+
+def printable(text: str) -> str:
+    """A text as every log and message can hold it: what is no character of UTF-8, and zeros, are written out."""
+    return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
+
+
+def read_bytes(path: str | Path, largest: int = LARGEST) -> bytes:
+    """Read a file whatever the path leads to: nothing is waited for, and no more is read than may be there.
+
+    Args:
+        path: The file.
+        largest: What it may have at most [bytes].
+
+    Raises:
+        FileError: There is none, it is no regular file (a folder, a FIFO, a device), or it is larger.
+    """
+    try:
+        # without O_NONBLOCK a FIFO would be waited for until somebody writes into it
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        try:
+            check_regular(path, os.fstat(descriptor))
+            with os.fdopen(descriptor, "rb", closefd=False) as file:
+                data = file.read(largest + 1)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise FileError(path, f"cannot be read: {error.strerror}") from error
+    except ValueError as error:  # a path that no file can have
+        raise FileError(path, f"cannot be read: {error}") from error
+    if len(data) > largest:
+        raise FileError(path, f"is larger than {largest / MEBIBYTE:g} MiB, which is the limit")
+    return data
+
+
+def check_regular(path: str | Path, status: os.stat_result) -> None:
+    """Refuse what is no regular file.
+
+    Raises:
+        FileError: It is something else.
+    """
+    if not stat.S_ISREG(status.st_mode):
+        raise FileError(path, "cannot be read: it is not a regular file")
+
+
+def read_text(path: str | Path, largest: int = LARGEST) -> str:
+    """Read a text; arguments as of :func:`read_bytes`. A mark of the byte order is not part of it.
+
+    Raises:
+        FileError: As of :func:`read_bytes`, or it is not UTF-8; line and column are named.
+    """
+    data = read_bytes(path, largest)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        column = error.start - data.rfind(b"\n", 0, error.start)
+        raise FileError(path, f"is not UTF-8 text: {error.reason}", line, column) from error
 
 
 def write_whole(path: Path, content: str | bytes) -> Path:

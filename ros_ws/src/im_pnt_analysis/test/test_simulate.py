@@ -259,13 +259,13 @@ def test_sequences_in_their_three_forms(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"\xff\xfe\x00", "not text in UTF-8"),
-        (b"{", "is not JSON"),
+        (b"\xff\xfe\x00", "is not UTF-8 text"),
+        (b"{", "firings: not JSON"),
         (b'{"repeat": []}', "'sequence' is missing"),
         (b'{"sequence": ["a"], "repeat_from": 2}', "'repeat_from' must be a position"),
         (b'{"sequence": [1]}', "'sequence' must be a list of names"),
         (b'{"sequence": [], "marking": {"p": "2"}}', "'marking' must give places"),
-        (b"[" * 100_000, "is not JSON"),
+        (b"[" * 100_000, "values nest deeper than 40"),
     ],
 )
 def test_sequences_that_cannot_be_read(tmp_path, content, message):

@@ -151,8 +151,8 @@ def test_bad_input_is_one_sentence(queue, job, arguments, message, capsys):
         ("[3]", "entry 1 is not an object"),
         ('[{"net": "a", "transition": "b"}]', "entry 1 needs net, transition"),
         ('[{"net": "a", "transition": "b", "phase": 1, "duration": "x"}]', "entry 1 has the time 'x'"),
-        ('{"net": "a"}\n{', "line 2 is not JSON"),
-        ("[" * 100_000, "is not JSON"),
+        ('{"net": "a"}\n{', "line 2: not JSON"),
+        ("[" * 100_000, "line 1: values nest deeper than 40"),
     ],
 )
 def test_measurements_that_cannot_be_read(tmp_path, content, message):

@@ -4,16 +4,45 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
 
 from im_cell.calibration_error import evaluate
 from im_cell.camera_model import CameraModel
-from im_cell.robot.truth import CameraTruth, CellTruth
+from im_cell.robot.parameters import Vector
+from im_cell.robot.truth import CameraTruth, CellTruth, Matrix
 from im_cell.workspace import Workspace
+from im_core.config import Model, faults
 from im_core.errors import DataError, NotFoundError
-from im_core.files import write_whole
+from im_core.files import FileError, write_whole
+from im_core.jsontext import read_json
+
+
+class _Section(Model):
+    """What is read of a report; it holds more."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+class _CalibratedCamera(_Section):
+    name: str
+    K: Matrix
+    D: Annotated[tuple[float, ...], Field(min_length=5, max_length=14)]
+    R_cam_base: Matrix
+    t_cam_base_m: Vector
+
+
+class _ExpectedError(_Section):
+    workspace_low_m: Vector | None = None
+    workspace_high_m: Vector | None = None
+
+
+class _Calibration(_Section):
+    cameras: Annotated[tuple[_CalibratedCamera, ...], Field(min_length=1)]
+    led_offset_m: Vector
+    expected_error: _ExpectedError
 
 
 def truth_error(report: Mapping[str, Any], truth: CellTruth) -> dict[str, Any]:
@@ -33,17 +62,20 @@ def truth_error(report: Mapping[str, Any], truth: CellTruth) -> dict[str, Any]:
     """
     if not report.get("success") or not report.get("cameras"):
         raise DataError(f"the report holds no calibration: {report.get('message', 'it is empty')}")
+    try:
+        calibration = _Calibration.model_validate(report)
+    except ValidationError as wrong:
+        fault = faults(wrong, _Calibration)[0]
+        raise DataError(f"the report holds no calibration: {fault.field}: {fault.sentence}") from wrong
     estimated, true = [], []
-    for camera in report["cameras"]:
-        real = _true_camera(camera["name"], truth)
-        true.append(_model(real.width, real.height, real.K, real.D, real.R_cam_base, real.t_cam_base_m))
-        shape = (camera["K"], camera["D"], camera["R_cam_base"], camera["t_cam_base_m"])
-        estimated.append(_model(real.width, real.height, *shape))
-    expected = report["expected_error"]
-    corners = expected.get("workspace_low_m"), expected.get("workspace_high_m")
-    workspace = Workspace(*(tuple(corner) for corner in corners)) if all(corners) else Workspace()
+    for camera in calibration.cameras:
+        real = _true_camera(camera.name, truth)
+        true.append(_model(real.width, real.height, real))
+        estimated.append(_model(real.width, real.height, camera))
+    low, high = calibration.expected_error.workspace_low_m, calibration.expected_error.workspace_high_m
+    workspace = Workspace(low, high) if low and high else Workspace()
     error = evaluate(estimated, true, workspace.grid())
-    offsets = [np.subtract(report["led_offset_m"], led.offset_m) for led in truth.leds.values()]
+    offsets = [np.subtract(calibration.led_offset_m, led.offset_m) for led in truth.leds.values()]
     return {
         "triangulation_mm": _finite(error.triangulation_rms_mm),
         "reprojection_px": _finite(error.reprojection_rms_px),
@@ -62,9 +94,11 @@ def add_to_report(path: Path, truth: CellTruth) -> dict[str, Any]:
         NotFoundError: A camera of the report does not exist in truth.
     """
     try:
-        report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path} is not a report: {error}", file=str(path)) from error
+        report = read_json(path)
+    except FileError as error:
+        raise DataError(f"{path} is not a report: {error.message}", file=str(path)) from error
+    if not isinstance(report, dict):
+        raise DataError(f"{path} is not a report: it is not a JSON object", file=str(path))
     report["truth_error"] = truth_error(report, truth)
     write_whole(path, json.dumps(report, indent=2, allow_nan=False) + "\n")
     return report
@@ -81,8 +115,9 @@ def _true_camera(name: str, truth: CellTruth) -> CameraTruth:
     return camera
 
 
-def _model(width: int, height: int, K: Any, D: Any, R_cam_base: Any, t_cam_base: Any) -> CameraModel:
-    return CameraModel(width, height, np.array(K), np.array(D), np.array(R_cam_base), np.array(t_cam_base))
+def _model(width: int, height: int, camera: "_CalibratedCamera | CameraTruth") -> CameraModel:
+    pose = np.array(camera.R_cam_base), np.array(camera.t_cam_base_m)
+    return CameraModel(width, height, np.array(camera.K), np.array(camera.D), *pose)
 
 
 def _finite(value: float) -> float | None:

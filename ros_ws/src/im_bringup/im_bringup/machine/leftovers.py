@@ -6,7 +6,7 @@ import re
 import signal
 from pathlib import Path
 
-from im_bringup.tasks.agent import MARKER
+from im_bringup.machine.members import is_member, signal_member
 from im_core import clock, names, shm
 from im_core.shm import ProcessId
 
@@ -19,37 +19,22 @@ _LOCK = re.compile(r"_[es]l$")
 
 def processes() -> list[ProcessId]:
     """Processes of the machine of this ROS domain, without the calling one."""
-    wanted = f"{MARKER}={names.instance()}".encode()
-    found = []
-    for folder in Path("/proc").iterdir():
-        if not folder.name.isdigit() or int(folder.name) == os.getpid():
-            continue
-        try:
-            environment = (folder / "environ").read_bytes().split(b"\0")
-        except OSError:
-            continue
-        process = ProcessId.of(int(folder.name))
-        if wanted in environment and process.alive():
-            found.append(process)
-    return found
+    pids = (int(folder.name) for folder in Path("/proc").iterdir() if folder.name.isdigit())
+    return [process for pid in pids if pid != os.getpid() and is_member(process := ProcessId.of(pid))]
 
 
 def kill(found: list[ProcessId], timeout_s: float) -> list[ProcessId]:
-    """Kill processes.
+    """Kill processes of the machine.
 
     Args:
-        found: The processes.
+        found: The processes; one that is not of the machine is left alone.
         timeout_s: Longest wait for their end [s].
 
     Returns:
         Those that are still there.
     """
     for process in found:
-        if process.alive():
-            try:
-                os.kill(process.pid, signal.SIGKILL)
-            except (ProcessLookupError, PermissionError):
-                continue
+        signal_member(process, signal.SIGKILL)
     deadline = clock.monotonic() + timeout_s
     while any(process.alive() for process in found) and clock.monotonic() < deadline:
         clock.sleep(0.01)

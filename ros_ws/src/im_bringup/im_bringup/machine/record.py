@@ -4,11 +4,15 @@ import json
 import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+import pydantic
 
 from im_core import names
+from im_core.config import field_name
 from im_core.errors import DataError, StateError
-from im_core.files import write_whole
+from im_core.files import MEBIBYTE, FileError, write_whole
+from im_core.jsontext import read_json
 from im_core.shm import ProcessId
 
 STARTING, READY, FAILED, STOPPING = "starting", "ready", "failed", "stopping"
@@ -32,8 +36,8 @@ class MachineRecord:
         port: Port of the display.
     """
 
-    pid: int
-    start: int
+    pid: Annotated[int, pydantic.Field(gt=1)]
+    start: Annotated[int, pydantic.Field(ge=0)]
     state: str
     phase: str
     tasks: int
@@ -45,9 +49,18 @@ class MachineRecord:
     missing: list[str] = field(default_factory=list)
 
     @property
+    def process(self) -> ProcessId:
+        """The bootstrap."""
+        return ProcessId(self.pid, self.start)
+
+    @property
     def alive(self) -> bool:
         """Whether the bootstrap runs."""
-        return ProcessId(self.pid, self.start).alive()
+        return self.process.alive()
+
+
+_RECORD = pydantic.TypeAdapter(MachineRecord)
+_LARGEST = MEBIBYTE
 
 
 def record_path(instance: str | None = None) -> Path:
@@ -62,13 +75,16 @@ def read() -> MachineRecord | None:
         DataError: The file is not a record.
     """
     path = record_path()
-    try:
-        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return MachineRecord(**data)
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except (OSError, ValueError, TypeError) as error:
-        raise DataError(f"{path} is not the record of a machine: {error}", file=str(path)) from error
+    try:
+        return _RECORD.validate_python(read_json(path, _LARGEST))
+    except FileError as error:
+        raise DataError(f"{path} is not the record of a machine: {error.sentence}", file=str(path)) from error
+    except pydantic.ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        sentence = f"{field_name(fault['loc']) or 'the whole'}: {fault['msg']}"
+        raise DataError(f"{path} is not the record of a machine: {sentence}", file=str(path)) from error
 
 
 def read_running() -> MachineRecord:

@@ -1,7 +1,6 @@
 """``stop``: take the machine of this ROS domain down, whatever state it is in."""
 
 import argparse
-import os
 import signal
 import sys
 from collections.abc import Callable
@@ -9,9 +8,11 @@ from collections.abc import Callable
 from im_bringup.machine import leftovers
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import ignore_interrupts
+from im_bringup.machine.members import is_member, signal_member
 from im_core import clock, names
 from im_core.errors import DataError
 from im_core.process import last_words
+from im_core.shm import ProcessId
 
 #: The bootstrap's own ordered shutdown takes less than this [s].
 _ORDERLY_S = 4.3
@@ -43,9 +44,11 @@ def stop(say: Callable[[str], None]) -> int:
         record = machine.read()
     except DataError:
         record = None
-    ran = record is not None and record.alive
+    ran = record is not None and is_member(record.process)
     if record is not None and ran:
-        _end_bootstrap(record, began + _ORDERLY_S)
+        _end_bootstrap(record.process, began + _ORDERLY_S)
+    elif record is not None and record.alive:
+        say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
     found = leftovers.processes()
     remaining = leftovers.kill(found, timeout_s=0.5)
     removed = leftovers.remove_shared_memory()
@@ -58,12 +61,9 @@ def stop(say: Callable[[str], None]) -> int:
     return 0
 
 
-def _end_bootstrap(record: machine.MachineRecord, deadline: float) -> None:
-    try:
-        os.kill(record.pid, signal.SIGINT)
-    except ProcessLookupError:
-        return
-    while record.alive and clock.monotonic() < deadline:
+def _end_bootstrap(process: ProcessId, deadline: float) -> None:
+    signal_member(process, signal.SIGINT)
+    while process.alive() and clock.monotonic() < deadline:
         clock.sleep(0.02)
 
 

@@ -13,9 +13,10 @@ from std_msgs.msg import UInt8
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.bootstrap import Bootstrap
+from im_bringup.machine.members import is_member
 from im_bringup.machine.record import MachineRecord
 from im_bringup.tasks import deployment as deployments
-from im_bringup.tasks.agent import Agent, Died, commands, environment
+from im_bringup.tasks.agent import MARKER, Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.registry import Progress, TaskRecord
 from im_core import clock, names
@@ -156,6 +157,8 @@ def main() -> int:
     parser.add_argument("--port", type=int)
     parser.add_argument("--calibration")
     arguments = parser.parse_args()
+    if not is_member(ProcessId.current()):  # started by hand; the mark must be there from the start of a process
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, MARKER: names.instance()})
 
     def make_node() -> BootstrapNode:
         deployment = deployments.load(arguments.deployment)

@@ -12,12 +12,12 @@ import numpy as np
 
 from im_calibration.commands import command
 from im_calibration.problem.bags import BagTopics, dataset_from_bag
-from im_calibration.problem.convert import dataset_from, read_opencv, read_text
+from im_calibration.problem.convert import dataset_from, read_lines, read_opencv
 from im_calibration.problem.dataset import problems
 from im_core.errors import DataError
 from im_core.files import write_whole
 
-_READERS = {"text": read_text, "opencv": read_opencv}
+_READERS = {"text": read_lines, "opencv": read_opencv}
 _UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 
 _EPILOG = """\

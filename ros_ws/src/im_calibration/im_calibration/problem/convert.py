@@ -14,10 +14,11 @@ from pydantic import ConfigDict, Field, model_validator
 from im_calibration.problem.dataset import SCHEMA
 from im_core.config import FieldError, Model, parse_model
 from im_core.errors import DataError
+from im_core.files import MEBIBYTE, read_text
 
 Array = NDArray[np.float64]
 
-_LARGEST_FILE = 100_000_000
+_LARGEST_FILE = 100 * MEBIBYTE
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Sighting:
     image_size: tuple[int, int] | None = None
 
 
-def read_text(path: Path) -> Sighting:
+def read_lines(path: Path) -> Sighting:
     """Lines ``u v x y z``, separated by blanks, tabs, commas or semicolons; a # begins a comment.
 
     Args:
@@ -45,7 +46,7 @@ def read_text(path: Path) -> Sighting:
         DataError: It cannot be read, or a line is none of these; file and line are named.
     """
     rows = []
-    for number, line in enumerate(_text(path).splitlines(), 1):
+    for number, line in enumerate(read_text(path, _LARGEST_FILE).splitlines(), 1):
         content = line.partition("#")[0].strip()
         if not content:
             continue
@@ -109,7 +110,7 @@ def read_opencv(path: Path) -> Sighting:
         ConfigError: It is no such file; file and line are named.
         DataError: It cannot be read.
     """
-    text = re.sub(r"\A%YAML[: ]", "#YAML ", _text(path)).replace("!!opencv-matrix", "")
+    text = re.sub(r"\A%YAML[: ]", "#YAML ", read_text(path, _LARGEST_FILE)).replace("!!opencv-matrix", "")
     found = parse_model(text, _OpenCvFile, str(path))
     size = (found.image_width, found.image_height) if found.image_width and found.image_height else None
     return Sighting(found.image_points.vectors(2), found.object_points.vectors(3), size)
@@ -179,17 +180,6 @@ def _keys(positions: Array) -> Sequence[tuple[float, ...]]:
         keys.append((*position, float(before[position])))
         before[position] += 1
     return keys
-
-
-def _text(path: Path) -> str:
-    try:
-        if not path.is_file() or path.stat().st_size > _LARGEST_FILE:
-            raise DataError(f"{path}: a regular file of at most {_LARGEST_FILE} bytes is needed.", file=str(path))
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}.", file=str(path)) from error
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: is no text in UTF-8.", file=str(path)) from error
 
 
 def _wrong(path: Path, line: int, sentence: str) -> DataError:

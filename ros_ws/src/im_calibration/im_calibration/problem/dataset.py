@@ -4,7 +4,6 @@
 ``trials[2].u_px[0][17]``; a field that the format does not have is refused.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -28,11 +27,14 @@ from im_cell.lens import lens_of
 from im_cell.workspace import Workspace
 from im_core.config import Fault, FieldError, Model, faults, field_name
 from im_core.errors import DataError, nearest
+from im_core.files import MEBIBYTE
+from im_core.jsontext import read_json
 
 Array = NDArray[np.float64]
 
 SCHEMA = "vislab-calib-1"
 
+_LARGEST_FILE = 200 * MEBIBYTE
 _LARGEST_IMAGE = 100_000
 _UNSTATED_SPOT_PX = 1.0
 _ROUNDING = 1e-12
@@ -247,15 +249,7 @@ def load_problems(path: Path) -> tuple[CalibrationProblem, ...]:
     Raises:
         DataError: It cannot be read, is no JSON, or not of this format; file, line or field are named.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}.", file=str(path)) from error
-    except json.JSONDecodeError as error:
-        raise DataError(f"{path}:{error.lineno}: not JSON: {error.msg}.", file=str(path), line=error.lineno) from error
-    except (UnicodeDecodeError, RecursionError, ValueError) as error:
-        reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
-        raise DataError(f"{path}: not JSON: {reason}.", file=str(path)) from error
+    content = read_json(path, _LARGEST_FILE)
     try:
         return problems(content)
     except DataError as error:
@@ -358,10 +352,6 @@ def _box_around(positions: Array) -> Workspace:
     low, high = np.quantile(positions, 0.03, axis=0), np.quantile(positions, 0.97, axis=0)
     high = np.maximum(high, low + np.maximum(1e-3, 1e-6 * np.abs(low)))
     return Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2]))
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is no number of JSON")
 
 
 def _spot_noise(covariances: Array, detected: NDArray[np.bool_]) -> dict[str, Any]:

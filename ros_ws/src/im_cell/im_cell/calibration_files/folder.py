@@ -1,6 +1,5 @@
 """A folder of calibrations, checked against the cell they are for."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,8 @@ from im_cell.camera_model import PARAMETERS, CameraModel
 from im_cell.robot import Camera, Cell
 from im_core.config import fault_in
 from im_core.errors import ConfigError, NotFoundError
+from im_core.files import FileError
+from im_core.jsontext import read_json
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,10 @@ def _covariance(path: Path, cameras: Mapping[str, Camera]) -> CameraCovariance:
 def _reason(folder: Path) -> str:
     """Why a calibration left no files, if its report says so."""
     try:
-        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        return f"; its report.json says: {report['message']}" if report["success"] is False else ""
-    except (OSError, ValueError, KeyError, TypeError):
+        report = read_json(folder / "report.json")
+    except FileError:
         return ""
+    match report:
+        case {"success": False, "message": str(message)}:
+            return f"; its report.json says: {message}"
+    return ""

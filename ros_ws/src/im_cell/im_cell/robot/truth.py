@@ -14,6 +14,7 @@ from im_cell.laser_model import LaserModel
 from im_cell.robot.parameters import Positive, Vector
 from im_core.config import Model, faults
 from im_core.errors import DataError
+from im_core.jsontext import read_json
 
 FILE_NAME = "truth.json"
 Matrix = tuple[Vector, Vector, Vector]
@@ -84,9 +85,7 @@ def load_truth(path: Path) -> CellTruth:
         DataError: It is missing or malformed.
     """
     try:
-        return CellTruth.model_validate_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error}", file=str(path)) from error
+        return CellTruth.model_validate(read_json(path))
     except ValidationError as error:
         fault = faults(error, CellTruth)[0]
         raise DataError(f"{path}: is not a truth file: {fault.field}: {fault.sentence}", file=str(path)) from error

@@ -19,7 +19,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from im_core.errors import ImError
-from im_core.files import write_whole
+from im_core.files import FileError, write_whole
+from im_core.jsontext import read_json
 from im_pnt.errors import NetError
 from im_pnt.execution.firing import FiringRule
 from im_pnt.execution.functions import ActionContext, Functions, clock_period
@@ -92,9 +93,9 @@ def entropy(distribution: Sequence[float]) -> float:
 
 def _load(path: Path) -> dict[str, tuple[float, float]]:
     try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise NetError(f"{path}: strategies cannot be read: {error}", file=str(path)) from error
+        content = read_json(path)
+    except FileError as error:
+        raise NetError(f"{error.message}; strategies are needed", **error.facts) from error
     table = content.get("strategies") if isinstance(content, dict) else None
     if not isinstance(table, dict):
         raise NetError(f"{path}: there is no table 'strategies' in it", file=str(path))

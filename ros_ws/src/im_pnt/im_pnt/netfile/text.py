@@ -1,20 +1,19 @@
 """Text of net files, whatever the path leads to, and complaints that name file, line and column."""
 
-import os
-import stat
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 import pydantic
 
+from im_core import files
 from im_core.config import Fault, faults, field_name
 from im_core.errors import nearest
 from im_core.yamltext import Kind, Location, Value, YamlError, as_data, find, read_yaml
 from im_pnt.errors import NetFileError
 from im_pnt.netfile.schema import WrongKeyError, written
 
-MAX_YAML = 4 * 2**20
+MAX_YAML = 4 * files.MEBIBYTE
 """Largest YAML file [bytes]."""
 
 ResultT = TypeVar("ResultT")
@@ -26,13 +25,10 @@ def read_text(path: Path) -> str:
     Raises:
         NetFileError: No such file, not a file, too large, or not UTF-8.
     """
-    data = read_bytes(path, MAX_YAML)
     try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        column = error.start - data.rfind(b"\n", 0, error.start)
-        raise NetFileError(str(path), line, f"is not UTF-8 text: {error.reason}", column) from error
+        return files.read_text(path, MAX_YAML)
+    except files.FileError as error:
+        raise _unread(error) from error
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
@@ -46,18 +42,13 @@ def read_bytes(path: Path, limit: int) -> bytes:
         NetFileError: No such file, not a file, or too large.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with os.fdopen(descriptor, "rb") as file:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise NetFileError(str(path), 1, "cannot be read: it is not a regular file")
-            data = file.read(limit + 1)
-    except OSError as error:
-        raise NetFileError(str(path), 1, f"cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise NetFileError(repr(str(path)), 1, f"cannot be read: {error}") from error
-    if len(data) > limit:
-        raise NetFileError(str(path), 1, f"is larger than {limit / 2**20:g} MiB; a net may not be")
-    return data
+        return files.read_bytes(path, limit)
+    except files.FileError as error:
+        raise _unread(error) from error
+
+
+def _unread(error: files.FileError) -> NetFileError:
+    return NetFileError(str(error.facts["file"]), error.line or 1, error.sentence, error.column)
 
 
 def read_values(text: str, file: str) -> Value:

@@ -1,17 +1,17 @@
 """Playing a given firing sequence, for instance a counterexample, on the expanded and composed net."""
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from im_core.errors import ImError, nearest
+from im_core.files import MEBIBYTE, FileError, read_text
+from im_core.jsontext import JsonError, decode_json
 from im_pnt.errors import NetError
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.net import Net
 from im_pnt_analysis.composition.compose import compose
 
-_LARGEST = 50_000_000
+_LARGEST = 50 * MEBIBYTE
 _SHOWN = 12
 
 
@@ -59,24 +59,20 @@ def read_firing_sequence(given: str) -> FiringSequence:
     """
     if "->" in given:
         return FiringSequence(_names(given.split("->")))
-    path = Path(given)
     try:
-        if path.stat().st_size > _LARGEST:
-            raise ImError(f"'{given}' is larger than {_LARGEST // 1_000_000} MB: not a firing sequence", code="input")
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
-        raise ImError(f"cannot read the firing sequence '{given}': {why}", code="input") from error
+        text = read_text(given, _LARGEST)
+    except FileError as error:
+        raise ImError(f"cannot read the firing sequence '{given}': {error.sentence}", code="input") from error
     if not text.lstrip().startswith(("{", "[")):
         lines = (line.split("#")[0] for line in text.splitlines())
         return FiringSequence(_names(name for line in lines for name in line.split("->")))
     try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ImError(f"{given} is not JSON: {error}", code="input") from error
+        data = decode_json(text)
+    except JsonError as error:
+        raise ImError(f"{given}: {error.sentence}", code="input") from error
     if isinstance(data, list):
         data = {"sequence": data}
-    return _firing_sequence(given, data)
+    return _firing_sequence(given, data if isinstance(data, dict) else {})
 
 
 def _names(parts: Iterator[str] | Sequence[str]) -> tuple[str, ...]:

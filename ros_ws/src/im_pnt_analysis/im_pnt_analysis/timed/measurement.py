@@ -1,20 +1,20 @@
 """Measured times of transitions and commands: told by nets or read from a file, fitted into nets, and compared."""
 
-import json
 import math
 from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from im_core.errors import ImError
+from im_core.files import MEBIBYTE, FileError, read_text
+from im_core.jsontext import MAX_VALUES, JsonError, decode_json
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.model.action import RequestAction
 from im_pnt.model.delay import Delay
 from im_pnt.model.net import Net, Transition
 from im_pnt_analysis.timed.durations import CommandDuration
 
-_LARGEST = 200_000_000
+_LARGEST = 200 * MEBIBYTE
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,24 +71,14 @@ def read_measurement(file: str) -> Measurement:
     Raises:
         ImError: There is no such file, or it holds something else.
     """
-    path = Path(file)
     try:
-        if path.stat().st_size > _LARGEST:
-            raise _bad(file, f"it is larger than {_LARGEST // 1_000_000} MB")
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        why = str(error.strerror) if isinstance(error, OSError) else "it is not text in UTF-8"
-        raise _bad(file, why) from error
+        text = read_text(file, _LARGEST)
+    except FileError as error:
+        raise _bad(file, error.sentence) from error
     try:
-        data = json.loads(text)
-    except (ValueError, RecursionError):
-        data = []
-        for number, line in enumerate(text.splitlines(), start=1):
-            if line.strip():
-                try:
-                    data.append(json.loads(line))
-                except (ValueError, RecursionError) as error:
-                    raise _bad(file, f"line {number} is not JSON: {error}") from error
+        data = decode_json(text)
+    except JsonError:
+        data = _lines(file, text)
     if isinstance(data, dict) and "transition" in data:
         data = [data]
     if isinstance(data, dict):
@@ -99,6 +89,21 @@ def read_measurement(file: str) -> Measurement:
     if not data:
         raise _bad(file, "it holds no firings")
     return _from_records(file, data)
+
+
+def _lines(file: str, text: str) -> list[object]:
+    """What stands in a file with a JSON value a line."""
+    data, values = list[object](), 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        values += line.count(",")
+        if values > MAX_VALUES:
+            raise _bad(file, f"it has more than {MAX_VALUES} values")
+        if line.strip():
+            try:
+                data.append(decode_json(line))
+            except JsonError as error:
+                raise _bad(file, f"line {number}: {error.sentence}") from error
+    return data
 
 
 def _bad(file: str, why: str) -> ImError:

@@ -1,0 +1,129 @@
+"""JSON from elsewhere, files and requests, in bounded time and memory whatever the text is."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+from im_core.errors import DataError
+from im_core.files import LARGEST, FileError, printable, read_text
+
+MAX_DEPTH = 40
+MAX_VALUES = 5_000_000
+
+_LONGEST_INTEGER = 20
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
+
+
+class JsonError(ValueError):
+    """A text that is not read.
+
+    Attributes:
+        sentence: What is wrong.
+        line: Where, from 1; None: nobody knows.
+        column: Where in the line, from 1.
+    """
+
+    def __init__(self, sentence: str, line: int | None = None, column: int | None = None) -> None:
+        super().__init__(sentence)
+        self.sentence, self.line, self.column = sentence, line, column
+
+
+def read_json(path: str | Path, largest: int = LARGEST) -> object:
+    """Read a JSON file.
+
+    Args:
+        path: The file.
+        largest: What it may have at most [bytes].
+
+    Raises:
+        FileError: It cannot be read, or :func:`decode_json` refuses it.
+    """
+    text = read_text(path, largest)
+    try:
+        return decode_json(text)
+    except JsonError as error:
+        raise FileError(path, error.sentence, error.line, error.column) from error
+
+
+def parse_json(text: str, name: str) -> object:
+    """Read JSON that is no file.
+
+    Args:
+        text: The JSON.
+        name: What it is, for messages: ``the arguments of the command``.
+
+    Raises:
+        DataError: :func:`decode_json` refuses it.
+    """
+    try:
+        return decode_json(text)
+    except JsonError as error:
+        place = "" if error.line is None else f" (line {error.line} column {error.column})"
+        raise DataError(f"{name}: {error.sentence}{place}") from error
+
+
+def decode_json(text: str) -> object:
+    """Decode JSON; a whole number of more than 20 digits is a float.
+
+    Raises:
+        JsonError: Not JSON, a key twice in an object, a number that is not finite, text that is no Unicode, or more
+            values or deeper nesting than data can need.
+    """
+    # every value but the first follows a comma or a bracket; counted before the objects are made, which are larger
+    if text.count(",") + text.count("[") + text.count("{") >= MAX_VALUES:
+        raise JsonError(f"more than {MAX_VALUES} values; there may not be as many")
+    try:
+        data: object = json.loads(
+            text, parse_int=_integer, parse_float=_float, parse_constant=_no_number, object_pairs_hook=_object
+        )
+    except json.JSONDecodeError as error:
+        raise JsonError(f"not JSON: {error.msg}", error.lineno, error.colno) from error
+    except RecursionError as error:
+        raise JsonError(f"values nest deeper than {MAX_DEPTH}") from error
+    _check_depth(data)
+    if _SURROGATE.search(text) or not text.isascii():
+        _check_unicode(data)
+    return data
+
+
+def _integer(text: str) -> int | float:
+    return int(text) if len(text) <= _LONGEST_INTEGER else _float(text)
+
+
+def _float(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise JsonError(f"the number {text[:40]} is too large")
+    return number
+
+
+def _no_number(name: str) -> float:
+    raise JsonError(f"{name} is not a number of JSON")
+
+
+def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise JsonError(f"the key '{printable(twice)[:60]}' is there twice")
+    return data
+
+
+def _check_depth(data: object) -> None:
+    level, depth = [data], 0
+    while level := [each for each in level if isinstance(each, (list, dict))]:
+        depth += 1
+        if depth > MAX_DEPTH:
+            raise JsonError(f"values nest deeper than {MAX_DEPTH}")
+        level = [child for each in level for child in (each.values() if isinstance(each, dict) else each)]
+
+
+def _check_unicode(data: object) -> None:
+    """Surrogates end a process when they reach a message of ROS."""
+    try:
+        json.dumps(data, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        character = ord(error.object[error.start])
+        raise JsonError(f"text with U+{character:04X}, which is half a character, is not allowed") from error
