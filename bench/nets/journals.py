@@ -41,7 +41,7 @@ class Machine:
             self.journal.epoch,
             exchange.receive,
             exchange.refused,
-            lambda node, messages: None,
+            lambda node, why, messages: None,
             lambda node: None,
             lambda node, packet: None,
         )

@@ -54,7 +54,7 @@ class JournalledProcess:
             self.journal.epoch,
             lambda sender, message: self.exchange.receive(sender, message),
             lambda message, why: self.exchange.refused(message, why),
-            lambda node, in_flight: self.exchange.node_reset(node, in_flight),
+            lambda node, why, in_flight: self.exchange.node_reset(node, why, in_flight),
             lambda node: self.exchange.node_returned(node),
             transmit,
             observer,

@@ -376,6 +376,11 @@ def test_while_the_journal_cannot_be_written_nothing_leaves_and_afterwards_all()
     sends = "net: sends\nplaces: {a: 2, b: }\ntransitions: {t: {in: a, out: [b, gets.p]}}"
     gets = "net: gets\nplaces: {p: {remote: true}, q: }\ntransitions: {t: {in: p, out: q}}"
     pair = Pair(sends=[sends], gets=[gets])
+    for name, other in (("sends", "gets"), ("gets", "sends")):  # they have met
+        lives = [other, pair.alive[other].link.epoch, 1, name, pair.alive[name].link.epoch]
+        pair.alive[name].link.hear(json.dumps([*lives, 1, 0]))
+        pair.alive[name].journal.commit()
+    assert pair.flying == []
     for name, marking in (("sends", {}), ("gets", {"q": 2})):
         process, files = pair.alive[name], pair.files[name]
         files.full = True

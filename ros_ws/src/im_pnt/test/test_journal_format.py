@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 
 from im_core.errors import ImError
+from im_pnt.distributed import link
 from im_pnt.execution.events import CommandCancelled, ModeSet, PauseSet, TokenArrived
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Command
 from im_pnt.execution.operator import Mode
 from im_pnt.journal import journal
+from im_pnt.journal.log import encode_json
 from im_pnt.netfile import parse_net
 from support.journalled import JournalledProcess
 from support.memory_files import MemoryFiles
@@ -129,7 +131,7 @@ class Mission:
 
     def fly(self, monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
         """Does everything; returns the files."""
-        monkeypatch.setattr(journal, "wall", lambda: 1000.0)
+        born_at(monkeypatch, 1_000_000_000)
         self.start("a")
         self.start("b")
         self.post(TokenArrived("spare", 2))
@@ -160,7 +162,7 @@ class Mission:
         self.alive["a"].exchange.node_lost("b", "b is missing")
         self.post(TokenArrived("spare", 1))
         self.run(31.0)
-        monkeypatch.setattr(journal, "wall", lambda: 500.0)
+        born_at(monkeypatch, 500_000_000)
         self.keep("b")
         self.files["b"] = MemoryFiles("b")
         self.start("b")
@@ -182,6 +184,12 @@ class Mission:
         return self.pages
 
 
+def born_at(monkeypatch: pytest.MonkeyPatch, epoch: int) -> None:
+    """Has lives begin with epochs that a test can know."""
+    for module in (journal, link):
+        monkeypatch.setattr(module, "new_epoch", lambda after=0: max(epoch, after + 1))
+
+
 def bodies(content: bytes) -> list[object]:
     return [json.loads(line[18:]) for line in content.splitlines()]
 
@@ -199,11 +207,18 @@ def test_the_sample_has_every_entry():
     assert found == ENTRIES
 
 
-def test_the_same_lines_are_written(monkeypatch):
+def entries(content: bytes) -> list[str]:
+    return sorted(encode_json(entry) for batch in bodies(content)[2:] for entry in batch)
+
+
+def test_the_same_entries_are_written(monkeypatch):
+    """Batches are cut otherwise than in the sample: two processes that meet exchange a packet more than they did."""
     pages = Mission().fly(monkeypatch)
     assert sorted(pages) == sorted(sample())
     for name, content in sample().items():
-        assert pages[name].decode().splitlines() == content.decode().splitlines(), name
+        assert pages[name].splitlines()[:2] == content.splitlines()[:2], name
+        assert entries(pages[name]) == entries(content), name
+        assert all(entry.encode() in pages[name] for entry in entries(content)), name
 
 
 def brought_back(name: str, content: bytes) -> bytes:

@@ -49,7 +49,7 @@ class Node:
             1,
             lambda sender, message: self.process.exchange.receive(sender, message),
             lambda message, why: self.process.exchange.refused(message, why),
-            lambda node, in_flight: self.process.exchange.node_reset(node, in_flight),
+            lambda node, why, in_flight: self.process.exchange.node_reset(node, why, in_flight),
             lambda node: self.process.exchange.node_returned(node),
             network.carry,
             clock=lambda: network.now,

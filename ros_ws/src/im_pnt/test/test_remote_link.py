@@ -8,8 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import DataError
-from im_pnt.distributed.link import MOST_PEERS, Link
-from im_pnt.distributed.packets import VOID, Message, MessageKind, decode_message, encode_message
+from im_pnt.distributed.link import MANY_UNPROVED, MOST_PEERS, MOST_STRANGERS, Link
+from im_pnt.distributed.packets import (
+    MOST_EPOCH,
+    SECRET_BITS,
+    VOID,
+    Message,
+    MessageKind,
+    decode_message,
+    encode_message,
+    new_epoch,
+)
 from im_pnt.distributed.streams import WINDOW, LinkEntry
 from im_pnt.errors import NetError
 from im_pnt.execution.notification import Observer
@@ -29,11 +38,12 @@ class End:
     """One end of a wire: what it got, and what it has sent."""
 
     def __init__(self, name: str, epoch: int, journal: bool = True) -> None:
+        self.first_epoch = epoch
         self.now = 0.0
         self.entries: list[str] = []
         self.got: list[Message] = []
         self.returned: list[tuple[Message, str]] = []
-        self.resets: list[tuple[str, list[Message]]] = []
+        self.resets: list[tuple[str, str, list[Message]]] = []
         self.packets: list[tuple[str, str]] = []
         self.observer = Troubles()
         self.refuses = ""
@@ -42,7 +52,7 @@ class End:
             epoch,
             self.accept,
             lambda message, why: self.returned.append((message, why)),
-            lambda node, in_flight: self.resets.append((node, in_flight)),
+            lambda node, why, in_flight: self.resets.append((node, why, in_flight)),
             lambda node: None,
             lambda node, packet: self.packets.append((node, packet)),
             self.observer,
@@ -62,16 +72,14 @@ class End:
 
     def reborn(self, name: str) -> "End":
         """The same process after its death, brought back by its journal alone."""
-        other = End(name, 1, journal=False)
+        other = End(name, self.first_epoch, journal=False)
         other.now, other.got, other.refuses = self.now, list(self.got), self.refuses
         for entry in [f'["link",["epoch",{self.first_epoch}]]', *self.entries]:
             other.link.replay(decode_link_entry(json.loads(entry)[1]))
-        other.first_epoch = self.first_epoch
+        other.link.come_back()
         other.entries = list(self.entries)
         other.link.record = other.record
         return other
-
-    first_epoch = 1
 
     def send(self, node: str, *places: str) -> None:
         for place in places:
@@ -85,8 +93,8 @@ def token(place: str) -> Message:
     return Message(MessageKind.TOKEN, "net", place)
 
 
-def exchange(*ends: End, keep=lambda packet: True, seconds: float = 0.1) -> None:
-    """Carries packets until nothing is sent any more."""
+def exchange(*ends: End, keep=lambda packet: True, seconds: float = 0.1, strangers: bool = False) -> None:
+    """Carries packets until nothing is sent any more; what is for others than the ends is dropped, if it may be."""
     by_name = {end.link.name: end for end in ends}
     for _ in range(1000):
         for end in ends:
@@ -96,7 +104,7 @@ def exchange(*ends: End, keep=lambda packet: True, seconds: float = 0.1) -> None
         for end in ends:
             end.packets.clear()
         for node, packet in flying:
-            if keep(packet):
+            if keep(packet) and not (strangers and node not in by_name):
                 by_name[node].link.hear(packet)
         if not flying and all(end.link.idle() for end in ends):
             return
@@ -105,6 +113,14 @@ def exchange(*ends: End, keep=lambda packet: True, seconds: float = 0.1) -> None
 
 def pair() -> tuple[End, End]:
     return End("a", 1), End("b", 1)
+
+
+def met() -> tuple[End, End]:
+    """Two processes that know each other's lives."""
+    a, b = pair()
+    a.link.hear(packet("b", 1, 1, "a", 1))
+    b.link.hear(packet("a", 1, 1, "b", 1))
+    return a, b
 
 
 def test_messages_arrive_once_and_in_order_whatever_is_lost():
@@ -118,7 +134,7 @@ def test_messages_arrive_once_and_in_order_whatever_is_lost():
 
 
 def test_nothing_leaves_before_the_flush_and_no_acknowledgement_before_its_journal():
-    a, b = pair()
+    a, b = met()
     a.send("b", "x")
     assert a.packets == []
     a.link.flush()
@@ -160,7 +176,7 @@ def test_death_and_return_at_any_time_neither_lose_nor_double(steps):
 
 
 def test_a_snapshot_is_as_good_as_the_entries():
-    a, b = pair()
+    a, b = met()
     b.refuses = "no"
     a.send("b", "x", "no", "y")
     a.link.flush()
@@ -172,7 +188,7 @@ def test_a_snapshot_is_as_good_as_the_entries():
 
 
 def test_a_refused_message_returns_once_even_if_everybody_dies_meanwhile():
-    a, b = pair()
+    a, b = met()
     b.refuses = "no"
     a.send("b", "x", "no", "y")
     a.link.flush()
@@ -209,8 +225,8 @@ def test_who_lost_its_journal_begins_anew_and_the_other_side_says_what_was_in_fl
     late.send("a", "v")
     late.link.flush()
     exchange(a, late)
-    assert a.resets[0][0] == "b"
-    assert [str(message) for message in a.resets[0][1]] == ["a token for net.y", "request r-1 to net net"]
+    assert a.resets[0][:2] == ("b", "b came back without its journal")
+    assert [str(message) for message in a.resets[0][2]] == ["a token for net.y", "request r-1 to net net"]
     assert late.taken() == ["y", ""]  # the token is given to its new life, and nothing in the place of the request
     assert late.got[1] == VOID
     assert a.taken() == ["u", "v"]
@@ -253,11 +269,12 @@ def test_a_process_whose_clock_went_back_becomes_the_later_one():
     back.send("b", "y", "z")
     exchange(back, b)
     assert b.taken() == ["x", "y", "z"]
-    assert back.link.epoch == 1001
+    assert back.link.epoch > 1000
+    assert back.link.epoch % 2**SECRET_BITS not in (0, 1, 1001)
 
 
 def test_what_nobody_needs_any_more_leaves_no_gap():
-    a, b = pair()
+    a, b = met()
     a.send("b", "x")
     a.link.send("b", Message(MessageKind.REQUEST, "net", "I.s", "r-1"))
     a.send("b", "y")
@@ -325,10 +342,10 @@ json_values = st.recursive(
 
 @settings(max_examples=300, deadline=None)
 @given(st.lists(json_values, max_size=9), st.integers(0, 9))
-def test_fuzzed_packets_do_no_harm(fields, kept):
+def test_fuzzed_packets_of_who_knows_the_epoch_break_nothing(fields, kept):
     a, _ = pair()
     a.send("b", "x")
-    valid = json.loads(packet("x", 7, 0, "a", 0, 1, 0, [1, 0, "n", "p"]))
+    valid = json.loads(packet("x", 7, 0, "a", 1, 1, 0, [1, 0, "n", "p"]))
     a.link.hear(json.dumps(valid[:kept] + fields))
     a.link.tick()
     assert link_state(a.reborn("a").link) == link_state(a.link)
@@ -337,18 +354,175 @@ def test_fuzzed_packets_do_no_harm(fields, kept):
 def test_a_flood_of_senders_and_of_numbers_is_bounded():
     a, b = pair()
     for number in range(3 * MOST_PEERS):
-        a.link.hear(packet(sender=f"x{number}"))
+        a.link.hear(packet(sender=f"x{number}", known=1))
     assert len(link_state(a.link)["peers"]) == MOST_PEERS
     c = End("c", 1)
     for number in range(2, 10 * WINDOW):
-        c.link.hear(packet("x", 7, 0, "c", 0, 1, 0, [number, 0, "net", "p"]))
+        c.link.hear(packet("x", 7, 0, "c", 1, 1, 0, [number, 0, "net", "p"]))
     assert c.got == []
-    c.link.hear(packet("x", 7, 0, "c", 0, 1, 0, [1, 0, "net", "p"]))
+    c.link.hear(packet("x", 7, 0, "c", 1, 1, 0, [1, 0, "net", "p"]))
     assert len(c.got) == WINDOW
     for _ in range(1000):
         b.link.hear(packet("x", 7, 0, "b", 1, 1, [12345, []]))
     assert len(link_state(b.link)["peers"]) == 1
     assert "acknowledged [12345, []], and 0 messages were sent to it" in b.observer.texts[0]
+
+
+# Attackers who read nothing: they know names and nets, the code and the clock, and not the epochs.
+
+NUMBERS = st.sampled_from([0, 1, 2, 3, WINDOW, WINDOW + 5, 10**9, 2**62 - 1, 2**64, MOST_EPOCH - 1]) | st.integers(0, 8)
+ACKS = st.sampled_from([0, 1]) | st.tuples(NUMBERS, st.lists(st.tuples(NUMBERS, st.just("no")), max_size=2))
+MESSAGES = st.lists(
+    st.tuples(NUMBERS, st.just(0), st.just("net"), st.just("forged"))
+    | st.tuples(NUMBERS, st.just(2), st.just("net"), st.just(""), st.just("r-1"), st.just(""), st.just(""), st.just(0))
+    | st.tuples(NUMBERS, st.just(3)),
+    max_size=3,
+)
+EPOCHS = NUMBERS | st.builds(lambda ahead: new_epoch() + (ahead << SECRET_BITS), st.integers(0, 10**12))
+FORGED = st.builds(
+    lambda fields, messages: packet(*fields, *messages),
+    st.tuples(st.sampled_from(["a", "b", "x"]), EPOCHS, st.integers(0, 1), st.just("?"), EPOCHS, NUMBERS, ACKS),
+    MESSAGES,
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(["a", "b"]), st.integers(0, 7), FORGED), max_size=12), st.booleans())
+def test_forged_packets_take_hide_and_block_nothing(forged, early):
+    a, b = End("a", new_epoch()), End("b", new_epoch())
+    ends = {"a": a, "b": b}
+    epochs = a.link.epoch, b.link.epoch
+    if not early:
+        a.send("b", "0")
+        exchange(a, b)
+    before = 0 if early else 1
+    for number in range(before, 8):
+        a.send("b", str(number))
+        b.send("a", str(number))
+        a.link.flush()
+        for target, when, text in forged:
+            if when == number:
+                ends[target].link.hear(text.replace('"?"', f'"{target}"'))
+        exchange(a, b, strangers=True)
+    assert b.taken() == [str(number) for number in range(8)]
+    assert a.taken() == [str(number) for number in range(before, 8)]
+    assert (a.link.epoch, b.link.epoch) == epochs
+    assert a.resets == b.resets == a.returned == b.returned == []
+    assert set(link_state(a.link)["peers"]) <= {"b"}
+    assert set(link_state(b.link)["peers"]) <= {"a"}
+
+
+def test_the_packets_that_once_did_harm_do_none_and_are_told_of():
+    a, b = End("a", new_epoch()), End("b", new_epoch())
+    a.send("b", "x")
+    exchange(a, b)
+    for epoch in (2**62 - 1, MOST_EPOCH - 1, new_epoch(a.link.epoch)):
+        b.link.hear(packet("a", epoch, 1, "b", 0, 1, 0, [1, 0, "net", "forged"], [2, 0, "net", "forged"]))
+        b.link.hear(packet("a", epoch, 1, "b", 0, 10**9))
+        a.link.hear(packet("b", 2**62 - 1, 1, "a", epoch, 1, [1, [[1, "no"]]]))
+    assert "names a life that begins" in b.observer.texts[0]
+    a.send("b", "y")
+    exchange(a, b)
+    assert b.taken() == ["x", "y"]
+
+
+def test_many_packets_that_prove_nothing_are_told_of_once_and_make_nobody_known():
+    b = End("b", new_epoch())
+    for number in range(10 * MANY_UNPROVED):
+        b.link.hear(packet(f"x{number}", 7, 0, "b"))
+    assert len(b.observer.texts) == 1
+    why = f"{MANY_UNPROVED} packets were not taken: who sent them does not know the present life of b"
+    assert why in b.observer.texts[0]
+    assert b.link.peers == {}
+    b.link.flush()
+    assert len(b.packets) == MOST_STRANGERS
+
+
+def test_a_base_beyond_what_was_sent_is_refused_and_told_of():
+    _, b = met()
+    b.link.hear(packet("a", 1, 1, "b", 1, 1, 0, [1, 0, "net", "p"]))
+    b.link.hear(packet("a", 1, 1, "b", 1, 10**9, 0, [2, 0, "net", "p"]))
+    assert b.taken() == ["p"]
+    assert "it lacks 999999998 messages that a has sent" in b.observer.texts[0]
+    b.link.hear(packet("a", 1, 1, "b", 1, 2, 0, [2, 0, "net", "q"]))
+    assert b.taken() == ["p", "q"]
+
+
+# Journals that are older than what the others remember.
+
+
+def old_copy(of: End, journal: list[str]) -> End:
+    """A process that comes back with what its journal was once."""
+    of.entries = journal
+    return of.reborn(of.link.name)
+
+
+def test_an_old_journal_of_a_sender_is_noticed_and_no_new_message_is_lost():
+    a, b = met()
+    a.send("b", "1")
+    exchange(a, b)
+    journal = list(a.entries)
+    a.send("b", "2", "3")
+    exchange(a, b)
+    a = old_copy(a, journal)
+    a.send("b", *"45678")  # numbers that b has seen, and some that it has not
+    a.link.send("b", Message(MessageKind.REQUEST, "net", "I.s", "r-1"))
+    a.link.flush()
+    assert a.packets == []  # nothing leaves before it is sure what b has
+    exchange(a, b)
+    assert [message.place for message in b.got if message.kind is MessageKind.TOKEN] == list("12345678")
+    assert "the journal of a was an old copy, or has lost its end: b has taken 3 messages, and it knows of 1" in (
+        a.observer.texts[0]
+    )
+    assert [reset[0] for reset in a.resets] == ["b"]
+    assert [str(message) for message in a.resets[0][2]][-1] == "request r-1 to net net"
+    assert b.resets[0][:2] == ("a", "a came back without its journal")
+    assert len(a.observer.texts) == 1
+
+
+def test_an_old_journal_of_a_receiver_is_noticed_and_the_link_goes_on():
+    a, b = met()
+    a.send("b", "1")
+    exchange(a, b)
+    journal = list(b.entries)
+    a.send("b", "2", "3")
+    exchange(a, b)
+    b = old_copy(b, journal)
+    exchange(a, b)
+    a.send("b", "4")
+    exchange(a, b)
+    assert b.taken() == list("1234")
+    assert "the journal of b was an old copy, or has lost its end: it lacks 2 messages that a has sent" in (
+        b.observer.texts[0]
+    )
+    assert a.resets[0][:2] == ("b", "b came back without its journal")
+
+
+def test_a_journal_older_than_an_acquaintance_is_noticed():
+    a, b = pair()
+    journal = list(a.entries)
+    a.send("b", "1", "2")
+    exchange(a, b)
+    a = old_copy(a, journal)
+    a.send("b", "3")
+    exchange(a, b)
+    assert b.taken() == ["1", "2", "3"]
+    assert "b has taken 2 messages, and it knows of 0" in a.observer.texts[0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.sampled_from(["a", "b"]), max_size=12), st.integers(0, 60), st.sampled_from("ab"))
+def test_the_newest_journal_is_never_called_old(senders, kept, who):
+    a, b = pair()
+    dice = random.Random(kept)
+    for place, sender in enumerate(senders):
+        (a if sender == "a" else b).send("b" if sender == "a" else "a", str(place))
+        exchange(a, b, keep=lambda text: dice.random() < 0.7)
+        if dice.random() < 0.5:
+            a, b = (a.reborn("a"), b) if who == "a" else (a, b.reborn("b"))
+    exchange(a, b)
+    assert a.observer.texts == b.observer.texts == []
+    assert a.resets == b.resets == []
 
 
 def test_messages_are_what_they_were_after_crossing():

@@ -561,11 +561,17 @@ class Exchange:
         """A node has given a sign of life."""
         self._lost.pop(node, None)
 
-    def node_reset(self, node: str, in_flight: list[Message]) -> None:
-        """A node has come back without its journal: what it was asked, and what it asked, is not known to it."""
+    def node_reset(self, node: str, why: str, in_flight: list[Message]) -> None:
+        """A node and this one do not remember the same: what one has asked the other is given up.
+
+        Args:
+            node: The other node.
+            why: One has come back without its journal, or with an old one.
+            in_flight: Messages to it that were not acknowledged.
+        """
         counts = Counter(str(message) for message in in_flight)
         listed = ", ".join(f"{count} x {text}" for text, count in counts.items()) or "nothing"
-        why = f"{node} came back without its journal; in flight were: {listed}"
+        why = f"{why}; in flight were: {listed}"
         self._dropped(why)
         self._lost.pop(node, None)
         self._give_up(node, why)

@@ -4,7 +4,12 @@ Between two processes runs a stream each way. A message gets the next number of 
 the other side acknowledges it; the other side takes numbers one by one, and each once. Both write this into their
 journals: what was taken together with what it caused, before the acknowledgement leaves, and what is sent together with
 the firing that sends it. A process that comes back with its journal goes on with its streams. One that has lost its
-journal has a larger *epoch*: its streams begin anew, and the other side says what was in flight.
+journal has a larger *epoch*: its streams begin anew, and the other side says what was in flight. One that comes back
+with an old copy of its journal is told so by the numbers that the others remember; it begins anew too, and says so.
+
+A packet is believed that knows the present epoch of its receiver, which holds a secret; any other is answered and does
+nothing else. So who cannot read what the processes send each other cannot forge, hide or block anything. Who can read
+it can: against them only the operating system's walls help, or the middleware's.
 
 What they send each other is described in :mod:`im_pnt.distributed.packets`.
 """
@@ -12,13 +17,17 @@ What they send each other is described in :mod:`im_pnt.distributed.packets`.
 import json
 from collections.abc import Callable
 
-from im_core.clock import monotonic
+from im_core.clock import monotonic, wall
 from im_pnt.distributed.packets import (
-    MOST_NUMBER,
+    MOST_EPOCH,
+    REMEMBERED,
     Message,
     MessageKind,
+    Packet,
+    began_at,
     decode_message,
     encode_message,
+    new_epoch,
     numbered,
     read_packet,
 )
@@ -43,6 +52,12 @@ MOST_PEERS = 1024
 MOST_PACKET_MESSAGES = 64
 MANY_IN_FLIGHT = 10_000
 OVERTAKE_EVERY_S = 1.0
+MOST_STRANGERS = 64
+"""Processes answered at a time that have not shown that they know this one."""
+MANY_UNPROVED = 20
+REPORT_EVERY_S = 5.0
+MOST_AHEAD_S = 86_400.0
+"""A life that is said to begin later than this from now is told of: a clock is wrong, or somebody makes epochs up."""
 MOST_TOKENS = 4096
 _NO_ACKNOWLEDGEMENT = ",0,["
 
@@ -95,10 +110,11 @@ class Link:
 
     Args:
         name: Name of this process.
-        epoch: Larger than at any start before, unless a journal gives it back the one it had.
+        epoch: As :func:`~im_pnt.distributed.packets.new_epoch` makes one, unless a journal gives back the one it had.
         accept: Takes a message from a process; returns why it is refused, empty if it is not.
         returned: Takes back a message that its receiver refused, with the reason.
-        reset: Is told of a process that lost its journal: its name, and the messages to it that were in flight.
+        reset: Is told that a process and this one do not remember the same: its name, why, and the messages to it that
+            were in flight.
         heard: Is told of each process that gives a sign of life.
         transmit: Sends a packet to a process; it may get lost.
         observer: Is told of packets that make no sense, and of streams that wait in vain.
@@ -117,7 +133,7 @@ class Link:
         epoch: int,
         accept: Callable[[str, Message], str],
         returned: Callable[[Message, str], None],
-        reset: Callable[[str, list[Message]], None],
+        reset: Callable[[str, str, list[Message]], None],
         heard: Callable[[str], None],
         transmit: Callable[[str, str], None],
         observer: Observer | None = None,
@@ -133,7 +149,10 @@ class Link:
         self._observer, self._clock = observer or Observer(), clock
         self._stirred: dict[str, Peer] = {}
         self._express = Express()
-        self._overtake_at = 0.0
+        self._answers: dict[str, tuple[int, int]] = {}
+        self._came_back = False
+        self._unproved = 0
+        self._overtake_at = self._report_at = 0.0
 
     # Sending, and retransmission.
 
@@ -145,7 +164,7 @@ class Link:
         """
         peer = self.peers.get(node)
         if peer is None:
-            peer = self.peers[node] = Peer(node)
+            peer = self._new_peer(node)
         outgoing = peer.outgoing
         number = outgoing.last + 1
         try:
@@ -153,7 +172,7 @@ class Link:
         except (TypeError, ValueError, RecursionError) as error:
             raise NetError(f"{message} is not JSON data: {error}", net=message.net) from error
         self._happens(peer, MessageSent(node, number, text))
-        if outgoing.last <= outgoing.floor + WINDOW:
+        if outgoing.last <= outgoing.floor + WINDOW and outgoing.question is None:
             peer.fresh.append(outgoing.waiting[number])
             self._stirred[node] = peer
         elif len(outgoing.waiting) % MANY_IN_FLIGHT == 0:
@@ -166,9 +185,11 @@ class Link:
 
     def flush(self) -> None:
         """Sends what is new, and the acknowledgements that are due."""
-        if not self._stirred or self.held():
+        if not (self._stirred or self._answers) or self.held():
             return
         now = self._clock()
+        if self._answers:
+            self._send_answers()
         stirred, self._stirred = self._stirred, {}
         for node, peer in stirred.items():
             texts: list[str] = []
@@ -177,7 +198,7 @@ class Link:
                     sent.due = now + sent.interval
                     texts.append(sent.text)
                 peer.fresh.clear()
-            if texts or peer.answer or peer.incoming.owes(now):
+            if texts or peer.incoming.owes(now):
                 self._send_packets(node, peer, texts, now)
 
     def tick(self) -> None:
@@ -187,22 +208,32 @@ class Link:
         self.flush()
         now = self._clock()
         for node, peer in self.peers.items():
-            texts = peer.outgoing.due(now) if peer.outgoing.waiting else []
+            texts = peer.outgoing.due(now) if peer.outgoing.waiting or peer.outgoing.question else []
             if texts or peer.incoming.owes(now):
                 self._send_packets(node, peer, texts, now)
 
     def _send_packets(self, node: str, peer: Peer, texts: list[str], now: float) -> None:
         incoming = peer.incoming
-        peer.answer = False
         ack = incoming.acknowledgement() if incoming.ack_at is not None and incoming.owes(now) else "0"
-        journal = 0 if self.record is None else 1
-        life = f"[{self._quoted},{self.epoch},{journal},{peer.quoted},{incoming.epoch}"
-        head = f"{life},{peer.outgoing.floor + 1},{ack}"
+        head = f"{self._life(peer.quoted, incoming.epoch)},{peer.outgoing.floor + 1},{ack}"
         if len(texts) == 1:
             self._transmit(node, f"{head},{texts[0]}]")
             return
         for first in range(0, len(texts) or 1, MOST_PACKET_MESSAGES):
             self._transmit(node, ",".join((head, *texts[first : first + MOST_PACKET_MESSAGES])) + "]")
+
+    def _send_answers(self) -> None:
+        """Tells those who do not know this process which life it is in, and that they were heard."""
+        answers, self._answers = self._answers, {}
+        for node, (heard, later) in answers.items():
+            base = self.peers[node].outgoing.floor + 1 if node in self.peers else 1
+            self._transmit(node, f"{self._life(json.dumps(node), heard)},{base},0]")
+            if later:
+                self._transmit(node, f"{self._life(json.dumps(node), later)},{base},{REMEMBERED}]")
+
+    def _life(self, quoted: str, known: int) -> str:
+        """Returns how a packet begins: from which life to which."""
+        return f"[{self._quoted},{self.epoch},{0 if self.record is None else 1},{quoted},{known}"
 
     def _void(self, peer: Peer, numbers: list[int]) -> None:
         for number in numbers:
@@ -219,12 +250,15 @@ class Link:
 
     def idle(self) -> bool:
         """Whether everything is acknowledged, here and there."""
-        return not any(peer.outgoing.waiting or peer.incoming.ack_at is not None for peer in self.peers.values())
+        return not self._answers and not any(
+            peer.outgoing.waiting or peer.outgoing.question or peer.incoming.ack_at is not None
+            for peer in self.peers.values()
+        )
 
     # Receiving. Acknowledgements leave with a later `flush` or `tick`, after the journal has been written.
 
     def hear(self, text: str) -> None:
-        """Takes a packet; whatever it holds, it does no harm."""
+        """Takes a packet; it does no harm unless it was made by somebody who knows the present life of this process."""
         found = self._express.read(text)
         if found is None:
             self._hear_any(text)
@@ -242,35 +276,84 @@ class Link:
             if packet:
                 self._observer.troubled("", f"a packet was dropped: {packet}")
             return
-        sender, epoch, known, base = packet.sender, packet.epoch, packet.known, packet.base
+        sender, epoch = packet.sender, packet.epoch
         peer = self.peers.get(sender)
-        if peer is None:
-            if len(self.peers) >= MOST_PEERS:
-                text = f"a packet of {sender} was dropped: {MOST_PEERS} processes are known already"
-                self._observer.troubled("", text)
-                return
-            peer = self.peers[sender] = Peer(sender)
-        incoming = peer.incoming
+        remembered = 0 if peer is None else peer.incoming.epoch
+        if packet.known != self.epoch:
+            if packet.ack == REMEMBERED and epoch == remembered and packet.known > self.epoch:
+                self._overtake(packet.known)
+            self._doubt(packet)
+            self._answer(sender, epoch)
+        elif epoch < remembered:  # a packet that was late; or its clock has gone back: let it believe, and then know
+            self._answer(sender, epoch, later=remembered)
+        elif sender == self.name:
+            self._observer.troubled("", f"a packet was dropped: it says that it comes from {sender}, which is here")
+        elif peer is None and len(self.peers) >= MOST_PEERS:
+            text = f"a packet of {sender} was dropped: {MOST_PEERS} processes are known already"
+            self._observer.troubled("", text)
+        else:
+            self._believe(peer or self._new_peer(sender), packet)
+
+    def _believe(self, peer: Peer, packet: Packet) -> None:
+        """Takes a packet of a process that knows the present life of this one."""
+        sender, incoming, base = packet.sender, peer.incoming, packet.base
         self._stirred[sender] = peer
-        if known > self.epoch:
-            self._overtake(known)
-        if epoch < incoming.epoch:
-            peer.answer = True
-            return
-        if epoch > incoming.epoch:
-            self._begin(sender, peer, epoch, packet.journal)
+        begins = packet.epoch > incoming.epoch
+        if begins:
+            self._begin(sender, peer, packet.epoch, packet.journal)
         self._heard(sender)
-        if known not in (0, self.epoch):
-            peer.answer = True
+        missed = base - 1 - incoming.floor
+        jumps = missed > 0 and not begins  # what is missed was taken in a time that this process does not remember
+        why = f"it lacks {missed} messages that {sender} has sent, and that were acknowledged to it"
+        if jumps and not self._came_back:
+            self._observer.troubled("", f"a packet of {sender} was dropped: {self.name} has not come back, and {why}")
             return
-        if known and packet.ack:
+        if packet.ack and packet.ack != REMEMBERED:
             self._acknowledged(sender, peer, packet.ack)
-        if base - 1 > incoming.floor:  # this process took it in a life that it does not remember
-            self._move(sender, peer, base - 1)
+        if jumps and self._came_back:
+            if peer.outgoing.question is not None:
+                return
+            self._fall_back(why)
+        if missed > 0:
+            self._happens(peer, NumbersSkipped(sender, base - 1))
+        if packet.known != self.epoch:  # it has fallen back; the rest is sent again
+            return
         incoming.told(base)
         self._take(sender, peer, packet.messages)
-        if known:
-            self._express.keep_head(packet.head(self.name), peer)
+        self._express.keep_head(packet.head(self.name), peer)
+
+    def _answer(self, node: str, heard: int, later: int = 0) -> None:
+        """Has a process told, with the next flush, which life this one is in.
+
+        Args:
+            node: The process.
+            heard: Epoch in which it seems to be: if it is, it believes the answer.
+            later: Epoch in which it was known, if that is a later one.
+        """
+        if node in self.peers or len(self._answers) < MOST_STRANGERS:
+            self._answers[node] = heard, later
+
+    def _doubt(self, packet: Packet) -> None:
+        """Tells of packets that were not believed, if they are many, or say what cannot be."""
+        self._unproved += 1
+        ahead_s = began_at(packet.epoch) / 1e6 - wall()
+        now = self._clock()
+        if now < self._report_at or (self._unproved < MANY_UNPROVED and ahead_s <= MOST_AHEAD_S):
+            return
+        self._report_at = now + REPORT_EVERY_S
+        later = f", and names a life that begins {ahead_s:.3g} s from now" if ahead_s > MOST_AHEAD_S else ""
+        self._observer.troubled(
+            "",
+            f"{self._unproved} packets were not taken: who sent them does not know the present life of {self.name}; "
+            f"the last says that it comes from {packet.sender}{later}",
+        )
+        self._unproved = 0
+
+    def _new_peer(self, node: str) -> Peer:
+        peer = self.peers[node] = Peer(node)
+        if self._came_back:  # it may have been known before, in what the journal lacks
+            peer.outgoing.ask()
+        return peer
 
     def _take(self, sender: str, peer: Peer, messages: list[object]) -> None:
         incoming = peer.incoming
@@ -294,8 +377,10 @@ class Link:
 
     def _acknowledged(self, sender: str, peer: Peer, ack: object) -> None:
         outgoing = peer.outgoing
+        sent = outgoing.last if outgoing.question is None else outgoing.asked_at
         match ack:
-            case [int(floor), list(refused)] if 0 <= floor <= outgoing.last:
+            case [int(floor), list(refused)] if 0 <= floor <= sent:
+                outgoing.question = None
                 for entry in refused:
                     match entry:
                         case [int(number), str(why)] if number in outgoing.waiting:
@@ -304,44 +389,67 @@ class Link:
                             self._returned(message, why)
                 if floor > outgoing.floor:
                     self._happens(peer, MessagesAcknowledged(sender, floor))
+            case [int(floor), list()] if floor > sent and self._came_back:
+                if sent > outgoing.floor:
+                    self._happens(peer, MessagesAcknowledged(sender, sent))
+                self._fall_back(f"{sender} has taken {floor} messages, and it knows of {sent}")
             case _:
                 text = f"{sender} acknowledged {str(ack)[:200]}, and {outgoing.last} messages were sent to it"
                 self._observer.troubled("", text)
 
     # Lives.
 
+    def come_back(self) -> None:
+        """This process has been brought back by its journal: whether it is the newest, the others know."""
+        self._came_back = True
+        for peer in self.peers.values():
+            peer.outgoing.ask()
+
     def _begin(self, node: str, peer: Peer, epoch: int, journal: bool) -> None:
         """Another life of a process: the first that is heard of, or one that has lost its journal."""
         lost = peer.incoming.epoch != 0
         self._express.forget_heads()
         self._happens(peer, LifeBegun(node, epoch, journal))
-        if not lost:
-            return
+        peer.outgoing.hurry()
+        if lost:
+            self._part(peer, f"{node} came back without its journal")
+
+    def _part(self, peer: Peer, why: str) -> None:
+        """The two processes do not remember the same: nothing but tokens is still on its way."""
         in_flight = peer.in_flight()
         self._void(peer, [number for number, message in in_flight if message.kind is not MessageKind.TOKEN])
-        peer.outgoing.hurry()
-        self._reset(node, [message for _, message in in_flight])
+        self._reset(peer.name, why, [message for _, message in in_flight])
 
-    def _move(self, node: str, peer: Peer, floor: int) -> None:
-        if peer.incoming.floor:
-            count = floor - peer.incoming.floor
-            self._observer.troubled("", f"{count} messages of {node} were acknowledged, and the journal lacks them")
-        self._happens(peer, NumbersSkipped(node, floor))
+    def _fall_back(self, why: str) -> None:
+        """The others remember more than the journal did: begin another life, as if there had been none."""
+        text = f"the journal of {self.name} was an old copy, or has lost its end: {why}"
+        self._observer.troubled("", f"{text}; what happened since is forgotten, and what was asked is given up")
+        self._live_anew(self.epoch)
+        for peer in list(self.peers.values()):
+            if peer.incoming.epoch:
+                self._part(peer, text)
 
     def _overtake(self, known: int) -> None:
         """A process remembers a later life of this one, whose clock must have gone back: be later still."""
         now = self._clock()
-        if now < self._overtake_at or known + 1 >= MOST_NUMBER:
+        if now < self._overtake_at or began_at(known) + 1 >= began_at(MOST_EPOCH):
             return
         self._overtake_at = now + OVERTAKE_EVERY_S
-        self._express.forget_heads()
         self._observer.troubled("", f"{self.name} was known in a later life than this one (clock gone back, or a twin)")
-        raised = EpochRaised(known + 1)
+        self._live_anew(known)
+
+    def _live_anew(self, after: int) -> None:
+        """Begins a life later than another, and has everybody told."""
+        self._express.forget_heads()
+        raised = EpochRaised(new_epoch(after))
         if self.record is not None:
             self.record(raised)
         self.replay(raised)
-        for peer in self.peers.values():
+        self._came_back = False
+        for node, peer in self.peers.items():
+            peer.outgoing.question = None
             peer.outgoing.hurry()
+            self._answer(node, peer.incoming.epoch)
 
     # What happens to the streams, now and when a journal is replayed.
 

@@ -3,24 +3,34 @@
 A packet is ``[sender, epoch, journal, receiver, known, base, ack, message, ...]``: ``journal`` is 1 if the sender keeps
 one; ``known`` the receiver's epoch as the sender knows it (0: never heard); ``base`` the first number that was not
 acknowledged to the sender; ``ack`` is 0 or ``[number, [[refused number, why], ...]]``: everything up to that number was
-taken, but for what was refused. A message is its number and what :func:`encode_message` writes. Nothing is taken from a
-packet for another life of its receiver; it is answered, so that its sender learns.
+taken, but for what was refused; or 1: the sender has believed ``known``, which is later than the life in which it hears
+the receiver now. A message is its number and what :func:`encode_message` writes.
+
+An *epoch* names a life of a process: when it began, and a secret of 64 bits (:func:`new_epoch`). It is told to nobody
+but those whom the process writes to, so a packet with the right ``known`` comes from one of them. Any other packet
+changes nothing: it is answered with the epoch that it claims, so that an honest sender learns and tries again.
 """
 
 import enum
 import functools
 import json
+import secrets
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from im_core.clock import wall
 from im_core.errors import ImError
 from im_pnt.errors import decode_error, encode_error
 
 MOST_NUMBER = 2**62
-"""Numbers of messages, commands and epochs are smaller."""
+"""Numbers of messages and commands are smaller."""
+SECRET_BITS = 64
+MOST_EPOCH = 2 ** (64 + SECRET_BITS)
+"""Epochs are smaller: microseconds since 1970, and below them the secret."""
 
 _HEAD = 7
+REMEMBERED = 1
 MOST_NAME = 200
 """Characters of the name of a process."""
 
@@ -139,8 +149,27 @@ def decode_message(fields: list[object]) -> Message:
 
 
 def is_number(value: object) -> bool:
-    """Whether something is a number as messages, commands and epochs have, 0 included."""
+    """Whether something is a number as messages and commands have, 0 included."""
     return type(value) is int and 0 <= value < MOST_NUMBER
+
+
+def is_epoch(value: object) -> bool:
+    """Whether something is the epoch of a life, or 0 for none."""
+    return type(value) is int and 0 <= value < MOST_EPOCH
+
+
+def new_epoch(after: int = 0) -> int:
+    """Returns the epoch of a life that begins now; nobody can guess it.
+
+    Args:
+        after: Epoch of an earlier life, which it is later than even if the clock has gone back.
+    """
+    return max(int(wall() * 1e6), began_at(after) + 1) << SECRET_BITS | secrets.randbits(SECRET_BITS)
+
+
+def began_at(epoch: int) -> int:
+    """Returns when a life began by the clock of its process [us since 1970]."""
+    return epoch >> SECRET_BITS
 
 
 class Packet(NamedTuple):
@@ -180,6 +209,6 @@ def read_packet(text: str, receiver: str) -> Packet | str:
         return ""
     if not (isinstance(sender, str) and sender.isascii() and sender.isidentifier() and len(sender) <= MOST_NAME):
         return f"{str(sender)[:MOST_NAME]!r} is no name of a process"
-    if not (is_number(epoch) and is_number(known) and is_number(base) and epoch and base):
+    if not (is_epoch(epoch) and is_epoch(known) and is_number(base) and epoch and base):
         return f"its numbers make no sense: {text[:MOST_NAME]}"
     return Packet(sender, epoch, journal == 1, known, base, ack, content[_HEAD:])

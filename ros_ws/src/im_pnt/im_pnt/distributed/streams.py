@@ -109,6 +109,11 @@ class Sent:
         """Returns the message."""
         return decode_message(json.loads(self.text)[1:])
 
+    def again(self, now: float) -> str:
+        """Returns the text to send now, and notes when it is sent again."""
+        self.due, self.interval = now + self.interval, min(2.0 * self.interval, RESEND_AT_MOST_S)
+        return self.text
+
 
 @dataclass(slots=True)
 class Outgoing:
@@ -118,11 +123,25 @@ class Outgoing:
         last: Number of the last message.
         floor: Everything up to this number is acknowledged.
         waiting: Messages not acknowledged, by number, in order.
+        question: What asks the other process how far it has taken, as long as this one, back from its journal, has not
+            been told: a message that it has taken long ago. Meanwhile none leaves whose number came after the journal.
+        asked_at: Number of the last message when the question was put.
     """
 
     last: int = 0
     floor: int = 0
     waiting: dict[int, Sent] = field(default_factory=dict)
+    question: Sent | None = None
+    asked_at: int = 0
+
+    def ask(self) -> None:
+        """Has the other process asked how far it has taken: this one may have forgotten that it sent more."""
+        self.question, self.asked_at = Sent(numbered(self.floor, VOID)), self.last
+
+    def most(self) -> int:
+        """Returns the largest number that may be on its way."""
+        window = self.floor + WINDOW
+        return window if self.question is None else min(window, self.asked_at)
 
     def acknowledge(self, floor: int) -> None:
         """Drops all messages up to a number."""
@@ -137,18 +156,19 @@ class Outgoing:
     def due(self, now: float) -> list[str]:
         """Returns the messages to send now, oldest first, and notes when they are sent again."""
         texts: list[str] = []
-        end = self.floor + WINDOW
+        end = self.most()
+        if self.question is not None and now >= self.question.due:
+            texts.append(self.question.again(now))
         for number, sent in self.waiting.items():
             if number > end:
                 break
             if now >= sent.due:
-                sent.due, sent.interval = now + sent.interval, min(2.0 * sent.interval, RESEND_AT_MOST_S)
-                texts.append(sent.text)
+                texts.append(sent.again(now))
         return texts
 
     def hurry(self) -> None:
         """Has everything sent again at once."""
-        for sent in self.waiting.values():
+        for sent in (*self.waiting.values(), *([self.question] if self.question is not None else [])):
             sent.due, sent.interval = 0.0, RESEND_AFTER_S
 
 
@@ -228,7 +248,6 @@ class Peer:
         outgoing: The stream to it.
         incoming: The stream from it.
         fresh: Messages that were not sent yet.
-        answer: Whether it must hear of this process, even if there is nothing to tell.
         keeps_journal: Whether it has said that it keeps a journal.
     """
 
@@ -238,7 +257,6 @@ class Peer:
         self.outgoing = Outgoing()
         self.incoming = Incoming()
         self.fresh: list[Sent] = []
-        self.answer = False
         self.keeps_journal = False
 
     def in_flight(self) -> list[tuple[int, Message]]:

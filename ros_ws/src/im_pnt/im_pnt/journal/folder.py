@@ -73,7 +73,7 @@ class _File:
     """A file of a :class:`Folder`."""
 
     def __init__(self, path: Path, size: int, flags: int) -> None:
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | flags, 0o644)
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | flags, 0o600)  # it holds the secret of a link
         self._size = size
         os.ftruncate(self._file, size)
         os.lseek(self._file, size, os.SEEK_SET)

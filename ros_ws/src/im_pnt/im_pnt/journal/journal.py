@@ -12,10 +12,10 @@ import hashlib
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 
-from im_core.clock import wall
 from im_core.errors import ImError
 from im_pnt.distributed.exchange import Exchange, ExchangeEntry
 from im_pnt.distributed.link import Link
+from im_pnt.distributed.packets import new_epoch
 from im_pnt.distributed.streams import LinkEntry
 from im_pnt.errors import JournalError, NetError
 from im_pnt.execution.actions import ActionOwner, Runner
@@ -75,7 +75,7 @@ class Journal:
         self._entries: list[str] = []
         self._described: dict[str, tuple[Net, dict[str, str]]] = {}
         self._compact_at = compact_bytes
-        self.epoch = int(wall() * 1e6)
+        self.epoch = new_epoch()
         self.found: dict[str, str] = {}
         self._files.lock()
         try:
@@ -128,6 +128,8 @@ class Journal:
         exchange.inboxes.record = self._record_exchange
         link.record = self._record_link
         link.held = lambda: bool(self._entries)
+        if recovered is not None:
+            link.come_back()
         if recovered is not None:
             for executor in exchange.nets.values():
                 executor.resume()

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from im_pnt.distributed.exchange import Exchange, RequestAsked
 from im_pnt.distributed.link import Link
-from im_pnt.distributed.packets import decode_message, is_number, numbered
+from im_pnt.distributed.packets import decode_message, is_epoch, is_number, numbered
 from im_pnt.distributed.streams import Peer, Sent
 from im_pnt.errors import NetError, decode_error, encode_error
 from im_pnt.execution.executor import Executor
@@ -272,6 +272,6 @@ def _peer_of(name: str, state: Mapping[str, object]) -> Peer:
             for number, *fields in waiting:
                 peer.outgoing.waiting[number] = Sent(numbered(number, decode_message(fields)))
             peer.outgoing.floor = next(iter(peer.outgoing.waiting), last + 1) - 1
-            if is_number(last) and is_number(epoch) and is_number(floor):
+            if is_number(last) and is_epoch(epoch) and is_number(floor):
                 return peer
     raise ValueError(f"{str(state)[:200]} is no state of a stream")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from rclpy.parameter import Parameter
 
-from im_core.clock import wall
 from im_core.errors import ImError
 from im_core.names import results_dir, run_dir
 from im_core.ros import qos
@@ -15,6 +14,7 @@ from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import ObjectChange
 from im_pnt.distributed.exchange import Exchange
+from im_pnt.distributed.packets import began_at, new_epoch
 from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.conflicts import StrategyBook
 from im_pnt.execution.events import CommandCancelled, GuardsChanged, ObjectInvalidated
@@ -91,9 +91,9 @@ class PntNode(ManagedNode):
         self._journal_dir = declare("journal_dir", journals, "folder of the journals; empty: none are kept")
         self._publisher = PntPublisher(self)
         self._observer = NodeObserver(self, self._publisher)
-        epoch = int(wall() * 1e6)
-        self._transport = DdsTransport(self, epoch, self.heartbeats)
-        self.exchange = Exchange(name, epoch, self._transport, self._observer)
+        epoch = new_epoch()
+        self._transport = DdsTransport(self, epoch, self.heartbeats, self._observer)
+        self.exchange = Exchange(name, began_at(epoch), self._transport, self._observer)
         self._publisher.nets = self.exchange.nets
         self._loop = NetLoop(self, self.exchange.nets, self._may_turn, self._commit, self._publisher.publish)
         self.commands = self._observer.commands = Commands(self, self.exchange.nets)

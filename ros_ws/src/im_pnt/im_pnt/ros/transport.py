@@ -14,6 +14,7 @@ from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.link import Link
 from im_pnt.distributed.packets import Message
 from im_pnt.errors import NetError
+from im_pnt.execution.notification import Observer
 from im_pnt.ros.cdr import decode_packet, encode_packet
 from im_pnt.ros.loop import NetLoop
 
@@ -27,12 +28,13 @@ class DdsTransport:
         node: The node.
         epoch: Its incarnation.
         heartbeats: Tells of the death of nodes.
+        observer: Is told of packets that make no sense, of forgeries, and of journals that are too old.
 
     Attributes:
         link: Streams to and from other processes.
     """
 
-    def __init__(self, node: ManagedNode, epoch: int, heartbeats: Heartbeats) -> None:
+    def __init__(self, node: ManagedNode, epoch: int, heartbeats: Heartbeats, observer: Observer) -> None:
         self._node, self._heartbeats = node, heartbeats
         self._watched: dict[str, Callable[[], None]] = {}
         self._directory: dict[str, str] = {}
@@ -43,9 +45,10 @@ class DdsTransport:
             epoch,
             lambda sender, message: f"{node.task_name} does not listen yet",
             lambda message, why: self._exchange.refused(message, why),
-            lambda peer, in_flight: self._exchange.node_reset(peer, in_flight),
+            lambda peer, why, in_flight: self._exchange.node_reset(peer, why, in_flight),
             self._heard,
             self._transmit,
+            observer,
         )
         self._tick_timer = node.create_timer(TICK_PERIOD_S, self._tick, clock=node.steady_clock)
         self._tick_timer.cancel()
@@ -131,6 +134,8 @@ class DdsTransport:
     def _transmit(self, node: str, text: str) -> None:
         publisher = self._publishers.get(node)
         if publisher is None:
+            if node not in self.link.peers and not self._node.count_subscribers(f"/{node}/tokens"):
+                return  # a stranger whom nobody would hear: no publisher is made for a name that somebody made up
             publisher = self._publisher(node)
         publisher.publish(encode_packet(text))
 
