@@ -132,7 +132,7 @@ class Machine:
     def serve(self):
         """Gives a command; its answer may never come."""
         client = self.arm.create_client(Trigger, "/front/serve")
-        assert client.wait_for_service(20.0)
+        assert client.wait_for_service(60.0)
         clock.sleep(1.0)  # until the server knows the client too; what is sent before may be lost
         return client.call_async(Trigger.Request())
 
