@@ -9,7 +9,6 @@ import sys
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
-from rclpy.node import Node
 from std_msgs.msg import UInt8
 
 from im_bringup.tasks import deployment as deployments
@@ -17,6 +16,7 @@ from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_core import clock, names
 from im_core.ros import qos, run
+from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
@@ -24,7 +24,7 @@ from im_msgs.msg import TaskStatus
 POLL_PERIOD_S = 0.05
 
 
-class AgentNode(Node):
+class AgentNode(GuardedNode):
     """Starts the tasks of its host when the bootstrap is there, and stops them when it says so.
 
     Args:
@@ -35,7 +35,7 @@ class AgentNode(Node):
     def __init__(self, deployment: Deployment, host: str) -> None:
         super().__init__("agent_" + re.sub(r"\W", "_", host))
         describe_sim_time(self)
-        self.log: RcutilsLogger = Node.get_logger(self)
+        self.log: RcutilsLogger = self.get_logger()
         run_dir = names.run_dir().resolve() / host
         shutil.rmtree(run_dir / "journal", ignore_errors=True)  # a new machine is a new mission
         self._agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))

@@ -8,7 +8,6 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.impl.rcutils_logger import RcutilsLogger
-from rclpy.node import Node
 from std_msgs.msg import UInt8
 
 from im_bringup.machine import record as machine
@@ -22,6 +21,7 @@ from im_bringup.tasks.registry import Progress, TaskRecord
 from im_core import clock, names
 from im_core.errors import ImError
 from im_core.ros import qos, run
+from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
 from im_core.shm import ProcessId
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
@@ -33,7 +33,7 @@ POLL_PERIOD_S = 0.05
 ACKNOWLEDGED_S = 2.0
 
 
-class BootstrapNode(Node):
+class BootstrapNode(GuardedNode):
     """ROS shell of :class:`im_bringup.machine.bootstrap.Bootstrap`; translates messages, decides nothing.
 
     Args:
@@ -45,7 +45,7 @@ class BootstrapNode(Node):
     def __init__(self, deployment: Deployment, path: Path, host: str) -> None:
         super().__init__("bootstrap")
         describe_sim_time(self)
-        self.log: RcutilsLogger = Node.get_logger(self)
+        self.log: RcutilsLogger = self.get_logger()
         self._deployment, self._path = deployment, path
         self._run_dir = names.run_dir().resolve()
         agent = Agent(commands(deployment, host, self._run_dir), environment(os.environ, self._run_dir, deployment))

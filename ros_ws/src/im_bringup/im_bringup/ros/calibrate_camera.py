@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import rclpy
-from rclpy.action import ActionClient
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.calibration.progress import FiringPhase, ProgressLines
@@ -26,6 +24,7 @@ from im_bringup.machine import record as machine
 from im_core import clock
 from im_core.errors import ImError, LinkError, WaitTimeoutError
 from im_core.ros import qos
+from im_core.ros.guard import GuardedActionClient, GuardedNode
 from im_core.ros.run import Spinner
 from im_core.startup import STATUS_TOPIC
 from im_msgs.action import ExecuteCommand
@@ -45,7 +44,7 @@ ACCEPT_S = 2.0
 DONE, FAILED, NOT_RUNNING, INTERRUPTED = 0, 1, 3, 130
 
 
-class CalibrateCameraClient(Node):
+class CalibrateCameraClient(GuardedNode):
     """Calls the service and prints the progress of the command.
 
     Args:
@@ -60,7 +59,7 @@ class CalibrateCameraClient(Node):
         self._incarnation = 0
         self._interrupted = threading.Event()
         self._client = self.create_client(CalibrateCamera, SERVICE)
-        self._attach = ActionClient(self, ExecuteCommand, ACTION)
+        self._attach = GuardedActionClient(self, ExecuteCommand, ACTION)
         self.create_subscription(Firing, "/pnt/firings", self._show, qos.EVENTS)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.bag import BagWriter, Delivery, default_folder
 from im_core import clock
 from im_core.errors import ImError, StoreError
+from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
 from im_core.ros.run import Spinner
 
@@ -23,7 +23,7 @@ DISCOVERY_PERIOD_S = 0.5
 QUEUE_DEPTH = 1000
 
 
-class BagRecorder(Node):
+class BagRecorder(GuardedNode):
     """Subscribes to what is published and writes the bytes as they come.
 
     Args:

@@ -16,7 +16,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
@@ -26,6 +25,7 @@ from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
+from im_core.ros.guard import GuardedNode
 from im_core.ros.latest import Latest
 from im_core.ros.run import Spinner
 from im_msgs.msg import McsState, TaskRegistry
@@ -41,7 +41,7 @@ _SERVO = "mcs: servo"
 DONE, FAILED, NOT_RUNNING, INTERRUPTED = 0, 1, 3, 130
 
 
-class RecoverClient(Node):
+class RecoverClient(GuardedNode):
     """Looks at the machine and takes the steps of :func:`im_bringup.machine.recovery.next_step` until it is ready.
 
     Args:

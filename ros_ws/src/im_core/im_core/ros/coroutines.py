@@ -165,14 +165,16 @@ class Alarms:
     def _strike(self) -> None:
         self._timer.cancel()
         now = clock.monotonic()
-        while self._heap and self._heap[0][0] <= now:
-            alarm = heapq.heappop(self._heap)[2]
-            call, alarm.call = alarm.call, None
-            if call is None:
-                self._cancelled -= 1
-            else:
-                call()
-        self._set()
+        try:
+            while self._heap and self._heap[0][0] <= now:
+                alarm = heapq.heappop(self._heap)[2]
+                call, alarm.call = alarm.call, None
+                if call is None:
+                    self._cancelled -= 1
+                else:
+                    call()
+        finally:  # one that raises does not hold up the others
+            self._set()
 
     def _set(self) -> None:
         if self._heap:

@@ -1,11 +1,9 @@
 """Base class of every node: start-up phases, heartbeat, and waking of coroutines."""
 
-import inspect
 import os
 import secrets
 import socket
 from collections.abc import Callable, Coroutine
-from functools import partial
 from typing import Any
 
 import rclpy
@@ -24,8 +22,8 @@ from std_msgs.msg import UInt8
 from im_core import clock
 from im_core.errors import ImError
 from im_core.ros import qos
-from im_core.ros.callers import client_of
 from im_core.ros.coroutines import Alarms, Coroutines, Promise, Work
+from im_core.ros.guard import GuardedNode
 from im_core.ros.parameter_bounds import bounded
 from im_core.ros.parameters import FixedParameters
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
@@ -42,7 +40,7 @@ WAKE_DELAY_S = 0.0002
 _READY = int(TaskStatus.READY)
 
 
-class ManagedNode(Node):
+class ManagedNode(GuardedNode):
     """A task of the machine (paper, section 3): loaded, configured and started in step with all others.
 
     The bootstrap announces the phases LOAD, CONFIGURE, START and SHUTDOWN on ``/im/phase``; the node follows,
@@ -97,36 +95,13 @@ class ManagedNode(Node):
         qos_profile: QoSProfile = qos.SERVICES,
         callback_group: CallbackGroup | None = None,
     ) -> Service:
-        """As in rclpy, with queues for many clients, and introspection as the node's parameter says.
-
-        The callback may be a coroutine. It may also return a function: that is given who called, as
-        :func:`im_core.ros.callers.client_of` says, and returns what the callback would have returned.
-        """
+        """As of :class:`.GuardedNode`, with introspection as the node's parameter says."""
         srv_type, callback = bounded(srv_type, callback)
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
         )
         service.configure_introspection(self.get_clock(), qos.EVENTS, self._introspection)
-        hooked: Any = service  # rclpy calls what it finds under this name
-        hooked.send_response = partial(self._send_when_done, service, service.send_response)
         return service
-
-    def _send_when_done(self, service: Service, send: Callable[..., None], response: Any, header: Any) -> None:
-        """Send what a service's callback returned; the events executor would take a coroutine for the response."""
-        if callable(response):
-            response = response(client_of(header))
-        if not inspect.iscoroutine(response):
-            send(response, header)
-            return
-
-        def finished(task: Any) -> None:
-            if (error := task.exception()) is not None:
-                self.get_logger().error(f"{service.srv_name} failed: {error!r}")
-            if rclpy.ok():
-                srv_type: Any = service.srv_type
-                send(srv_type.Response() if error is not None else task.result(), header)
-
-        self._run_task(response).add_done_callback(finished)
 
     def create_client(
         self,
@@ -208,7 +183,7 @@ class ManagedNode(Node):
         return self.executor.create_task(work)
 
     def _broken(self, error: Exception) -> None:
-        self.get_logger().error(f"a coroutine broke: {error!r}")
+        self.note_failure("coroutine", error)
 
     def _start_alone(self) -> None:
         self._standalone_timer.cancel()

@@ -19,6 +19,7 @@ from rclpy.utilities import remove_ros_args
 
 from im_core import scheduling
 from im_core.errors import ImError
+from im_core.ros.guard import GuardedNode
 from im_core.ros.node import ManagedNode
 
 # Without a time-out the events executor busy-loops; this one is never reached.
@@ -39,9 +40,24 @@ class Spinner:
         self._thread: threading.Thread | None = None
 
     def spin(self) -> None:
-        """Spin until :meth:`stop`, or until ROS is shut down."""
-        with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-            self.executor.spin_until_future_complete(self._end, FOREVER_S)
+        """Spin until :meth:`stop`, or until ROS is shut down; what leaves the executor is noted, and the loop goes on."""
+        context = self.nodes[0].context
+        while not self._end.done() and context.ok():
+            try:
+                self.executor.spin_until_future_complete(self._end, FOREVER_S)
+            except (KeyboardInterrupt, ExternalShutdownException):
+                return
+            except Exception as error:  # of a task of the executor: callbacks are guarded
+                if not context.ok():
+                    return
+                self._note(error)
+
+    def _note(self, error: Exception) -> None:
+        for node in self.nodes:
+            if isinstance(node, GuardedNode):
+                node.note_failure("task of the executor", error)
+                return
+        raise error
 
     def start(self) -> "Spinner":
         """Spin in a thread; harmless when it spins already."""

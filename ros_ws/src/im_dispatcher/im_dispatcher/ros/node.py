@@ -4,11 +4,12 @@ import json
 import sys
 from collections.abc import Callable
 
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import DataError, ImError, StateError
 from im_core.ros import run
+from im_core.ros.guard import GuardedActionServer
 from im_core.ros.status import to_status
 from im_dispatcher.command import joined
 from im_dispatcher.commands import calibrate_camera, installed
@@ -41,7 +42,7 @@ class Dispatcher(PntNode):
         super().phase_start()
         self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._calibrate_camera)
         self.create_service(LoadNet, "/dispatcher/load_net", self._load_net)
-        self._execute_server = ActionServer(
+        self._execute_server = GuardedActionServer(
             self,
             ExecuteCommand,
             "/dispatcher/execute",

@@ -1,6 +1,5 @@
 """Lifecycle interface of a node whose transitions take time."""
 
-import inspect
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
@@ -8,12 +7,12 @@ from lifecycle_msgs.msg import State, Transition, TransitionDescription
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.type_support import check_is_valid_srv_type
 
 from im_core.errors import ImError, StateError
+from im_core.ros.guard import GuardedNode
 from im_mcs.ros.bounds import check_bounds
 
 Work = Callable[[], Awaitable[None]]
@@ -34,7 +33,7 @@ class Lifecycle:
         failure: Why the transition that was tried last failed; empty if it succeeded.
     """
 
-    def __init__(self, node: Node, work: Mapping[str, Work]) -> None:
+    def __init__(self, node: GuardedNode, work: Mapping[str, Work]) -> None:
         self._node = node
         self._work = work
         self.failure = ""
@@ -103,8 +102,10 @@ class Lifecycle:
         return int(known[transition])
 
     def _serve(self, implementation: Any, service_type: type, callback: Callable[[Any, Any], object]) -> None:
-        service = _LifecycleService(self._node, implementation, service_type, callback)
-        self._node.default_callback_group.add_entity(service)
+        group, profile = self._node.default_callback_group, QoSProfile(**implementation.qos)
+        service = Service(implementation, service_type, implementation.name, callback, group, profile)
+        self._node.guard_service(service)
+        group.add_entity(service)
         self._node._services.append(service)  # as rclpy's own lifecycle node does: the executor finds it there
 
     async def _change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
@@ -135,29 +136,6 @@ class Lifecycle:
     def _get_graph(self, _: object, response: GetAvailableTransitions.Response) -> GetAvailableTransitions.Response:
         response.available_transitions = [_description(t) for t in self._machine.transition_graph]
         return response
-
-
-class _LifecycleService(Service):
-    """A service of rcl's state machine whose callback may be a coroutine: the events executor does not wait for it."""
-
-    def __init__(
-        self, node: Node, implementation: Any, service_type: type, callback: Callable[[Any, Any], object]
-    ) -> None:
-        profile = QoSProfile(**implementation.qos)
-        super().__init__(
-            implementation, service_type, implementation.name, callback, node.default_callback_group, profile
-        )
-        self._node = node
-
-    def send_response(self, response: Any, header: Any) -> None:
-        """Send a response; that of a coroutine when it has ended."""
-        if not inspect.iscoroutine(response):
-            super().send_response(response, header)
-            return
-        executor = self._node.executor
-        assert executor is not None, "only an executor calls callbacks"
-        send = super().send_response
-        executor.create_task(response).add_done_callback(lambda done: send(done.result(), header))
 
 
 _LABELS = {

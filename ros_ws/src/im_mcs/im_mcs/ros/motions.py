@@ -4,12 +4,13 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.callers import client_of
+from im_core.ros.guard import GuardedActionServer
 from im_mcs.client.servo_client import OnProgress
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess, Started
@@ -96,19 +97,19 @@ class Motions:
         self._paths[group].publish(messages.group_path(self._mcs.config.groups[group].joints, path, stamp_ns))
 
 
-class CalledActionServer(ActionServer):
+class CalledActionServer(GuardedActionServer):
     """An action server that knows whose its goals are: ``clients``, by the number of the goal, until they end."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.clients: dict[bytes, str] = {}
-        ActionServer.__init__(self, *args, **options)
+        super().__init__(*args, **options)
 
     async def _execute_goal_request(self, request_header_and_message: tuple[Any, Any]) -> None:
         header, request = request_header_and_message
         goal = bytes(request.goal_id.uuid)
         if goal not in self._goal_handles:  # one that has that number keeps its sender
             self.clients[goal] = client_of(header)
-        await ActionServer._execute_goal_request(self, request_header_and_message)
+        await super()._execute_goal_request(request_header_and_message)
 
 
 class Goals:

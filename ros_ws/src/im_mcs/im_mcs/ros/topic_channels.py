@@ -8,19 +8,19 @@ import sys
 import threading
 from typing import Any
 
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from im_core import clock
 from im_core.ros import qos
 from im_core.ros import run as ros_run
+from im_core.ros.guard import GuardedNode
 from im_mcs.testbed.topic_link import TopicLink
 
 _ATTACH_S = 5.0
 _BELL_S = 0.1
 
 
-class TopicChannels(Node):
+class TopicChannels(GuardedNode):
     """Joint states into shared memory, efforts out of it.
 
     Args:

@@ -17,6 +17,7 @@ from unique_identifier_msgs.msg import UUID
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
 from im_core.ros.calls import pause
+from im_core.ros.guard import GuardedActionClient
 from im_core.ros.interfaces import interface_class
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
@@ -161,6 +162,6 @@ class GoalActions:
     def _client(self, action: GoalAction) -> tuple[ActionClient, float]:
         """The client of an action, and when it was made."""
         if action.name not in self._clients:
-            client = ActionClient(self._surroundings.node, interface_class(action.type), action.name)
+            client = GuardedActionClient(self._surroundings.node, interface_class(action.type), action.name)
             self._clients[action.name] = (client, monotonic())
         return self._clients[action.name]

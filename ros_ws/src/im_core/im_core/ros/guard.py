@@ -1,0 +1,297 @@
+"""The base of every node: whatever its callbacks raise is said, counted and answered, and the node goes on.
+
+A callback that raises would end the loop of the events executor, and with it the node; of a service, it would leave
+the client waiting for ever.
+"""
+
+import inspect
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+
+from im_core.errors import ImError
+from im_core.ros import qos
+from im_core.ros.callers import client_of, nodes_of
+from im_core.ros.failures import Failures, sentence, type_name
+from im_core.ros.status import to_status
+
+INTERNAL = "internal"
+
+
+class GuardedNode(Node):
+    """A node whose callbacks may raise.
+
+    Attributes:
+        failures: What they raised.
+        turns: How many callbacks have begun; it stands still with the loop.
+        standstill_s: How long the loop may stand still now [s]; see :class:`im_core.ros.loop_watch.LoopWatch`.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        self.failures = Failures(self)  # before the node: rclpy makes services and subscriptions of its own in it
+        self.turns = 0
+        self.standstill_s = 0.0
+        super().__init__(name, **options)
+
+    def guarded(self, what: str, callback: Callable[..., Any], told: Callable[[], str] = str) -> Callable[..., Any]:
+        """A callback that notes what the given one raises, and returns None then.
+
+        Args:
+            what: Kind of callback, and the name of what it serves.
+            callback: It.
+            told: Says what came and who may have sent it, when it is asked.
+        """
+
+        def call(*arguments: Any) -> Any:
+            self.turns += 1
+            try:
+                return callback(*arguments)
+            except Exception as error:  # whatever it is, the node goes on
+                self.note_failure(what, error, told)
+                return None
+
+        return call
+
+    def note_failure(self, what: str, error: Exception, told: Callable[[], str] = str) -> None:
+        """Note what a callback raised; arguments as of :meth:`guarded`.
+
+        Raises:
+            Exception: The error itself, when ROS has been shut down: the loop ends by it.
+        """
+        if not self.context.ok():
+            raise error
+        self.failures.add(what, error, told())
+
+    def create_subscription(
+        self,
+        msg_type: type[Any],
+        topic: str,
+        callback: Callable[[Any], Any],
+        qos_profile: QoSProfile | int,
+        **options: Any,
+    ) -> Subscription:
+        """As in rclpy; the callback takes the message alone."""
+
+        def told() -> str:
+            ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+            names = sorted({f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends})
+            return f"{type_name(msg_type)}, published by {', '.join(names) or 'nobody any more'}"
+
+        guarded = self.guarded(f"subscription {topic}", callback, told)
+        return super().create_subscription(msg_type, topic, lambda message: guarded(message), qos_profile, **options)
+
+    def create_timer(
+        self,
+        timer_period_sec: float,
+        callback: Callable[[], Any],
+        callback_group: CallbackGroup | None = None,
+        clock: Clock | None = None,
+        **options: Any,
+    ) -> Timer:
+        """As in rclpy."""
+        name = getattr(callback, "__qualname__", type(callback).__qualname__)
+        guarded = self.guarded(f"timer {name}", callback)
+        return super().create_timer(timer_period_sec, lambda: guarded(), callback_group, clock, **options)
+
+    def create_service(
+        self,
+        srv_type: type[Any],
+        srv_name: str,
+        callback: Callable[[Any, Any], Any],
+        *,
+        qos_profile: QoSProfile = qos.SERVICES,
+        callback_group: CallbackGroup | None = None,
+    ) -> Service:
+        """As in rclpy, with queues for many clients; an answer is sent whatever the callback does.
+
+        The callback may be a coroutine. It may also return a function: that is given who called, as
+        :func:`im_core.ros.callers.client_of` says, and returns what the callback would have returned.
+        """
+        service = super().create_service(
+            srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
+        )
+        self.guard_service(service)
+        return service
+
+    def guard_service(self, service: Service) -> None:
+        """Guard a service that was not made by :meth:`create_service`; it may do what one made there may."""
+        hooked: Any = service  # rclpy calls what it finds under these names
+        hooked.callback = partial(_called, self, service.callback)
+        hooked.send_response = partial(self._answer, service, service.send_response)
+
+    def _answer(self, service: Service, send: Callable[..., None], response: Any, header: Any) -> None:
+        """Send what a service's callback returned; the events executor would take a coroutine for the response."""
+        try:
+            if callable(response):
+                response = response(client_of(header))
+            if isinstance(response, _Raised):
+                raise response.error
+            if not inspect.iscoroutine(response):
+                send(response, header)
+                return
+        except Exception as error:  # every request is answered
+            self._refuse(service, send, error, header)
+            return
+
+        async def finish() -> None:
+            try:
+                send(await response, header)
+            except Exception as error:  # as above
+                self._refuse(service, send, error, header)
+
+        assert self.executor is not None, "only an executor calls callbacks"
+        self.executor.create_task(finish())
+
+    def _refuse(self, service: Service, send: Callable[..., None], error: Exception, header: Any) -> None:
+        """Note what a service's callback raised, and answer that it did not succeed."""
+
+        def told() -> str:
+            client = client_of(header)
+            callers = ", ".join(nodes_of(self, client)) or client or "nobody known"
+            return f"{type_name(service.srv_type)}, called by {callers}"
+
+        what = f"service {service.srv_name}"
+        self.note_failure(what, error, told)
+        srv_type: Any = service.srv_type
+        try:
+            send(with_fault(srv_type.Response(), what, error), header)
+        except Exception as again:  # the client may be gone
+            self.note_failure(f"{what} (its answer)", again, told)
+
+
+class GuardedActionServer(ActionServer):
+    """An action server whose callbacks may raise: a goal is rejected then, or aborted with a result that says why.
+
+    Args:
+        node: Its node.
+        action_type: Type of the action.
+        action_name: Its name.
+        execute_callback: Carries a goal out.
+        **options: As in rclpy.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        action_type: Any,
+        action_name: str,
+        execute_callback: Callable[[ServerGoalHandle], Any],
+        **options: Any,
+    ) -> None:
+        self._guard, self._what = node, f"action {action_name}"
+        self._told = partial(type_name, action_type)
+        super().__init__(node, action_type, action_name, execute_callback, **options)
+
+    def register_goal_callback(self, goal_callback: Callable[[Any], Any] | None) -> None:
+        """As in rclpy; a goal whose callback raises is rejected."""
+        super().register_goal_callback(goal_callback and self._or(goal_callback, GoalResponse.REJECT))
+
+    def register_cancel_callback(self, cancel_callback: Callable[[Any], Any] | None) -> None:
+        """As in rclpy; what cannot be decided is not cancelled."""
+        super().register_cancel_callback(cancel_callback and self._or(cancel_callback, CancelResponse.REJECT))
+
+    def register_execute_callback(self, execute_callback: Callable[[Any], Any]) -> None:
+        """As in rclpy; a goal whose callback raises is aborted, and its result says why."""
+
+        async def execute(handle: ServerGoalHandle) -> Any:
+            try:
+                result = execute_callback(handle)
+                return await result if inspect.iscoroutine(result) else result
+            except Exception as error:  # every goal is answered
+                self._guard.note_failure(self._what, error, self._told)
+                if handle.is_active:
+                    handle.abort()
+                return with_fault(self._action_type.Result(), self._what, error)
+
+        super().register_execute_callback(execute)
+
+    async def execute(self, taken_data: Any) -> None:
+        """As in rclpy, which calls it for every request."""
+        self._guard.turns += 1
+        try:
+            await super().execute(taken_data)
+        except Exception as error:  # the other goals go on
+            self._guard.note_failure(self._what, error, self._told)
+
+    def _or(self, callback: Callable[[Any], Any], otherwise: Any) -> Callable[[Any], Any]:
+        guarded = self._guard.guarded(self._what, callback, self._told)
+
+        def call(argument: Any) -> Any:
+            answer = guarded(argument)
+            return otherwise if answer is None else answer
+
+        return call
+
+    def _send_result_response(self, request_header: Any, future: Any) -> None:
+        try:
+            super()._send_result_response(request_header, future)
+        except Exception as error:  # a result that no message can carry
+            self._guard.note_failure(f"{self._what} (its result)", error, self._told)
+            response = self._action_type.Impl.GetResultService.Response(status=future.result().status)
+            response.result = with_fault(self._action_type.Result(), self._what, error)
+            self._handle.send_result_response(request_header, response)
+
+
+class GuardedActionClient(ActionClient):
+    """An action client whose callback for feedback may raise.
+
+    Args:
+        node: Its node.
+        action_type: Type of the action.
+        action_name: Its name.
+    """
+
+    def __init__(self, node: GuardedNode, action_type: Any, action_name: str) -> None:
+        self._guard, self._what = node, f"action client {action_name}"
+        super().__init__(node, action_type, action_name)
+
+    async def execute(self, taken_data: Any) -> None:
+        """As in rclpy, which calls it for every answer and feedback."""
+        self._guard.turns += 1
+        try:
+            await super().execute(taken_data)
+        except Exception as error:  # the other goals go on
+            self._guard.note_failure(self._what, error)
+
+
+class _Raised:
+    """What a service's callback raised, on its way to where the client is known."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+
+def _called(node: GuardedNode, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+    node.turns += 1
+    try:
+        return callback(request, response)
+    except Exception as error:  # answered where the client is known
+        return _Raised(error)
+
+
+def with_fault(answer: Any, what: str, error: Exception) -> Any:
+    """An answer that says what its callback raised, in the fields that its type has for that.
+
+    Args:
+        answer: A response or a result as made; it does not say ``success``.
+        what: Whose answer it is.
+        error: What was raised.
+    """
+    words = f"fault in {what}: {sentence(error)}"
+    types = answer.get_fields_and_field_types()
+    if types.get("status") == "im_msgs/Status":
+        answer.status = to_status(ImError(words, code=INTERNAL))
+    for field in ("message", "status_message", "error_string", "reason"):
+        if types.get(field) == "string":
+            setattr(answer, field, words)
+    return answer

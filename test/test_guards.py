@@ -1,0 +1,207 @@
+"""Whatever a callback raises: it is said, counted on ``/diagnostics``, answered, and the node goes on."""
+
+import ast
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from rclpy.action.server import GoalResponse
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from im_core.errors import StateError
+from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+from im_core.ros.guard import GuardedActionServer, GuardedNode
+from im_core.ros.node import ManagedNode
+from im_msgs.action import ExecuteCommand
+from im_msgs.srv import GetObject
+
+ROOT = Path(__file__).resolve().parent.parent
+FAULT = "what nobody thought of"
+
+
+class Clumsy(ManagedNode):
+    """A node every callback of which raises; what is right it answers."""
+
+    def __init__(self):
+        super().__init__("clumsy")
+        self.heard, self.said = [], []
+        self.create_subscription(String, "/clumsy/hear", self._hear, qos.EVENTS)
+        self.create_service(Trigger, "/clumsy/at_once", self._at_once)
+        self.create_service(SetBool, "/clumsy/later", self._later)
+        self.create_service(Trigger, "/clumsy/who", lambda request, response: self._who)
+        self.create_service(GetObject, "/clumsy/status", self._at_once)
+        self.create_service(Trigger, "/clumsy/unsayable", self._unsayable)
+        self.create_service(Trigger, "/clumsy/nothing", lambda request, response: None)
+        self.create_timer(0.05, self._strike, clock=self.steady_clock)
+        self.server = GuardedActionServer(
+            self, ExecuteCommand, "/clumsy/do", self._do, goal_callback=self._accept, cancel_callback=self._strike
+        )
+
+    def _hear(self, message):
+        self.heard.append(message.data)
+        if not message.data.startswith("good"):
+            raise ValueError(FAULT)
+
+    def _at_once(self, request, response):
+        raise KeyError(FAULT)
+
+    async def _later(self, request, response):
+        if request.data:
+            response.success = True
+            return response
+        raise StateError(FAULT)
+
+    def _who(self, client):
+        raise RecursionError(FAULT)
+
+    def _unsayable(self, request, response):
+        response.success, response.message = True, "half a pair: \ud800"
+        return response
+
+    def _strike(self, *_):
+        raise ZeroDivisionError(FAULT)
+
+    def _accept(self, goal):
+        if goal.symbol == "unacceptable":
+            raise TypeError(FAULT)
+        return GoalResponse.ACCEPT
+
+    async def _do(self, handle):
+        if handle.request.symbol == "unsayable":
+            handle.succeed()
+            return ExecuteCommand.Result(results="\ud800")
+        raise AssertionError(FAULT)
+
+
+@pytest.fixture
+def clumsy(ros):
+    return ros(Clumsy())
+
+
+@pytest.fixture
+def asker(ros):
+    return ros(GuardedNode("asker"))
+
+
+def test_subscriptions_and_timers_that_raise_are_counted_and_go_on(clumsy, asker, wait_until):
+    told = []
+    asker.create_subscription(DiagnosticArray, "/diagnostics", told.append, qos.EVENTS)
+    publisher = asker.create_publisher(String, "/clumsy/hear", qos.EVENTS)
+    wait_until(lambda: publisher.get_subscription_count(), "the subscription")
+    for words in ("bad", "worse", "good"):
+        publisher.publish(String(data=words))
+    wait_until(lambda: clumsy.heard == ["bad", "worse", "good"], "all messages")
+    assert clumsy.failures.counts["subscription /clumsy/hear"] == 2
+    wait_until(lambda: clumsy.failures.counts["timer Clumsy._strike"] > 2, "the timer to go on")
+
+    def counted():
+        statuses = [status for message in told for status in message.status if status.name == "clumsy: callbacks"]
+        return next(
+            (s for s in statuses if ("subscription /clumsy/hear", "2") in {(v.key, v.value) for v in s.values}), None
+        )
+
+    status = wait_until(counted, "the count on /diagnostics")
+    assert status.level == status.WARN
+    assert FAULT in status.message
+
+
+def test_the_log_names_topic_type_and_sender(clumsy, asker, wait_until):
+    said = []
+    clumsy.failures.add = lambda what, error, detail="": said.append((what, repr(error), detail))
+    publisher = asker.create_publisher(String, "/clumsy/hear", qos.EVENTS)
+    client = asker.create_client(Trigger, "/clumsy/at_once")
+    wait_until(lambda: publisher.get_subscription_count(), "the subscription")
+    publisher.publish(String(data="bad"))
+    call_blocking(client, Trigger.Request(), 60.0, "an answer")
+    heard = wait_until(lambda: next((e for e in said if e[0] == "subscription /clumsy/hear"), None), "the topic")
+    assert heard[1:] == (repr(ValueError(FAULT)), "std_msgs/msg/String, published by /asker")
+    called = next(e for e in said if e[0] == "service /clumsy/at_once")
+    assert called[1] == repr(KeyError(FAULT))
+    assert called[2].startswith("std_srvs/srv/Trigger, called by ")
+    assert "/asker" in called[2]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("at_once", Trigger),
+        ("later", SetBool),
+        ("who", Trigger),
+        ("unsayable", Trigger),
+        ("nothing", Trigger),
+        ("status", GetObject),
+    ],
+)
+def test_a_service_that_raises_answers(clumsy, asker, name, kind):
+    client = asker.create_client(kind, f"/clumsy/{name}")
+    answer = call_blocking(client, kind.Request(), 60.0, "an answer")
+    message = answer.message if hasattr(answer, "message") else answer.status.message
+    assert not answer.success
+    assert message.startswith(f"fault in service /clumsy/{name}: ")
+    assert clumsy.failures.counts[f"service /clumsy/{name}"] == 1
+    good = asker.create_client(SetBool, "/clumsy/later")
+    assert call_blocking(good, SetBool.Request(data=True), 60.0, "an answer").success
+
+
+def test_goals_whose_callbacks_raise_are_rejected_or_aborted(clumsy, asker, wait_until):
+    client = ActionClient(asker, ExecuteCommand, "/clumsy/do")
+    assert client.wait_for_server(60.0)
+
+    def outcome(symbol):
+        sent = client.send_goal_async(ExecuteCommand.Goal(symbol=symbol))
+        handle = wait_until(lambda: sent.done() and sent.result(), f"the server to take {symbol}")
+        if not handle.accepted:
+            return None
+        result = handle.get_result_async()
+        return wait_until(lambda: result.done() and result.result(), f"the result of {symbol}")
+
+    assert outcome("unacceptable") is None
+    failed = outcome("any")
+    assert not failed.result.success
+    assert failed.result.status.code == "internal"
+    assert FAULT in failed.result.status.message
+    unsayable = outcome("unsayable")
+    assert "surrogates" in unsayable.result.status.message
+
+
+def test_coroutines_alarms_and_tasks_that_raise_leave_the_loop_turning(clumsy, wait_until):
+    async def work():
+        raise OSError(FAULT)
+
+    def strike():
+        raise LookupError(FAULT)
+
+    rung = []
+    for _ in range(2):
+        clumsy.spawn(work())
+        clumsy.executor.create_task(work())
+        clumsy.alarms.after(0.0, strike)
+    clumsy.alarms.after(0.0, lambda: rung.append(True))
+    counts = clumsy.failures.counts
+    wait_until(lambda: rung, "the alarm after those that raised")
+    wait_until(lambda: counts.get("coroutine") == 2, "the coroutines")
+    wait_until(lambda: counts.get("task of the executor") == 2, "the tasks")
+    assert counts["timer Alarms._strike"] == 2
+
+
+def test_every_node_of_the_product_is_guarded():
+    """Nobody derives from the node, action server or action client of rclpy, makes one, or spins, but the guard."""
+    raw = {"Node", "LifecycleNode", "ActionServer", "ActionClient"}
+    allowed = {"guard.py"}
+    wrong = []
+    for path in sorted(ROOT.glob("ros_ws/src/*/*/**/*.py")):
+        if "test" in path.relative_to(ROOT).parts or path.name in allowed:
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                bases = {ast.unparse(base).rpartition(".")[2] for base in node.bases}
+                wrong += [f"{path.name}: {node.name}({base})" for base in bases & raw]
+            elif isinstance(node, ast.Call):
+                called = ast.unparse(node.func)
+                if called.rpartition(".")[2] in raw - {"Node"} | {"create_node"} or called in ("Node", "rclpy.spin"):
+                    wrong.append(f"{path.name}:{node.lineno}: {called}()")
+    assert wrong == []
