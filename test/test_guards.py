@@ -183,7 +183,7 @@ def test_coroutines_alarms_and_tasks_that_raise_leave_the_loop_turning(clumsy, w
     counts = clumsy.failures.counts
     wait_until(lambda: rung, "the alarm after those that raised")
     wait_until(lambda: counts.get("coroutine") == 2, "the coroutines")
-    wait_until(lambda: counts.get("task of the executor") == 2, "the tasks")
+    wait_until(lambda: counts.get("the executor") == 2, "the tasks")
     assert counts["timer Alarms._strike"] == 2
 
 
@@ -195,8 +195,10 @@ def test_every_node_of_the_product_is_guarded():
     for path in sorted(ROOT.glob("ros_ws/src/*/*/**/*.py")):
         if "test" in path.relative_to(ROOT).parts or path.name in allowed:
             continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
+        text = path.read_text(encoding="utf-8")
+        if "rclpy" not in text:
+            continue
+        for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.ClassDef):
                 bases = {ast.unparse(base).rpartition(".")[2] for base in node.bases}
                 wrong += [f"{path.name}: {node.name}({base})" for base in bases & raw]

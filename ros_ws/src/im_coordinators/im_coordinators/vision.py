@@ -1,8 +1,8 @@
 """What the Vision Coordinator decides: whether a light is on, when another look may help, if a look was in vain."""
 
-import json
 from collections.abc import Mapping
 
+from im_core.arrivals import read_json
 from im_core.errors import DataError, ImError
 
 #: Spots that were too faint, or too near to something else, may show in a longer exposure.
@@ -15,8 +15,11 @@ def is_lit(lights: str, name: str) -> bool:
     Args:
         lights: JSON object, on or off by the name of the light.
         name: Name of the light.
+
+    Raises:
+        DataError: It is no such object.
     """
-    return bool(json.loads(lights).get(name, False))
+    return read_json(dict[str, bool], lights, "the state of the lights").get(name, False)
 
 
 def another_look_may_help(failure: ImError | None) -> bool:

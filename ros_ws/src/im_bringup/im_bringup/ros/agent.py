@@ -15,6 +15,7 @@ from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_core import clock, names
+from im_core.arrivals import member
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
@@ -52,7 +53,7 @@ class AgentNode(GuardedNode):
             self.log.warning(f"task {name} did not end and was killed")
 
     def _follow(self, message: UInt8) -> None:
-        phase = StartupPhase(message.data)
+        phase = member(StartupPhase, message.data, f"on {PHASE_TOPIC} phase")
         if phase is StartupPhase.SHUTDOWN:
             self.finished = self._started
         elif not self._started:

@@ -19,6 +19,7 @@ from im_bringup.tasks.agent import MARKER, Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.registry import Progress, TaskRecord
 from im_core import clock, names
+from im_core.arrivals import member
 from im_core.errors import ImError
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
@@ -85,8 +86,9 @@ class BootstrapNode(GuardedNode):
             self._show()
 
     def _status(self, message: TaskStatus) -> None:
+        progress = member(Progress, message.phase, f"on {STATUS_TOPIC} phase")
         self._bootstrap.heard(
-            message.name, message.pid, message.incarnation, Progress(message.phase), message.detail, clock.monotonic()
+            message.name, message.pid, message.incarnation, progress, message.detail, clock.monotonic()
         )
 
     def _query(self, request: QueryTask.Request, response: QueryTask.Response) -> QueryTask.Response:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.calibration.progress import FiringPhase, ProgressLines
@@ -59,7 +60,7 @@ class CalibrateCameraClient(GuardedNode):
         self._incarnation = 0
         self._interrupted = threading.Event()
         self._client = self.create_client(CalibrateCamera, SERVICE)
-        self._attach = GuardedActionClient(self, ExecuteCommand, ACTION)
+        self._attach: ActionClient = GuardedActionClient(self, ExecuteCommand, ACTION)
         self.create_subscription(Firing, "/pnt/firings", self._show, qos.EVENTS)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
 

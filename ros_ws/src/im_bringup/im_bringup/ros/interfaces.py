@@ -13,6 +13,7 @@ from rclpy.node import Node, NodeNameNonExistentError
 from im_core import clock
 from im_core.errors import ImError
 from im_core.ros.calls import call_blocking
+from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
 
 # the graph is known when nothing has changed for so long; on a busy computer that takes its time
@@ -144,7 +145,7 @@ def main() -> int:
         prog="interfaces", description="Print the interfaces of the running machine as Markdown."
     ).parse_args()
     rclpy.init(args=[])
-    node = Node("interfaces")
+    node = GuardedNode("interfaces")
     try:
         with Spinner([node]):
             settle(node)

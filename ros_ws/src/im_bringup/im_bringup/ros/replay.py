@@ -16,6 +16,7 @@ from im_bringup.bag import BagReader, chosen_topics
 from im_bringup.ros.record import to_profile
 from im_core import clock
 from im_core.errors import ImError
+from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
 
 #: Time for subscribers to find the publishers before the first message: at least, and while none has [s].
@@ -105,7 +106,7 @@ def main() -> int:
     try:
         with BagReader(arguments.bag) as bag:
             topics = chosen_topics(bag.types, arguments.topics)
-            replay = Replay(Node("replay"), bag, topics)
+            replay = Replay(GuardedNode("replay"), bag, topics)
             for number in (signal.SIGINT, signal.SIGTERM):
                 signal.signal(number, lambda *_: replay.request_stop())
             print(f"replay: {len(topics)} topics, {bag.duration_s / arguments.rate:.1f} s", flush=True)

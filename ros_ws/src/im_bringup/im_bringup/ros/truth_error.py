@@ -15,6 +15,7 @@ from im_cell.robot.truth import CellTruth
 from im_core.errors import ImError, StateError
 from im_core.names import results_dir
 from im_core.ros.calls import call_blocking
+from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
 from im_msgs.srv import GetTruth
 
@@ -43,7 +44,7 @@ def main() -> int:
     path = arguments.report or results_dir() / "latest" / "report.json"
     interrupt_once()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("truth_error")
+    node = GuardedNode("truth_error")
     try:
         with Spinner([node]):
             report = add_to_report(path, get_truth(node))

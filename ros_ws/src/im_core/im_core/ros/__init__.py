@@ -1,6 +1,8 @@
 """What the ROS shells of all packages share.
 
 - :mod:`im_core.ros.node`: ``ManagedNode``, the base class of all tasks; :mod:`im_core.ros.run` spins them;
+- :mod:`im_core.ros.guard`: ``GuardedNode``, base of every node, its action server and client: callbacks may raise;
+  :mod:`im_core.ros.failures` counts what they raised;
 - :mod:`im_core.ros.coroutines`, :mod:`im_core.ros.calls`: what a node's loop runs, and waiting with a time-out in it;
 - :mod:`im_core.ros.heartbeats`: which task is alive;
 - :mod:`im_core.ros.dom`: client of the Data Object Manager;

@@ -3,14 +3,22 @@
 import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 from rclpy.client import Client
+from rclpy.task import Future
 
 from im_core import clock
-from im_core.errors import LinkError, WaitTimeoutError
+from im_core.errors import LinkError, StateError, WaitTimeoutError
 from im_core.ros.node import ManagedNode
 
 ResultT = TypeVar("ResultT")
+
+#: How long work in a thread may take unless its caller says less [s], and how many threads a node may leave behind.
+LONGEST_S = 3600.0
+MOST_LEFT_BEHIND = 20
+
+_left_behind: WeakKeyDictionary[ManagedNode, set[threading.Thread]] = WeakKeyDictionary()
 
 
 async def wait(node: ManagedNode, future: Any, timeout_s: float, what: str) -> Any:
@@ -97,18 +105,46 @@ def call_blocking(client: Client, request: Any, timeout_s: float, what: str) -> 
     return future.result()
 
 
-async def run_in_thread(node: ManagedNode, function: Callable[..., ResultT], *args: object) -> ResultT:
-    """Run a function that takes long in a thread of its own, without blocking the executor."""
-    promise = node.promise()
+async def run_in_thread(
+    node: ManagedNode, function: Callable[..., ResultT], *args: object, timeout_s: float = LONGEST_S
+) -> ResultT:
+    """Run what takes long, or may block (files, data bases, processes), in a thread of its own: the loop goes on.
+
+    A thread cannot be ended: one whose time is over is left behind, and what it brings is dropped.
+
+    Args:
+        node: The node in whose loop this waits.
+        function: What is to be run.
+        *args: Its arguments.
+        timeout_s: Longest wait, wall time [s].
+
+    Raises:
+        WaitTimeoutError: It has not ended in time.
+        StateError: So many threads of the node have not ended that no more is begun.
+        Exception: What the function raised.
+    """
+    name = getattr(function, "__name__", "worker")
+    if len(left := _left_behind.setdefault(node, set())) >= MOST_LEFT_BEHIND:
+        known = ", ".join(sorted({thread.name for thread in left}))
+        raise StateError(f"{name} is not begun: {len(left)} others have not come back in their time ({known})")
+    ended = Future()
 
     def run() -> None:
         try:
             result = function(*args)
         except Exception as error:  # carried to whoever awaits
-            promise.set_exception(error)
+            ended.set_exception(error)
         else:
-            promise.set_result(result)
+            ended.set_result(result)
+        left.discard(threading.current_thread())
 
-    threading.Thread(target=run, name=getattr(function, "__name__", "worker"), daemon=True).start()
-    result: ResultT = await promise
+    thread = threading.Thread(target=run, name=name, daemon=True)
+    thread.start()
+    try:
+        result: ResultT = await wait(node, ended, timeout_s, f"the end of {name}")
+    except WaitTimeoutError:
+        left.add(thread)
+        if not thread.is_alive():
+            left.discard(thread)
+        raise
     return result

@@ -8,6 +8,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from im_core.errors import WaitTimeoutError
 from im_core.ros.calls import call
+from im_core.ros.interfaces import type_name
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import status_to_error
 from im_msgs.msg import ObjectInfo
@@ -18,12 +19,6 @@ TIMEOUT_S = 2.0
 ATTEMPTS = 6
 
 MessageT = TypeVar("MessageT")
-
-
-def type_name(message_type: type) -> str:
-    """``geometry_msgs/msg/Pose`` for the class of that message."""
-    package, kind = message_type.__module__.split(".")[:2]
-    return f"{package}/{kind}/{message_type.__name__}"
 
 
 @dataclass(frozen=True, slots=True)

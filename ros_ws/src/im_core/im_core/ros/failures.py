@@ -1,7 +1,6 @@
 """What callbacks of a node raised: said in the log, counted on ``/diagnostics``."""
 
 import traceback
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -80,11 +79,6 @@ def sentence(error: BaseException) -> str:
     """What an error says, as text that every message can carry: half a pair of surrogates has no UTF-8."""
     words = error.message if isinstance(error, ImError) else f"{type(error).__name__}: {error}"
     return words.encode("utf-8", "backslashreplace").decode()
-
-
-def type_name(interface: Any) -> str:
-    """``package/msg/Type`` of a class that rosidl has made."""
-    return "/".join([*interface.__module__.split(".")[:2], interface.__name__])
 
 
 def _trace(error: BaseException) -> str:

@@ -13,6 +13,7 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalRespons
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
@@ -22,7 +23,9 @@ from rclpy.timer import Timer
 from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.callers import client_of, nodes_of
-from im_core.ros.failures import Failures, sentence, type_name
+from im_core.ros.failures import Failures, sentence
+from im_core.ros.interfaces import type_name
+from im_core.ros.parameter_bounds import bounded
 from im_core.ros.status import to_status
 
 INTERNAL = "internal"
@@ -42,6 +45,11 @@ class GuardedNode(Node):
         self.turns = 0
         self.standstill_s = 0.0
         super().__init__(name, **options)
+
+    def get_logger(self) -> RcutilsLogger:
+        """As in rclpy, which does not say of what type it is."""
+        logger: RcutilsLogger = Node.get_logger(self)
+        return logger
 
     def guarded(self, what: str, callback: Callable[..., Any], told: Callable[[], str] = str) -> Callable[..., Any]:
         """A callback that notes what the given one raises, and returns None then.
@@ -96,12 +104,12 @@ class GuardedNode(Node):
         callback: Callable[[], Any],
         callback_group: CallbackGroup | None = None,
         clock: Clock | None = None,
-        **options: Any,
+        autostart: bool = True,
     ) -> Timer:
         """As in rclpy."""
         name = getattr(callback, "__qualname__", type(callback).__qualname__)
         guarded = self.guarded(f"timer {name}", callback)
-        return super().create_timer(timer_period_sec, lambda: guarded(), callback_group, clock, **options)
+        return super().create_timer(timer_period_sec, lambda: guarded(), callback_group, clock, autostart)
 
     def create_service(
         self,
@@ -117,6 +125,7 @@ class GuardedNode(Node):
         The callback may be a coroutine. It may also return a function: that is given who called, as
         :func:`im_core.ros.callers.client_of` says, and returns what the callback would have returned.
         """
+        srv_type, callback = bounded(srv_type, callback)
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
         )
@@ -125,48 +134,7 @@ class GuardedNode(Node):
 
     def guard_service(self, service: Service) -> None:
         """Guard a service that was not made by :meth:`create_service`; it may do what one made there may."""
-        hooked: Any = service  # rclpy calls what it finds under these names
-        hooked.callback = partial(_called, self, service.callback)
-        hooked.send_response = partial(self._answer, service, service.send_response)
-
-    def _answer(self, service: Service, send: Callable[..., None], response: Any, header: Any) -> None:
-        """Send what a service's callback returned; the events executor would take a coroutine for the response."""
-        try:
-            if callable(response):
-                response = response(client_of(header))
-            if isinstance(response, _Raised):
-                raise response.error
-            if not inspect.iscoroutine(response):
-                send(response, header)
-                return
-        except Exception as error:  # every request is answered
-            self._refuse(service, send, error, header)
-            return
-
-        async def finish() -> None:
-            try:
-                send(await response, header)
-            except Exception as error:  # as above
-                self._refuse(service, send, error, header)
-
-        assert self.executor is not None, "only an executor calls callbacks"
-        self.executor.create_task(finish())
-
-    def _refuse(self, service: Service, send: Callable[..., None], error: Exception, header: Any) -> None:
-        """Note what a service's callback raised, and answer that it did not succeed."""
-
-        def told() -> str:
-            client = client_of(header)
-            callers = ", ".join(nodes_of(self, client)) or client or "nobody known"
-            return f"{type_name(service.srv_type)}, called by {callers}"
-
-        what = f"service {service.srv_name}"
-        self.note_failure(what, error, told)
-        srv_type: Any = service.srv_type
-        try:
-            send(with_fault(srv_type.Response(), what, error), header)
-        except Exception as again:  # the client may be gone
-            self.note_failure(f"{what} (its answer)", again, told)
+        _Answers(self, service)
 
 
 class GuardedActionServer(ActionServer):
@@ -190,15 +158,17 @@ class GuardedActionServer(ActionServer):
     ) -> None:
         self._guard, self._what = node, f"action {action_name}"
         self._told = partial(type_name, action_type)
-        super().__init__(node, action_type, action_name, execute_callback, **options)
+        ActionServer.__init__(self, node, action_type, action_name, execute_callback, **options)
 
     def register_goal_callback(self, goal_callback: Callable[[Any], Any] | None) -> None:
         """As in rclpy; a goal whose callback raises is rejected."""
-        super().register_goal_callback(goal_callback and self._or(goal_callback, GoalResponse.REJECT))
+        guarded = goal_callback and self._or(goal_callback, GoalResponse.REJECT)
+        ActionServer.register_goal_callback(self, guarded)
 
     def register_cancel_callback(self, cancel_callback: Callable[[Any], Any] | None) -> None:
         """As in rclpy; what cannot be decided is not cancelled."""
-        super().register_cancel_callback(cancel_callback and self._or(cancel_callback, CancelResponse.REJECT))
+        guarded = cancel_callback and self._or(cancel_callback, CancelResponse.REJECT)
+        ActionServer.register_cancel_callback(self, guarded)
 
     def register_execute_callback(self, execute_callback: Callable[[Any], Any]) -> None:
         """As in rclpy; a goal whose callback raises is aborted, and its result says why."""
@@ -213,13 +183,13 @@ class GuardedActionServer(ActionServer):
                     handle.abort()
                 return with_fault(self._action_type.Result(), self._what, error)
 
-        super().register_execute_callback(execute)
+        ActionServer.register_execute_callback(self, execute)
 
     async def execute(self, taken_data: Any) -> None:
         """As in rclpy, which calls it for every request."""
         self._guard.turns += 1
         try:
-            await super().execute(taken_data)
+            await ActionServer.execute(self, taken_data)
         except Exception as error:  # the other goals go on
             self._guard.note_failure(self._what, error, self._told)
 
@@ -234,7 +204,7 @@ class GuardedActionServer(ActionServer):
 
     def _send_result_response(self, request_header: Any, future: Any) -> None:
         try:
-            super()._send_result_response(request_header, future)
+            ActionServer._send_result_response(self, request_header, future)
         except Exception as error:  # a result that no message can carry
             self._guard.note_failure(f"{self._what} (its result)", error, self._told)
             response = self._action_type.Impl.GetResultService.Response(status=future.result().status)
@@ -253,13 +223,13 @@ class GuardedActionClient(ActionClient):
 
     def __init__(self, node: GuardedNode, action_type: Any, action_name: str) -> None:
         self._guard, self._what = node, f"action client {action_name}"
-        super().__init__(node, action_type, action_name)
+        ActionClient.__init__(self, node, action_type, action_name)
 
     async def execute(self, taken_data: Any) -> None:
         """As in rclpy, which calls it for every answer and feedback."""
         self._guard.turns += 1
         try:
-            await super().execute(taken_data)
+            await ActionClient.execute(self, taken_data)
         except Exception as error:  # the other goals go on
             self._guard.note_failure(self._what, error)
 
@@ -271,12 +241,64 @@ class _Raised:
         self.error = error
 
 
-def _called(node: GuardedNode, callback: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    node.turns += 1
-    try:
-        return callback(request, response)
-    except Exception as error:  # answered where the client is known
-        return _Raised(error)
+class _Answers:
+    """Stands between rclpy and a service: calls the callback, and sends one answer to each request.
+
+    Args:
+        node: The node of the service.
+        service: It; from now on rclpy calls what is here.
+    """
+
+    def __init__(self, node: GuardedNode, service: Service) -> None:
+        self._node, self._service = node, service
+        self._callback, self._send = service.callback, service.send_response
+        hooked: Any = service  # rclpy calls what it finds under these names
+        hooked.callback, hooked.send_response = self._call, self._answer
+
+    def _call(self, request: Any, response: Any) -> Any:
+        self._node.turns += 1
+        try:
+            return self._callback(request, response)
+        except Exception as error:  # answered where the client is known
+            return _Raised(error)
+
+    def _answer(self, response: Any, header: Any) -> None:
+        """Send what the callback returned; the events executor would take a coroutine for the response."""
+        try:
+            if callable(response):
+                response = response(client_of(header))
+            if isinstance(response, _Raised):
+                raise response.error
+            if not inspect.iscoroutine(response):
+                self._send(response, header)
+                return
+        except Exception as error:  # every request is answered
+            self._refuse(error, header)
+            return
+        assert self._node.executor is not None, "only an executor calls callbacks"
+        self._node.executor.create_task(self._finish(response, header))
+
+    async def _finish(self, response: Any, header: Any) -> None:
+        try:
+            self._send(await response, header)
+        except Exception as error:  # as above
+            self._refuse(error, header)
+
+    def _refuse(self, error: Exception, header: Any) -> None:
+        """Note what was raised, and answer that the request did not succeed."""
+        srv_type: Any = self._service.srv_type
+
+        def told() -> str:
+            client = client_of(header)
+            callers = ", ".join(nodes_of(self._node, client)) or client or "nobody known"
+            return f"{type_name(srv_type)}, called by {callers}"
+
+        what = f"service {self._service.srv_name}"
+        self._node.note_failure(what, error, told)
+        try:
+            self._send(with_fault(srv_type.Response(), what, error), header)
+        except Exception as again:  # the client may be gone
+            self._node.note_failure(f"{what} (its answer)", again, told)
 
 
 def with_fault(answer: Any, what: str, error: Exception) -> Any:

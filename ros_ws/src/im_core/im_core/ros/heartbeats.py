@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from im_core import clock
-from im_core.errors import LinkError, WaitTimeoutError
+from im_core.errors import DataError, LinkError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_core.startup import STATUS_TOPIC
@@ -14,6 +14,9 @@ from im_msgs.msg import TaskStatus
 #: A task that has not been heard for this long is missing [s] of wall time.
 SILENCE_S = 6.0
 CHECK_PERIOD_S = 0.25
+
+#: Tasks that are followed; a machine has a dozen.
+MOST_TASKS = 1000
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,10 @@ class Heartbeats:
         if known is not None and known.incarnation == message.incarnation:
             self._last[message.name] = replace(known, heard=now)
             return
+        if known is None and len(self._last) >= MOST_TASKS:
+            self._last = {name: last for name, last in self._last.items() if now - last.heard <= SILENCE_S}
+            if len(self._last) >= MOST_TASKS:
+                raise DataError(f"task {message.name[:100]} is not followed: {MOST_TASKS} others are")
         self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now)
         if known is not None:
             self._tell(message.name)

@@ -21,3 +21,9 @@ def interface_class(name: str) -> Any:
     if type_name not in known:
         raise NotFoundError(kind=f"{kind} type of {package}", name=type_name, known=known)
     return getattr(module, type_name)
+
+
+def type_name(interface: type) -> str:
+    """``geometry_msgs/msg/Pose`` for the class of that message."""
+    package, kind = interface.__module__.split(".")[:2]
+    return f"{package}/{kind}/{interface.__name__}"

@@ -10,8 +10,6 @@ import rclpy
 from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
-from rclpy.impl.rcutils_logger import RcutilsLogger
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_services_default
 from rclpy.service import Service
@@ -20,11 +18,11 @@ from rclpy.task import Task
 from std_msgs.msg import UInt8
 
 from im_core import clock
+from im_core.arrivals import member
 from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.coroutines import Alarms, Coroutines, Promise, Work
 from im_core.ros.guard import GuardedNode
-from im_core.ros.parameter_bounds import bounded
 from im_core.ros.parameters import FixedParameters
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
@@ -81,11 +79,6 @@ class ManagedNode(GuardedNode):
             self.create_subscription(UInt8, PHASE_TOPIC, self._hear_phase, qos.LATCHED)
         self._publish_status()
 
-    def get_logger(self) -> RcutilsLogger:
-        """As in rclpy, which does not say of what type it is."""
-        logger: RcutilsLogger = Node.get_logger(self)
-        return logger
-
     def create_service(
         self,
         srv_type: type[Any],
@@ -96,7 +89,6 @@ class ManagedNode(GuardedNode):
         callback_group: CallbackGroup | None = None,
     ) -> Service:
         """As of :class:`.GuardedNode`, with introspection as the node's parameter says."""
-        srv_type, callback = bounded(srv_type, callback)
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
         )
@@ -190,9 +182,9 @@ class ManagedNode(GuardedNode):
         self._follow(StartupPhase.START)
 
     def _hear_phase(self, message: UInt8) -> None:
-        self._follow(message.data)
+        self._follow(member(StartupPhase, message.data, f"on {PHASE_TOPIC} phase"))
 
-    def _follow(self, target: int) -> None:
+    def _follow(self, target: StartupPhase) -> None:
         if target == StartupPhase.SHUTDOWN:
             self.shut_down_once()
             rclpy.try_shutdown()

@@ -2,19 +2,20 @@
 
 import argparse
 import contextlib
+import faulthandler
+import inspect
 import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
-from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
+from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
 from im_core import scheduling
@@ -28,36 +29,64 @@ FOREVER_S = 1e6
 NodeT = TypeVar("NodeT", bound=rclpy.node.Node)
 
 
+class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc]  # of C++: it has no types
+    """The events executor; a task that raised would end its process by a segmentation fault.
+
+    Args:
+        context: The context of its nodes.
+        note: Is given what a task has raised.
+    """
+
+    def __init__(self, context: rclpy.Context, note: Callable[[Exception], None]) -> None:
+        rclpy_implementation.EventsExecutor.__init__(self, context)
+        self._note = note
+
+    def create_task(self, callback: Any, *args: Any, **options: Any) -> Task:
+        """As in rclpy; the result of a task that raised is None."""
+
+        async def guarded() -> Any:
+            try:
+                result = callback if inspect.iscoroutine(callback) else callback(*args, **options)
+                return await result if inspect.iscoroutine(result) else result
+            except Exception as error:  # noted
+                self._note(error)
+
+        task: Task = rclpy_implementation.EventsExecutor.create_task(self, guarded())
+        return task
+
+
 class Spinner:
     """Nodes of one context in one events executor, in this thread or in one of its own."""
 
     def __init__(self, nodes: Sequence[rclpy.node.Node]) -> None:
         self.nodes = list(nodes)
-        self.executor = EventsExecutor(context=self.nodes[0].context)
+        faulthandler.enable()  # a fault in C leaves the stack of all threads, too
+        self.executor: Any = GuardedExecutor(self.nodes[0].context, self._note)
+        self.nodes[0].context.on_shutdown(self.executor.wake)
         for node in self.nodes:
             self.executor.add_node(node)
         self._end = Future()
         self._thread: threading.Thread | None = None
 
     def spin(self) -> None:
-        """Spin until :meth:`stop`, or until ROS is shut down; what leaves the executor is noted, and the loop goes on."""
+        """Spin until :meth:`stop`, or until ROS is shut down; what leaves the executor is noted, and that is all."""
         context = self.nodes[0].context
         while not self._end.done() and context.ok():
             try:
                 self.executor.spin_until_future_complete(self._end, FOREVER_S)
             except (KeyboardInterrupt, ExternalShutdownException):
                 return
-            except Exception as error:  # of a task of the executor: callbacks are guarded
+            except Exception as error:  # callbacks and tasks are guarded; this is what rclpy itself raised
                 if not context.ok():
                     return
                 self._note(error)
 
     def _note(self, error: Exception) -> None:
-        for node in self.nodes:
-            if isinstance(node, GuardedNode):
-                node.note_failure("task of the executor", error)
-                return
-        raise error
+        guarded = next((node for node in self.nodes if isinstance(node, GuardedNode)), None)
+        if guarded is None:
+            self.nodes[0].get_logger().error(f"the loop goes on after {error!r}")
+        else:
+            guarded.note_failure("the executor", error)
 
     def start(self) -> "Spinner":
         """Spin in a thread; harmless when it spins already."""

@@ -27,6 +27,6 @@ def status_to_error(status: Status) -> ImError:
     for fact in status.facts:
         try:
             facts[fact.key] = json.loads(fact.value)
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             facts[fact.key] = fact.value
     return ImError.restored(status.code or "error", status.message, facts)

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 
-from im_core.errors import DataError, ImError, StateError
+from im_core.arrivals import read_json
+from im_core.errors import ImError, StateError
 from im_core.ros import run
 from im_core.ros.guard import GuardedActionServer
 from im_core.ros.status import to_status
@@ -136,13 +137,7 @@ def _arguments(text: str) -> dict[str, object]:
     Raises:
         DataError: They are something else.
     """
-    try:
-        arguments = json.loads(text or "{}")
-    except json.JSONDecodeError as error:
-        raise DataError(f"the arguments of the command are not JSON: {error}") from error
-    if not isinstance(arguments, dict):
-        raise DataError(f"the arguments of the command must be a JSON object, not {text!r}")
-    return arguments
+    return read_json(dict[str, object], text or "{}", "the JSON object of the command's arguments")
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any
 
-from rclpy.action import CancelResponse, GoalResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
@@ -109,7 +109,7 @@ class CalledActionServer(GuardedActionServer):
         goal = bytes(request.goal_id.uuid)
         if goal not in self._goal_handles:  # one that has that number keeps its sender
             self.clients[goal] = client_of(header)
-        await super()._execute_goal_request(request_header_and_message)
+        await ActionServer._execute_goal_request(self, request_header_and_message)
 
 
 class Goals:

@@ -3,28 +3,32 @@
 A net that is loaded at run time is verified, alone and together, then takes its place when the present one is at rest.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from im_core.clock import monotonic
-from im_core.errors import StateError
+from im_core.errors import ImError, StateError
 from im_core.files import make_folder, write_whole
 from im_core.ros import qos
 from im_core.ros.calls import pause, run_in_thread
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import NetDescription
-from im_pnt.errors import NetError, NetFileError, VerificationError
+from im_pnt.description import read_net
+from im_pnt.errors import NetError, VerificationError
 from im_pnt.execution.executor import Executor
 from im_pnt.journal.journal import fingerprint
 from im_pnt.journal.state import net_state
 from im_pnt.model.net import Net
-from im_pnt.netfile import load_net, parse_net, yaml_text
+from im_pnt.netfile import load_net, yaml_text
 from im_pnt.ros.publish import PntPublisher
 from im_pnt.verification import Verification, Verifier
 
 REST_CHECK_S = 0.02
+
+#: How many nets of other nodes are known; how long it may take to read one [s].
+MOST_NETS = 1000
+READ_S = 60.0
 
 
 class Library:
@@ -39,13 +43,16 @@ class Library:
         self._files, self._verifier = list(files), verifier
         self._kept: Path | None = None
         self._known: dict[str, Net] = {}
+        self._unread: dict[str, NetDescription] = {}
+        self._reading = False
 
     def keep_in(self, folder: Path) -> None:
         """Has nets that came later kept in a folder, where a node that died finds them."""
         self._kept = make_folder(folder)
 
     def follow(self, node: ManagedNode) -> None:
-        """Learns the nets of other nodes."""
+        """Learns the nets of other nodes; to read one may take seconds, in which the loop goes on."""
+        self._node = node
         node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_MANY)
 
     def nets(self, found: Mapping[str, str]) -> list[Net]:
@@ -108,10 +115,29 @@ class Library:
         return self._verifier(nets)
 
     def _learn(self, description: NetDescription) -> None:
-        try:
-            self._known[description.net] = parse_net(json.loads(description.json)["yaml"], description.node)
-        except (KeyError, TypeError, ValueError, RecursionError, NetFileError):  # another kind of node: net unknown
-            self._known.pop(description.net, None)
+        if len(self._unread) == MOST_NETS and description.net not in self._unread:
+            raise NetError(f"it is not read: {MOST_NETS} others wait", net=description.net)
+        self._unread[description.net] = description
+        if not self._reading:
+            self._reading = True
+            self._node.spawn(self._read())
+
+    async def _read(self) -> None:
+        """Reads what has been told, the last that was told of each net."""
+        while self._unread:
+            net = next(iter(self._unread))
+            told = self._unread.pop(net)
+            try:
+                self._enter(await run_in_thread(self._node, read_net, net, told.json, told.node, timeout_s=READ_S))
+            except ImError as error:
+                self._known.pop(net, None)
+                self._node.note_failure("subscription /pnt/nets", error, lambda: "im_msgs/msg/NetDescription")
+        self._reading = False
+
+    def _enter(self, net: Net) -> None:
+        if len(self._known) == MOST_NETS and net.name not in self._known:
+            raise NetError(f"net {net.name} is not learned: {MOST_NETS} others are known", net=net.name)
+        self._known[net.name] = net
 
 
 class Loader:

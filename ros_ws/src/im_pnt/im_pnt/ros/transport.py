@@ -1,15 +1,16 @@
 """Packets of a link between processes: topics ``/<node>/tokens``."""
 
 import contextlib
-import json
 from collections.abc import Callable
 
 from rclpy.publisher import Publisher
 
+from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import NetDescription, TokenPacket
+from im_pnt.description import read_content
 from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.link import Link
 from im_pnt.distributed.packets import Message
@@ -142,8 +143,8 @@ class DdsTransport:
     def _learn(self, description: NetDescription) -> None:
         node = description.node.rpartition("/")[2]
         self._directory[description.net] = node
-        with contextlib.suppress(ValueError, AttributeError, RecursionError):  # whatever else is told is no journal
-            if json.loads(description.json).get("journal") is True:
+        with contextlib.suppress(DataError):  # whatever else is told is no journal
+            if read_content(description.net, description.json).journal:
                 self._journalling.add(node)
 
     def _publisher(self, node: str) -> Publisher:

@@ -3,22 +3,16 @@
 import math
 from collections.abc import Sequence
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from im_core.config import ModelT, faults
+from im_core.arrivals import read_json
 from im_core.errors import ImError
+from im_pnt.description import read_net
 from im_pnt.execution.notification import Phase
 from im_pnt.netfile import parse_net
 from im_pnt_analysis.simulation.replay import FiringSequence
 from im_pnt_display.page.counterexample import drawn_counterexample
 from im_pnt_display.page.state import net_content
-
-LARGEST = 2_000_000
-"""Characters of a text that is read; a net of 1,000 places has 50,000."""
-
-
-class _Description(BaseModel):
-    yaml: str
 
 
 class _Refusal(BaseModel):
@@ -39,10 +33,7 @@ def described_net(name: str, text: str, node: str) -> dict[str, object]:
     Raises:
         ImError: It is no net, or another one.
     """
-    net = parse_net(_read(_Description, text).yaml, node)
-    if net.name != name:
-        raise ImError(f"it is net {net.name}", code="input")
-    return net_content(net)
+    return net_content(read_net(name, text, node))
 
 
 def counterexample(text: str) -> dict[str, object]:
@@ -54,7 +45,7 @@ def counterexample(text: str) -> dict[str, object]:
     Raises:
         ImError: One of them is no net, or the sequence does not fit to them.
     """
-    refusal = _read(_Refusal, text)
+    refusal = read_json(_Refusal, text, "a refusal")
     nets = [parse_net(net, "refused net") for net in refusal.nets]
     if not nets:
         return {}
@@ -87,13 +78,3 @@ def finite(name: str, value: float) -> float:
     if not math.isfinite(value):
         raise ImError(f"its {name} is {value}", code="input")
     return value
-
-
-def _read(model: type[ModelT], text: str) -> ModelT:
-    if len(text) > LARGEST:
-        raise ImError(f"it has {len(text)} characters; {LARGEST} are read", code="input")
-    try:
-        return model.model_validate_json(text, strict=True)
-    except ValidationError as error:
-        fault = faults(error, model)[0]
-        raise ImError(f"{fault.field or 'all of it'}: {fault.words}", code="input") from error

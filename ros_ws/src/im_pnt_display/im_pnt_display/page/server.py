@@ -10,7 +10,8 @@ from urllib.parse import urlsplit
 
 from aiohttp import WSMsgType, web
 
-from im_core.errors import ImError, LinkError, WaitTimeoutError
+from im_core.arrivals import read_json
+from im_core.errors import DataError, ImError, LinkError, WaitTimeoutError
 from im_pnt_display.page.state import Change, DisplayState
 
 STATIC = Path(__file__).parent / "static"
@@ -167,8 +168,7 @@ async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -
 def _wanted(text: str) -> Mapping[str, str] | None:
     """Returns what a viewer asks for, None if it makes no sense."""
     try:
-        wanted = json.loads(text)
-    except (ValueError, RecursionError):
+        wanted = read_json(dict[str, str], text, "a request")
+    except DataError:
         return None
-    keys = ("net", "request", "argument")
-    return wanted if isinstance(wanted, dict) and all(isinstance(wanted.get(key), str) for key in keys) else None
+    return wanted if {"net", "request", "argument"} <= wanted.keys() else None

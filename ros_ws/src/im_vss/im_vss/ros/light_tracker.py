@@ -1,6 +1,5 @@
 """Where the robot's pose puts the wrist light that is on."""
 
-import json
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from im_cell.robot import Cell, far_end
+from im_core.arrivals import read_json
 from im_core.ros import qos
 
 Array = NDArray[np.float64]
@@ -84,6 +84,6 @@ class LightTracker:
         self._newest = message
 
     def _choose(self, message: String) -> None:
-        self._lights = json.loads(message.data)
+        self._lights = read_json(dict[str, bool], message.data, "/testbed/lights")
         on = [name for name, lit in self._lights.items() if lit]
         self._light = on[0] if len(on) == 1 else self._usual

@@ -1,0 +1,61 @@
+"""What arrives in messages, from whomever: text that is to be JSON, numbers that stand for names. One way to read it.
+
+Types of messages say ``string`` and ``uint8``; what may stand in them is checked here, once, where it enters.
+"""
+
+from collections.abc import Hashable
+from enum import IntEnum
+from functools import lru_cache
+from typing import Any, TypeVar, cast
+
+import pydantic
+
+from im_core.errors import DataError
+
+#: Characters of a text that is read; a net of 1,000 places has 50,000.
+LARGEST = 2_000_000
+
+T = TypeVar("T")
+EnumT = TypeVar("EnumT", bound=IntEnum)
+
+
+def read_json(kind: type[T], text: str, what: str) -> T:
+    """Read JSON of a certain form.
+
+    Args:
+        kind: The form: a model, or a type such as ``dict[str, bool]``.
+        text: JSON.
+        what: What it is, for complaints.
+
+    Raises:
+        DataError: It is too long, no JSON, nested too deeply, or of another form.
+    """
+    if len(text) > LARGEST:
+        raise DataError(f"{what} has {len(text)} characters; {LARGEST} are read", what=what)
+    try:
+        value: T = _reader(cast(Hashable, kind)).validate_json(text, strict=True)
+    except pydantic.ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        words = f"{place}: {first['msg']}" if place else first["msg"]
+        raise DataError(f"{what} makes no sense: {words}", what=what) from error
+    return value
+
+
+def member(kind: type[EnumT], number: int, what: str) -> EnumT:
+    """The member of an enumeration that a number stands for.
+
+    Raises:
+        DataError: None has it; the message lists those that exist.
+    """
+    try:
+        return kind(number)
+    except ValueError:
+        known = ", ".join(f"{each.value} {each.name}" for each in kind)
+        raise DataError(f"{what} {number} does not exist; there are {known}", what=what, value=number) from None
+
+
+@lru_cache(maxsize=100)
+def _reader(kind: Hashable) -> pydantic.TypeAdapter[Any]:
+    form: Any = kind
+    return pydantic.TypeAdapter(form)
