@@ -5,7 +5,7 @@
 #   scripts/start.sh my_deployment.yaml          another one
 #   scripts/start.sh --factor 0 --seed 7         simulated time as fast as it goes, another seed
 #   scripts/start.sh --port 8081                 another port for the display (a web page)
-#   scripts/start.sh --timeout 120               a longer wait (default 60 s)
+#   scripts/start.sh --timeout 120               a longer wait, of its parts for each other too (default 60 s)
 #   scripts/start.sh --calibration results/latest   cameras (and laser scanner) as calibrated before, not as drawn
 #
 # A second machine on this host needs another ROS_DOMAIN_ID, and another --port:

@@ -85,12 +85,11 @@ class ControlRanges(Model):
 
 
 class Waits(Model):
-    """Longest waits, wall time [s]: for a lease, of a lease, for an exposure, for the camera process."""
+    """Longest waits, wall time [s]: for a lease, of a lease, for an exposure."""
 
     lease: Seconds
     hold: Seconds
     exposure: Seconds
-    camera_start: Seconds
 
 
 class LaserGrid(Model):

@@ -18,10 +18,11 @@ from im_cell.robot import load_cell
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
 from im_core.process import ChildProcess
+from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
-TIMEOUT_S = 60.0
 CALIBRATION = "${calibration}"
 _POLL_S = 0.05
+_LONGEST_S = 86_400.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -43,7 +44,12 @@ def parser() -> argparse.ArgumentParser:
         help="start with the calibrations in this folder: results of calibrate_camera, or what /vss kept in "
         "results/vss (default: cameras and laser scanner as drawn)",
     )
-    parser.add_argument("--timeout", type=float, default=TIMEOUT_S, help="longest wait in s (default: %(default)g)")
+    parser.add_argument(
+        "--timeout",
+        type=_seconds,
+        default=START_TIMEOUT_S,
+        help="longest wait in s, of the command and of the machine's parts for each other (default: %(default)g)",
+    )
     return parser
 
 
@@ -116,7 +122,7 @@ def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
     """
     began = clock.monotonic()
     clear_the_way()
-    process = spawn_bootstrap(deployment, path)
+    process = spawn_bootstrap(deployment, path, timeout_s)
     shown = ""
     while clock.monotonic() - began < timeout_s:
         record = machine.read()
@@ -158,8 +164,8 @@ def clear_the_way() -> None:
     (run_dir / "log").mkdir()
 
 
-def spawn_bootstrap(deployment: Deployment, path: Path) -> ChildProcess:
-    """Start the bootstrap, detached from this terminal."""
+def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> ChildProcess:
+    """Start the bootstrap, detached from this terminal; all it starts knows how long the start may take [s]."""
     run_dir = names.run_dir().resolve()
     argv = [
         str(path_of("im_bringup", "bootstrap")),
@@ -173,9 +179,19 @@ def spawn_bootstrap(deployment: Deployment, path: Path) -> ChildProcess:
     return ChildProcess(
         argv,
         log=run_dir / "log" / "bootstrap.log",
-        environment=environment(os.environ, run_dir, deployment),
+        environment={**environment(os.environ, run_dir, deployment), START_TIMEOUT: repr(timeout_s)},
         death_signal=None,
     )
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0.0 < seconds <= _LONGEST_S:
+        raise argparse.ArgumentTypeError(f"{text} is no time between 0 and {_LONGEST_S:g} s")
+    return seconds
 
 
 def _folder(text: str) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
+from im_core.startup import patience_s
 from im_mcs.control.controller import Controller, ControllerSetup
 from im_mcs.control.guard import load_controller
 from im_mcs.control.law_process import LawProcess, RemoteLaw
@@ -44,7 +45,7 @@ class LawSource:
             for law in config.law_processes.laws:
                 self._processes[law] = self._start(law, paced=wall_period_s > 0.0)
             for process in self._processes.values():
-                process.await_ready(config.law_processes.start_timeout_s)
+                process.await_ready(patience_s())
         except ImError:
             self.close()
             raise

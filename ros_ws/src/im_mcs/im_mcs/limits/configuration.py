@@ -96,7 +96,6 @@ class LawProcesses(Model):
     laws: tuple[str, ...] = Field(default=(), description="module:Class, of those under control and switching")
     patience: float = Field(default=0.4, gt=0, le=0.8, description="share of the period that a tick waits for torques")
     max_late: int = Field(default=5, ge=1, description="late answers in a row that are an error of the law")
-    start_timeout_s: float = Field(default=20.0, gt=0, description="until a process is ready [s]")
 
 
 class PayloadLimits(Model):

@@ -39,7 +39,6 @@ class Testbed(Model):
 
     drivers: dict[str, Driver] = Field(min_length=1)
     clock: str = Field(description="the driver whose ticks are the servo's")
-    attach_timeout_s: float = Field(gt=0)
 
     @model_validator(mode="after")
     def _clock_exists(self) -> Self:

@@ -12,6 +12,7 @@ from im_core.process import ChildProcess
 from im_core.ros.calls import wait
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
+from im_core.startup import patience_s
 from im_mcs.client.servo_client import OnState, ServoClient
 from im_mcs.client.stop_circuits import StopCircuits
 from im_mcs.client.time_source import FlowingTime, TestbedTime
@@ -28,6 +29,8 @@ FINALIZED_MESSAGE = (
 
 POLL_S = 0.02
 """How often the node looks after it [s]."""
+_LONGER = 1.1
+"""The servo process says itself for what it waited in vain; only if it does not, the node says so."""
 _ESTOP_ANSWER_S = 0.2
 
 
@@ -45,7 +48,7 @@ class ServoOwner:
     def __init__(self, config: McsConfig, config_file: Path | None, on_state: OnState) -> None:
         instance = names.instance()
         self._on_state = on_state
-        self._timeout_s = 2.0 * config.testbed.attach_timeout_s
+        self._timeout_s = _LONGER * patience_s()
         self._on_demand = asks_for_time(config.testbed.drivers[config.testbed.clock].driver)
         self._deadline = clock.monotonic() + self._timeout_s
         self._channel = ServoChannel.create(instance, config)

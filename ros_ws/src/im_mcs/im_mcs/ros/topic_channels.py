@@ -14,9 +14,9 @@ from im_core import clock
 from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.guard import GuardedNode
+from im_core.startup import patience_s
 from im_mcs.testbed.topic_link import TopicLink
 
-_ATTACH_S = 5.0
 _BELL_S = 0.1
 
 
@@ -32,7 +32,7 @@ class TopicChannels(GuardedNode):
 
     def __init__(self, name: str, joints: list[str], state: str, command: str) -> None:
         super().__init__("topic_channels", namespace="/mcs")
-        self._link = TopicLink.attach(name, len(joints), _ATTACH_S)
+        self._link = TopicLink.attach(name, len(joints), patience_s())
         self._joints = joints
         self._channel = {joint: channel for channel, joint in enumerate(joints)}
         self._received = self._link.received.record()

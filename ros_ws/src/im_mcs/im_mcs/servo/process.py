@@ -8,6 +8,7 @@ from im_cell.robot import load_cell
 from im_core import clock, scheduling
 from im_core.errors import LinkError
 from im_core.silence import Silence
+from im_core.startup import patience_s
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.channel import ServoChannel
@@ -46,7 +47,7 @@ class ServoProcess:
                 f"the testbed ticks every {self._testbed.period_s:g} s, the servo every {config.servo.period_s:g} s;"
                 " make them equal"
             )
-        self._channel = ServoChannel.attach(instance, config, config.testbed.attach_timeout_s)
+        self._channel = ServoChannel.attach(instance, config, patience_s())
         self._pending: list[dict[str, Any]] = []
         self._told_state = State.COLD
         recorder = Recorder(self._channel.layout, self._channel.evidence)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
+from im_core.startup import patience_s
 from im_mcs.limits.slots import Kind, Slot, Testbed
 from im_mcs.testbed.driver import ChannelDriver, Drive, HostedHardware, Measured, SelfReporting, TimeKeeper, load_driver
 
@@ -51,11 +52,9 @@ class TestbedInterface:
             LinkError: A driver's hardware does not answer in time.
         """
         drivers = {
-            name: load_driver(
-                spec.driver, spec.settings, instance=instance, timeout_s=testbed.attach_timeout_s
-            )
+            name: load_driver(spec.driver, spec.settings, instance=instance, timeout_s=patience_s())
             for name, spec in testbed.drivers.items()
-        }  # fmt: skip
+        }
         return cls(drivers, slots, testbed.clock)
 
     @property

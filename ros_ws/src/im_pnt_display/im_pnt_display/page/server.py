@@ -12,12 +12,12 @@ from aiohttp import WSMsgType, web
 
 from im_core.arrivals import read_json
 from im_core.errors import DataError, ImError, LinkError, WaitTimeoutError
+from im_core.startup import patience_s
 from im_pnt_display.page.state import Change, DisplayState
 
 STATIC = Path(__file__).parent / "static"
 VIEWER_BACKLOG = 500
 PORTS_TRIED = 20
-START_TIMEOUT_S = 10.0
 
 Operate = Callable[[Mapping[str, str]], None]
 """Takes what a viewer asks for: ``net``, ``request`` and ``argument``; called in the server's thread."""
@@ -55,8 +55,8 @@ class DisplayServer:
             WaitTimeoutError: The server does not come up.
         """
         self._thread.start()
-        if not self._ready.wait(START_TIMEOUT_S):
-            raise WaitTimeoutError(what="the display server", seconds=START_TIMEOUT_S)
+        if not self._ready.wait(wait_s := patience_s()):
+            raise WaitTimeoutError(what="the display server", seconds=wait_s)
         if self._failure is not None:
             raise self._failure
 

@@ -9,12 +9,12 @@ from im_cell.robot.truth import CellTruth, load_truth
 from im_core import clock
 from im_core.errors import ImError, LinkError, WaitTimeoutError
 from im_core.shm import MessageRing, Semaphore, SharedBlock
+from im_core.startup import patience_s
 from im_sim.cameras.bank import CameraBank
 from im_sim.cameras.protocol import CameraReply, CameraRequest, CameraSettings, ChannelNames, ImageStore
 from im_sim.cameras.scene import SceneMirror
 
 _NICENESS = 5
-_ATTACH_TIMEOUT_S = 25.0
 _IDLE_S = 0.5
 _POLL_S = 0.05
 
@@ -34,17 +34,17 @@ class CameraProcess:
         Raises:
             ImError: The host or the testbed is not there, or the renderer does not load.
         """
-        names = ChannelNames(instance)
-        self._images = SharedBlock.attach(names.images, _ATTACH_TIMEOUT_S)
-        self._requests = MessageRing.attach(names.requests, _ATTACH_TIMEOUT_S)
-        self._replies = MessageRing.attach(names.replies, _ATTACH_TIMEOUT_S)
-        self._requested = Semaphore.attach(names.requested, _ATTACH_TIMEOUT_S)
-        self._replied = Semaphore.attach(names.replied, _ATTACH_TIMEOUT_S)
+        names, wait_s = ChannelNames(instance), patience_s()
+        self._images = SharedBlock.attach(names.images, wait_s)
+        self._requests = MessageRing.attach(names.requests, wait_s)
+        self._replies = MessageRing.attach(names.replies, wait_s)
+        self._requested = Semaphore.attach(names.requested, wait_s)
+        self._replied = Semaphore.attach(names.replied, wait_s)
         self._store = ImageStore(cell)
         self._instance, self._truth = instance, truth
         self._scene = SceneMirror(cell, settings.renderer)
         self._cell, self._settings = cell, settings
-        self._link = CameraEnd.attach(instance, _ATTACH_TIMEOUT_S)
+        self._link = CameraEnd.attach(instance, wait_s)
         self._bank = self._new_bank()
         self._bank.warm_up()
 
@@ -124,9 +124,10 @@ def _await_truth(path: Path, seed: int) -> CellTruth:
         WaitTimeoutError: It did not appear.
         DataError: It is malformed.
     """
-    deadline = clock.monotonic() + _ATTACH_TIMEOUT_S
+    wait_s = patience_s()
+    deadline = clock.monotonic() + wait_s
     while clock.monotonic() < deadline:
         if path.is_file() and (truth := load_truth(path)).seed == seed:
             return truth
         clock.sleep(_POLL_S)
-    raise WaitTimeoutError(what=f"the testbed to write {path.name} for seed {seed}", seconds=_ATTACH_TIMEOUT_S)
+    raise WaitTimeoutError(what=f"the testbed to write {path.name} for seed {seed}", seconds=wait_s)

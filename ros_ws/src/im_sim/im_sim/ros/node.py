@@ -22,11 +22,11 @@ from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
+from im_core.startup import patience_s
 from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
 from im_sim.panel import FaultPanel, Lights
 from im_sim.truth import draw_truth
 
-START_TIMEOUT_S = 20.0
 CLOCK_POLL_S = 0.01
 CLOCK_REPEAT_S = 1.0
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -94,7 +94,7 @@ class TestbedNode(ManagedNode):
             shm.remove_all(f"{names.instance()}_testbed")
 
     def _attach(self, child: ChildProcess) -> PanelEnd:
-        deadline = clock.monotonic() + START_TIMEOUT_S
+        deadline = clock.monotonic() + patience_s()
         while True:
             try:
                 return PanelEnd.attach(names.instance(), timeout_s=0.1)

@@ -18,6 +18,7 @@ from im_core.errors import ImError
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
+from im_core.startup import patience_s
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.laser.book import LaserBook
@@ -72,7 +73,7 @@ class VssNode(ManagedNode):
             settings.cameras,
             settings.sensor,
             settings.exposure.nominal,
-            settings.waits.camera_start,
+            patience_s(),
             settings.frame_source.settings,
         )
         self._source = frame_source(setup)

@@ -1,0 +1,60 @@
+"""``start --timeout`` reaches every wait of a part of the machine for another one."""
+
+from pathlib import Path
+
+import pytest
+
+from im_bringup.machine import start
+from im_cell.robot import load_cell
+from im_core.errors import LinkError, WaitTimeoutError
+from im_core.startup import START_TIMEOUT, patience_s
+from im_mcs.limits.configuration import load_config
+from im_mcs.testbed import TestbedInterface
+from im_sim.cameras import process as cameras
+from im_sim.cameras.protocol import CameraSettings
+from im_vss.settings import load_settings
+
+INSTANCE = "im_nobody"
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch, tmp_path):
+    monkeypatch.setenv(START_TIMEOUT, "0.25")
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+
+
+def test_the_parts_wait_for_less_than_the_whole(monkeypatch):
+    assert patience_s() == pytest.approx(0.2)
+    monkeypatch.delenv(START_TIMEOUT)
+    assert patience_s() == pytest.approx(48.0)
+
+
+@pytest.mark.parametrize("text", ["0", "-3", "nan", "inf", "soon"])
+def test_a_timeout_that_is_none_is_refused(text, capsys):
+    with pytest.raises(SystemExit):
+        start.parser().parse_args(["--timeout", text])
+    assert f"{text} is no time between 0 and 86400 s" in capsys.readouterr().err
+
+
+def test_the_bootstrap_is_told_and_so_are_all_it_starts(monkeypatch, tmp_path):
+    told = {}
+    monkeypatch.setattr(start, "ChildProcess", lambda argv, **options: told.update(options["environment"]))
+    monkeypatch.setattr(start, "path_of", lambda package, name: Path(name))
+    deployment = start.deployments.load(start.deployments.default_path())
+    start.spawn_bootstrap(deployment, tmp_path, 240.0)
+    assert told[START_TIMEOUT] == "240.0"
+
+
+def test_the_drivers_of_the_servo():
+    config = load_config()
+    with pytest.raises(LinkError, match=r"waited 0\.2 s"):
+        TestbedInterface.load(config.testbed, config.slots, INSTANCE)
+
+
+def test_the_cameras_for_their_host_and_for_the_truth(tmp_path):
+    cell = load_cell()
+    settings = CameraSettings(cameras=("wall",), sensor=load_settings(cell).sensor, nominal_exposure=0.01)
+    with pytest.raises(LinkError, match=r"waited 0\.2 s"):
+        cameras.CameraProcess(INSTANCE, None, cell, settings)
+    with pytest.raises(WaitTimeoutError, match=r"waited 0\.2 s for the testbed to write truth"):
+        cameras._await_truth(tmp_path / "truth.json", 1)
