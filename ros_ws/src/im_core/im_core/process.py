@@ -131,11 +131,14 @@ def await_ends(children: Sequence[ChildProcess], deadline: float) -> bool:
 
 
 def last_words(log: Path, begin: int = 0, most_bytes: int = 4096) -> str:
-    """The last line of a log that is not empty, of those from its byte ``begin`` on, or an empty string."""
+    """The last line of a log that is not empty, of those from its byte ``begin`` on, or an empty string.
+
+    Of a log that is shorter than ``begin`` all counts: it was rotated since.
+    """
     try:
         with log.open("rb") as file:
             end = file.seek(0, os.SEEK_END)
-            file.seek(max(begin, end - most_bytes))
+            file.seek(max(begin if begin <= end else 0, end - most_bytes))
             text = file.read().decode(errors="replace")
     except OSError:
         return ""

@@ -6,17 +6,19 @@ import shutil
 import sys
 from pathlib import Path
 
-from im_bringup.machine import leftovers, stop
+from im_bringup.machine import leftovers, preflight, stop
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import interrupt_once
 from im_bringup.machine.record import MachineRecord
 from im_bringup.tasks import deployment as deployments
+from im_bringup.tasks import upkeep
 from im_bringup.tasks.agent import environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.executables import path_of
 from im_cell.robot import load_cell
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
+from im_core.files import make_folder
 from im_core.process import ChildProcess
 from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
@@ -119,9 +121,12 @@ def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
 
     Raises:
         StateError: A machine of this ROS domain runs already.
+        ImError: This host has not what the machine needs; nothing was started.
     """
     began = clock.monotonic()
     clear_the_way()
+    preflight.check(deployment)
+    tidy(deployment)
     process = spawn_bootstrap(deployment, path, timeout_s)
     shown = ""
     while clock.monotonic() - began < timeout_s:
@@ -149,6 +154,7 @@ def clear_the_way() -> None:
 
     Raises:
         StateError: A machine runs.
+        StoreError: The folder of its logs cannot be made.
     """
     record = machine.read()
     if record is not None and record.alive:
@@ -161,7 +167,17 @@ def clear_the_way() -> None:
     run_dir = names.run_dir()
     for folder in ("log", "parameters", "journal"):  # a new machine is a new mission
         shutil.rmtree(run_dir / folder, ignore_errors=True)
-    (run_dir / "log").mkdir()
+    make_folder(run_dir / "log")
+
+
+def tidy(deployment: Deployment) -> None:
+    """Remove results that are too many or too old, and say what is kept."""
+    results, keep = names.results_dir(), deployment.keep
+    spared = [Path(deployment.calibration)] if deployment.calibration else []
+    removed = upkeep.prune(results, keep, spared, clock.wall())
+    upkeep.prune_tool_logs(names.run_dir() / "ros")
+    gone = f"; {len(removed)} were removed" if removed else ""
+    print(f"start: {keep.sentence(results)}{gone}", flush=True)
 
 
 def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> ChildProcess:

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import sys
+from pathlib import Path
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -14,6 +15,7 @@ from std_msgs.msg import UInt8
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.arrivals import member
 from im_core.ros import qos, run
@@ -40,6 +42,9 @@ class AgentNode(GuardedNode):
         run_dir = names.run_dir().resolve() / host
         shutil.rmtree(run_dir / "journal", ignore_errors=True)  # a new machine is a new mission
         self._agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))
+        spared = [Path(deployment.calibration)] if deployment.calibration else []
+        self._upkeep = Upkeep(run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
+        self._upkeep.start()
         self._started = False
         self.finished = False
         self.create_subscription(UInt8, PHASE_TOPIC, self._follow, qos.LATCHED)
@@ -49,6 +54,7 @@ class AgentNode(GuardedNode):
 
     def shut_down(self) -> None:
         """Stop all tasks of this host, the last started first."""
+        self._upkeep.stop()
         for name in self._agent.shut_down():
             self.log.warning(f"task {name} did not end and was killed")
 

@@ -18,9 +18,10 @@ from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import MARKER, Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.registry import Progress, TaskRecord
+from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.arrivals import member
-from im_core.errors import ImError
+from im_core.errors import ImError, StoreError
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
@@ -51,7 +52,10 @@ class BootstrapNode(GuardedNode):
         self._run_dir = names.run_dir().resolve()
         agent = Agent(commands(deployment, host, self._run_dir), environment(os.environ, self._run_dir, deployment))
         self._bootstrap = Bootstrap(list(deployment.tasks()), agent, host)
+        spared = [Path(deployment.calibration)] if deployment.calibration else []
+        self._upkeep = Upkeep(self._run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
         self._process = ProcessId.current()
+        self._trouble = ""
         self._written: MachineRecord | None = None
         self._phase_publisher = self.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
         self._tasks_publisher = self.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
@@ -59,11 +63,13 @@ class BootstrapNode(GuardedNode):
         self.create_service(QueryTask, "/bootstrap/query_task", self._query)
         self._announce(StartupPhase.LOAD)
         self._bootstrap.start()
+        self._upkeep.start()
         self._show()
         self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def shut_down(self) -> None:
         """Stop all tasks, the last started first; then those of other hosts are told to stop."""
+        self._upkeep.stop()
         self._write_record(machine.STOPPING)
         for name in self._bootstrap.shut_down():
             self.log.warning(f"task {name} did not end and was killed")
@@ -82,7 +88,7 @@ class BootstrapNode(GuardedNode):
                 self.log.info(f"task {event.name} started again, process {event.pid}")
         if self._bootstrap.phase is not before:
             self._announce(self._bootstrap.phase)
-        if events or self._bootstrap.changed():
+        if self._bootstrap.changed() or events or self._trouble:
             self._show()
 
     def _status(self, message: TaskStatus) -> None:
@@ -125,9 +131,16 @@ class BootstrapNode(GuardedNode):
             port=self._deployment.port,
             missing=self._bootstrap.missing(),
         )
-        if record != self._written:
+        if record == self._written:
+            return
+        try:
             machine.write(record)
-            self._written = record
+        except StoreError as error:  # tried again with the next look; what runs goes on
+            if error.message != self._trouble:
+                self._trouble = error.message
+                self.log.error(error.message)
+            return
+        self._trouble, self._written = "", record
 
 
 def to_message(record: TaskRecord) -> TaskRecordMessage:

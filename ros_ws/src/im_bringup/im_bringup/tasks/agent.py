@@ -12,6 +12,7 @@ import yaml
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.executables import path_of
 from im_core import clock, names, scheduling
+from im_core.errors import LinkError
 from im_core.files import make_folder, write_whole
 from im_core.process import ChildProcess, await_ends, last_words
 
@@ -109,7 +110,11 @@ class Agent:
         self.respawn = False
 
     def start(self) -> list[Started]:
-        """Start all processes."""
+        """Start all processes.
+
+        Raises:
+            LinkError: One cannot be started.
+        """
         return [self._start(slot) for slot in self._slots.values()]
 
     def poll(self, now: float) -> list[Started | Died]:
@@ -130,7 +135,11 @@ class Agent:
                 slot.respawn_at = None
                 slot.restarts += 1
                 slot.respawned.append(now)
-                events.append(self._start(slot))
+                try:
+                    events.append(self._start(slot))
+                except LinkError as error:  # no room for its log, no process left: that may pass
+                    slot.respawn_at = now + RESPAWN_DELAY_S
+                    events.append(Died(slot.command.name, f"{error.message}; tried again in {RESPAWN_DELAY_S:g} s"))
         return events
 
     def replace(self, name: str, pid: int, failure: str, now: float) -> None:
@@ -185,7 +194,10 @@ class Agent:
 
     def _start(self, slot: _Slot) -> Started:
         slot.log_begin = _size(slot.command.log)
-        slot.child = self._spawn(slot.command, self._environment)
+        try:
+            slot.child = self._spawn(slot.command, self._environment)
+        except OSError as error:
+            raise LinkError(f"task {slot.command.name} cannot be started: {error}") from error
         return Started(slot.command.name, slot.child.pid, slot.restarts)
 
     def _plan(self, slot: _Slot, code: int, now: float) -> str:

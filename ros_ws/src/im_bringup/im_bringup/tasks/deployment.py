@@ -9,6 +9,7 @@ from typing import Annotated, Self
 
 import pydantic
 
+from im_bringup.tasks.upkeep import Keep
 from im_core import config
 from im_core.config import Model
 from im_core.errors import ConfigError, NotFoundError
@@ -61,6 +62,7 @@ class Deployment(Model):
         port: TCP port of the display.
         calibration: Folder of the calibrations to start with, as read from a file relative to it; empty: none, cameras
             and laser scanner are as drawn.
+        keep: What is kept of logs and results.
         hosts: Host name -> process name -> task name -> task, in starting order.
     """
 
@@ -69,6 +71,7 @@ class Deployment(Model):
     seed: Annotated[int, pydantic.Field(ge=0, le=2**31 - 1)] = 1
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
     calibration: str = ""
+    keep: Keep = Keep()
     hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
 
     @pydantic.model_validator(mode="after")

@@ -1,0 +1,98 @@
+"""What a machine needs of this host before anything of it starts: room, open files, folders that can be written."""
+
+import os
+import re
+import resource
+import shutil
+from pathlib import Path
+
+from im_bringup.tasks.deployment import Deployment
+from im_core import names
+from im_core.errors import ImError, StoreError
+from im_core.files import make_folder, write_whole
+
+# Counted on the machine of the default deployment, 11 participants, while it ran a command.
+#: Most that any process has open is 29; the page of the display has one more for each of its readers.
+OPEN_FILES = 128
+#: A participant of Fast DDS takes its segment, and 5 % and its port beside it.
+_SEGMENT_SHARE, _PORT_BYTES = 1.05, 600_000
+#: Blocks of servo, cameras and testbed are 9.7 MB.
+BLOCKS_BYTES = 16 * 2**20
+#: Logs, parameters, journals and data objects are 2.1 MB after a command, its results 0.7 MB.
+DISK_BYTES = 16 * 2**20
+
+_SHM = Path("/dev/shm")
+_MIB = 2**20
+
+
+def check(deployment: Deployment) -> None:
+    """Make sure that the tasks of this host can run.
+
+    Args:
+        deployment: What is to be started.
+
+    Raises:
+        ImError: Something is missing; one sentence that says what, how much is there and how much is needed.
+    """
+    _check_open_files()
+    for folder in (names.run_dir(), names.results_dir()):
+        _check_folder(folder)
+    _check_shared_memory(shared_memory_bytes(len(deployment.on_host(deployment.local_host()))))
+
+
+def shared_memory_bytes(tasks: int) -> int:
+    """What the tasks of a host, and the bootstrap or agent, take of ``/dev/shm`` [bytes]."""
+    return int((tasks + 1) * (_SEGMENT_SHARE * _segment_bytes() + _PORT_BYTES)) + BLOCKS_BYTES
+
+
+def _check_open_files() -> None:
+    """Raise the limit of this process, which the machine's inherit, where the system permits it."""
+    allowed, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if allowed != resource.RLIM_INFINITY and allowed < OPEN_FILES:
+        if most != resource.RLIM_INFINITY and most < OPEN_FILES:
+            raise ImError(
+                f"a process may open {most} files here (ulimit -n), and up to {OPEN_FILES} are needed; "
+                "nothing was started",
+                code="resources",
+                limit=most,
+                needed=OPEN_FILES,
+            )
+        resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, most))
+
+
+def _check_folder(folder: Path) -> None:
+    try:
+        free = shutil.disk_usage(make_folder(folder)).free
+        write_whole(folder / ".preflight", bytes(4096)).unlink(missing_ok=True)
+    except StoreError as error:
+        raise ImError(f"{error.message}; nothing was started", code="resources", **error.facts) from error
+    if free < DISK_BYTES:
+        raise ImError(
+            f"the disk of {folder} has {free / _MIB:.0f} MiB free, and {DISK_BYTES / _MIB:.0f} MiB are needed; "
+            "nothing was started",
+            code="resources",
+            free=free,
+            needed=DISK_BYTES,
+        )
+
+
+def _check_shared_memory(needed: int) -> None:
+    free = shutil.disk_usage(_SHM).free
+    if free < needed:
+        raise ImError(
+            f"{_SHM} has {free / _MIB:.0f} MiB free, and the machine needs {needed / _MIB:.0f} MiB there "
+            "(in a container: --shm-size); nothing was started",
+            code="resources",
+            free=free,
+            needed=needed,
+        )
+
+
+def _segment_bytes() -> int:
+    """Size of the segment of a participant, as the profile of Fast DDS says; its own default where that is silent."""
+    try:
+        profile = Path(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "")).read_text(encoding="utf-8")
+    except OSError:
+        profile = ""
+    found = re.search(r"<segment_size>\s*(\d+)\s*</segment_size>", profile)
+    return int(found[1]) if found else 512 * 1024
