@@ -160,6 +160,7 @@ OPEN_FILES = {
     "im_core/yamltext.py": "the reader of YAML",
     "im_core/bag.py": "the reader of bags",
     "im_bringup/bag.py": "what its own writer has written",
+    "im_bringup/tasks/upkeep.py": "logs of the machine's own processes",
     "im_core/process.py": "logs and standard input of children",
     "im_core/shm/block.py": "/proc",
     "im_core/silence.py": "/proc",

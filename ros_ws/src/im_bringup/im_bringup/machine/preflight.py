@@ -7,9 +7,9 @@ import shutil
 from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment
-from im_core import names
+from im_core import files, names
 from im_core.errors import ImError, StoreError
-from im_core.files import make_folder, write_whole
+from im_core.files import FileError, make_folder, write_whole
 
 # Counted on the machine of the default deployment, 11 participants, while it ran a command.
 #: Most that any process has open is 29; the page of the display has one more for each of its readers.
@@ -91,8 +91,8 @@ def _check_shared_memory(needed: int) -> None:
 def _segment_bytes() -> int:
     """Size of the segment of a participant, as the profile of Fast DDS says; its own default where that is silent."""
     try:
-        profile = Path(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "")).read_text(encoding="utf-8")
-    except OSError:
+        profile = files.read_text(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", ""))
+    except FileError:
         profile = ""
     found = re.search(r"<segment_size>\s*(\d+)\s*</segment_size>", profile)
     return int(found[1]) if found else 512 * 1024
