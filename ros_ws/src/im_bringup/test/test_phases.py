@@ -38,7 +38,7 @@ class Process:
 def bootstrap(tmp_path, children=None):
     children = {} if children is None else children
 
-    def spawn(command, _):
+    def spawn(command, *_):
         children[command.name] = Process()
         return children[command.name]
 

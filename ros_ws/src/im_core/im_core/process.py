@@ -29,6 +29,7 @@ class ChildProcess:
         stdin: What it reads from standard input.
         environment: Its environment; None: that of this process.
         death_signal: What the kernel sends it when the thread that started it ends; None: it lives on.
+        inherit: File descriptors of this process that it gets, with the same numbers.
 
     Attributes:
         name: As given.
@@ -44,6 +45,7 @@ class ChildProcess:
         stdin: str = "",
         environment: Mapping[str, str] | None = None,
         death_signal: signal.Signals | None = signal.SIGKILL,
+        inherit: Sequence[int] = (),
     ) -> None:
         self.name = name or Path(argv[0]).name
         self._log, self._log_begin = log, 0
@@ -73,6 +75,7 @@ class ChildProcess:
                 env=environment,
                 preexec_fn=end_with_parent,
                 start_new_session=True,
+                pass_fds=inherit,
             )
         self.pid = self._process.pid
 

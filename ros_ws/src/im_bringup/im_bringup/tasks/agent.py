@@ -11,10 +11,13 @@ import yaml
 
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.executables import path_of
+from im_bringup.tasks.standstill import Standstill
 from im_core import clock, names, scheduling
+from im_core import pulse as pulse_memory
 from im_core.errors import LinkError
 from im_core.files import make_folder, write_whole
 from im_core.process import ChildProcess, await_ends, last_words
+from im_core.pulse import Pulse
 
 #: Every process of a machine has this in its environment, with the machine's instance as value.
 MARKER = "IM_MACHINE"
@@ -73,6 +76,7 @@ class Died:
 class _Slot:
     command: TaskCommand
     child: ChildProcess | None = None
+    standstill: Standstill | None = None
     log_begin: int = 0
     failure: str = ""
     kill_at: float = math.inf
@@ -81,13 +85,18 @@ class _Slot:
     respawned: deque[float] = field(default_factory=deque)
 
 
-Spawn = Callable[[TaskCommand, Mapping[str, str]], ChildProcess]
+Spawn = Callable[[TaskCommand, Mapping[str, str], Pulse], ChildProcess]
 
 
-def spawn_process(command: TaskCommand, environment: Mapping[str, str]) -> ChildProcess:
-    """Start the process of a task; it is asked to end if this thread dies."""
+def spawn_process(command: TaskCommand, environment: Mapping[str, str], pulse: Pulse) -> ChildProcess:
+    """Start the process of a task, which tells how its loop is; it is asked to end if this thread dies."""
     return ChildProcess(
-        command.argv, name=command.name, log=command.log, environment=environment, death_signal=signal.SIGTERM
+        command.argv,
+        name=command.name,
+        log=command.log,
+        environment={**environment, pulse_memory.VARIABLE: str(pulse.descriptor)},
+        death_signal=signal.SIGTERM,
+        inherit=[pulse.descriptor],
     )
 
 
@@ -118,7 +127,7 @@ class Agent:
         return [self._start(slot) for slot in self._slots.values()]
 
     def poll(self, now: float) -> list[Started | Died]:
-        """Notice processes that ended, and start again those whose time has come.
+        """Notice processes that ended, end those that hang, and start again those whose time has come.
 
         Args:
             now: Monotonic time [s].
@@ -131,6 +140,9 @@ class Agent:
                 slot.failure, slot.kill_at = "", math.inf
             elif slot.child is not None and now >= slot.kill_at:
                 slot.child.send_signal(signal.SIGKILL)
+            elif slot.child is not None and not slot.failure and (hang := _hang(slot, now)):
+                slot.failure, slot.kill_at = f"{hang}; where, is in its log", now + _END_S
+                slot.child.send_signal(signal.SIGABRT)  # writes the stacks of its threads, whoever holds what
             elif slot.respawn_at is not None and now >= slot.respawn_at:
                 slot.respawn_at = None
                 slot.restarts += 1
@@ -195,9 +207,14 @@ class Agent:
     def _start(self, slot: _Slot) -> Started:
         slot.log_begin = _size(slot.command.log)
         try:
-            slot.child = self._spawn(slot.command, self._environment)
+            pulse = Pulse.create()
+            try:
+                slot.child = self._spawn(slot.command, self._environment, pulse)
+            finally:
+                pulse.keep()
         except OSError as error:
             raise LinkError(f"task {slot.command.name} cannot be started: {error}") from error
+        slot.standstill = Standstill(slot.child.pid, pulse)
         return Started(slot.command.name, slot.child.pid, slot.restarts)
 
     def _plan(self, slot: _Slot, code: int, now: float) -> str:
@@ -210,6 +227,10 @@ class Agent:
             return f"{sentence}; it was started again {RESPAWN_LIMIT} times within a minute and is given up"
         slot.respawn_at = now + RESPAWN_DELAY_S
         return f"{sentence}; it is started again in {RESPAWN_DELAY_S:g} s"
+
+
+def _hang(slot: _Slot, now: float) -> str:
+    return slot.standstill.found(now) if slot.standstill is not None else ""
 
 
 def _ending(slot: _Slot, code: int) -> str:

@@ -30,6 +30,9 @@ from im_core.ros.status import to_status
 
 INTERNAL = "internal"
 
+#: How long the loop of a node may stand still [s]; longer is a hang, and the agent ends the process.
+STANDSTILL_S = 5.0
+
 
 class GuardedNode(Node):
     """A node whose callbacks may raise.
@@ -37,14 +40,18 @@ class GuardedNode(Node):
     Attributes:
         failures: What they raised.
         turns: How many callbacks have begun; it stands still with the loop.
-        standstill_s: How long the loop may stand still now [s]; see :class:`im_core.ros.loop_watch.LoopWatch`.
+        standstill_s: How long the loop may stand still now [s]; see :class:`im_core.loop_watch.LoopWatch`.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         self.failures = Failures(self)  # before the node: rclpy makes services and subscriptions of its own in it
         self.turns = 0
-        self.standstill_s = 0.0
+        self.standstill_s = STANDSTILL_S
         super().__init__(name, **options)
+
+    def turn(self) -> None:
+        """Turn once more."""
+        self.turns += 1
 
     def get_logger(self) -> RcutilsLogger:
         """As in rclpy, which does not say of what type it is."""

@@ -29,6 +29,9 @@ from im_msgs.msg import TaskStatus
 
 HEARTBEAT_PERIOD_S = 0.5
 
+#: How long the loop may stand still in a start-up phase [s], which waits for others with time limits of its own.
+PHASE_STANDSTILL_S = 300.0
+
 INTROSPECTION = {
     "off": ServiceIntrospectionState.OFF,
     "metadata": ServiceIntrospectionState.METADATA,
@@ -158,6 +161,7 @@ class ManagedNode(GuardedNode):
         if self._stopped:
             return
         self._stopped = True
+        self.standstill_s = PHASE_STANDSTILL_S
         self._phase = TaskStatus.STOPPING
         if rclpy.ok():
             self._publish_status()
@@ -200,12 +204,15 @@ class ManagedNode(GuardedNode):
         self.phase_configure()
 
     def _run_phase(self, phase: Callable[[], None], reached: int) -> None:
+        usual, self.standstill_s = self.standstill_s, PHASE_STANDSTILL_S
         try:
             phase()
         except ImError as error:
             self.fail(error)
         else:
             self._set_phase(reached, "")
+        finally:
+            self.standstill_s = usual
 
     def _set_phase(self, phase: int, detail: str) -> None:
         self._phase, self._detail = phase, detail

@@ -20,6 +20,8 @@ from rclpy.utilities import remove_ros_args
 
 from im_core import scheduling
 from im_core.errors import ImError
+from im_core.loop_watch import LoopWatch
+from im_core.pulse import Pulse
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import ManagedNode
 
@@ -152,14 +154,32 @@ def main(
     spinner = Spinner([node])
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: spinner.request_stop())
+    watch = _watch(spinner, node, Pulse.inherited())
     try:
         spinner.spin()
     finally:
+        if watch is not None:
+            watch.stop()
         if at_end is not None:
             at_end(node)
         spinner.stop()
         rclpy.try_shutdown()
     return 0
+
+
+def _watch(spinner: Spinner, node: rclpy.node.Node, pulse: Pulse | None) -> LoopWatch | None:
+    """Begins to tell the agent that started this process, if there is one, how its loop is."""
+    if pulse is None or not isinstance(node, GuardedNode):
+        return None
+    guarded: GuardedNode = node
+    watch = LoopWatch(
+        pulse,
+        turns=lambda: guarded.turns,
+        nudge=lambda: spinner.executor.create_task(guarded.turn),
+        allowed_s=lambda: guarded.standstill_s,
+    )
+    watch.start()
+    return watch
 
 
 def _parser(make_node: Callable[[], NodeT]) -> argparse.ArgumentParser:

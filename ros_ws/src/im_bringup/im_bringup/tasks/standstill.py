@@ -1,0 +1,55 @@
+"""Whether a process hangs, by what it tells of its loop and by what the kernel tells of it."""
+
+import os
+from pathlib import Path
+
+from im_core.pulse import Pulse
+
+#: How often the CPU time of a process that does not tick is looked at [s].
+_LOOK_S = 1.0
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+class Standstill:
+    """Judges one process.
+
+    Two things make a hang, and neither is time that has merely passed: the thread beside the loop has counted that it
+    stood still for longer than it may; or that thread has not come to its turn while the process computed for twice
+    as long, for something holds the interpreter. A process that is stopped, or waits for a processor, does neither.
+
+    Args:
+        pid: The process.
+        pulse: What it tells.
+    """
+
+    def __init__(self, pid: int, pulse: Pulse) -> None:
+        self._pid, self._pulse = pid, pulse
+        self._ticks, self._cpu_s, self._look_at = 0, 0.0, 0.0
+
+    def found(self, now: float) -> str:
+        """Why the process counts as hung, a clause; empty if it does not.
+
+        Args:
+            now: Monotonic time [s].
+        """
+        beat = self._pulse.last()
+        if beat.ticks and beat.standing_s >= beat.allowed_s:
+            return f"its loop stood still for {beat.standing_s:.1f} s"
+        if now < self._look_at:
+            return ""
+        self._look_at = now + _LOOK_S
+        cpu_s = cpu_of(self._pid)
+        if not beat.ticks or beat.ticks != self._ticks:
+            self._ticks, self._cpu_s = beat.ticks, cpu_s
+        elif cpu_s - self._cpu_s >= 2.0 * beat.allowed_s:
+            return f"its interpreter was held while it computed for {cpu_s - self._cpu_s:.1f} s"
+        return ""
+
+
+def cpu_of(pid: int) -> float:
+    """CPU time that a process has used, in all its threads [s]; 0 if there is none."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S

@@ -1,0 +1,70 @@
+"""What a process tells its agent of its loop, in memory that both share: it needs no lock, no message and no clock."""
+
+import mmap
+import os
+import struct
+from dataclasses import dataclass
+
+#: The environment variable that tells a process the file descriptor of its pulse.
+VARIABLE = "IM_PULSE"
+
+_FIELDS = struct.Struct("<Qdd")
+
+
+@dataclass(frozen=True)
+class Beat:
+    """How the loop of a process is.
+
+    Attributes:
+        ticks: How often that was looked at; 0: not yet.
+        standing_s: How long the loop has stood still, of the time in which it could run [s].
+        allowed_s: How long it may [s]; infinite: nobody looks now.
+    """
+
+    ticks: int
+    standing_s: float
+    allowed_s: float
+
+
+class Pulse:
+    """The last beat of a process; the memory ends with those who have it.
+
+    Args:
+        descriptor: Of a file in memory.
+
+    Attributes:
+        descriptor: As given, until :meth:`keep`.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self._memory = mmap.mmap(descriptor, _FIELDS.size)
+
+    def keep(self) -> None:
+        """Close the file: nobody else need get it, and the memory stays."""
+        os.close(self.descriptor)
+
+    @classmethod
+    def create(cls) -> "Pulse":
+        """A new one, for a child."""
+        descriptor = os.memfd_create("pulse")
+        os.ftruncate(descriptor, _FIELDS.size)
+        return cls(descriptor)
+
+    @classmethod
+    def inherited(cls) -> "Pulse | None":
+        """That which the agent has given to this process, None if there is none; children of this one get none."""
+        descriptor = os.environ.pop(VARIABLE, "")
+        if not descriptor:
+            return None
+        pulse = cls(int(descriptor))
+        pulse.keep()
+        return pulse
+
+    def beat(self, beat: Beat) -> None:
+        """Tell how the loop is."""
+        _FIELDS.pack_into(self._memory, 0, beat.ticks, beat.standing_s, beat.allowed_s)
+
+    def last(self) -> Beat:
+        """What was told last."""
+        return Beat(*_FIELDS.unpack_from(self._memory, 0))
