@@ -164,6 +164,8 @@ OPEN_FILES = {
     "im_core/process.py": "logs and standard input of children",
     "im_core/shm/block.py": "/proc",
     "im_core/silence.py": "/proc",
+    "im_core/loop_watch.py": "/proc",
+    "im_bringup/tasks/standstill.py": "/proc",
     "im_bringup/machine/members.py": "/proc",
     "im_bringup/machine/leftovers.py": "/proc, locks of Fast DDS",
     "im_mcs/control/law_server.py": "standard input, from its parent",
