@@ -4,7 +4,8 @@
 #   scripts/start.sh                             the default deployment, in real time
 #   scripts/start.sh my_deployment.yaml          another one
 #   scripts/start.sh --factor 0 --seed 7         simulated time as fast as it goes, another seed
-#   scripts/start.sh --port 8081                 another port for the display (a web page)
+#   scripts/start.sh --port 8081                 another port for the display (a web page); the next free one if in use
+#   scripts/start.sh --control                   the display may also operate nets: pause, step, confirm, resolve
 #   scripts/start.sh --timeout 120               a longer wait, of its parts for each other too (default 60 s)
 #   scripts/start.sh --calibration results/latest   cameras (and laser scanner) as calibrated before, not as drawn
 #

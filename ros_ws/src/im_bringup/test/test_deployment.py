@@ -82,7 +82,7 @@ def test_a_task_may_refuse_simulated_time():
         ),
         (
             {"localhost": {"a": {"one": '{x: "${sed}"}'}}},
-            "refers to '${sed}'; known are calibration, clock_factor, period, port, seed",
+            "refers to '${sed}'; known are calibration, clock_factor, control, period, port, seed",
         ),
     ],
 )

@@ -4,7 +4,9 @@ import os
 import pytest
 
 from im_bringup.machine import record as machine
+from im_bringup.machine import start
 from im_bringup.machine.record import MachineRecord
+from im_core import names
 from im_core.errors import DataError, StateError
 from im_core.shm import ProcessId
 
@@ -43,3 +45,12 @@ def test_a_damaged_record_is_an_error_with_its_name(text):
     machine.record_path().write_text(text, encoding="utf-8")
     with pytest.raises(DataError, match="is not the record of a machine"):
         machine.read()
+
+
+def test_start_prints_the_address_that_the_display_has_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    start.print_ready(record(ProcessId.current()), 1.0)
+    assert "http" not in capsys.readouterr().out
+    names.display_file().write_text("http://127.0.0.1:8083/\n")
+    start.print_ready(record(ProcessId.current()), 1.0)
+    assert "nets at http://127.0.0.1:8083/, logs in" in capsys.readouterr().out

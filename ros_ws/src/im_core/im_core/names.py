@@ -23,6 +23,15 @@ def run_dir() -> Path:
     return make_folder(Path(os.environ.get("IM_RUN_DIR") or Path.cwd() / ".run" / instance()))
 
 
+def display_file() -> Path:
+    """File with the address of the page, while it is served.
+
+    Raises:
+        StoreError: The folder for it cannot be made.
+    """
+    return run_dir() / "pnt_display.url"
+
+
 def results_dir() -> Path:
     """Folder for the results of commands; made if missing.
 

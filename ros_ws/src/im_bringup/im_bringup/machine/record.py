@@ -33,7 +33,7 @@ class MachineRecord:
         deployment: File it was started from.
         clock_factor: Simulated seconds a second.
         seed: Seed of the run.
-        port: Port of the display.
+        port: Port that the display was told to take; the page says which it took.
     """
 
     pid: Annotated[int, pydantic.Field(gt=1)]

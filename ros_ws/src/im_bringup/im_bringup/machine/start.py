@@ -18,7 +18,7 @@ from im_bringup.tasks.executables import path_of
 from im_cell.robot import load_cell
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
-from im_core.files import make_folder
+from im_core.files import make_folder, read_text
 from im_core.process import ChildProcess
 from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
@@ -38,7 +38,10 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--factor", type=float, help="simulated seconds a second; 0: as fast as it goes")
     parser.add_argument("--period", type=float, help="of servo and testbed in s, e.g. 0.001")
     parser.add_argument("--seed", type=int, help="seed of all that is drawn at random")
-    parser.add_argument("--port", type=int, help="TCP port of the display")
+    parser.add_argument("--port", type=int, help="TCP port of the display (a web page); the next free one if in use")
+    parser.add_argument(
+        "--control", action="store_true", default=None, help="let the display operate nets; else it only shows them"
+    )
     parser.add_argument(
         "--calibration",
         metavar="FOLDER",
@@ -62,7 +65,12 @@ def main() -> int:
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     try:
         deployment = deployments.load(path).with_values(
-            arguments.factor, arguments.seed, arguments.port, arguments.period, arguments.calibration
+            arguments.factor,
+            arguments.seed,
+            arguments.port,
+            arguments.period,
+            arguments.calibration,
+            arguments.control,
         )
         check_calibration(deployment, path)
     except ImError as error:
@@ -167,6 +175,7 @@ def clear_the_way() -> None:
     run_dir = names.run_dir()
     for folder in ("log", "parameters", "journal"):  # a new machine is a new mission
         shutil.rmtree(run_dir / folder, ignore_errors=True)
+    names.display_file().unlink(missing_ok=True)
     make_folder(run_dir / "log")
 
 
@@ -190,6 +199,7 @@ def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> Chi
         *("--period", repr(deployment.period)),
         *("--seed", str(deployment.seed)),
         *("--port", str(deployment.port)),
+        *(("--control",) if deployment.control else ()),
         *(("--calibration", deployment.calibration) if deployment.calibration else ()),
     ]
     return ChildProcess(
@@ -229,7 +239,9 @@ def print_ready(record: MachineRecord, seconds: float) -> None:
     """Say that the machine is up, and what to do with it."""
     speed = "as fast as it goes" if record.clock_factor == 0 else f"clock factor {record.clock_factor:g}"
     print(f"start: ready after {seconds:.1f} s: {record.tasks} tasks, ROS domain {machine.domain()}, {speed}")
-    print(f"start: nets at http://localhost:{record.port}, logs in {record.run_dir}/log")
+    shown = names.display_file()
+    nets = f"nets at {read_text(shown).strip()}, " if shown.exists() else ""
+    print(f"start: {nets}logs in {record.run_dir}/log")
 
 
 if __name__ == "__main__":

@@ -170,6 +170,7 @@ def main() -> int:
     parser.add_argument("--period", type=float)
     parser.add_argument("--seed", type=int)
     parser.add_argument("--port", type=int)
+    parser.add_argument("--control", action="store_true", default=None)
     parser.add_argument("--calibration")
     arguments = parser.parse_args()
     if not is_member(ProcessId.current()):  # started by hand; the mark must be there from the start of a process
@@ -178,7 +179,12 @@ def main() -> int:
     def make_node() -> BootstrapNode:
         deployment = deployments.load(arguments.deployment)
         deployment = deployment.with_values(
-            arguments.factor, arguments.seed, arguments.port, arguments.period, arguments.calibration
+            arguments.factor,
+            arguments.seed,
+            arguments.port,
+            arguments.period,
+            arguments.calibration,
+            arguments.control,
         )
         return BootstrapNode(deployment, Path(arguments.deployment).resolve(), deployment.local_host())
 

@@ -20,7 +20,7 @@ Name = Annotated[str, pydantic.StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
 HostName = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]*$")]
 
-_VALUES = ("clock_factor", "period", "seed", "port", "calibration")
+_VALUES = ("clock_factor", "period", "seed", "port", "control", "calibration")
 _REFERENCE = re.compile(r"\$\{(\w+)\}")
 
 
@@ -31,8 +31,8 @@ class Task(Model):
         package: ROS package of the executable.
         executable: Its console script.
         node: Fully qualified name of the node.
-        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}`` and ``${calibration}``
-            stand for those of the deployment.
+        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}``, ``${control}`` and
+            ``${calibration}`` stand for those of the deployment.
     """
 
     package: Name
@@ -59,7 +59,8 @@ class Deployment(Model):
         clock_factor: Simulated seconds a second of wall time; 0: as fast as it goes.
         period: Of servo and testbed [s].
         seed: Seed of everything drawn at random.
-        port: TCP port of the display.
+        port: TCP port of the display; the next free one is taken where it is in use.
+        control: Whether the display may operate nets; if not, it only shows them.
         calibration: Folder of the calibrations to start with, as read from a file relative to it; empty: none, cameras
             and laser scanner are as drawn.
         keep: What is kept of logs and results.
@@ -70,6 +71,7 @@ class Deployment(Model):
     period: Annotated[float, pydantic.Field(ge=0.0005, le=0.02)] = 0.0045
     seed: Annotated[int, pydantic.Field(ge=0, le=2**31 - 1)] = 1
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
+    control: bool = False
     calibration: str = ""
     keep: Keep = Keep()
     hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
@@ -152,13 +154,15 @@ class Deployment(Model):
         port: int | None,
         period: float | None = None,
         calibration: str | None = None,
+        control: bool | None = None,
     ) -> "Deployment":
         """The same deployment with some of its values replaced; None leaves a value as it is.
 
         Raises:
             ConfigError: A value is out of range.
         """
-        given = {"clock_factor": factor, "seed": seed, "port": port, "period": period, "calibration": calibration}
+        given: dict[str, object] = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
+        given |= {"calibration": calibration, "control": control}
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})

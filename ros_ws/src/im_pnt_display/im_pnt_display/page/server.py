@@ -6,18 +6,22 @@ import json
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from aiohttp import WSMsgType, web
 
 from im_core.arrivals import read_json
 from im_core.errors import DataError, ImError, LinkError, WaitTimeoutError
 from im_core.startup import patience_s
+from im_pnt_display.page.doors import REQUEST_S, guarded_application
 from im_pnt_display.page.state import Change, DisplayState
 
 STATIC = Path(__file__).parent / "static"
 VIEWER_BACKLOG = 500
 PORTS_TRIED = 20
+READ_ONLY = "this page only shows; scripts/start.sh --control lets it operate nets"
+MOST_VIEWERS = 100
+LONGEST_REQUEST = 10_000
+"""Bytes of what a viewer asks for."""
 
 Operate = Callable[[Mapping[str, str]], None]
 """Takes what a viewer asks for: ``net``, ``request`` and ``argument``; called in the server's thread."""
@@ -27,7 +31,7 @@ class DisplayServer:
     """Serves a display from a thread of its own.
 
     Args:
-        host: Address to listen on.
+        host: Address to listen on; it answers to that name, and to those of this computer for itself.
         port: Port; the next free one is taken where it is in use, any free one for 0.
         operate: Takes what viewers want done with nets; None: they only look.
     """
@@ -35,6 +39,7 @@ class DisplayServer:
     def __init__(self, host: str = "127.0.0.1", port: int = 8080, operate: Operate | None = None) -> None:
         self.state = DisplayState()
         self._host, self._port, self._operate = host, port, operate
+        self.state.operable = operate is not None
         self._viewers: dict[asyncio.Queue[str], None] = {}
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -45,7 +50,8 @@ class DisplayServer:
     @property
     def url(self) -> str:
         """Address of the page."""
-        return f"http://{self._host}:{self._port}/"
+        host = "localhost" if self._host in ("", "0.0.0.0", "::") else self._host
+        return f"http://{f'[{host}]' if ':' in host else host}:{self._port}/"
 
     def start(self) -> None:
         """Begins to serve.
@@ -89,12 +95,12 @@ class DisplayServer:
             self._loop.close()
 
     async def _serve(self) -> None:
-        app = web.Application()
+        app = guarded_application(self._host)
         app.router.add_get("/", _page)
         app.router.add_get("/state.json", self._give_state)
         app.router.add_get("/ws", self._view)
         app.router.add_static("/static", STATIC)
-        runner = web.AppRunner(app, shutdown_timeout=1.0)
+        runner = web.AppRunner(app, shutdown_timeout=1.0, keepalive_timeout=REQUEST_S)
         await runner.setup()
         try:
             await self._listen(runner)
@@ -125,10 +131,9 @@ class DisplayServer:
         return web.json_response(self.state.snapshot())
 
     async def _view(self, request: web.Request) -> web.WebSocketResponse:
-        origin = request.headers.get("Origin")
-        if origin and urlsplit(origin).netloc != request.host:
-            raise web.HTTPForbidden(text=f"pages of {origin} may not look at this display")
-        socket = web.WebSocketResponse(heartbeat=20.0)
+        if len(self._viewers) >= MOST_VIEWERS:
+            raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
+        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST)
         await socket.prepare(request)
         backlog: asyncio.Queue[str] = asyncio.Queue(VIEWER_BACKLOG)
         backlog.put_nowait(json.dumps(self.state.snapshot()))
@@ -150,10 +155,11 @@ class DisplayServer:
         async for message in socket:
             if message.type in (WSMsgType.CLOSE, WSMsgType.ERROR):
                 return
-            if message.type is WSMsgType.TEXT and self._operate is not None:
-                wanted = _wanted(message.data)
-                if wanted is not None:
+            if message.type is WSMsgType.TEXT and (wanted := _wanted(message.data)) is not None:
+                if self._operate is not None:
                     self._operate(wanted)
+                else:
+                    self.show(self.state.answer(wanted["net"], False, READ_ONLY))
 
 
 async def _page(request: web.Request) -> web.FileResponse:
@@ -166,7 +172,7 @@ async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -
 
 
 def _wanted(text: str) -> Mapping[str, str] | None:
-    """Returns what a viewer asks for, None if it makes no sense."""
+    """Returns what a viewer asks for, None if it makes no sense; text that no message can carry makes none."""
     try:
         wanted = read_json(dict[str, str], text, "a request")
     except DataError:

@@ -23,7 +23,11 @@ def net_content(net: Net) -> dict[str, object]:
 
 
 class DisplayState:
-    """The last known state of every net; each method returns the change to pass on to viewers."""
+    """The last known state of every net; each method returns the change to pass on to viewers.
+
+    Attributes:
+        operable: Whether viewers may operate nets.
+    """
 
     def __init__(self) -> None:
         self._nets: dict[str, Mapping[str, object]] = {}
@@ -31,6 +35,7 @@ class DisplayState:
         self._refusals: dict[str, Change] = {}
         self._firings: deque[Change] = deque(maxlen=FIRINGS_KEPT)
         self._mcs: Change | None = None
+        self.operable = False
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
         """Enters a net, or its new structure.
@@ -92,4 +97,5 @@ class DisplayState:
             "refusals": list(self._refusals.values()),
             "firings": list(self._firings),
             "mcs": self._mcs,
+            "operable": self.operable,
         }

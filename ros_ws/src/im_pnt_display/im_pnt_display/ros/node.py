@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 
 from im_core.errors import ImError, NotFoundError
 from im_core.files import write_whole
-from im_core.names import run_dir
+from im_core.names import display_file
 from im_core.ros import qos
 from im_core.ros.calls import call
 from im_core.ros.latest import Latest
@@ -33,9 +33,10 @@ class DisplayNode(ManagedNode):
     def __init__(self, *, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__("pnt_display", parameter_overrides=parameter_overrides)
         declare = self.fixed_parameters.declare
-        host = declare("host", "127.0.0.1", "address that the page is served on")
+        host = declare("host", "127.0.0.1", "address that the page is served on, and answers to besides localhost")
         port = declare("port", 8080, "TCP port of the page, the next free one if in use; 0: any", span=(0, 65535))
-        self.server = DisplayServer(host, port, self._wanted)
+        control = declare("control", False, "whether viewers may operate nets; if not, they only look")
+        self.server = DisplayServer(host, port, self._wanted if control else None)
         self._mcs: Latest[McsState] | None = None
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
         self._nodes: dict[str, str] = {}
@@ -48,7 +49,7 @@ class DisplayNode(ManagedNode):
             LinkError: No port is free.
         """
         self.server.start()
-        write_whole(run_dir() / "pnt_display.url", self.server.url + "\n")
+        write_whole(display_file(), self.server.url + "\n")
         self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_MANY)
         self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_MANY)
         self.create_subscription(Firing, "/pnt/firings", self._fire, qos.EVENTS)
@@ -61,7 +62,7 @@ class DisplayNode(ManagedNode):
         """Closes the page."""
         self._drawing.shutdown(wait=False, cancel_futures=True)
         self.server.stop()
-        (run_dir() / "pnt_display.url").unlink(missing_ok=True)
+        display_file().unlink(missing_ok=True)
 
     def _show_mcs(self) -> None:
         """Show what MCS said last, and whether it still says it."""

@@ -15,6 +15,7 @@ const firings = [];
 let page = readPage();
 let followed = null;
 let socket = null;
+let operable = false;        // whether this page may operate nets
 let view = { x: 0, y: 0, scale: 1 }, moved = false;
 const scene = new Scene(byId("scene"), (key) => {
   if (dragged) return;
@@ -173,7 +174,8 @@ function listRunning(name) {
   const running = byId(`running-${name}`);
   if (running) running.textContent = (markings.get(name)?.active || []).join(", ");
   const operate = byId(`operate-${name}`);
-  if (operate) operate.replaceChildren(...(shownNets().includes(name) ? controls(name, markings.get(name), ask) : []));
+  const shown = operable && shownNets().includes(name);
+  if (operate) operate.replaceChildren(...(shown ? controls(name, markings.get(name), ask) : []));
 }
 
 function listProgress(name) {
@@ -225,6 +227,7 @@ function take(change) {
   switch (change.kind) {
     case "snapshot":
       nets.clear(); markings.clear(); commands.clear(); refusals.clear(); firings.length = 0;
+      operable = change.operable;
       for (const net of change.nets) nets.set(net.net, net);
       for (const marking of change.markings) markings.set(marking.net, marking);
       for (const refusal of change.refusals) refusals.set(refusal.net, refusal);

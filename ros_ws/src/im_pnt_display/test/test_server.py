@@ -1,0 +1,190 @@
+"""The server of the page: whom it answers, what it tells browsers, and what it takes from viewers."""
+
+import asyncio
+import json
+import re
+import socket
+
+import aiohttp
+import pytest
+
+from im_pnt_display.page import server as module
+from im_pnt_display.page.server import LONGEST_REQUEST, MOST_VIEWERS, READ_ONLY, DisplayServer
+
+ASKED = {"net": "n", "request": "pause", "argument": ""}
+
+
+@pytest.fixture
+def serve():
+    servers = []
+
+    def start(**settings):
+        server = DisplayServer(port=0, **settings)
+        servers.append(server)
+        server.start()
+        return server
+
+    yield start
+    for server in servers:
+        server.stop()
+
+
+def port_of(server):
+    return int(server.url.rpartition(":")[2].strip("/"))
+
+
+def asked(server, path="", **headers):
+    async def ask():
+        async with aiohttp.ClientSession() as session, session.get(server.url + path, headers=headers) as answer:
+            return answer.status, answer.headers, await answer.text()
+
+    return asyncio.run(ask())
+
+
+def told(server, *texts, kinds=("answer",)):
+    """What a viewer hears that sends texts, until the last kind that it waits for."""
+
+    async def talk():
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{server.url}ws") as viewer:
+            heard = [await viewer.receive_json(timeout=60.0)]
+            for text in texts:
+                await viewer.send_str(text)
+            while kinds and heard[-1]["kind"] not in kinds:
+                heard.append(await viewer.receive_json(timeout=60.0))
+            return heard
+
+    return asyncio.run(talk())
+
+
+@pytest.mark.parametrize("name", ["localhost", "LOCALHOST", "127.0.0.1", "[::1]"])
+@pytest.mark.parametrize("path", ["", "state.json", "static/display.js"])
+def test_it_answers_to_its_own_names(serve, name, path):
+    server = serve()
+    host = f"{name}:{port_of(server)}"
+    assert asked(server, path, Host=host, Origin=f"http://{host}")[0] == 200
+
+
+def test_the_configured_name_is_served(serve):
+    server = serve(host="127.0.0.2")
+    assert asked(server, Host=f"127.0.0.2:{port_of(server)}")[0] == 200
+    assert asked(server, Host="127.0.0.3")[0] == 403
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["evil.example", "evil.example:8080", "localhost.evil.example", "127.0.0.1.evil.example", "[::2]", "[", "x" * 5000],
+)
+@pytest.mark.parametrize("path", ["", "state.json", "ws", "static/display.js", "nothing"])
+def test_a_name_that_was_made_to_point_here_is_not_served(serve, host, path):
+    status, headers, text = asked(serve(), path, Host=host)
+    assert status == 403
+    assert "is not served here; served are 127.0.0.1, ::1, localhost" in text
+    assert headers["X-Frame-Options"] == "DENY"
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://localhost:1", "https://127.0.0.1", "null", ""])
+@pytest.mark.parametrize("path", ["ws", "state.json"])
+def test_pages_of_elsewhere_are_refused(serve, origin, path):
+    server = serve()
+    assert asked(server, path, Host=f"127.0.0.1:{port_of(server)}", Origin=origin)[0] == 403
+
+
+@pytest.mark.parametrize("path", ["", "state.json", "static/display.js", "missing"])
+def test_browsers_are_told_what_the_page_may_do(serve, path):
+    _, headers, _ = asked(serve(), path)
+    policy = dict(part.strip().split(" ", 1) for part in headers["Content-Security-Policy"].split(";"))
+    assert policy["default-src"] == policy["frame-ancestors"] == "'none'"
+    assert policy["script-src"] == "'self'"
+    assert headers["X-Frame-Options"] == "DENY"
+    assert headers["X-Content-Type-Options"] == "nosniff"
+
+
+def test_the_page_needs_nothing_that_the_policy_forbids():
+    page = (module.STATIC / "index.html").read_text()
+    assert " style=" not in page
+    assert not re.search(r"\son[a-z]+=", page)
+    assert page.count("<script") == page.count('<script src="/static/') == 1
+    scripts = "".join(path.read_text() for path in module.STATIC.glob("*.js"))
+    assert not any(word in scripts for word in ("eval(", "innerHTML", "new Function", "cssText", '"style"'))
+
+
+def test_a_page_only_looks_unless_it_may_operate(serve):
+    server = serve()
+    snapshot, answer = told(server, json.dumps(ASKED))
+    assert snapshot["operable"] is False
+    assert answer == {"kind": "answer", "net": "n", "success": False, "message": READ_ONLY}
+
+
+def test_who_may_operate_is_heard(serve):
+    heard = []
+    server = serve(operate=lambda wanted: (heard.append(wanted), server.show({"kind": "done"})))
+    assert told(server, json.dumps(ASKED), kinds=("done",))[0]["operable"] is True
+    assert heard == [ASKED]
+
+
+@pytest.mark.parametrize("field", ["net", "request", "argument"])
+@pytest.mark.parametrize("text", [r"\ud800", r"a\udfffb", r"\udc00\ud800"])
+def test_text_that_no_message_can_carry_is_passed_over(serve, field, text):
+    heard = []
+    server = serve(operate=lambda wanted: (heard.append(wanted), server.show({"kind": "done"})))
+    bad = json.dumps({**ASKED, field: "BAD"}).replace("BAD", text)
+    nonsense = ["", "[]", "5", "{}", "[" * 5000, json.dumps({**ASKED, "net": 5}), json.dumps({**ASKED, "net": None})]
+    told(server, bad, *nonsense, json.dumps({**ASKED, "net": "\U0001f916"}), kinds=("done",))
+    assert heard == [{**ASKED, "net": "\U0001f916"}]
+
+
+def test_a_request_that_is_too_long_ends_its_own_connection_alone(serve):
+    heard = []
+    server = serve(operate=heard.append)
+
+    async def talk():
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{server.url}ws") as viewer:
+            await viewer.receive_json(timeout=60.0)
+            await viewer.send_str("x" * (LONGEST_REQUEST + 1))
+            return (await viewer.receive(timeout=60.0)).type
+
+    assert asyncio.run(talk()) is aiohttp.WSMsgType.CLOSE
+    assert asked(server)[0] == 200
+    assert heard == []
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: localhost\r\n"])
+def test_a_request_that_is_not_finished_is_ended(serve, monkeypatch, sent):
+    monkeypatch.setattr(module, "REQUEST_S", 0.1)
+    server = serve()
+    with socket.create_connection(("127.0.0.1", port_of(server)), timeout=60.0) as connection:
+        connection.sendall(sent)
+        assert connection.recv(1000) == b""
+
+
+def test_more_viewers_than_it_can_serve_are_told_so(serve, monkeypatch):
+    monkeypatch.setattr(module, "MOST_VIEWERS", 1)
+    assert MOST_VIEWERS > 50
+    server = serve()
+
+    async def look():
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{server.url}ws") as viewer:
+            await viewer.receive_json(timeout=60.0)
+            with pytest.raises(aiohttp.WSServerHandshakeError) as error:
+                await session.ws_connect(f"{server.url}ws")
+            return error.value.status
+
+    assert asyncio.run(look()) == 503
+
+
+def test_the_address_that_it_tells_answers_also_where_the_port_was_taken(serve):
+    first = serve()
+    second = DisplayServer(port=port_of(first))
+    second.start()
+    try:
+        assert second.url != first.url
+        assert json.loads(asked(second, "state.json")[2])["kind"] == "snapshot"
+    finally:
+        second.stop()
+
+
+@pytest.mark.parametrize(
+    ("host", "url"), [("0.0.0.0", "http://localhost:8080/"), ("::1", "http://[::1]:8080/"), ("lab", "http://lab:8080/")]
+)
+def test_the_address_is_one_that_a_browser_takes(host, url):
+    assert DisplayServer(host=host).url == url
