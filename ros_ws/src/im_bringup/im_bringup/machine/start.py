@@ -15,6 +15,7 @@ from im_bringup.tasks import upkeep
 from im_bringup.tasks.agent import environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.executables import path_of
+from im_bringup.tasks.middleware import reach
 from im_cell.robot import load_cell
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
@@ -135,6 +136,8 @@ def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
     clear_the_way()
     preflight.check(deployment)
     tidy(deployment)
+    if said := reach(os.environ, deployment):
+        print(f"start: {said}", flush=True)
     process = spawn_bootstrap(deployment, path, timeout_s)
     shown = ""
     while clock.monotonic() - began < timeout_s:

@@ -15,6 +15,7 @@ from std_msgs.msg import UInt8
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.arrivals import member
@@ -89,9 +90,13 @@ def main() -> int:
     parser.add_argument("host", help="name of this host in the deployment")
     parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
     arguments = parser.parse_args()
-    return run.main(
-        lambda: AgentNode(deployments.load(arguments.deployment), arguments.host), args=[], at_end=AgentNode.shut_down
-    )
+
+    def make_node() -> AgentNode:
+        deployment = deployments.load(arguments.deployment)
+        os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
+        return AgentNode(deployment, arguments.host)
+
+    return run.main(make_node, args=[], at_end=AgentNode.shut_down)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from im_bringup.machine.record import MachineRecord
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import MARKER, Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.registry import Progress, TaskRecord
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
@@ -178,6 +179,7 @@ def main() -> int:
 
     def make_node() -> BootstrapNode:
         deployment = deployments.load(arguments.deployment)
+        os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
         deployment = deployment.with_values(
             arguments.factor,
             arguments.seed,

@@ -11,6 +11,7 @@ import yaml
 
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.executables import path_of
+from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock, names, scheduling
 from im_core import pulse as pulse_memory
@@ -282,6 +283,7 @@ def write_parameters(run_dir: Path, task: str, parameters: Mapping[str, Paramete
 
 
 def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:
-    """Environment of the machine's processes: marked as belonging to it, with its folder, and the core of its servo."""
+    """Environment of the machine's processes: its mark, its folder, its DDS, and the core of its servo."""
     core = scheduling.reserve() if deployment.clock_factor > 0.0 else {}
-    return {**base, **core, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir)}
+    dds = middleware(base, deployment)
+    return {**base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir)}

@@ -1,0 +1,50 @@
+"""Who can reach the machine over DDS: the Fast DDS profile of its processes, chosen by its deployment."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from im_bringup.tasks.deployment import Deployment
+from im_core.config import package_file
+
+#: Environment variable that names the profile.
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+#: Without it Fast DDS also reads a file of the working directory.
+_SKIP = {"SKIP_DEFAULT_XML_FILE": "1"}
+_PACKAGE = "im_bringup"
+
+
+def loopback_profile() -> Path:
+    """DDS of one host: nobody outside it is heard."""
+    return package_file(_PACKAGE, "config/fastdds.xml")
+
+
+def open_profile() -> Path:
+    """DDS of several hosts: it listens on all network interfaces."""
+    return package_file(_PACKAGE, "config/fastdds_hosts.xml")
+
+
+def own_profile(base: Mapping[str, str]) -> str:
+    """The profile that a user has set instead of ours, or nothing."""
+    given = Path(base.get(PROFILE, ""))
+    ours = (loopback_profile(), open_profile())
+    return "" if given.name in ("", *(path.name for path in ours)) else str(given)
+
+
+def middleware(base: Mapping[str, str], deployment: Deployment) -> dict[str, str]:
+    """The environment variables that decide.
+
+    Args:
+        base: Environment of whoever starts the machine.
+        deployment: What is started; tasks on several hosts open it.
+    """
+    ours = open_profile() if len(deployment.hosts) > 1 else loopback_profile()
+    return {PROFILE: own_profile(base) or str(ours), **_SKIP}
+
+
+def reach(base: Mapping[str, str], deployment: Deployment) -> str:
+    """What a user should know of it, a clause; empty for one host that nobody outside reaches."""
+    if own := own_profile(base):
+        return f"DDS listens as {own} says ({PROFILE})"
+    if len(deployment.hosts) > 1:
+        return f"DDS listens on all interfaces, for hosts {', '.join(deployment.hosts)} (docs/security.md)"
+    return ""

@@ -1,0 +1,56 @@
+"""Which network interfaces DDS listens on follows from the deployment (test/test_hosts.py: that it really does)."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from im_bringup.tasks import deployment as deployments
+from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.middleware import PROFILE, loopback_profile, middleware, open_profile, reach
+
+ONE = deployments.load(deployments.default_path())
+TASK = {"package": "a", "executable": "b"}
+TWO = Deployment.model_validate(
+    {"hosts": {host: {name: {name: {**TASK, "node": f"/{name}"}}} for host, name in (("here", "dom"), ("far", "eye"))}}
+)
+
+
+def test_one_host_listens_on_the_loopback_alone():
+    assert middleware({}, ONE)[PROFILE] == str(loopback_profile())
+    assert middleware({PROFILE: str(open_profile())}, ONE)[PROFILE] == str(loopback_profile())
+    assert reach({}, ONE) == ""
+
+
+def test_tasks_on_several_hosts_open_it_and_it_is_said():
+    assert middleware({PROFILE: "/elsewhere/fastdds.xml"}, TWO)[PROFILE] == str(open_profile())
+    assert reach({}, TWO) == "DDS listens on all interfaces, for hosts here, far (docs/security.md)"
+
+
+@pytest.mark.parametrize("deployment", [ONE, TWO])
+def test_a_profile_of_the_users_own_is_theirs_and_it_is_said(deployment):
+    own = {PROFILE: "/home/me/dds.xml"}
+    assert middleware(own, deployment)[PROFILE] == "/home/me/dds.xml"
+    assert reach(own, deployment) == f"DDS listens as /home/me/dds.xml says ({PROFILE})"
+
+
+def test_a_profile_in_the_working_directory_opens_nothing():
+    assert middleware({}, ONE)["SKIP_DEFAULT_XML_FILE"] == "1"
+
+
+def test_the_two_profiles_differ_in_nothing_else():
+    def content(path, *removed):
+        text = re.sub(r"<!--.*?-->|\s+", "", path.read_text(), flags=re.DOTALL)
+        for part in removed:
+            assert part in text
+            text = text.replace(part, "")
+        return text
+
+    white_list = "<interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"
+    assert content(loopback_profile(), white_list) == content(open_profile())
+
+
+def test_the_scripts_use_the_profile_of_one_host():
+    script = Path(__file__).resolve().parents[4] / "scripts" / "lib.sh"
+    (named,) = re.findall(rf"{PROFILE}:-\$IM_WS/src/(\S+)\}}", script.read_text())
+    assert loopback_profile().as_posix().endswith(named)

@@ -1,0 +1,166 @@
+"""Who is on another host and who is not: two network namespaces, joined by a cable, stand for two computers."""
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from im_bringup.tasks.middleware import PROFILE, loopback_profile, open_profile
+
+WAIT_S = 60.0
+#: How long a stranger looks for a machine that it must not find [s]; the one that it may find takes a second.
+LOOK_S = 5.0
+
+CLIENT = """
+import json, sys
+import rclpy
+from im_msgs.srv import PutObject
+rclpy.init(args=[])
+node = rclpy.create_node("stranger")
+client = node.create_client(PutObject, "/dom/put")
+answered = False
+if client.wait_for_service(timeout_sec=float(sys.argv[1])):
+    future = client.call_async(PutObject.Request(name="from_outside"))
+    rclpy.spin_until_future_complete(node, future, timeout_sec=float(sys.argv[1]))
+    answered = future.done()
+names = [name for name in node.get_node_names() if name != "stranger"]
+topics = [name for name, _ in node.get_topic_names_and_types() if name not in ("/rosout", "/parameter_events")]
+own = ("/stranger/", "/dom/put")  # a client counts as a name, too
+services = [name for name, _ in node.get_service_names_and_types() if not name.startswith(own)]
+print(json.dumps({"answered": answered, "nodes": names, "topics": topics, "services": services}))
+"""
+NOBODY = {"answered": False, "nodes": [], "topics": [], "services": []}
+
+
+class Host:
+    """A network of its own, and a shared memory of its own.
+
+    Args:
+        stack: Ends what runs here.
+        address: In the network that joins the hosts.
+    """
+
+    def __init__(self, stack, address):
+        self.address = address
+        argv = ["unshare", "--net", "--mount", "sh", "-c", "mount -t tmpfs tmpfs /dev/shm && echo && exec sleep 3600"]
+        try:
+            self._holder = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        except FileNotFoundError:
+            pytest.skip("there is no command unshare")
+        stack.callback(self._holder.communicate)
+        stack.callback(self._holder.kill)
+        if not self._holder.stdout.readline():
+            pytest.skip(f"no namespaces here: {self._holder.stderr.readline().decode().strip()}")
+        self.pid = self._holder.pid
+        self._stack = stack
+
+    def argv(self, *argv):
+        return ["nsenter", "--target", str(self.pid), "--net", "--mount", *map(str, argv)]
+
+    def run(self, *argv, **environment):
+        """Run a command to its end."""
+        settings = {"capture_output": True, "text": True, "check": False, "timeout": 10 * WAIT_S}
+        return subprocess.run(self.argv(*argv), env=environment_with(environment), **settings)
+
+    def start(self, *argv, **environment):
+        """Start a process, which ends with the test."""
+        process = subprocess.Popen(self.argv(*argv), env=environment_with(environment), stdout=subprocess.DEVNULL)
+        self._stack.callback(process.wait)
+        self._stack.callback(process.kill)
+        return process
+
+    def look(self, seconds, **environment):
+        """What a client finds here that was not told anything by our scripts."""
+        done = self.run(sys.executable, "-c", CLIENT, seconds, **environment)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    def ports(self, protocol):
+        """Addresses and ports of the sockets of this host, and the state of each."""
+        for line in Path(f"/proc/{self.pid}/net/{protocol}").read_text().splitlines()[1:]:
+            _, local, _, state, *_ = line.split()
+            address, port = local.split(":")
+            yield address, int(port, 16), state
+
+
+def environment_with(changes):
+    """The environment without what our scripts say of DDS."""
+    plain = {key: value for key, value in os.environ.items() if key not in (PROFILE, "ROS_AUTOMATIC_DISCOVERY_RANGE")}
+    return {**plain, **changes}
+
+
+@pytest.fixture
+def hosts():
+    """Two hosts that reach each other."""
+    with ExitStack() as stack:
+        here, there = Host(stack, "10.99.7.1"), Host(stack, "10.99.7.2")
+        for command in (
+            f"ip link add eth7 netns {here.pid} type veth peer name eth7 netns {there.pid}",
+            *(
+                f"nsenter --target {host.pid} --net ip {rest}"
+                for host in (here, there)
+                for rest in (f"addr add {host.address}/24 dev eth7", "link set lo up", "link set eth7 up")
+            ),
+        ):
+            try:
+                done = subprocess.run(command.split(), capture_output=True, text=True, check=False)
+            except FileNotFoundError:
+                pytest.skip("there is no command ip")
+            if done.returncode:
+                pytest.skip(f"no network between namespaces here: {done.stderr.strip()}")
+        yield here, there
+
+
+def neighbours(host):
+    """How a client of another host asks for the machine of a host, in the two ways there are."""
+    return [
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach, "ROS_STATIC_PEERS": host.address} for reach in ("LOCALHOST", "SUBNET")
+    ]
+
+
+def listens_on_loopback_alone(host, processes):
+    """Whether the sockets that DDS receives with, and those that wait for connections, are on the loopback."""
+    first = 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"])
+    receiving = [(address, port) for address, port, _ in host.ports("udp") if first <= port < first + 250]
+    assert len(receiving) >= 2 * processes, receiving
+    receiving += [(address, port) for address, port, state in host.ports("tcp") if state == "0A"]
+    elsewhere = [entry for entry in receiving if entry[0] != "0100007F"]
+    return not elsewhere and not [entry for entry in host.ports("tcp6") if entry[2] == "0A"]
+
+
+@pytest.mark.parametrize("several", [False, True], ids=["one host", "several hosts"])
+def test_a_node_is_reached_from_another_host_only_where_it_is_opened(hosts, several):
+    here, there = hosts
+    profile = open_profile() if several else loopback_profile()
+    settings = {PROFILE: str(profile), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    here.start(sys.executable, "-m", "im_dom.ros.node", "--ros-args", "-p", "standalone:=true", **settings)
+    for reach in ("LOCALHOST", "SUBNET"):  # a client of this host needs nothing of ours
+        assert here.look(WAIT_S, ROS_AUTOMATIC_DISCOVERY_RANGE=reach)["answered"]
+    assert here.look(WAIT_S, FASTDDS_BUILTIN_TRANSPORTS="UDPv4")["answered"]
+    assert listens_on_loopback_alone(here, 1) is not several
+    for settings in neighbours(here):
+        found = there.look(WAIT_S if several else LOOK_S, **settings)
+        if several:
+            assert found["answered"]
+            assert "/dom/get" in found["services"]
+        else:
+            assert found == NOBODY
+
+
+@pytest.mark.end_to_end
+def test_no_other_host_sees_or_calls_anything_of_a_whole_machine(hosts):
+    here, there = hosts
+    start, stop = (["-m", f"im_bringup.machine.{name}"] for name in ("start", "stop"))
+    settings = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    done = here.run(sys.executable, *start, "--factor", 0, "--timeout", 5 * WAIT_S, **settings)
+    try:
+        assert done.returncode == 0, done.stderr
+        assert here.look(WAIT_S)["answered"]
+        assert listens_on_loopback_alone(here, 10)
+        assert [there.look(2 * LOOK_S, **settings) for settings in neighbours(here)] == [NOBODY, NOBODY]
+    finally:
+        assert here.run(sys.executable, *stop, **settings).returncode == 0
