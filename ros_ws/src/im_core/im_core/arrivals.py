@@ -10,6 +10,7 @@ from typing import Any, TypeVar, cast
 
 import pydantic
 
+from im_core.config import field_name
 from im_core.errors import DataError
 
 #: Characters of a text that is read; a net of 1,000 places has 50,000.
@@ -35,10 +36,16 @@ def read_json(kind: type[T], text: str, what: str) -> T:
     try:
         value: T = _reader(cast(Hashable, kind)).validate_json(text, strict=True)
     except pydantic.ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
-        words = f"{place}: {first['msg']}" if place else first["msg"]
-        raise DataError(f"{what} makes no sense: {words}", what=what) from error
+        raise _refused(error, what) from error
+    return value
+
+
+def read_data(kind: type[T], data: object, what: str) -> T:
+    """Read data of a certain form that have been JSON; arguments and errors as of :func:`read_json`."""
+    try:
+        value: T = _reader(cast(Hashable, kind)).validate_python(data, strict=True)
+    except pydantic.ValidationError as error:
+        raise _refused(error, what) from error
     return value
 
 
@@ -53,6 +60,17 @@ def member(kind: type[EnumT], number: int, what: str) -> EnumT:
     except ValueError:
         known = ", ".join(f"{each.value} {each.name}" for each in kind)
         raise DataError(f"{what} {number} does not exist; there are {known}", what=what, value=number) from None
+
+
+def _refused(error: pydantic.ValidationError, what: str) -> DataError:
+    """Names the first field that is wrong, what is allowed there, and what was given."""
+    first = error.errors(include_url=False)[0]
+    place, words = field_name(first["loc"]), first["msg"].removeprefix("Value error, ")
+    if place:
+        words = f"{place}: {words}"
+        if first["type"] not in ("missing", "extra_forbidden"):
+            words += f", not {first['input']!r:.60}"
+    return DataError(f"{what} makes no sense: {words}", what=what, field=place)
 
 
 @lru_cache(maxsize=100)

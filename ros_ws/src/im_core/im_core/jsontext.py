@@ -1,11 +1,10 @@
-"""JSON from elsewhere, files and requests, in bounded time and memory whatever the text is."""
+"""JSON files from elsewhere, in bounded time and memory whatever they hold; :mod:`.arrivals` reads that of messages."""
 
 import json
 import math
 import re
 from pathlib import Path
 
-from im_core.errors import DataError
 from im_core.files import LARGEST, FileError, printable, read_text
 
 MAX_DEPTH = 40
@@ -29,7 +28,7 @@ class JsonError(ValueError):
         self.sentence, self.line, self.column = sentence, line, column
 
 
-def read_json(path: str | Path, largest: int = LARGEST) -> object:
+def load_json(path: str | Path, largest: int = LARGEST) -> object:
     """Read a JSON file.
 
     Args:
@@ -44,23 +43,6 @@ def read_json(path: str | Path, largest: int = LARGEST) -> object:
         return decode_json(text)
     except JsonError as error:
         raise FileError(path, error.sentence, error.line, error.column) from error
-
-
-def parse_json(text: str, name: str) -> object:
-    """Read JSON that is no file.
-
-    Args:
-        text: The JSON.
-        name: What it is, for messages: ``the arguments of the command``.
-
-    Raises:
-        DataError: :func:`decode_json` refuses it.
-    """
-    try:
-        return decode_json(text)
-    except JsonError as error:
-        place = "" if error.line is None else f" (line {error.line} column {error.column})"
-        raise DataError(f"{name}: {error.sentence}{place}") from error
 
 
 def decode_json(text: str) -> object:

@@ -11,7 +11,7 @@ from im_core.bag import open_bag
 from im_core.config import Model, load_model
 from im_core.errors import ConfigError
 from im_core.files import FileError, read_bytes, read_text
-from im_core.jsontext import read_json
+from im_core.jsontext import load_json
 
 
 def folder(path):
@@ -55,7 +55,7 @@ ODD = {
 @pytest.mark.parametrize(("make", "sentence"), ODD.values(), ids=ODD)
 def test_odd_paths_are_refused_at_once(tmp_path, make, sentence):
     path = make(tmp_path / "odd")
-    for read in (read_bytes, read_text, read_json):
+    for read in (read_bytes, read_text, load_json):
         with pytest.raises(FileError, match=sentence) as refused:
             read(path)
         refused.value.message.encode()  # a message of ROS can hold it

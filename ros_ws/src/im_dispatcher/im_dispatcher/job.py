@@ -7,7 +7,12 @@ first or the thousandth.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
+from pydantic import Field
+
+from im_core.arrivals import read_data
+from im_core.config import Model
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dispatcher.poses_file import PosesFile, load_poses
 
@@ -19,6 +24,18 @@ FEWEST_POSES = 12
 
 #: Failures that concern one pose only; everything else concerns the machine.
 POSE_FAILURES = frozenset({"unreachable", "collision", "limit", "not_settled", "spot_not_found", "unusable"})
+
+
+class CalibrationArguments(Model):
+    """The arguments of the command.
+
+    Attributes:
+        cameras: Names of the cameras; none: the ceiling's.
+        poses_file: File of the poses; empty: the cell's own.
+    """
+
+    cameras: list[Annotated[str, Field(max_length=64)]] = Field(default=[], max_length=64)
+    poses_file: Annotated[str, Field(max_length=4096)] = ""
 
 
 @dataclass(frozen=True)
@@ -43,7 +60,7 @@ def order_of(arguments: Mapping[str, object], known_cameras: Sequence[str]) -> C
     """Reads and checks what a command asks for.
 
     Args:
-        arguments: Of the command: ``cameras``, names (none: the ceiling's), and ``poses_file`` (none: the cell's own).
+        arguments: Of the command, as :class:`CalibrationArguments` describes them.
         known_cameras: Names of the cameras that exist.
 
     Raises:
@@ -51,12 +68,8 @@ def order_of(arguments: Mapping[str, object], known_cameras: Sequence[str]) -> C
         DataError: A camera named twice, fewer poses than :data:`FEWEST_POSES`, or arguments of another kind.
         ConfigError: The poses file is missing, empty, or malformed.
     """
-    cameras, poses_file = arguments.get("cameras") or CEILING, arguments.get("poses_file") or ""
-    if not isinstance(cameras, list | tuple) or not all(isinstance(name, str) for name in cameras):
-        raise DataError(f"the cameras of calibrate_camera are a list of names, not {cameras!r:.80}")
-    if not isinstance(poses_file, str):
-        raise DataError(f"the poses file of calibrate_camera is a path, not {poses_file!r:.80}")
-    file = load_poses(poses_file)
+    given = read_data(CalibrationArguments, dict(arguments), "the arguments of calibrate_camera")
+    cameras, file = given.cameras or CEILING, load_poses(given.poses_file)
     for name in cameras:
         if name not in known_cameras:
             raise NotFoundError(kind="camera", name=name, known=known_cameras)

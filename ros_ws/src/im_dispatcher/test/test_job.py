@@ -75,9 +75,9 @@ def test_wrong_cameras_and_too_few_poses_are_named(tmp_path: Path) -> None:
         order_of({"cameras": ["ceiling_lefd"]}, KNOWN)
     with pytest.raises(DataError, match="'wall' is named twice"):
         order_of({"cameras": ["wall", "wall"]}, KNOWN)
-    with pytest.raises(DataError, match="a list of names, not 'wall'"):
+    with pytest.raises(DataError, match="cameras: Input should be a valid list, not 'wall'"):
         order_of({"cameras": "wall"}, KNOWN)
-    with pytest.raises(DataError, match="is a path, not 7"):
+    with pytest.raises(DataError, match="poses_file: Input should be a valid string, not 7"):
         order_of({"poses_file": 7}, KNOWN)
     few = tmp_path / "few.yaml"
     pose = "  - {{name: p{}, position_m: [0, 0, 1], orientation_xyzw: [0, 0, 0, 1]}}\n"

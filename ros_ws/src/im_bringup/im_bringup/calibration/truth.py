@@ -17,7 +17,7 @@ from im_cell.workspace import Workspace
 from im_core.config import Model, faults
 from im_core.errors import DataError, NotFoundError
 from im_core.files import FileError, write_whole
-from im_core.jsontext import read_json
+from im_core.jsontext import load_json
 
 
 class _Section(Model):
@@ -94,7 +94,7 @@ def add_to_report(path: Path, truth: CellTruth) -> dict[str, Any]:
         NotFoundError: A camera of the report does not exist in truth.
     """
     try:
-        report = read_json(path)
+        report = load_json(path)
     except FileError as error:
         raise DataError(f"{path} is not a report: {error.message}", file=str(path)) from error
     if not isinstance(report, dict):

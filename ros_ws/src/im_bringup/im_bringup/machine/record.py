@@ -12,7 +12,7 @@ from im_core import names
 from im_core.config import field_name
 from im_core.errors import DataError, StateError
 from im_core.files import MEBIBYTE, FileError, write_whole
-from im_core.jsontext import read_json
+from im_core.jsontext import load_json
 from im_core.shm import ProcessId
 
 STARTING, READY, FAILED, STOPPING = "starting", "ready", "failed", "stopping"
@@ -78,7 +78,7 @@ def read() -> MachineRecord | None:
     if not path.exists():
         return None
     try:
-        return _RECORD.validate_python(read_json(path, _LARGEST))
+        return _RECORD.validate_python(load_json(path, _LARGEST))
     except FileError as error:
         raise DataError(f"{path} is not the record of a machine: {error.sentence}", file=str(path)) from error
     except pydantic.ValidationError as error:

@@ -12,6 +12,7 @@ from im_bringup.calibration.summary import error_lines
 from im_bringup.calibration.truth import add_to_report
 from im_bringup.machine.interrupts import interrupt_once
 from im_cell.robot.truth import CellTruth
+from im_core.arrivals import read_json
 from im_core.errors import ImError, StateError
 from im_core.names import results_dir
 from im_core.ros.calls import call_blocking
@@ -33,7 +34,7 @@ def get_truth(node: Node) -> CellTruth:
     answer = call_blocking(client, GetTruth.Request(), TIMEOUT_S, "true cameras")
     if not answer.success:
         raise StateError(answer.message)
-    return CellTruth.model_validate_json(answer.json)
+    return read_json(CellTruth, answer.json, "the truth of the testbed")
 
 
 def main() -> int:

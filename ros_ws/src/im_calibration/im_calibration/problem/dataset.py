@@ -28,7 +28,7 @@ from im_cell.workspace import Workspace
 from im_core.config import Fault, FieldError, Model, faults, field_name
 from im_core.errors import DataError, nearest
 from im_core.files import MEBIBYTE
-from im_core.jsontext import read_json
+from im_core.jsontext import load_json
 
 Array = NDArray[np.float64]
 
@@ -249,7 +249,7 @@ def load_problems(path: Path) -> tuple[CalibrationProblem, ...]:
     Raises:
         DataError: It cannot be read, is no JSON, or not of this format; file, line or field are named.
     """
-    content = read_json(path, _LARGEST_FILE)
+    content = load_json(path, _LARGEST_FILE)
     try:
         return problems(content)
     except DataError as error:

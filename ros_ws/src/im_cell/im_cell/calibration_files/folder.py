@@ -14,7 +14,7 @@ from im_cell.robot import Camera, Cell
 from im_core.config import fault_in
 from im_core.errors import ConfigError, NotFoundError
 from im_core.files import FileError
-from im_core.jsontext import read_json
+from im_core.jsontext import load_json
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def _covariance(path: Path, cameras: Mapping[str, Camera]) -> CameraCovariance:
 def _reason(folder: Path) -> str:
     """Why a calibration left no files, if its report says so."""
     try:
-        report = read_json(folder / "report.json")
+        report = load_json(folder / "report.json")
     except FileError:
         return ""
     match report:

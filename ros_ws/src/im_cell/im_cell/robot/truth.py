@@ -14,7 +14,7 @@ from im_cell.laser_model import LaserModel
 from im_cell.robot.parameters import Positive, Vector
 from im_core.config import Model, faults
 from im_core.errors import DataError
-from im_core.jsontext import read_json
+from im_core.jsontext import load_json
 
 FILE_NAME = "truth.json"
 Matrix = tuple[Vector, Vector, Vector]
@@ -85,7 +85,7 @@ def load_truth(path: Path) -> CellTruth:
         DataError: It is missing or malformed.
     """
     try:
-        return CellTruth.model_validate(read_json(path))
+        return CellTruth.model_validate(load_json(path))
     except ValidationError as error:
         fault = faults(error, CellTruth)[0]
         raise DataError(f"{path}: is not a truth file: {fault.field}: {fault.sentence}", file=str(path)) from error

@@ -7,11 +7,12 @@ from std_msgs.msg import String
 
 from im_calibration.light import MeasuredRest, rotation_of
 from im_cell.robot import load_cell
+from im_coordinators.requests import collected_poses, kept_pose
 from im_coordinators.ros.calibration import CAMERAS, cameras_of
 from im_coordinators.vision import another_look_may_help, is_lit, require_spot
 from im_core import clock
 from im_core.config import package_file
-from im_core.errors import DataError, WaitTimeoutError
+from im_core.errors import WaitTimeoutError
 from im_core.ros import qos, run
 from im_core.ros.calls import pause
 from im_msgs.msg import CameraNames, GroupState, Observation, ObservationSet, Rejection, SpotSet
@@ -102,38 +103,34 @@ class VisionCoordinator(PntNode):
 
     async def keep_observation(self, ctx: ActionContext) -> None:
         """Keeps spots and position of a pose as an observation, under the number of the pose."""
-        match ctx.request_arguments:
-            case {"number": int(number), "pose": str(pose)}:
-                pass
-            case arguments:
-                raise DataError(f"an observation is kept with number and name of its pose, not with {arguments}")
+        kept = kept_pose(ctx.request_arguments)
         spots = await self.dom.get("spots", SpotSet)
         position = await self.dom.get("current_position", GroupState)
         rest = _rest(position)
         for spot in spots.spots:
-            rest.require_shown(spot.stamp.sec * 10**9 + spot.stamp.nanosec, pose)
+            rest.require_shown(spot.stamp.sec * 10**9 + spot.stamp.nanosec, kept.pose)
         observation = Observation(
-            pose=pose,
+            pose=kept.pose,
             wrist=position.wrist,
             position_covariance=rest.light_covariance(self._led_offset).ravel(),
             spots=spots.spots,
             rest_since=position.rest_since,
         )
-        await self.dom.put(f"observation/{number}", observation)
+        await self.dom.put(f"observation/{kept.number}", observation)
 
     async def calibration_problem(self, ctx: ActionContext) -> dict[str, object]:
         """The request for a calibration: from the observations that are named, or else from those in the DOM."""
-        match ctx.request_arguments:
-            case {"cameras": [*cameras], "observations": [*kept], "rejected": dict(rejected), "directory": str(folder)}:
-                collected = ObservationSet(
-                    cameras=[str(camera) for camera in cameras],
-                    observations=[await self.dom.get(f"observation/{number}", Observation) for number in kept],
-                    rejected=[Rejection(pose=pose, reason=reason) for pose, reason in rejected.items()],
-                    directory=folder,
-                )
-                await self.dom.put("observations", collected)
-            case _:
-                collected = await self.dom.get("observations", ObservationSet)
+        named = collected_poses(ctx.request_arguments)
+        if named is None:
+            collected = await self.dom.get("observations", ObservationSet)
+        else:
+            collected = ObservationSet(
+                cameras=named.cameras,
+                observations=[await self.dom.get(f"observation/{n}", Observation) for n in named.observations],
+                rejected=[Rejection(pose=pose, reason=reason) for pose, reason in named.rejected.items()],
+                directory=named.directory,
+            )
+            await self.dom.put("observations", collected)
         return {
             "cameras": list(collected.cameras),
             "observations": list(collected.observations),

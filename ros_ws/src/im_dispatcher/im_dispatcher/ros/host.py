@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
 
+from im_core.arrivals import read_json
 from im_core.ros import qos
 from im_core.ros.calls import run_in_thread
 from im_dispatcher.job import CalibrationOrder
@@ -88,10 +89,12 @@ MESSAGES: Mapping[type, Callable[[Any], object]] = {
     SkippedPose: lambda skipped: Rejection(pose=skipped.pose, reason=skipped.reason),
 }
 
+POSES, REPORT = "the poses of the calibration", "the report of the calibration"
+
 #: The values of messages that commands get.
 VALUES: Mapping[type, tuple[type, Callable[[Any], Any]]] = {
-    dict: (String, lambda message: json.loads(message.data)),
-    PosesFile: (String, lambda message: PosesFile.model_validate_json(message.data)),
+    dict: (String, lambda message: read_json(dict[str, object], message.data, "a data object")),
+    PosesFile: (String, lambda message: read_json(PosesFile, message.data, POSES)),
     SkippedPose: (Rejection, lambda message: SkippedPose(message.pose, message.reason)),
-    SolverReport: (CalibrationReport, lambda message: SolverReport(json.loads(message.json))),
+    SolverReport: (CalibrationReport, lambda message: SolverReport(read_json(dict[str, object], message.json, REPORT))),
 }

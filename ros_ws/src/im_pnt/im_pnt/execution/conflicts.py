@@ -20,7 +20,7 @@ from pathlib import Path
 
 from im_core.errors import ImError
 from im_core.files import FileError, write_whole
-from im_core.jsontext import read_json
+from im_core.jsontext import load_json
 from im_pnt.errors import NetError
 from im_pnt.execution.firing import FiringRule
 from im_pnt.execution.functions import ActionContext, Functions, clock_period
@@ -93,7 +93,7 @@ def entropy(distribution: Sequence[float]) -> float:
 
 def _load(path: Path) -> dict[str, tuple[float, float]]:
     try:
-        content = read_json(path)
+        content = load_json(path)
     except FileError as error:
         raise NetError(f"{error.message}; strategies are needed", **error.facts) from error
     table = content.get("strategies") if isinstance(content, dict) else None

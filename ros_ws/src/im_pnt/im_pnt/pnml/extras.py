@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Mapping
 
+from im_core.jsontext import decode_json
 from im_core.yamltext import MAX_DEPTH, Kind, Value, mapping, scalar, sequence
 from im_pnt.pnml.element import Element
 
@@ -75,14 +76,6 @@ def plain_value(data: object, near: Value, depth: int = 0) -> Value:
 def _value(entry: Element) -> Value:
     near = Value(Kind.SCALAR, entry.place.file, entry.place.line, entry.place.column)
     try:
-        return plain_value(json.loads(entry.text, object_pairs_hook=_unique), near)
-    except (ValueError, RecursionError) as error:
-        raise entry.error(f"is not JSON: {error}") from error
-
-
-def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Keeps JSON from dropping the first of two values of one key."""
-    data = dict(pairs)
-    if len(data) < len(pairs):
-        raise ValueError("a key is there twice")
-    return data
+        return plain_value(decode_json(entry.text), near)
+    except ValueError as error:
+        raise entry.error(f"cannot be read: {error}") from error

@@ -1,0 +1,242 @@
+"""Made-up values in files and requests: accepted, or refused in a sentence that says where; never another error."""
+
+import copy
+import json
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from im_bringup.calibration.truth import add_to_report
+from im_bringup.machine import record as machine
+from im_bringup.tasks import deployment as deployments
+from im_calibration.design import load_candidates
+from im_calibration.problem.dataset import load_problems, problems
+from im_cell.calibration_files import read_calibration
+from im_cell.robot import load_cell
+from im_cell.robot.truth import load_truth
+from im_coordinators.requests import calibration_request, collected_poses, kept_pose
+from im_core.config import package_file
+from im_core.errors import ImError
+from im_dispatcher.job import order_of
+from im_dispatcher.poses_file import load_poses
+from im_mcs.limits.configuration import load_config
+from im_pnt.execution.conflicts import StrategyBook
+from im_pnt.netfile import load_net
+from im_pnt_analysis.simulation.replay import read_firing_sequence
+from im_pnt_analysis.timed.measurement import read_measurement
+from im_vss.catalogue import load_catalogue
+from im_vss.settings import load_settings
+
+CELL = load_cell()
+EYE = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+LENS = {"K": EYE, "D": [0.0] * 5, "R_cam_base": EYE, "t_cam_base_m": [0.0, 0.0, 4.0]}
+TRUTH = {
+    "seed": 1,
+    "cameras": {"eye": {**LENS, "parent": "world", "width": 640, "height": 480}},
+    "leds": {"left_led": {"offset_m": [0.0, 0.0, 0.1], "axis": [0.0, 0.0, 1.0], "diameter_m": 0.02}},
+    "laser": {"rotation": EYE, "position_m": [0.0, 0.0, 4.0], "gain": [1.0, 1.0], "offset": 0.0, "gap_m": 0.02},
+}
+REPORT = {
+    "success": True,
+    "cameras": [{"name": "eye", **LENS}],
+    "led_offset_m": [0.0, 0.0, 0.1],
+    "expected_error": {"workspace_low_m": [-1.0, -1.0, 0.5], "workspace_high_m": [1.0, 1.0, 1.5]},
+}
+RECORD = {"pid": 77, "start": 5, "state": "ready", "phase": "START", "tasks": 3, "run_dir": "/run", "deployment": "d"}
+RECORD |= {"clock_factor": 1.0, "seed": 1, "port": 8080, "missing": ["a"]}
+FIRING = {"net": "n", "transition": "t", "phase": 1, "duration": 0.5, "stamp": {"sec": 1, "nanosec": 2}}
+INTRINSICS = {
+    "image_width": 640,
+    "image_height": 480,
+    "camera_name": "ceiling_left",
+    "camera_matrix": {"rows": 3, "cols": 3, "data": [600, 0, 320, 0, 600, 240, 0, 0, 1]},
+    "distortion_model": "plumb_bob",
+    "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0.0] * 5},
+}
+DATA_SET = {
+    "schema": "vislab-calib-1",
+    "image_size": [640, 480],
+    "cov_x_m2": None,
+    "sigma_u_px": [[0.1, 0.1]],
+    "trials": [{"x_base_m": [[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]], "u_px": [[[320.0, 240.0], [330.0, 240.0]]]}],
+}
+NET = {"net": "n", "places": {"a": 1, "b": None}, "transitions": {"t": {"in": ["a"], "out": {"b": 1}, "weight": 2.0}}}
+
+
+def own(package, file):
+    """A file that we ship, as data."""
+    return yaml.safe_load(package_file(package, file).read_text(encoding="utf-8"))
+
+
+def truth_error(path):
+    return add_to_report(path, load_truth(written(path.parent / "truth.json", TRUTH)))
+
+
+def problem():
+    """What candidates are judged with."""
+    (found,) = problems(DATA_SET)
+    return found
+
+
+def machine_record(path):
+    """As the record of the machine of this test's domain is read."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(machine, "record_path", lambda: path)
+        return machine.read()
+
+
+#: For each kind of file what is right, and its reader.
+FILES = {
+    "deployment": (own("im_bringup", "deployments/default.yaml"), deployments.load),
+    "poses": (own("im_dispatcher", "poses/ceiling_40.yaml"), load_poses),
+    "candidates": (own("im_dispatcher", "poses/ceiling_40.yaml"), lambda path: load_candidates(path, problem())),
+    "cell": (own("im_cell", "robot/cell.yaml"), load_cell),
+    "MCS": (own("im_mcs", "config/mcs.yaml"), load_config),
+    "VSS": (own("im_vss", "config/vss.yaml"), lambda path: load_settings(CELL, path)),
+    "Services": (own("im_vss", "config/catalogue.yaml"), load_catalogue),
+    "net": (NET, load_net),
+    "truth": (TRUTH, load_truth),
+    "report": (REPORT, truth_error),
+    "record": (RECORD, machine_record),
+    "intrinsics": (INTRINSICS, lambda path: read_calibration(path.parent, CELL)),
+    "data set": (DATA_SET, load_problems),
+    "measurement": ([FIRING, FIRING], lambda path: read_measurement(str(path))),
+    "durations": ({"n.t": [0.5, 1.0]}, lambda path: read_measurement(str(path))),
+    "firing sequence": ({"sequence": ["a", "b"], "repeat_from": 1, "nets": ["n"], "marking": {"p": 1}},
+                        lambda path: read_firing_sequence(str(path))),
+    "strategies": ({"strategies": {"n.t": {"successes": 1, "failures": 0}}}, StrategyBook),
+}  # fmt: skip
+
+#: Likewise of requests.
+REQUESTS = {
+    "calibrate_camera": (
+        {"cameras": ["ceiling_left"], "poses_file": ""},
+        lambda arguments: order_of(arguments, ["ceiling_left", "ceiling_right"]),
+    ),
+    "calibration": ({"cameras": ["ceiling_left"], "group": "left"}, calibration_request),
+    "observation": ({"number": 1, "pose": "p1"}, kept_pose),
+    "solver": ({"cameras": ["a"], "observations": [1], "rejected": {"p": "why"}, "directory": "d"}, collected_poses),
+}
+
+SCALARS = (
+    st.none()
+    | st.booleans()
+    | st.sampled_from([0, -1, 5, 2**31, 2**63, 10**25, 1e300, -1e-300, float("nan"), float("inf"), 0.5])
+    | st.sampled_from(["", "\ud800", "\0", "../..", "a" * 5000, "${seed}", "1", "true", "nan", "/dev/zero", "/"])
+    | st.text(max_size=4)
+)
+VALUES = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3)
+)
+
+
+def ways(data, way=()):
+    """Where something stands in data."""
+    yield way
+    children = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, child in children:
+        yield from ways(child, (*way, key))
+
+
+@st.composite
+def changed(draw, right):
+    """Data of which something is replaced, taken away or added."""
+    data = copy.deepcopy(right)
+    way = draw(st.sampled_from(list(ways(right))))
+    if not way:
+        return draw(VALUES)
+    inner = data
+    for key in way[:-1]:
+        inner = inner[key]
+    match draw(st.sampled_from(["replace", "replace", "replace", "take", "add"])):
+        case "take":
+            del inner[way[-1]]
+        case "add" if isinstance(inner, dict):
+            inner[draw(st.text(max_size=3))] = draw(VALUES)
+        case _:
+            inner[way[-1]] = draw(VALUES)
+    return data
+
+
+def written(path, data):
+    """JSON, which YAML contains."""
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return path
+
+
+def accepted(read, given, name=""):
+    """Whether something is accepted; else what is said of it must be fit for a message."""
+    try:
+        read(given)
+    except ImError as error:
+        said = error.message
+    else:
+        return True
+    assert said.strip()
+    assert len(said) < 20_000
+    assert "\0" not in said
+    said.encode()  # a text that is no Unicode ends the process of whoever publishes it
+    assert name in said
+    return False
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_any_value_in_a_file_is_accepted_or_refused_by_name(tmp_path, kind):
+    right, read = FILES[kind]
+    path = tmp_path / "ceiling_left.yaml"
+    assert accepted(read, written(path, right))
+
+    @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(changed(right))
+    def check(data):
+        accepted(read, written(path, data), "" if kind == "report" else "ceiling_left.yaml")
+
+    check()
+
+
+@pytest.mark.parametrize("kind", REQUESTS)
+def test_any_value_in_a_request_is_accepted_or_refused(kind):
+    right, read = REQUESTS[kind]
+    assert accepted(read, right)
+
+    @settings(max_examples=100, deadline=None)
+    @given(changed(right).filter(lambda data: isinstance(data, dict)))
+    def check(data):
+        accepted(read, data)
+
+    check()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"cameras": 5}, "cameras: Input should be a valid list, not 5"),
+        ({"cameras": [5]}, "cameras[0]: Input should be a valid string, not 5"),
+        ({"cameras": None}, "cameras: Input should be a valid list, not None"),
+        ({"cameras": ["a" * 65]}, "cameras[0]: String should have at most 64 characters"),
+        ({"poses_file": {}}, "poses_file: Input should be a valid string, not {}"),
+        ({"camera": ["ceiling_left"]}, "camera: Extra inputs are not permitted"),
+    ],
+)
+def test_wrong_arguments_of_a_command_are_told(arguments, sentence):
+    with pytest.raises(ImError) as refused:
+        order_of(arguments, ["ceiling_left"])
+    assert sentence in refused.value.message
+
+
+def test_all_readers_of_files_are_here():
+    """Whoever adds a kind of file adds it above: its model is read with :func:`load_model`, or as JSON."""
+    sources = Path(__file__).resolve().parent.parent / "ros_ws" / "src"
+    callers = {
+        path.stem
+        for path in sources.glob("im_*/im_*/**/*.py")
+        if re.search(r"[ (.](load_model|load_json)\(", path.read_text())
+    }
+    known = {"deployment", "poses_file", "design", "cell", "configuration", "settings", "catalogue", "truth", "record"}
+    known |= {"covariance", "extrinsics", "laser", "intrinsics", "folder"}  # test_calibration_files.py
+    known |= {"dataset", "conflicts", "config", "jsontext"}
+    assert callers == known
