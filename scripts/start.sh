@@ -12,6 +12,8 @@
 # A second machine on this host needs another ROS_DOMAIN_ID, and another --port:
 #   ROS_DOMAIN_ID=7 scripts/start.sh --port 8081
 #
+# Other hosts reach nothing of it, unless the deployment has tasks on several hosts (docs/security.md).
+#
 # Logs: .run/im<domain>/log/<task>.log. Stop it with scripts/stop.sh.
 # Exit codes: 0 ready, 1 not started (said why; nothing is left running), 2 bad usage, deployment or calibration,
 # 130 interrupted.

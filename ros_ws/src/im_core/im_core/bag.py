@@ -11,8 +11,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from im_core.errors import DataError
-from im_core.files import MEBIBYTE, FileError, check_regular, printable, read_text
+from im_core.errors import DataError, printable
+from im_core.files import MEBIBYTE, FileError, check_regular, read_text
 from im_core.yamltext import YamlError, read_yaml
 
 METADATA = "metadata.yaml"

@@ -18,8 +18,8 @@ class ImError(Exception):
     default_code = "error"
 
     def __init__(self, message: str, *, code: str | None = None, **facts: object) -> None:
-        super().__init__(message)
-        self.message = message
+        self.message = printable(message)
+        super().__init__(self.message)
         self.code = code or self.default_code
         self.facts: dict[str, object] = dict(facts)
 
@@ -144,6 +144,11 @@ class NotFoundError(ImError):
         hint = f"; did you mean '{near}'?" if near else ""
         listed = f" (known: {', '.join(names)})" if names else ""
         super().__init__(f"there is no {kind} {name!r}{hint}{listed}", kind=kind, name=name, known=names)
+
+
+def printable(text: str) -> str:
+    """A text as every log and message can hold it: what is no character of UTF-8, and zeros, are written out."""
+    return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

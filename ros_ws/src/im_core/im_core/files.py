@@ -6,7 +6,7 @@ import stat
 import threading
 from pathlib import Path
 
-from im_core.errors import DataError, StoreError
+from im_core.errors import DataError, StoreError, printable
 
 MEBIBYTE = 2**20
 LARGEST = 64 * MEBIBYTE
@@ -33,11 +33,6 @@ class FileError(DataError):
         where = ":".join([shown, *(str(each) for each in (line, column) if each is not None)])
         super().__init__(f"{where}: {sentence}", file=shown, line=line, column=column)
         self.sentence, self.line, self.column = sentence, line, column
-
-
-def printable(text: str) -> str:
-    """A text as every log and message can hold it: what is no character of UTF-8, and zeros, are written out."""
-    return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
 
 
 def read_bytes(path: str | Path, largest: int = LARGEST) -> bytes:

@@ -5,7 +5,8 @@ import math
 import re
 from pathlib import Path
 
-from im_core.files import LARGEST, FileError, printable, read_text
+from im_core.errors import printable
+from im_core.files import LARGEST, FileError, read_text
 
 MAX_DEPTH = 40
 MAX_VALUES = 5_000_000

@@ -41,3 +41,12 @@ def test_machines_differ_by_domain(domain: str, expected: str, tmp_path: os.Path
         assert instance() == expected
         assert run_dir().is_dir()
         assert results_dir().is_dir()
+
+
+@pytest.mark.parametrize("name", ["\ud800", "a\0b", "\udfff\0"])
+def test_a_message_can_be_published_whatever_it_speaks_of(name: str) -> None:
+    """Half a character ends the process of whoever publishes it; a zero cuts the text."""
+    message = ImError(f"there is no camera {name}").message
+    assert "\0" not in message
+    assert message.encode().decode() == message
+    assert str(StateError(name)) == StateError(name).message
