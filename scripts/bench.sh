@@ -12,6 +12,8 @@
 #   scripts/bench.sh --mcs tick line    only those; --mcs --help tells what there is
 #   scripts/bench.sh --vss              instead: vision: frames and answers a second, and where the time goes
 #   scripts/bench.sh --vss frames       only that; --vss --help tells what there is
+#   scripts/bench.sh --soak             instead: does anything grow? 200 calibrations in a row, hours; --soak --runs 20: fewer
+#   scripts/bench.sh --soak --minutes 60   and with random commands in real time, for an hour
 #
 # The peers (SNAKES, libpetri, pm4py) are installed once, from bench/peers/requirements.txt into .venv-peers, an
 # environment of their own; without the network their rows say so, and the others are measured.
@@ -40,7 +42,7 @@ part=""
 arguments=()
 for argument in "$@"; do
   case "$argument" in
-    --nets | --mcs | --vss)
+    --nets | --mcs | --vss | --soak)
       [[ -z "$part" || "$part" == "${argument#--}" ]] || die 2 "--$part and $argument are two benchmarks; name one"
       part="${argument#--}"
       ;;

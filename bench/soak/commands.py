@@ -1,0 +1,133 @@
+"""Commands for a machine that runs for long: calibrations one after another, or what a day brings, from a seed."""
+
+import json
+import random
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rclpy.action import ActionClient
+
+from im_bringup.ros.calibrate_camera import CalibrateCameraClient
+from im_core import clock, config
+from im_core.errors import StateError, WaitTimeoutError
+from im_core.ros.guard import GuardedActionClient
+from im_msgs.action import ExecuteCommand
+
+ANSWER_S = 600.0
+_FEWEST = 12
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a command ended.
+
+    Attributes:
+        name: What was asked.
+        as_it_should: Whether it ended as it should: with success, or refused, or cancelled.
+        message: What it said.
+        duration_s: Wall time [s].
+    """
+
+    name: str
+    as_it_should: bool
+    message: str
+    duration_s: float
+
+
+class Commander(CalibrateCameraClient):
+    """Commands the dispatcher, through its service and its action.
+
+    Args:
+        seed: Of the random choices.
+    """
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(progress=None)
+        self._random = random.Random(seed)
+        self._execute: ActionClient = GuardedActionClient(self, ExecuteCommand, "/dispatcher/execute")
+        self._folder = tempfile.TemporaryDirectory(prefix="im_soak_")
+        poses = config.package_file("im_dispatcher", "poses/ceiling_40.yaml")
+        self._poses: dict[str, Any] = yaml.safe_load(poses.read_text(encoding="utf-8"))
+
+    def destroy_node(self) -> None:
+        """Remove the poses files that were made."""
+        self._folder.cleanup()
+        destroy: Callable[[], None] = super().destroy_node  # rclpy says no types
+        destroy()
+
+    def whole_calibration(self) -> Outcome:
+        """Calibrate the ceiling cameras with all poses of the cell."""
+        began = clock.monotonic()
+        answer = self.calibrate([], "")
+        return Outcome("calibration", answer.success, answer.message, clock.monotonic() - began)
+
+    def any_command(self) -> Outcome:
+        """One of what a day brings."""
+        kinds = (self._short, self._grip, self._cancelled, self._refused)
+        (kind,) = self._random.choices(kinds, weights=(3, 3, 2, 2))
+        return kind()
+
+    def _short(self) -> Outcome:
+        return self._outcome("calibration of few poses", {"poses_file": self._some_poses()}, self._succeeded)
+
+    def _cancelled(self) -> Outcome:
+        arguments = {"poses_file": self._some_poses()}
+        after_s = self._random.uniform(0.2, 8.0)
+        return self._outcome("cancelled calibration", arguments, lambda result: not result.success, after_s)
+
+    def _refused(self) -> Outcome:
+        return self._outcome("unknown camera", {"cameras": ["nowhere"]}, lambda result: "nowhere" in said(result))
+
+    def _grip(self) -> Outcome:
+        symbol = self._random.choice(("open_gripper", "close_gripper"))
+        return self._outcome(symbol, {}, self._succeeded, symbol=symbol)
+
+    @staticmethod
+    def _succeeded(result: Any) -> bool:
+        return bool(result.success)
+
+    def _some_poses(self) -> str:
+        first = self._random.randrange(len(self._poses["poses"]) - _FEWEST)
+        path = Path(self._folder.name) / f"from_{first}.yaml"
+        some = {**self._poses, "poses": self._poses["poses"][first : first + _FEWEST]}
+        path.write_text(yaml.safe_dump(some), encoding="utf-8")
+        return str(path)
+
+    def _outcome(
+        self,
+        name: str,
+        arguments: Mapping[str, object],
+        right: Callable[[Any], bool],
+        cancel_after_s: float | None = None,
+        symbol: str = "calibrate_camera",
+    ) -> Outcome:
+        began = clock.monotonic()
+        goal = ExecuteCommand.Goal(symbol=symbol, arguments=json.dumps(dict(arguments)))
+        if not self._execute.wait_for_server(ANSWER_S):
+            raise WaitTimeoutError(what="the action of the dispatcher", seconds=ANSWER_S)
+        handle = self._done(self._execute.send_goal_async(goal))
+        if not handle.accepted:
+            raise StateError(f"{name}: the dispatcher did not accept the goal")
+        answer = handle.get_result_async()
+        if cancel_after_s is not None:
+            clock.sleep(cancel_after_s)
+            self._done(handle.cancel_goal_async())
+        result = self._done(answer).result
+        return Outcome(name, right(result), said(result), clock.monotonic() - began)
+
+    def _done(self, future: Any) -> Any:
+        deadline = clock.monotonic() + ANSWER_S
+        while not future.done():
+            if clock.monotonic() > deadline:
+                raise WaitTimeoutError(what="an answer of the dispatcher", seconds=ANSWER_S)
+            clock.sleep(0.02)
+        return future.result()
+
+
+def said(result: Any) -> str:
+    """What a command said."""
+    return str(json.loads(result.results or "{}").get("message", "")) or str(result.status.message)

@@ -1,0 +1,165 @@
+"""What a machine holds at a moment, and whether that grows: a straight line through the samples, and its error."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from bench.figures import Line
+from bench.usage import memory_mib
+from im_core import names
+
+WEEK_S = 7 * 86_400.0
+_SHM = Path("/dev/shm")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What all processes of a machine hold together.
+
+    Attributes:
+        at_s: When, since the first command began [s].
+        duration_s: How long the command before it took [s].
+        memory: PSS [MiB].
+        descriptors: Open files.
+        threads: Threads.
+        shm: Of this machine's and of Fast DDS's files in ``/dev/shm`` [MiB].
+        disk: Folder of logs, journals and data objects [MiB].
+    """
+
+    at_s: float
+    duration_s: float
+    memory: float
+    descriptors: float
+    threads: float
+    shm: float
+    disk: float
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A field of :class:`Sample` that is judged.
+
+    Attributes:
+        name: The field.
+        unit: Its unit.
+        week: Growth in a week that is no trouble.
+    """
+
+    name: str
+    unit: str
+    week: float
+
+
+#: What a week may add: a quarter of a machine's memory, no files, threads or shared memory to speak of, a start's disk.
+QUANTITIES = (
+    Quantity("memory", "MiB", 512.0),
+    Quantity("descriptors", "", 64.0),
+    Quantity("threads", "", 16.0),
+    Quantity("shm", "MiB", 64.0),
+    Quantity("disk", "MiB", 1024.0),
+)
+#: A command of the same kind may take so much longer after a week.
+LONGER = 0.1
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A straight line through values over time.
+
+    Attributes:
+        mean: Mean of the values.
+        slope: Growth [1/s].
+        low: Lower end of the 95 % interval of the slope [1/s]; minus infinity with fewer than three values.
+        high: Upper end [1/s].
+    """
+
+    mean: float
+    slope: float
+    low: float
+    high: float
+
+    @classmethod
+    def through(cls, at_s: Sequence[float], values: Sequence[float]) -> "Trend":
+        """Least squares; the interval is Student's, of the scatter about the line."""
+        if len(values) < 3:
+            return cls(math.nan, math.nan, -math.inf, math.inf)
+        mean, apart = float(np.mean(values)), np.subtract(at_s, np.mean(at_s))
+        spread = float(apart @ apart)
+        slope = float(apart @ np.subtract(values, mean)) / spread
+        rest = np.subtract(values, mean) - slope * apart
+        error = math.sqrt(float(rest @ rest) / (len(values) - 2) / spread)
+        reach = float(stats.t.ppf(0.975, len(values) - 2)) * error
+        return cls(mean, slope, slope - reach, slope + reach)
+
+
+def sample(pids: Iterable[int], at_s: float, duration_s: float) -> Sample:
+    """Look at processes, and at the folders of the machine of this ROS domain."""
+    found = list(pids)
+    return Sample(
+        at_s,
+        duration_s,
+        memory_mib(found),
+        float(sum(_entries(pid, "fd") for pid in found)),
+        float(sum(_entries(pid, "task") for pid in found)),
+        _mib([*_SHM.glob(f"*{names.instance()}_*"), *_SHM.glob("*fastrtps_*")]),
+        _mib(path for path in names.run_dir().rglob("*") if path.is_file()),
+    )
+
+
+def after_warm_up(samples: Sequence[Sample]) -> list[Sample]:
+    """Without the first tenth, three at least: caches fill, and modules are loaded with the first that needs them."""
+    return list(samples[max(3, len(samples) // 10) :])
+
+
+def lines(samples: Sequence[Sample]) -> list[Line]:
+    """Growth in a week of everything, as far as it is certain, with the estimate and its interval.
+
+    The bar is for what has surely grown: the lower end of the 95 % interval. A run that is too short proves nothing,
+    and its wide interval says so.
+    """
+    used = after_warm_up(samples)
+    at_s = [each.at_s for each in used]
+    result = []
+    for quantity in QUANTITIES:
+        trend = Trend.through(at_s, [getattr(each, quantity.name) for each in used])
+        result += _of(quantity.name, quantity.unit, trend, quantity.week)
+    trend = Trend.through(at_s, [each.duration_s for each in used])
+    return result + _of("duration of a command", "s", trend, LONGER * trend.mean)
+
+
+def _of(name: str, unit: str, trend: Trend, bar: float) -> list[Line]:
+    if not math.isfinite(trend.low):
+        return [Line(f"{name}, in a week", None, unit, against="too few commands: three after the warm-up are needed")]
+    week = [WEEK_S * slope for slope in (trend.slope, trend.low, trend.high)]
+    estimate = f"estimate {week[0]:+.3g}, 95 %: {week[1]:+.3g} to {week[2]:+.3g}"
+    sure = max(0.0, week[1])
+    return [
+        Line(f"{name}, mean", trend.mean, unit),
+        Line("  surely grown in a week", sure, unit, bar=bar, against=estimate),
+    ]
+
+
+def table(samples: Sequence[Sample]) -> list[dict[str, float]]:
+    """All samples, for the file of the figures."""
+    return [{field.name: getattr(each, field.name) for field in fields(Sample)} for each in samples]
+
+
+def _entries(pid: int, folder: str) -> int:
+    try:
+        return len(list(Path(f"/proc/{pid}/{folder}").iterdir()))
+    except OSError:
+        return 0
+
+
+def _mib(paths: Iterable[Path]) -> float:
+    total = 0
+    for path in paths:
+        try:
+            total += 512 * path.stat().st_blocks
+        except OSError:  # it has gone
+            continue
+    return total / 2**20

@@ -1,0 +1,76 @@
+"""The judgement of growth, against lines whose slope is known."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.soak.samples import WEEK_S, Sample, Trend, after_warm_up, lines, sample
+
+FLAT = Sample(0.0, 10.0, 1000.0, 300.0, 180.0, 220.0, 3.0)
+
+
+def run(count=60, noise=0.0, **growth_a_week):
+    """Samples ten seconds apart; the first three hold less, as a machine that has just begun."""
+    rng = np.random.default_rng(1)
+    made = []
+    for number in range(count):
+        at_s = 10.0 * number
+        grown = {name: getattr(FLAT, name) + week * at_s / WEEK_S for name, week in growth_a_week.items()}
+        memory = grown.pop("memory", FLAT.memory) + noise * rng.standard_normal() - (100.0 if number < 3 else 0.0)
+        made.append(replace(FLAT, at_s=at_s, memory=memory, **grown))
+    return made
+
+
+def judged(samples):
+    found = lines(samples)
+    return {found[k].name.partition(",")[0]: found[k + 1] for k in range(0, len(found), 2)}
+
+
+def test_what_stays_the_same_is_flat_and_the_first_commands_do_not_count():
+    assert all(line.met for line in judged(run()).values())
+    assert len(after_warm_up(run(100))) == 90
+    assert len(after_warm_up(run(5))) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "week"), [("memory", 2000.0), ("descriptors", 1e3), ("threads", 100.0), ("shm", 200.0), ("disk", 4e3)]
+)
+def test_what_grows_is_named_and_nothing_else(name, week):
+    verdict = judged(run(**{name: week}))
+    assert [each for each, line in verdict.items() if not line.met] == [name]
+    assert verdict[name].value == pytest.approx(week, rel=1e-6)
+
+
+def test_scatter_is_no_growth_and_a_short_run_proves_nothing():
+    noisy = judged(run(noise=5.0))["memory"]
+    assert noisy.met
+    assert "estimate" in noisy.against
+    few = lines(run(5, memory=1e9))
+    assert {line.value for line in few} == {None}
+    assert "too few commands" in few[0].against
+
+
+def test_the_interval_is_that_of_student():
+    rng = np.random.default_rng(2)
+    at_s = np.arange(20.0)
+    inside = 0
+    for _ in range(400):
+        trend = Trend.through(at_s, 3.0 + 0.5 * at_s + rng.standard_normal(20))
+        inside += trend.low <= 0.5 <= trend.high
+    assert 0.92 < inside / 400 < 0.98
+
+
+def test_a_sample_is_of_the_processes_that_are_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    (tmp_path / "log").write_bytes(bytes(2**20))
+    before = sample([os.getpid()], 1.0, 2.0)
+    files = [(tmp_path / "log").open("rb") for _ in range(5)]
+    after = sample([os.getpid(), 2**30], 1.0, 2.0)
+    for file in files:
+        file.close()
+    assert after.descriptors - before.descriptors == 5
+    assert (after.at_s, after.duration_s) == (1.0, 2.0)
+    assert after.threads >= 1
+    assert after.disk == pytest.approx(1.0)
