@@ -15,6 +15,8 @@ from im_mcs.planning.trajectory import Setpoint, Trajectory
 _LEAST = 1e-6
 # Path ahead whose direction is judged at once, anew when half of it has passed: stops end within the other half [s].
 _JUDGED_S = 3.0
+# While a ramp has longer than this to go [s], one is sought at each knot that takes this share of it.
+_LONG_S, _QUICKER = 0.4, 0.8
 
 Ahead = Callable[[float], NDArray[np.float64]]
 """Place on a curved path that is reached in some seconds, if nothing changes, shape (n,)."""
@@ -25,8 +27,8 @@ class PathFollower:
 
     Attributes:
         trajectory: What is followed.
-        between: Setpoints of the ticks between the last knot and the one before it, shape (ticks - 1, n) each, while
-            the rate stays: a quintic through both knots would pass the limit of jerk where the trajectory's jumps.
+        between: Setpoints of the ticks between the last knot and the one before it, shape (ticks - 1, n) each: a
+            quintic through both knots would pass the limit of jerk where that of the motion jumps.
 
     Args:
         trajectory: Begins at the present setpoint, as seen at ``rate``.
@@ -88,14 +90,16 @@ class PathFollower:
             self._change(rate)
             if self._brake is not None:
                 return self._braked(*self._brake)
+        elif self._clock.ramp_s - self._t > _LONG_S:
+            self._hasten()
         ticks, steady = self._divisor, self._t >= self._clock.ramp_s
         if self.rate > _LEAST and steady:
             left = (self.trajectory.duration - self.sigma) / (self.rate * self._tick_s)
             ticks = min(max(math.ceil(left - _LEAST), 1), ticks)
-        if steady and ticks > 1 and self._clock.rate > 0.0:
-            later = np.arange(1, ticks, dtype=np.float64) * (self._tick_s * self._clock.rate)
-            s = self.trajectory.span(np.asarray(self.sigma + later, dtype=np.float64))
-            self.between = scaled(s, self._clock.rate, 0.0)
+        if ticks > 1 and (not steady or self._clock.rate > 0.0):
+            sigma, rate_then, change = self._clock.span(self._t + self._later(ticks))
+            s = self.trajectory.span(np.minimum(sigma, self.trajectory.duration))
+            self.between = scaled(s, rate_then[:, None], change[:, None])
         self._t += ticks * self._tick_s
         self.sigma, self.rate, self.rate_change = self._clock.at(self._t)
         if self.sigma >= self.trajectory.duration - _LEAST * self._tick_s:
@@ -119,6 +123,8 @@ class PathFollower:
         """Brake on a straight stretch; whatever rate is wanted then counts from where it has come to rest."""
         left = (brake.duration - self._t) / self._tick_s
         ticks = min(max(math.ceil(left - _LEAST), 1), self._divisor)
+        if ticks > 1:
+            self.between = brake.span(self._t + self._later(ticks))
         self._t += ticks * self._tick_s
         share = min(self._t / brake.duration, 1.0)
         self.rate, self.rate_change = self._rate_before * (1.0 - share), 0.0
@@ -129,6 +135,10 @@ class PathFollower:
         else:
             self._now = brake.at(self._t)
         return self._now, ticks
+
+    def _later(self, ticks: int) -> NDArray[np.float64]:
+        """Times of the ticks before the next knot, from now, shape (ticks - 1,) [s]."""
+        return np.asarray(np.arange(1, ticks) * self._tick_s, dtype=np.float64)
 
     def _change(self, rate: float) -> None:
         if rate == 0.0 and self._now is not None:
@@ -143,6 +153,14 @@ class PathFollower:
         if clock is not None:
             self._clock, self._t = clock, 0.0
             self.rate, self.rate_change = clock.at(0.0)[1:]
+
+    def _hasten(self) -> None:
+        """Go over to a quicker ramp: the slower the motion is already, the more the limits leave for its change."""
+        self._waited_s += self._divisor * self._tick_s
+        state = self.sigma, self.rate, self.rate_change
+        clock = self._governor.change(self.trajectory, state, self._clock.rate, self._waited_s)
+        if clock is not None and clock.ramp_s < _QUICKER * (self._clock.ramp_s - self._t):
+            self._clock, self._t = clock, 0.0
 
 
 class Standing:

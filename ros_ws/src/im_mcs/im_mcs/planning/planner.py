@@ -69,9 +69,9 @@ class GroupPlanner:
     """Follows one motion after the other; between them it holds.
 
     A motion is evaluated every ``divisor`` ticks (the paper: "typically calculated at a frequency that is a multiple of
-    the servo frequency"), at *knots*, and there for the ticks up to the next one, at once. While its rate changes,
-    setpoints in between are the quintic through both knots, so that position, velocity and acceleration are
-    continuous. A motion is followed from a knot on.
+    the servo frequency"), at *knots*, and there for the ticks up to the next one, at once. Of a stream, setpoints in
+    between are the quintic through both knots, so that position, velocity and acceleration are continuous. A motion is
+    followed from a knot on.
 
     Attributes:
         setpoint: Of this tick.

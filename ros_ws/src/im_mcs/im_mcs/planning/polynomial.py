@@ -113,6 +113,15 @@ class PiecewisePolynomial:
         values[1:, t >= self.duration] = 0.0
         return Setpoint(values[0], values[1], values[2])
 
+    def jerk(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Third derivative at times ``t``, shape (m,): shape (m, n); 0 beyond the duration."""
+        i = np.clip(np.searchsorted(self.edges, t, side="right") - 1, 0, None)
+        x = (t - self.edges[i])[:, None]
+        c3, c4, c5 = self.coefficients[i, 3:].swapaxes(0, 1)
+        jerk = 6.0 * c3 + x * (24.0 * c4 + 60.0 * x * c5)
+        jerk[t >= self.duration] = 0.0
+        return np.asarray(jerk)
+
     def point(self, t: float) -> int:
         """Index of the point of the path that the motion is on its way to."""
         return self.points[min(max(bisect.bisect_right(self._starts, t) - 1, 0), len(self.points) - 1)]

@@ -10,7 +10,7 @@ which it will be evaluated, keeps the limits of every joint.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,17 +23,21 @@ from im_mcs.planning.trajectory import Setpoint, Trajectory
 
 # Ramps that are tried: change of rate and its change, as shares of what limits allow on a straight path at constant
 # speed. Where one of the two limits is used up by the trajectory itself, the other need not be low.
-_PACES = tuple((p, s) for p in (1.25, 0.9, 0.65, 0.45, 0.3, 0.15, 0.07) for s in (1.25, 0.8, 0.45, 0.3, 0.15))
-_TRIES, _TRIES_AGAIN = 15, 5
+# The gentlest need no more than the reserve, whatever the trajectory uses.
+_PACES = tuple(
+    (p, s) for p in (1.25, 0.9, 0.65, 0.45, 0.3, 0.15, 0.07, 0.03, 0.015) for s in (1.25, 0.8, 0.45, 0.3, 0.15, 0.03)
+)
+_TRIES_AGAIN = 5
 _QUICK = 2.0
 _FALL = 0.5
-# what is left between planning limits and those of the cell, and how long a stop waits for a ramp within it
+# what is left between planning limits and those of the cell, and how long a stop waits for a ramp that needs none of it
 _RESERVE = 0.05
 _WAIT_S = 0.25
-# what averages over an instant and interpolation between instants may differ by
-_TOLERANCE = 0.02
+# rounding, and what lies between the instants that are looked at
+_TOLERANCE = 5e-4
 _LOOK_AHEAD_S = 0.3
-_MOST_SAMPLES = 120
+_SAMPLES = 64
+_BESIDE_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -75,10 +79,8 @@ class Clock:
         return sigma, rate, s.a[:, 0]
 
 
-def scaled(s: Setpoint, rate: float, change: float) -> Setpoint:
-    """Motion of a trajectory's state ``s`` at a rate that changes."""
-    if rate == 1.0 and change == 0.0:
-        return s
+def scaled(s: Setpoint, rate: float | NDArray[np.float64], change: float | NDArray[np.float64]) -> Setpoint:
+    """Motion of a trajectory's state ``s`` at a rate that changes; of m states, with both of shape (m, 1)."""
     return Setpoint(s.q, s.v * rate, s.a * (rate * rate) + s.v * change)
 
 
@@ -107,8 +109,8 @@ class RateGovernor:
         """A clock that goes over to ``rate``, or None: not now, ask again.
 
         To come to a stop, or to leave one, a clock is found always: where no ramp keeps the limits (a trajectory that
-        uses them up itself) and the trajectory does not slow down of its own, the ramp that goes beyond them least,
-        after a short wait for a better one.
+        uses them up itself) and the trajectory does not slow down of its own, one that keeps those of the cell, after
+        a short wait for a better one.
 
         Args:
             trajectory: What is followed.
@@ -129,31 +131,39 @@ class RateGovernor:
             acceleration = float((self._limits.acceleration / usable).min())
             jerk = float((self._limits.jerk / usable).min())
         ways = sorted((self._estimate(abs(rate - state[1]), p * acceleration, s * jerk), p, s) for p, s in _PACES)
-        best: tuple[float, Clock] | None = None
-        for seconds, p, s in self._some(ways, waited_s):
-            slow = seconds > _QUICK * ways[0][0]
-            if slow and rate == 0.0 and waited_s < _WAIT_S:
-                break  # a stop waits a little for a quick ramp
-            clock = Clock(rate, sigma, ramp(state, rate, p * acceleration, s * jerk))
-            excess = self._excess(trajectory, clock)
-            if excess <= _TOLERANCE:
-                # a trajectory that slows down as fast as it can is left to it, until a ramp is quick
-                return None if falling and slow else clock
-            if np.isfinite(excess) and (best is None or excess < best[0]):
-                best = excess, clock
-        if best is None or falling:
-            return None
-        must = rate == 0.0 or state[1] == 0.0
-        return best[1] if must and (best[0] <= _RESERVE or waited_s >= _WAIT_S) else None
+        longest = _QUICK * ways[0][0]
+        if rate == 0.0 and waited_s < _WAIT_S:
+            ways = [way for way in ways if way[0] <= longest]  # a stop waits a little for a quick ramp
+        tried: dict[int, tuple[float, Clock]] = {}
 
-    def _some(
-        self, ways: Sequence[tuple[float, float, float]], waited_s: float
-    ) -> Sequence[tuple[float, float, float]]:
-        """Ramps to try now: many at first, then a few others each time, so that all of them have their turn."""
-        if waited_s == 0.0:
-            return ways[:: len(ways) // _TRIES]
-        step = len(ways) // _TRIES_AGAIN
-        return ways[round(waited_s / self._period) % step :: step]
+        def judge(k: int) -> float:
+            _, p, s = ways[k]
+            clock = Clock(rate, sigma, ramp(state, rate, p * acceleration, s * jerk))
+            tried[k] = self._excess(trajectory, clock), clock
+            return tried[k][0]
+
+        found = self._quickest(len(ways), judge) if waited_s == 0.0 else self._next(len(ways), judge, waited_s)
+        if found is not None:
+            # a trajectory that slows down as fast as it can is left to it, until a ramp is quick
+            return None if falling and ways[found][0] > longest else tried[found][1]
+        least, clock = min(tried.values(), key=lambda each: each[0])
+        must = (rate == 0.0 or state[1] == 0.0) and not falling and waited_s >= _WAIT_S
+        return clock if must and least <= _RESERVE else None
+
+    @staticmethod
+    def _quickest(count: int, judge: Callable[[int], float]) -> int | None:
+        """Which ramp is the quickest that keeps the limits, as far as a slower one does where a quicker one does."""
+        too_quick, slow = -1, count
+        while slow - too_quick > 1:
+            k = (too_quick + slow) // 2
+            too_quick, slow = (too_quick, k) if judge(k) <= _TOLERANCE else (k, slow)
+        return slow if slow < count else None
+
+    def _next(self, count: int, judge: Callable[[int], float], waited_s: float) -> int | None:
+        """The same of a few ramps, others each time, so that all of them have their turn."""
+        step = max(count // _TRIES_AGAIN, 1)
+        some = range(round(waited_s / self._period) % step, count, step)
+        return next((k for k in some if judge(k) <= _TOLERANCE), None)
 
     @staticmethod
     def _estimate(change: float, acceleration: float, jerk: float) -> float:
@@ -163,22 +173,36 @@ class RateGovernor:
         return change / acceleration + acceleration / jerk
 
     def _excess(self, trajectory: Trajectory, clock: Clock) -> float:
-        """How far the motion of a clock's ramp goes beyond limits, as a share of them; infinite if it goes back."""
-        step = max(self._period, clock.ramp_s / _MOST_SAMPLES)
-        t = np.asarray(np.arange(int(clock.ramp_s / step) + 3) * step, dtype=np.float64)
-        sigma, rate, change = clock.span(t)
+        """How far the motion of a clock's ramp goes beyond limits, as a share of them; infinite if it goes back.
+
+        What the trajectory does by itself is no fault of the ramp: it does so at any rate.
+        """
+        t = self._instants(trajectory, clock)
+        sigma, rate, change = (x[:, None] for x in clock.span(t))
         if rate.min() < -1e-9:
             return np.inf
-        s = trajectory.span(sigma)
-        squared = (rate * rate)[:, None]
-        own = s.a * squared
-        a = own + s.v * change[:, None]
-        jerk = np.abs(np.diff(a, axis=0)) / step
-        # a trajectory with jumps of acceleration (a cubic spline) has them at any rate
-        given = np.abs(np.diff(s.a, axis=0)) * np.maximum(squared[1:], squared[:-1]) / step
+        s = trajectory.span(sigma[:, 0])
+        own_force, own_jerk = s.a * rate**2, trajectory.jerk(sigma[:, 0]) * rate**3
+        jerk = own_jerk + 3.0 * s.a * rate * change
+        if clock.change is not None:
+            jerk += s.v * clock.change.jerk(t)
         limits = self._limits
-        speed = (np.abs(s.v) * rate[:, None] / limits.velocity).max() - 1.0
-        force = (np.abs(a) / np.maximum(limits.acceleration, np.abs(own))).max() - 1.0
-        jolt = (jerk / np.maximum(limits.jerk, given)).max() - 1.0
-        # velocity has less to do with averaging than the others: a tenth of their tolerance
-        return float(max(10.0 * speed, force, jolt))
+        speed = (np.abs(s.v) * rate / limits.velocity).max()
+        force = (np.abs(own_force + s.v * change) / np.maximum(limits.acceleration, np.abs(own_force))).max()
+        jolt = (np.abs(jerk) / np.maximum(limits.jerk, np.abs(own_jerk))).max()
+        return float(max(speed, force, jolt) - 1.0)
+
+    @staticmethod
+    def _instants(trajectory: Trajectory, clock: Clock) -> NDArray[np.float64]:
+        """Times at which a ramp is looked at, shape (m,): close to each other, and on both sides of where pieces meet.
+
+        Of a trajectory whose pieces are shorter than the steps, these do for its pieces.
+        """
+        t = np.linspace(0.0, clock.ramp_s, _SAMPLES)
+        sigma = clock.span(t)[0]
+        inner = trajectory.edges[(trajectory.edges > sigma[0]) & (trajectory.edges < sigma[-1])]
+        met = [np.interp(inner, sigma, t)] if inner.size < _SAMPLES else []
+        if clock.change is not None:
+            met.append(clock.change.edges[1:])
+        sides = [edges + side for edges in met for side in (-_BESIDE_S, _BESIDE_S)]
+        return np.asarray(np.clip(np.concatenate([t, *sides]), 0.0, clock.ramp_s))

@@ -43,6 +43,10 @@ class Trajectory(Protocol):
         """Setpoints at many times, ``t`` of shape (m,), at once: q, v and a of shape (m, n)."""
         ...
 
+    def jerk(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Third derivative at many times, shape (m,): shape (m, n); of the piece that begins where two meet."""
+        ...
+
     def point(self, t: float) -> int:
         """Index of the point of the path that the motion is on its way to at time ``t``."""
         ...
