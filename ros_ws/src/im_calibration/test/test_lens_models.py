@@ -1,6 +1,7 @@
 """Lens models: those that are chosen are estimated, those that are too small are told, with the one to take."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,10 +9,15 @@ import pytest
 from bench.calibration.kinds import HARD
 from bench.calibration.lenses import LensDesign, make_lens_scene
 from bench.calibration.score import errors
-from bench.calibration.synthetic import make_scene
+from bench.calibration.synthetic import Design, make_scene
 from im_calibration import calibrate, dataset_of
 from im_calibration.commands.calibrate_dataset import main
+from im_calibration.estimation.covariance import Covariance
+from im_calibration.estimation.unknowns import ParameterLayout
 from im_calibration.judgement.expected import rms
+from im_calibration.judgement.lenses import LensFault
+from im_calibration.judgement.neighbours import Neighbours
+from im_calibration.judgement.verdicts import judge
 from im_calibration.problem.dataset import problems
 from im_core.errors import DataError
 
@@ -88,3 +94,15 @@ def test_unknown_models_are_refused_by_field():
     ):
         with pytest.raises(DataError, match=sentence):
             problems({**content, "distortion_model": value})
+
+
+def test_a_pattern_is_told_once_with_the_lens_that_leaves_it():
+    problem = make_scene(Design(), 1).problem
+    good = replace(calibrate(problem), neighbours=Neighbours(0.62, 0.1))
+    known = Covariance(good.covariance, np.zeros(len(good.covariance), dtype=bool))
+    fault = LensFault(0, "plumb_bob", "the direction from the middle of the image", 1e-9)
+    verdicts = judge(good, problem, ParameterLayout.of(problem), known, (), (fault,))
+    why = "(p 1e-09), and neighbouring spots are off alike (correlation 0.62, of noise below 0.10)."
+    assert [verdict.reason.endswith(why) for verdict in verdicts] == [True]
+    assert replace(good, verdicts=verdicts).message.count("neighbouring spots") == 1
+    assert "no noise" not in replace(good, verdicts=verdicts).message

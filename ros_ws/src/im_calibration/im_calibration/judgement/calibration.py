@@ -193,6 +193,8 @@ class Calibration:
             return self._outcome
         condition = "If nothing else is wrong: " if misfit and self.noise.remark else ""
         pattern = self.neighbours.remark if misfit or self.noise.estimated else ""
+        if any(self.neighbours.clause in verdict.reason for verdict in self.verdicts):
+            pattern = ""  # said there, as one reason with the lens
         return " ".join(text for text in (self._outcome, f"{condition}{self.noise.remark}", pattern) if text)
 
     @property

@@ -36,14 +36,20 @@ class Neighbours:
         return self.correlation > self.limit
 
     @property
+    def clause(self) -> str:
+        """That they are alike, a clause; empty for noise."""
+        if not self.alike:
+            return ""
+        return f"neighbouring spots are off alike (correlation {self.correlation:.2f}, of noise below {self.limit:.2f})"
+
+    @property
     def remark(self) -> str:
         """What that means, in sentences; empty for noise."""
         if not self.alike:
             return ""
         return (
-            f"The residuals are no noise: neighbouring spots are off alike (correlation {self.correlation:.2f}, of "
-            f"noise below {self.limit:.2f}). Positions or lens are not as the model has them, and the cameras are "
-            "known less well than stated: check the positions, or take a model of the lens with more terms."
+            f"The residuals are no noise: {self.clause}. Positions or lens are not as the model has them, and the "
+            "cameras are known less well than stated: check the positions, or take a model of the lens with more terms."
         )
 
 

@@ -213,9 +213,10 @@ def _misfit(
 def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFault) -> Verdict:
     """A lens model that is too small, with the one to take instead."""
     name, lens = calibration.cameras[fault.camera].name, layout.lenses[fault.camera]
-    pattern = f", its residuals depend on {fault.against} (p {fault.chance:.1g})" if fault.chance < _UNLIKELY else ""
-    reason = f"The lens model {fault.model} does not fit {name}{pattern}"
-    advice = "No lens model known here does better: check the robot's kinematic parameters and what is before the lens."
+    pattern = f"its residuals depend on {fault.against} (p {fault.chance:.1g})" if fault.chance < _UNLIKELY else ""
+    why = ", and ".join(text for text in (pattern, calibration.neighbours.clause) if text)
+    reason = f"The lens model {fault.model} does not fit {name}" + f": {why}" * bool(why)
+    advice = "No lens model known here does better: check positions, robot kinematics, and what is before the lens."
     if fault.better:
         before, after = fault.held_out_px
         reason += f"; {fault.better} predicts poses from the others to {after:.2g} px instead of {before:.2g} px"
