@@ -1,4 +1,4 @@
-"""``scripts/im recover`` at ``/mcs``: whatever state it was left in, it is cold again and tells why it was not."""
+"""A loss leaves /mcs where the next reservation, or ``scripts/im recover``, brings it back; it tells what was lost."""
 
 import os
 import signal
@@ -6,11 +6,12 @@ import signal
 import pytest
 
 from im_bringup.ros.recover import RecoverClient
-from im_cell.link import PanelEnd
+from im_cell.link import PanelEnd, ServoEnd
 from im_core import names
 from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import TaskRecord, TaskRegistry
+from im_msgs.srv import ReserveGroup
 
 
 @pytest.fixture
@@ -57,3 +58,67 @@ def test_after_the_death_of_the_servo(client, recover):
     client.until(lambda: client.state() == "unconfigured")
     assert client.states[-1].reason == ""
     assert "ended with code" not in client.trigger("power_on").message
+
+
+def reserve(client):
+    return client.call(ReserveGroup, "reserve", group="left")
+
+
+def test_the_next_reservation_brings_a_dead_servo_back(client):
+    client.to_motion()
+    with PanelEnd.attach(names.instance(), 1.0) as panel:
+        os.kill(panel.servo_pid, signal.SIGKILL)
+    client.until(lambda: client.state() == "unconfigured")
+    assert not client.trigger("power_on").success  # only who begins to work brings it back
+    answer = reserve(client)
+    assert (answer.success, answer.message) == (True, "MCS is reserved")
+    assert client.trigger("power_on").success
+
+
+def test_the_next_reservation_leaves_alone_what_was_meant(client):
+    assert client.change("cleanup")
+    assert not reserve(client).success
+    assert client.change("configure")
+    client.until(lambda: client.state() == "cold")
+    assert client.trigger("estop").success
+    assert "is refused in state estopped" in reserve(client).message
+
+
+@pytest.fixture
+def lose_testbed(client):
+    """Stops the servo in motion until the testbed has left it, and lets it find out."""
+
+    def lose():
+        client.to_motion()
+        with PanelEnd.attach(names.instance(), 1.0) as panel:
+            pid, losses = panel.servo_pid, panel.servo_losses
+            os.kill(pid, signal.SIGSTOP)
+            try:
+                panel.request_time(2)
+                client.until(lambda: panel.servo_losses > losses)
+                client.until(lambda: not client.states[-1].power and client.states[-1].brakes)  # not as it was
+                with ServoEnd.attach(names.instance(), 1.0) as testbed:
+                    state = testbed.read_state()
+                    assert not state.power
+                    assert state.brakes.all()
+            finally:
+                os.kill(pid, signal.SIGCONT)
+        client.until(lambda: client.state() == "estopped" and "hangs" not in client.states[-1].reason)
+
+    return lose
+
+
+def test_the_next_reservation_after_the_testbed_was_lost(client, lose_testbed):
+    lose_testbed()
+    assert "the testbed declared the servo gone" in client.states[-1].reason
+    answer = reserve(client)
+    assert (answer.success, answer.message) == (True, "MCS is reserved")
+    assert client.trigger("power_on").success
+
+
+def test_an_operator_who_stops_after_a_loss_is_not_overruled(client, lose_testbed):
+    lose_testbed()
+    assert client.trigger("estop").success
+    assert "is refused in state estopped" in reserve(client).message
+    assert client.trigger("reset").success
+    assert reserve(client).success

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from im_core.errors import LinkError
+from im_core.errors import LinkError, StateError
 from im_mcs.state import State
 
 LEFT = slice(0, 9)
@@ -226,6 +226,13 @@ def test_a_lost_testbed_ends_the_goal(bench, target):
     bench.mcs.lose_testbed(LinkError("the testbed's physics process is gone"))
     refused(bench.reply(goal), "physics process is gone")
     assert bench.mcs.manager.state is State.ESTOPPED
+    assert bench.mcs.manager.lost
+    bench.ask("reset")
+    bench.ask("reserve", group="left")
+    bench.mcs.estop(StateError("a hand"))
+    assert not bench.mcs.manager.lost
+    bench.mcs.lose_testbed(LinkError("the testbed's physics process is gone"))
+    assert not bench.mcs.manager.lost  # stopped before for another reason
 
 
 def test_grippers(bench):

@@ -9,6 +9,8 @@ from im_core.shm import ProcessId
 class ServoEnd(LinkEnd):
     """Reads the measured state of each tick and answers it with a command."""
 
+    _attached = False
+
     def attach_servo(self, pid: int) -> None:
         """Take part in the handshake from the next tick on.
 
@@ -27,6 +29,7 @@ class ServoEnd(LinkEnd):
         self._shared.state.drain()
         view["servo_start"][()] = process.start
         view["servo_pid"][()] = pid
+        self._attached = True
         self._shared.wake.post()
 
     def wait_state(self, timeout_s: float) -> bool:
@@ -48,7 +51,8 @@ class ServoEnd(LinkEnd):
         """The measured state of the newest tick; never torn, from any process.
 
         Raises:
-            LinkError: Physics died while it wrote the state.
+            LinkError: Physics died while it wrote the state, or has declared the servo gone that reads it: power and
+                brakes are not as this servo wants them, and that is why.
         """
         view = self._shared.view
         sequence = view["sequence"]
@@ -67,6 +71,7 @@ class ServoEnd(LinkEnd):
                 gripper_force=view["gripper_force"].copy(),
             )
             if before % 2 == 0 and int(sequence) == before:
+                self._require_attached()
                 return state
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
@@ -95,6 +100,12 @@ class ServoEnd(LinkEnd):
     def detach_servo(self) -> None:
         """Leave the handshake; the testbed engages brakes and cuts power. Harmless when not attached."""
         view = self._shared.view
+        self._attached = False
         view["servo_pid"][()] = 0
         view["command_wants_time"][()] = False
         self._shared.command.post()
+
+    def _require_attached(self) -> None:
+        if self._attached and not int(self._shared.view["servo_pid"]):
+            self._attached = False
+            raise LinkError(f"the testbed declared the servo gone before tick {self.tick}")

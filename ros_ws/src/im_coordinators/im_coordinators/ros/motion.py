@@ -32,7 +32,6 @@ class MotionCoordinator(PntNode):
                 "store_position": self.store_position,
             },
             guards={
-                "mcs_cold": of_mcs(lambda _: self._mcs_state == "cold"),
                 "mcs_powered": of_mcs(lambda _: self._mcs_state in POWERED_STATES),
                 "mcs_in_motion": of_mcs(lambda _: self._mcs_state == "motion"),
                 "right_held": of_mcs(lambda _: self._held == "right"),

@@ -52,7 +52,8 @@ class MotionProgress:
 
 
 OnReply = Callable[[ServoReply], None]
-OnState = Callable[[State, str], None]
+OnState = Callable[[State, str, bool], None]
+"""Told a state, why, and whether that is because the testbed was lost."""
 OnProgress = Callable[[MotionProgress], None]
 
 
@@ -65,10 +66,12 @@ class ServoClient:
     Args:
         channel: Created by the caller, who owns it.
         time: The testbed's clock, asked for time when a request must be heard; closed with the client.
-        on_state: Told of every change of state, and why.
+        on_state: Told of every change of state, why, and whether that is because the testbed was lost.
     """
 
-    def __init__(self, channel: ServoChannel, time: TimeSource, on_state: OnState = lambda state, reason: None) -> None:
+    def __init__(
+        self, channel: ServoChannel, time: TimeSource, on_state: OnState = lambda state, reason, lost: None
+    ) -> None:
         self._channel = channel
         self._time = time
         self._on_state = on_state
@@ -180,7 +183,7 @@ class ServoClient:
 
     def _hand_out(self, message: dict[str, Any]) -> None:
         if message["event"] == "state":
-            self._on_state(State(message["state"]), str(message["reason"]))
+            self._on_state(State(message["state"]), str(message["reason"]), bool(message["lost"]))
             return
         number = int(message["id"])
         with self._lock:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from im_cell.robot import load_cell
-from im_core import names
+from im_core import clock, names
 from im_core.errors import ImError, StateError
 from im_core.ros.callers import nodes_of
 from im_core.ros.calls import pause, run_in_thread
@@ -33,6 +33,8 @@ Started = Callable[[int], None]
 
 _EVIDENCE = "mcs"
 _INTRODUCTIONS, _INTRODUCTION_S = 20, 0.05
+#: How long a testbed that was lost is waited for, and how often it is looked for [s] of wall time.
+_RECOVERY_S, _AGAIN_S = 30.0, 0.5
 #: Time for the answer of a last service to leave [s].
 _ANSWERED_S = 0.5
 _LIFECYCLE = {Event.POWER_ON: "activate", Event.POWER_OFF: "deactivate"}
@@ -245,6 +247,26 @@ class McsAccess:
         else:
             await self.request(event)
         return f"MCS is {self.state.value}"
+
+    async def recover(self) -> None:
+        """Bring MCS back to cold if its servo has died or the testbed has left it; waits for both. Nothing moves.
+
+        An emergency stop that has any other cause stays latched.
+
+        Raises:
+            ImError: The servo cannot be started, or the testbed is not back in time; the last reason.
+        """
+        deadline = clock.monotonic() + _RECOVERY_S
+        while self.keeper.lost:
+            try:
+                if self.keeper.stop_cause:
+                    await self.transition(Event.RESET)
+                else:
+                    await self.lifecycle.change("configure")
+            except ImError:
+                if clock.monotonic() > deadline:
+                    raise
+                await pause(self.node, _AGAIN_S)
 
     async def repartition(self, preset: str) -> None:
         """Divide the joints into groups anew.

@@ -90,8 +90,18 @@ def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> Gr
     return message
 
 
-def mcs_state(config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None) -> McsState:
-    """``im_msgs/McsState``."""
+def mcs_state(
+    config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, measured: bool
+) -> McsState:
+    """``im_msgs/McsState``.
+
+    Args:
+        config: Configuration.
+        state: State of MCS.
+        reason: Why it is there, or empty.
+        snapshot: What the servo told last, None if there is none.
+        measured: Whether that is so now: else power and brakes are told as they are without a servo.
+    """
     message = McsState(
         state=state.value, reason=reason, brakes=True, preset=config.preset, period=config.servo.period_s
     )
@@ -100,7 +110,7 @@ def mcs_state(config: McsConfig, state: State, reason: str, snapshot: NDArray[np
     groups = [group_status(config, row, snapshot) for row in snapshot["groups"] if text(row["name"]) in config.groups]
     held = snapshot["brakes"][snapshot["reserved"]]
     message.stamp = time(int(snapshot["stamp_ns"]))
-    if snapshot["linked"]:  # else nobody measures: what is commanded stands there, and the reason says so
+    if measured:  # else what stands there is old, or only commanded, and the reason says so
         message.power = bool(snapshot["power"])
         message.brakes = bool(held.all()) if held.size else bool(snapshot["brakes"].all())
     message.groups = groups

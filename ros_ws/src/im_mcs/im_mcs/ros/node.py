@@ -94,7 +94,8 @@ class McsNode(ManagedNode):
 
     def _publish_state(self) -> None:
         snapshot = self._mcs.client().snapshot() if self._mcs.keeper.running else None
-        self._topics.state(self._mcs.config, self._mcs.state, self._mcs.keeper.reason, snapshot)
+        keeper = self._mcs.keeper
+        self._topics.state(self._mcs.config, self._mcs.state, keeper.reason, snapshot, keeper.measures)
 
     def _publish_diagnostics(self) -> None:
         mcs = self._mcs

@@ -44,9 +44,11 @@ class Publishers:
         self._description = node.create_publisher(String, "/robot_description", qos.LATCHED)
         self._description.publish(String(data=urdf(model.cell, limits=limits.enforced())))
 
-    def state(self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None) -> None:
-        """``/mcs/state``."""
-        self._state.publish(messages.mcs_state(config, state, reason, snapshot))
+    def state(
+        self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, measured: bool
+    ) -> None:
+        """``/mcs/state``; arguments as of :func:`im_mcs.ros.messages.mcs_state`."""
+        self._state.publish(messages.mcs_state(config, state, reason, snapshot, measured))
 
     def joints(self, samples: list[dict[str, Any]]) -> None:
         """``/joint_states`` of every sample of the servo, ``/tf`` of the last."""

@@ -67,6 +67,7 @@ class StateServices:
             offer(access, Trigger, f"/mcs/{event.value}", self._on_trigger(event))
 
     async def _reserve(self, request: ReserveGroup.Request, _: object, client: str) -> str:
+        await self._mcs.recover()  # work begins here: what was lost since the last is looked for
         await self._mcs.request(Event.RESERVE, await self._reservation(request, client))
         return f"MCS is {self._mcs.state.value}"
 

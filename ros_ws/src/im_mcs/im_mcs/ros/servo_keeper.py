@@ -112,6 +112,7 @@ class ServoKeeper:
         self._node, self._lifecycle = node, lifecycle
         self._circuits = circuits
         self._stop_cause, self._stops = "", 0
+        self._testbed_lost = self._servo_lost = False
         self._silence_s = silence_s
         self._reason = ""
         self._hang: LinkError | None = None
@@ -119,7 +120,7 @@ class ServoKeeper:
         self._changed = changed
         self._owner: ServoOwner | None = None
         self._starting: tuple[ServoOwner, Promise] | None = None
-        self._changes: deque[tuple[State, str]] = deque()
+        self._changes: deque[tuple[State, str, bool]] = deque()
 
     @property
     def running(self) -> bool:
@@ -135,6 +136,19 @@ class ServoKeeper:
         what = self._reason if self._hang is None else self._hang.message
         latched = f"an emergency stop is latched ({self._stop_cause}); reset it (/mcs/reset)"
         return "; ".join(filter(None, (what, latched if self._stop_cause else "")))
+
+    @property
+    def lost(self) -> bool:
+        """Whether MCS would be cold but for a loss: its servo died, or the testbed left it; nobody has stopped it."""
+        if self._owner is None:
+            stopped = bool(self._stop_cause) and not self._testbed_lost
+            return self._servo_lost and not stopped and self._lifecycle.state == "unconfigured"
+        return self._testbed_lost and self.state is State.ESTOPPED
+
+    @property
+    def measures(self) -> bool:
+        """Whether what the servo told last is measured: it gives signs of life, and the testbed answers it."""
+        return self._owner is not None and self._hang is None and bool(self._owner.client.snapshot()["linked"])
 
     @property
     def stop_cause(self) -> str:
@@ -188,7 +202,7 @@ class ServoKeeper:
             await self._starting[1]
         except ImError as error:
             owner.close()
-            self._reason = error.message
+            self._reason, self._servo_lost = error.message, True
             raise
         finally:
             self._starting = None
@@ -200,6 +214,7 @@ class ServoKeeper:
         The servo stops in its next tick. If it does not say so soon, power goes by the stop circuits.
         """
         self._stops += 1
+        self._testbed_lost = False
         self._latch(reason)
         if self._owner is None:
             return f"{self.reason}; {self._circuits.cut()}"
@@ -237,7 +252,7 @@ class ServoKeeper:
             if self._stops != stops:
                 raise StateError("reset was overtaken by another emergency stop", request=Event.RESET.value)
         self._circuits.restore()
-        self._stop_cause = ""
+        self._stop_cause, self._testbed_lost = "", False
         self._changed()
 
     def _latch(self, cause: str) -> None:
@@ -260,7 +275,7 @@ class ServoKeeper:
         if owner is not None:
             owner.close()
         self._changes.clear()
-        self._reason = ""
+        self._reason, self._servo_lost = "", False
 
     def poll(self) -> None:
         """Look after everything; to be called every :data:`POLL_S` in the node's loop.
@@ -279,7 +294,7 @@ class ServoKeeper:
             owner.client.give_up(error)
             self.follow()  # what it told last counts, an emergency stop above all
             self.close()
-            self._reason = error.message
+            self._reason, self._servo_lost = error.message, True
             self.follow()
             self._changed()
             return
@@ -295,8 +310,9 @@ class ServoKeeper:
         if lifecycle.state == "inactive" and wanted == "unconfigured":
             lifecycle.follow("cleanup")
         while self._changes:
-            state, self._reason = self._changes.popleft()
+            state, self._reason, lost = self._changes.popleft()
             if state is State.ESTOPPED:
+                self._testbed_lost = lost and not self._stop_cause
                 self._latch(self._reason)
             text = f"MCS is {state.value}" + (f": {self._reason}" if self._reason else "")
             logger = self._node.get_logger()
@@ -323,9 +339,9 @@ class ServoKeeper:
             self._changed()
         client.suspend(self._hang)
 
-    def _take_state(self, state: State, reason: str) -> None:
+    def _take_state(self, state: State, reason: str, lost: bool) -> None:
         """A change of state, told by the thread that listens to the servo."""
-        self._changes.append((state, reason))
+        self._changes.append((state, reason, lost))
         self._node.wake()
 
     def _await_start(self) -> None:

@@ -150,7 +150,9 @@ class Mcs:
 
     def lose_testbed(self, error: LinkError) -> None:
         """The testbed has stopped listening; whatever was powered is estopped, and what was measured is forgotten."""
+        before = self.manager.state
         self._protect(error)
+        self.manager.lost = self.manager.lost or self.manager.state is not before
         self.recorder.keep()
         self.wants_time = False
         self._velocity.reset()

@@ -174,10 +174,12 @@ class ServoProcess:
 
     def _tell_state(self) -> None:
         """A change of state is told before the answers that came with it."""
-        state = self._mcs.manager.state
+        manager = self._mcs.manager
+        state = manager.state
         if state is not self._told_state:
             self._told_state = state
-            self._pending.insert(0, {"event": "state", "state": state.value, "reason": self._mcs.manager.cause})
+            told = {"event": "state", "state": state.value, "reason": manager.cause, "lost": manager.lost}
+            self._pending.insert(0, told)
 
     def _send_events(self) -> None:
         if self._pending:

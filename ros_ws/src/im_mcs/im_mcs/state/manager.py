@@ -61,6 +61,7 @@ class StateManager:
         joints: Names of all joints.
         state: Present state.
         cause: Why MCS is in its state, though nobody asked for it; or empty.
+        lost: Whether that is an emergency stop because the testbed was lost: it is over when the testbed is back.
         power: Power commanded.
         brakes: Brakes commanded, shape (n,).
 
@@ -85,6 +86,7 @@ class StateManager:
         self.joints = joints
         self.state = State.COLD
         self.cause = ""
+        self.lost = False
         self.power = False
         self.brakes = np.ones(len(measured.q), dtype=np.bool_)
         self.reservations = Reservations(groups)
@@ -266,6 +268,7 @@ class StateManager:
         error = StateError(f"emergency stop: {reason}", reason=reason)
         error.facts.update(facts)
         running, self._running = self._running, None
+        self.lost = False
         if self.state is not State.ESTOPPED:
             self.state = target
             self.cause = reason
@@ -382,7 +385,7 @@ class StateManager:
             sentence = f"reset is refused while there is {broken}; the cause of the stop: {self.cause}"
             raise StateError(sentence, request=Event.RESET.value, broken=broken)
         self.reservations.release_all()
-        self.cause = ""
+        self.cause, self.lost = "", False
         self.state = target
 
     @staticmethod

@@ -1,0 +1,84 @@
+"""The machine under test: who its processes are, what it leaves behind, how it is started and stopped."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from im_bringup.machine import leftovers, stop
+from im_bringup.machine import record as machine
+from im_bringup.machine.start import start
+from im_bringup.tasks import deployment as deployments
+from im_core import clock, names
+from im_core.errors import StateError
+from im_core.shm import ProcessId
+
+START_S = 180.0
+#: Processes that tasks start, by the module they run.
+CHILDREN = {"im_mcs.servo": "servo", "im_sim.physics": "physics", "im_sim.cameras": "cameras"}
+_POLL_S = 0.05
+
+
+@contextmanager
+def running(factor: float, seed: int, port: int) -> Iterator[None]:
+    """A machine of this ROS domain, stopped at the end.
+
+    Raises:
+        StateError: It does not start.
+    """
+    path = deployments.default_path()
+    deployment = deployments.load(path).with_values(factor, seed, port)
+    if start(deployment, path, START_S) != 0:
+        raise StateError("the machine did not start")
+    try:
+        yield
+    finally:
+        stop.stop(say=lambda _: None)
+
+
+def roles() -> dict[str, list[ProcessId]]:
+    """Processes of the machine by what they are: tasks by name, ``servo``, ``physics``, ``cameras``, ``bootstrap``."""
+    found: dict[str, list[ProcessId]] = {}
+    for process in leftovers.processes():
+        role = _role(process.pid)
+        if role:
+            found.setdefault(role, []).append(process)
+    return found
+
+
+def await_role(role: str, timeout_s: float) -> ProcessId | None:
+    """The process of a role; None if there is none in time, as after a death from which nothing recovers."""
+    deadline = clock.monotonic() + timeout_s
+    while clock.monotonic() < deadline:
+        if role in (present := roles()):
+            return present[role][0]
+        clock.sleep(_POLL_S)
+    return None
+
+
+def shared_files() -> set[str]:
+    """Names of the machine's own blocks and semaphores in ``/dev/shm``."""
+    return {name for name in os.listdir("/dev/shm") if name.removeprefix("sem.").startswith(f"{names.instance()}_")}
+
+
+def journal_of(task: str) -> Path | None:
+    """The newest file of a task's journal, None if it keeps none."""
+    folder = Path(_run_dir()) / "journal" / task
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return max(files, key=lambda path: path.stat().st_mtime_ns, default=None)
+
+
+def _run_dir() -> str:
+    record = machine.read()
+    return str(names.run_dir()) if record is None else record.run_dir
+
+
+def _role(pid: int) -> str:
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+    except OSError:
+        return ""
+    if "-m" in words:
+        return CHILDREN.get(words[words.index("-m") + 1], "")
+    program = Path(words[1]) if len(words) > 1 else Path()
+    return program.name if program.parent.parent.name == "lib" else ""

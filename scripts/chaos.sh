@@ -1,0 +1,20 @@
+#!/usr/bin/env bash
+# Throws faults at a running machine and judges what it does about them: starts it, runs calibrate_camera with few poses
+# again and again, and meanwhile kills and stops its processes at moments drawn from a seed.
+#
+#   scripts/chaos.sh --minutes 10            as many injections as fit in
+#   scripts/chaos.sh --injections 500        so many
+#   scripts/chaos.sh --seed 42 --injections 1    repeats the injection that was told as 42
+#   scripts/chaos.sh --kinds kill --roles servo mcs --injections 20    only these; --help tells what there is
+#   scripts/chaos.sh --factor 1              in real time
+#
+# Each injection must end with a true answer to the command (success, or a reason that names who failed), the next
+# command must succeed without a restart of the machine, and nothing may be left behind. Prints a table fault x outcome.
+# Exit codes: 0 no failure, 1 failures (each with its seed), 2 bad usage, 130 interrupted.
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+if wants_help "$@"; then help; fi
+"$IM_ROOT/scripts/setup.sh"
+im_env
+export PYTHONPATH="$IM_ROOT:$PYTHONPATH"
+exec "$IM_VENV/bin/python" -m bench.chaos "$@"
