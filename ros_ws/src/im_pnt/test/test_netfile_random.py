@@ -71,7 +71,8 @@ def nets(draw_):
         data_object = draw_(st.none() | shown)
         on_invalid = tuple(draw_(place_names)) if data_object is not None else ()
         capacity = None if room is None else tokens + room
-        places[name] = Place(name, tokens, capacity, data_object, on_invalid, draw_(st.booleans()))
+        remote, resource = draw_(st.booleans()), draw_(st.none() | st.booleans())
+        places[name] = Place(name, tokens, capacity, data_object, on_invalid, remote, resource)
     escalate = draw_(st.none() | place)
     transitions = {}
     for name in draw_(st.lists(names, min_size=1, max_size=4, unique=True)):

@@ -17,7 +17,7 @@ KEYS = {
     "NetFile": "net description escalate include templates use places services rest transitions",
     "TemplateFile": "parameters places services rest transitions",
     "UseFile": "template for with",
-    "PlaceFile": "tokens capacity data_object on_invalid remote",
+    "PlaceFile": "tokens capacity data_object on_invalid remote resource",
     "ServiceFile": "entry done failed",
     "TransitionFile": "in out inhibitors guard symbol emit action service goal topic request on_failure on_doubt "
     "timeout delay success weight strategy priority",

@@ -150,9 +150,11 @@ class ConflictResolution:
             and transition.symbol is None
             and index not in self.delayed
             and not self._enabling.contended[index]
+            and index not in rule.choosy
         )
         self._tokens = rule.tokens
         self._conditions = any(t.guard is not None or t.symbol is not None for t in self._transitions)
+        self._owners: dict[int, Job | None] = {}
         guards = ((t.symbol, t.guard) for t in self._transitions)
         self._conditions_of = [
             (symbol, guard.name, guard.negated, (guard.name, id(None))) if guard else (symbol, None, False, ("", 0))
@@ -203,13 +205,13 @@ class ConflictResolution:
         Returns:
             The one that is to fire, None where guards and symbols hold all of them back.
         """
-        self._verdicts.clear()
+        self._begin_decision()
         rivals = self._enabling.rivals(index)
         if not rivals:
             return index if self.eligible(index) else None
         candidates = [index, *rivals]
         may = self.eligible if self.barred or self.delayed else self._lets
-        if self._conditions or self.barred or self.delayed:
+        if self._conditions or self.barred or self.delayed or self._tokens.queues:
             candidates = list(filter(may, candidates))
         if self._flat:
             winner = candidates[0] if len(candidates) == 1 else self.draw(candidates) if candidates else None
@@ -227,9 +229,13 @@ class ConflictResolution:
                 return winner
         return None
 
+    def _begin_decision(self) -> None:
+        self._verdicts.clear()
+        self._owners.clear()
+
     def may_fire(self, index: int) -> bool:
         """Whether a transition could be chosen by a decision of its own: eligible, and no rival goes first."""
-        self._verdicts.clear()
+        self._begin_decision()
         rank = self._rank
         if self._enabling.unmet[index] or not self.eligible(index):
             return False
@@ -237,7 +243,7 @@ class ConflictResolution:
 
     def holds(self, index: int) -> bool:
         """Whether symbol and guard of a transition let it fire, its delay aside."""
-        self._verdicts.clear()
+        self._begin_decision()
         return self._lets(index)
 
     def eligible(self, index: int) -> bool:
@@ -250,14 +256,31 @@ class ConflictResolution:
         symbol, guard, negated, unowned = self._conditions_of[index]
         if symbol is not None and not self._rule.ledger.tape.has(symbol):
             return False
-        if guard is None:
+        if not self._tokens.queues and symbol is None:
+            if guard is None or self._verdict(index, guard, NO_LINEAGE, unowned) != negated:
+                return True
+        elif self._finds_owner(index, guard, negated):
             return True
-        lineage, key = NO_LINEAGE, unowned
-        if symbol is not None or self._tokens.queues or self._rule.ledger.serving is not None:
-            lineage = self._tokens.peek_inputs(index)
-            if symbol is not None:
-                lineage = Lineage(self._rule.ledger.tape.first(symbol), lineage.failure)
-            key = (guard, id(lineage.job))
+        self._enabling.stalled.add(index)
+        return False
+
+    def _finds_owner(self, index: int, guard: str | None, negated: bool) -> bool:
+        """Whether a transition can fire for somebody whom its guard lets; keeps for whom."""
+        if guard is None and index not in self._rule.choosy:
+            return True
+        for owner in self._rule.owners(index):
+            if guard is not None:
+                lineage = self._rule.foreseen(index, owner)
+                if self._verdict(index, guard, lineage, (guard, id(lineage.job))) == negated:
+                    if lineage.job is not None:
+                        self._stalled_for.setdefault(lineage.job.number, set()).add(index)
+                    continue
+            self._owners[index] = owner
+            return True
+        return False
+
+    def _verdict(self, index: int, guard: str, lineage: Lineage, key: tuple[str, int]) -> bool:
+        """Returns what a guard says of a job; it is asked once a decision."""
         verdict = self._verdicts.get(key)
         if verdict is None:
             try:
@@ -265,12 +288,13 @@ class ConflictResolution:
             except Exception as error:  # a guard is foreign code: whatever it raises must not stop the net
                 verdict = self.guard_broke(index, lineage, error)
             self._verdicts[key] = verdict
-        if verdict == negated:
-            self._enabling.stalled.add(index)
-            if lineage.job is not None:
-                self._stalled_for.setdefault(lineage.job.number, set()).add(index)
-            return False
-        return True
+        return verdict
+
+    def owner(self, index: int) -> Job | None:
+        """Returns for whom a transition is to fire that the last decision has chosen."""
+        if not self._tokens.queues:
+            return None
+        return self._owners[index] if index in self._owners else self._rule.owners(index)[0]
 
     def draw(self, contending: Sequence[int]) -> int:
         """Takes one of several transitions by weight and probability of success."""

@@ -57,7 +57,7 @@ class _Step(NamedTuple):
         entry: What a journal is told when it fires.
         firing: What the observer is told.
         call: Of a ``t.start``: the place ``t.active``, the name of ``t.end``, what is told of it, and the function.
-        places: Numbers of all these places, ``t.active`` aside.
+        places: Numbers of all these places, ``t.active`` aside, and of the input places of the rivals.
         remote: Places of other nets that it marks, likewise; with the numbers of their tokens.
     """
 
@@ -141,9 +141,9 @@ class EventLoop:
             self._pumping = False
             self.rule.notifier.flush()
 
-    def fire(self, index: int) -> None:
-        """Fires a transition and begins its action."""
-        activity = self.rule.fire(index)
+    def fire(self, index: int, owner: Job | None) -> None:
+        """Fires a transition for a job, or for nobody, and begins its action."""
+        activity = self.rule.fire(index, owner)
         enabling = self.rule.enabling
         if enabling.crossed or enabling.clocks:
             self._delays.settle(index)
@@ -165,7 +165,7 @@ class EventLoop:
             return
         del self.operator.proposed[index]
         if self._may_fire(index):
-            self.fire(index)
+            self.fire(index, self.conflicts.owner(index))
         else:
             self.rule.notifier.troubled(f"transition {name} was confirmed, but it cannot fire any more")
 
@@ -177,14 +177,14 @@ class EventLoop:
 
     def _pump(self, limit: int) -> bool:
         fired, inbox, enabling = 0, self._inbox, self.rule.enabling
-        operator, ledger = self.operator, self.rule.ledger
+        operator = self.operator
         while fired < limit:
             if inbox:
                 self._dispatch(inbox.popleft())
                 if enabling.stalled or enabling.crossed or not self.operator.free:
                     self._after_event()
                 continue
-            if operator.free and enabling.agenda and ledger.serving is None:
+            if operator.free and enabling.agenda:
                 fired += self._sweep(limit - fired)
                 if inbox or fired >= limit:
                     continue
@@ -349,7 +349,7 @@ class EventLoop:
                     agenda.append(index)
                 index, step = winner, steps[winner]
                 if step is None or (queues and not step.places.isdisjoint(queues)):
-                    self.fire(index)
+                    self.fire(index, None)
                     return fired + 1
                 inputs, outputs, _, _, _, _, entry, firing, call, _, remote = step
             if record is not None:
@@ -448,7 +448,7 @@ class EventLoop:
             TransitionFired(transition.name),
             rule.notifier.foreseen(transition.origin, Phase.END if call is None else Phase.START),
             call,
-            frozenset(place for place, _ in arcs),
+            frozenset(place for place, _ in (*arcs, *(arc for rival in rivals for arc in compiled.inputs[rival]))),
             tuple(end.remote_outputs.items()),
         )
 
@@ -461,7 +461,7 @@ class EventLoop:
     def _decide(self, index: int) -> bool:
         """Decides about a candidate; returns whether a transition fired."""
         if self.operator.free and index in self.conflicts.certain:
-            self.fire(index)
+            self.fire(index, self.conflicts.owner(index))
             return True
         self.conflicts.barred = _NOTHING if self.operator.free else self.operator.barred
         if index in self.conflicts.delayed and self._delays.waits(index):
@@ -475,7 +475,7 @@ class EventLoop:
             return False
         if winner != index and index not in self.rule.enabling.stalled:
             self.rule.enabling.consider(index)
-        self.fire(winner)
+        self.fire(winner, self.conflicts.owner(winner))
         return True
 
     def _hold(self, index: int) -> None:

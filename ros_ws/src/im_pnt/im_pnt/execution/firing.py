@@ -4,7 +4,7 @@ What is here is deterministic: it is done again, in the same order, when a journ
 calls foreign code is elsewhere.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from im_core.errors import ImError
 from im_pnt.errors import NetError
@@ -37,6 +37,7 @@ from im_pnt.model.action import RequestAction
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place, expand, input_place
 from im_pnt.model.net import Net, Role, Transition
+from im_pnt.model.resources import resource_places
 
 DOUBT_CODE = "in_doubt"
 """Code of the error of an action of which nobody can tell what became."""
@@ -73,6 +74,7 @@ class FiringRule:
         call: A ``t.start`` whose function is being called, and since when [s]: its token is on ``t.active``, nothing
             belongs to it, and it is made an activity only where one is needed.
         callee: The activity that was made so last.
+        choosy: Transitions that tokens alone do not enable: it matters whose they are.
     """
 
     def __init__(self, net: Net, outlet: Outlet, observer: Observer, clock: Callable[[], float]) -> None:
@@ -86,7 +88,9 @@ class FiringRule:
         free = [i for i, t in enumerate(self.transitions) if t.role not in _WAITING_ROLES]
         self.ledger = Ledger()
         initial = compiled.marking_vector(self.net.initial_marking())
-        self.tokens = Tokens(compiled, free, initial, self.ledger.merge)
+        declared = {place.name for place in self.net.places.values() if place.resource}
+        resources = {self.place[name] for name in declared | resource_places(net)}
+        self.tokens = Tokens(compiled, free, initial, resources)
         self.enabling = self.tokens.enabling
         self.activities: dict[int, Activity] = {}
         self.notifier = Notifier(net.name, observer)
@@ -95,6 +99,11 @@ class FiringRule:
             symbol = self.transitions[index].symbol
             if symbol:
                 self.readers.setdefault(symbol, []).append(index)
+        ends_service = (Role.FINISH, Role.FINISH_FAILED)
+        self._finishing = frozenset(i for i, t in enumerate(self.transitions) if t.role in ends_service)
+        self.choosy = self.tokens.choosy | self._finishing
+        emitted = {each for transition in self.transitions for each in transition.emit}
+        self._answered = {s for s in self.readers if any(ends(each, s) is not None for each in emitted)}
         self.call: tuple[int, float] | None = None
         self.callee: Activity | None = None
 
@@ -114,8 +123,8 @@ class FiringRule:
             LookupError: Likewise.
         """
         match entry:
-            case TransitionFired(name):
-                self.fire(self._enabled(name))
+            case TransitionFired(name, number):
+                self._fire_again(name, number)
             case TokenArrived(place, count):
                 self.mark_place(place, count, NO_LINEAGE)
             case EndFired(number, name, error, data):
@@ -148,12 +157,18 @@ class FiringRule:
             case ModeSet() | PauseSet():
                 raise ValueError("it is for the operator of the net")
 
-    def _enabled(self, name: str) -> int:
+    def _fire_again(self, name: str, number: int | None) -> None:
         index = self.number[name]
         symbol = self.transitions[index].symbol
         if self.enabling.unmet[index] or (symbol is not None and not self.ledger.tape.has(symbol)):
             raise ValueError(f"{name} is not enabled")
-        return index
+        owners = self.owners(index)
+        if number is None:  # a journal of before may tell of a firing that took what belongs to several
+            self.fire(index, owners[0] if owners else max(self.tokens.jobs(index), key=lambda job: job.number))
+            return
+        if number not in [owner.number if owner is not None else 0 for owner in owners]:
+            raise ValueError(f"{name} is not enabled for job {number}")
+        self.fire(index, self.ledger.job(number))
 
     def _running(self, number: int, name: str) -> Activity:
         activity, index = self.activities[number], self.number[name]
@@ -200,6 +215,7 @@ class FiringRule:
         was_open = self.ledger.is_open(job)
         self.notifier.flush()
         self.ledger.close(job, error)
+        self.tokens.disown(job)
         if was_open and job.request is not None:
             self.outlet.send_reply(job.request, error, job.results)
 
@@ -257,30 +273,62 @@ class FiringRule:
         """Moves the tokens of a data object that has lost its validity."""
         for place in self.net.places.values():
             if place.data_object == name and place.on_invalid:
+                index = self.number[f"{place.name}.withdrawn"]
                 while self.enabling.tokens[self.place[place.name]]:
-                    self.fire(self.number[f"{place.name}.withdrawn"])
+                    self.fire(index, self.owners(index)[0])
 
-    def fire(self, index: int) -> Activity | None:
+    def owners(self, index: int) -> Sequence[Job | None]:
+        """Returns for whom a transition that its arcs enable can fire, oldest token first; None: for nobody."""
+        owners = self.tokens.owners(index)
+        if index in self._finishing:
+            return [owner for owner in owners if owner is None or owner is self.ledger.serving]
+        return owners
+
+    def foreseen(self, index: int, owner: Job | None) -> Lineage:
+        """Returns what a firing for a job would go on with: where the tokens are of nobody, the command it reads."""
+        symbol = self.transitions[index].symbol
+        if owner is None and symbol is not None:
+            return Lineage(self.ledger.tape.first(symbol), None)
+        return self.tokens.peek_inputs(index, owner)
+
+    def fire(self, index: int, owner: Job | None) -> Activity | None:
         """Fires an enabled transition.
+
+        Args:
+            index: Its number.
+            owner: Whose tokens it takes, one of :meth:`owners`.
 
         Returns:
             The action that is now to begin, for ``t.start``.
         """
         transition = self.transitions[index]
         if self.record is not None:
-            self.record(TransitionFired(transition.name))
-        if transition.role is Role.ACCEPT:
-            self.ledger.serving = self.tokens.first(self.place[input_place(transition.origin)]).job
-        lineage = self.tokens.take_inputs(index)
-        symbol = transition.symbol or ""
-        if symbol:
-            lineage = Lineage(self.ledger.tape.read(symbol), lineage.failure)
-            self.consider_readers(symbol)
+            first = not self.tokens.queues or owner is self.owners(index)[0]
+            number = None if first else owner.number if owner is not None else 0
+            self.record(TransitionFired(transition.name, number))
+        lineage = self.tokens.take_inputs(index, owner)
+        word: Job | None = None
+        if transition.symbol is not None:
+            word = self.ledger.tape.read(transition.symbol)
+            self.consider_readers(transition.symbol)
+            if lineage.job is None:
+                lineage, word = Lineage(word, None), None
+        activity = self._move_on(index, lineage)
+        if word is not None and word.symbol not in self._answered:
+            self.close(word, None)
+        return activity
+
+    def _move_on(self, index: int, lineage: Lineage) -> Activity | None:
+        """Does what a firing does with the tokens that it has taken."""
+        transition = self.transitions[index]
         passed_on: ImError | None = None
         match transition.role:
             case Role.START:
-                return self.begin(index, lineage, symbol)
-            case Role.ACCEPT | Role.FINISH:
+                return self.begin(index, lineage, transition.symbol or "")
+            case Role.ACCEPT:
+                self.ledger.serving = lineage.job
+                lineage = Lineage(lineage.job, None)
+            case Role.FINISH:
                 lineage = Lineage(self.ledger.serving, None)
             case Role.FINISH_FAILED:
                 passed_on = failure_of(self.ledger.serving, transition, lineage.failure)
@@ -292,9 +340,9 @@ class FiringRule:
                 passed_on = ImError(f"data object {name} lost its validity", code="data", object=name)
                 if lineage.job is not None:
                     lineage.job.last_failure = passed_on
-        self._give(index, NO_LINEAGE if lineage.job is None and passed_on is None else Lineage(lineage.job, passed_on))
+        self._give(index, Lineage(lineage.job, passed_on))
         message = str(lineage.failure) if lineage.failure is not None else ""
-        symbol = symbol or (transition.emit[0] if transition.emit else "")
+        symbol = transition.symbol or (transition.emit[0] if transition.emit else "")
         self.notifier.note(transition.name, Phase.END, lineage, symbol=symbol, message=message)
         self.emit(transition, lineage)
         return None
@@ -393,7 +441,7 @@ class FiringRule:
         elif job is not None and isinstance(activity.action, RequestAction):
             job.replies[activity.transition] = results
         self._leave(activity)
-        lineage = NO_LINEAGE if job is None and error is None else Lineage(job, error)
+        lineage = Lineage(job, error)
         self._give(index, lineage)
         transition = self.transitions[index]
         self.notifier.note(
@@ -410,6 +458,9 @@ class FiringRule:
         self.enabling.take_tokens(self.place[_PHASE_PLACES[activity.state](activity.transition)], 1)
 
     def _give(self, index: int, lineage: Lineage) -> None:
+        """Marks what a firing gives: its tokens belong to its job, where that has not ended."""
+        if lineage.job is not None and lineage.job.closed:
+            lineage = NO_LINEAGE
         self.tokens.give_outputs(index, lineage)
         for target, count in self.transitions[index].remote_outputs.items():
             self.outlet.send_token(self.net.name, target, count)

@@ -2,7 +2,7 @@
 
 import enum
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -132,7 +132,7 @@ class Job:
 
 
 class Lineage(NamedTuple):
-    """What a token carries unseen by the net: the job it belongs to, and the failure that made it."""
+    """What a token carries unseen by the net: the job it belongs to (None: nobody), and the failure that made it."""
 
     job: Job | None
     failure: ImError | None
@@ -320,22 +320,9 @@ class Ledger:
 
     def ended_by(self, emitted: str, own: Job | None) -> Job | None:
         """Returns the job that an output symbol ends: that of the firing, or the oldest begun with its symbol."""
-        if own is not None and own.from_tape and self.is_open(own) and ends(emitted, own.symbol) is not None:
-            return own
+        if own is not None and own.from_tape and ends(emitted, own.symbol) is not None:
+            return own if self.is_open(own) else None
         return next((job for job in self.begun_commands() if ends(emitted, job.symbol) is not None), None)
-
-    def merge(self, lineages: Iterable[Lineage]) -> Lineage:
-        """Makes one lineage of several: the open job that arrived last, and the first failure."""
-        job: Job | None = None
-        failure: ImError | None = None
-        for lineage in lineages:
-            failure = failure or lineage.failure
-            own = lineage.job
-            if own is not None and own.number in self._open and (job is None or own.number > job.number):
-                job = own
-        if job is None:
-            job = self.serving
-        return NO_LINEAGE if job is None and failure is None else Lineage(job, failure)
 
 
 DONE_SUFFIX = "_done"

@@ -6,10 +6,10 @@ and stays there while it is enabled, except where something else than tokens hol
 the operator): then whatever that is puts it there again.
 """
 
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections import Counter, deque
+from collections.abc import Collection, Iterable, Sequence
 
-from im_pnt.execution.jobs import NO_LINEAGE, Lineage
+from im_pnt.execution.jobs import NO_LINEAGE, Job, Lineage
 from im_pnt.model.compiled import Compiled
 
 
@@ -131,36 +131,42 @@ class Enabling:
                     found.append(rival)  # noqa: PERF401 - a comprehension is a call more
         return list(dict.fromkeys(found)) if len(contended) > 1 else found
 
+_NOBODY: tuple[Job | None, ...] = (None,)
+
 
 class Tokens:
     """Tokens, first in first out on each place; lineages are kept only on places where a token has one.
+
+    A token belongs to one job, or to nobody, as do all on places of resources. A firing takes tokens of one job at
+    most, beside those of nobody.
 
     Args:
         compiled: The expanded net.
         free: Transitions that fire when enabled.
         initial: Tokens of each place to begin with.
-        merge: Makes one lineage of those of several tokens.
+        resources: Places whose tokens belong to nobody.
 
     Attributes:
         enabling: Tokens of each place, and what they enable.
         queues: For each place that has a token with a lineage, the lineages of all its tokens in order.
+        choosy: Transitions that take several tokens which may belong to somebody: tokens alone do not enable them.
     """
 
     def __init__(
-        self,
-        compiled: Compiled,
-        free: Collection[int],
-        initial: Sequence[int],
-        merge: Callable[[Iterable[Lineage]], Lineage],
+        self, compiled: Compiled, free: Collection[int], initial: Sequence[int], resources: Collection[int]
     ) -> None:
         self.enabling = Enabling(compiled, free, initial)
         self.queues: dict[int, deque[Lineage]] = {}
         self._compiled = compiled
         self._named: dict[int, int] = {}
-        self._merge = merge
+        self._carries = [place not in resources for place in range(len(compiled.places))]
+        self._carriers = [tuple(arc for arc in inputs if self._carries[arc[0]]) for inputs in compiled.inputs]
+        self.choosy = frozenset(t for t, arcs in enumerate(self._carriers) if sum(weight for _, weight in arcs) > 1)
 
     def put_tokens(self, place: int, count: int, lineage: Lineage) -> None:
         """Puts tokens on a place."""
+        if not self._carries[place]:
+            lineage = NO_LINEAGE
         queue = self.queues.get(place)
         if queue is None and lineage is not NO_LINEAGE and lineage != NO_LINEAGE:
             queue = self.queues[place] = deque([NO_LINEAGE] * self.enabling.tokens[place])
@@ -170,27 +176,94 @@ class Tokens:
                 self._named[place] = self._named.get(place, 0) + count
         self.enabling.add_tokens(place, count)
 
-    def take_inputs(self, transition: int) -> Lineage:
-        """Takes the input tokens of an enabled transition; returns what they carried."""
-        taken: list[Lineage] = []
+    def owners(self, transition: int) -> Sequence[Job | None]:
+        """Returns for whom a transition that its arcs enable can fire, oldest token first; None: for nobody."""
+        queues = [queue for place, _ in self._carriers[transition] if (queue := self.queues.get(place)) is not None]
+        if not queues:
+            return _NOBODY
+        if len(queues) == 1 and len(queues[0]) == 1:
+            return (queues[0][0].job,)
+        oldest = list(dict.fromkeys(lineage.job for queue in queues for lineage in queue))
+        if transition not in self.choosy or len(oldest) == 1:
+            return oldest
+        held = [
+            (Counter(lineage.job for lineage in self.queues[place]), weight)
+            for place, weight in self._carriers[transition]
+            if place in self.queues
+        ]
+        return [
+            owner
+            for owner in oldest
+            if all(own[owner] + (own[None] if owner is not None else 0) >= weight for own, weight in held)
+        ]
+
+    def jobs(self, transition: int) -> list[Job]:
+        """Returns whose tokens are on the input places of a transition."""
+        queues = (self.queues.get(place, ()) for place, _ in self._carriers[transition])
+        return [lineage.job for queue in queues for lineage in queue if lineage.job is not None]
+
+    def take_inputs(self, transition: int, owner: Job | None) -> Lineage:
+        """Takes the input tokens of an enabled transition: those of a job, and where it has none, those of nobody.
+
+        Args:
+            transition: The transition.
+            owner: One of :meth:`owners`.
+
+        Returns:
+            The job, and the first failure that its tokens carried.
+        """
+        failure = None
         for place, weight in self._compiled.inputs[transition]:
             queue = self.queues.get(place)
             if queue is not None:
-                first = [queue.popleft() for _ in range(weight)]
-                taken.extend(first)
-                self._named[place] -= sum(lineage != NO_LINEAGE for lineage in first)
-                self._shorten(place)
+                if weight == 1 and queue[0].job is owner:
+                    picked = [queue.popleft()]
+                else:
+                    picked = self._pick(queue, weight, owner)
+                for job, why in picked:
+                    if job is not None or why is not None:
+                        self._named[place] -= 1
+                    if why is not None and failure is None and job is owner:
+                        failure = why
+                if not self._named[place]:
+                    del self.queues[place], self._named[place]
             self.enabling.take_tokens(place, weight)
-        return self._merge(taken)
+        return NO_LINEAGE if owner is None and failure is None else Lineage(owner, failure)
 
-    def peek_inputs(self, transition: int) -> Lineage:
-        """Returns what the tokens carry that an enabled transition would take."""
-        return self._merge(
-            self.queues[place][number]
-            for place, weight in self._compiled.inputs[transition]
-            if place in self.queues
-            for number in range(weight)
-        )
+    def peek_inputs(self, transition: int, owner: Job | None) -> Lineage:
+        """Returns what a firing for a job would take along."""
+        failure = None
+        for place, weight in self._carriers[transition]:
+            queue = self.queues.get(place)
+            if queue is not None and failure is None and any(lineage.failure is not None for lineage in queue):
+                own = [lineage.failure for lineage in queue if lineage.job is owner][:weight]
+                failure = next((each for each in own if each is not None), None)
+        return NO_LINEAGE if owner is None and failure is None else Lineage(owner, failure)
+
+    def _pick(self, queue: deque[Lineage], count: int, owner: Job | None) -> list[Lineage]:
+        """Takes the oldest tokens of a job from a queue, and then the oldest of nobody."""
+        own = [number for number, lineage in enumerate(queue) if lineage.job is owner][:count]
+        if len(own) < count:
+            spare = (number for number, lineage in enumerate(queue) if lineage.job is None)
+            own += [number for number in spare if number not in own]
+            if len(own) < count:  # a journal of before, when a firing could take what belongs to several
+                own += [number for number in range(len(queue)) if number not in own]
+        picked = [queue[number] for number in own[:count]]
+        for number in sorted(own[:count], reverse=True):
+            del queue[number]
+        return picked
+
+    def disown(self, job: Job) -> None:
+        """Leaves to nobody what belongs to a job that has ended, and decides anew about what that lets happen."""
+        for place, queue in list(self.queues.items()):
+            mine = [number for number, lineage in enumerate(queue) if lineage.job is job]
+            for number in mine:
+                queue[number] = NO_LINEAGE
+            if mine:
+                self._named[place] -= len(mine)
+                if not self._named[place]:
+                    del self.queues[place], self._named[place]
+                self.enabling.consider_stalled(t for t, _ in self._compiled.consumers[place])
 
     def first(self, place: int) -> Lineage:
         """Returns what the first token of a marked place carries."""
@@ -205,7 +278,3 @@ class Tokens:
     def marking(self) -> dict[str, int]:
         """Returns the marked places by name."""
         return self._compiled.marking(tuple(self.enabling.tokens))
-
-    def _shorten(self, place: int) -> None:
-        if not self._named[place]:
-            del self.queues[place], self._named[place]

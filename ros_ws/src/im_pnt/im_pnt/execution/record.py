@@ -41,9 +41,15 @@ class ActivityEnded(NamedTuple):
 
 
 class TransitionFired(NamedTuple):
-    """A transition that only moves tokens, one of a coordination structure, or ``t.start``, which makes an activity."""
+    """A transition that only moves tokens, one of a coordination structure, or ``t.start``, which makes an activity.
+
+    Attributes:
+        transition: Its name.
+        job: Number of the job whose tokens it takes, 0: those of nobody; None: of whom it takes them first.
+    """
 
     transition: str
+    job: int | None = None
 
 
 class PhaseFired(NamedTuple):

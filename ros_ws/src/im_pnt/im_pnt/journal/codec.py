@@ -9,7 +9,7 @@ Of a net, ``["net", name, entry]``::
     ["request_cancelled", request, error]              so should a request
     ["ended", number, error | null, results]           an action has ended
     ["mode", name]  ["pause", bool]                    how the net is operated
-    ["fire", transition]
+    ["fire", transition]  ["fire", transition, job]     for the job whose token is oldest, or for this one (0: none)
     ["phase", number, transition, error]
     ["end", number, transition, error | null, data | null]
     ["guard", job, error]
@@ -109,8 +109,8 @@ def net_encoder(net: str) -> Callable[[NetEntry], str]:
 
     def encode(entry: NetEntry) -> str:
         if isinstance(entry, TransitionFired):
-            (transition,) = entry
-            text = fired.get(transition)
+            transition, job = entry
+            text = fired.get(transition) if job is None else f"{prefix}{encode_json(_net_fields(entry))}]"
             if text is None:
                 text = fired[transition] = f"{prefix}{encode_json(_net_fields(entry))}]"
             return text
@@ -136,8 +136,8 @@ def net_encoder(net: str) -> Callable[[NetEntry], str]:
 
 def _net_fields(entry: NetEntry) -> list[object]:
     match entry:
-        case TransitionFired(transition):
-            return ["fire", transition]
+        case TransitionFired(transition, job):
+            return ["fire", transition] if job is None else ["fire", transition, job]
         case EndFired(number, transition, failure, data):
             return ["end", number, transition, encode_error(failure), _data_fields(data)]
         case PhaseFired(number, transition, error):
@@ -168,6 +168,8 @@ def decode_net_entry(content: object) -> NetEntry:
         match content:
             case ["fire", str(transition)]:
                 return TransitionFired(transition)
+            case ["fire", str(transition), int(job)]:
+                return TransitionFired(transition, job)
             case ["end", int(number), str(transition), error, data]:
                 return EndFired(number, transition, decode_error(error), _data_of(data))
             case ["phase", int(number), str(transition), error]:

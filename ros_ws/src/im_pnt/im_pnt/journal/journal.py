@@ -348,6 +348,8 @@ def _replay(entry: object, exchange: Exchange, link: Link) -> None:
 # Whether a journal belongs to a net.
 
 _UNIMPORTANT = ("line", "source", "description")
+_ADDED = ("resource",)
+"""Fields that nets have not always had: where they say nothing, a net is what it was without them."""
 
 
 def fingerprint(net: Net) -> str:
@@ -370,7 +372,9 @@ def _plain(value: object) -> object:
     kind: type = type(value)
     names = _fields(kind)
     if names:
-        return [kind.__name__, {name: _plain(getattr(value, name)) for name in names}]
+        fields = {name: getattr(value, name) for name in names}
+        said = {name: _plain(each) for name, each in fields.items() if each is not None or name not in _ADDED}
+        return [kind.__name__, said]
     return repr(value)
 
 

@@ -43,6 +43,7 @@ class Place:
         data_object: Data object whose existence and validity the place stands for.
         on_invalid: Places to which its tokens go when the object loses its validity.
         remote: Whether transitions of other nets may mark it.
+        resource: Whether its tokens belong to nobody; None: see :mod:`im_pnt.model.resources`.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Place:
     data_object: str | None = None
     on_invalid: tuple[str, ...] = ()
     remote: bool = False
+    resource: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,7 +64,7 @@ class _Reader:
     def _place(self, name: str, file: PlaceFile) -> Place:
         for rank, other in enumerate(file.on_invalid):
             self._known(("places", name, "on_invalid", rank), other)
-        return Place(name, file.tokens, file.capacity, file.data_object, file.on_invalid, file.remote)
+        return Place(name, file.tokens, file.capacity, file.data_object, file.on_invalid, file.remote, file.resource)
 
     def _transition(self, name: str, file: TransitionFile) -> Transition:
         here: Location = ("transitions", name)

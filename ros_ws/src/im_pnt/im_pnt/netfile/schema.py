@@ -341,6 +341,9 @@ class PlaceFile(_Part):
     data_object: Given[Text] = Field(None, description="Data object whose existence and validity the place stands for.")
     on_invalid: Texts = Field((), description="Places to which its tokens go when the object loses its validity.")
     remote: Truth = Field(False, description="Whether transitions of other nets may mark it.")
+    resource: Given[Truth] = Field(
+        None, description="Whether its tokens belong to nobody, and carry no command; not said: it is derived."
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod

@@ -60,6 +60,8 @@ def place_data(place: Place) -> dict[str, object]:
         data["on_invalid"] = list(place.on_invalid)
     if place.remote:
         data["remote"] = True
+    if place.resource is not None:
+        data["resource"] = place.resource
     return data
 
 

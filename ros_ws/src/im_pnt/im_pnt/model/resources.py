@@ -1,0 +1,116 @@
+"""Which places hold what belongs to nobody: tools, slots and semaphores, which commands take and give back.
+
+A place of a resource is declared (``resource: true``) or derived. Derived is one that is marked initially, whose tokens
+a P-invariant brings back (a weighting of places that no firing changes, with no other place in it that is marked
+initially), and from which a transition takes only where it learns elsewhere whom it works for: from a symbol, or from a
+token of another place. ``resource: false`` says that a place is none.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from math import gcd
+
+from im_pnt.model.net import Net, Transition
+
+_MAX_ROWS = 400
+"""Rows of the working table at which a place counts as not derived; then it can be declared."""
+
+_Row = tuple[dict[int, int], frozenset[str]]
+"""What a weighting of places still changes, by outcome, and the places in it."""
+
+
+def resource_places(net: Net) -> frozenset[str]:
+    """Returns the places of resources.
+
+    Args:
+        net: A net as written.
+    """
+    declared = frozenset(place.name for place in net.places.values() if place.resource)
+    if not net.symbols() and not net.services:
+        return declared  # nothing in it belongs to anybody
+    candidates = {place.name for place in net.places.values() if place.tokens and place.resource is None}
+    while candidates:
+        mute = [
+            transition.inputs
+            for transition in net.transitions.values()
+            if transition.symbol is None and transition.inputs and declared | candidates >= transition.inputs.keys()
+        ]
+        bereft = candidates & set().union(*mute)
+        if not bereft:
+            break
+        candidates -= bereft
+    if not candidates:
+        return declared
+    outcomes = [change for each in _outcomes(net) if (change := {p: n for p, n in each.items() if n})]
+    marked = frozenset(place.name for place in net.places.values() if place.tokens)
+    return declared | {name for name in candidates if _comes_back(name, outcomes, marked - {name})}
+
+
+def _outcomes(net: Net) -> Iterator[Mapping[str, int]]:
+    """Yields how each way to fire, and whatever comes from outside, changes the tokens of the places."""
+    for transition in net.transitions.values():
+        for outputs in _ends(net, transition):
+            change = Counter(outputs)
+            change.subtract(transition.inputs)
+            yield change
+    for place in net.places.values():
+        if place.on_invalid:
+            change = Counter(place.on_invalid)
+            change[place.name] -= 1
+            yield change
+        if place.remote:
+            yield {place.name: 1}
+    for service in net.services.values():
+        yield from ({service.entry: 1}, {service.done: 1}, {service.failed: 1})
+
+
+def _ends(net: Net, transition: Transition) -> Iterator[Mapping[str, int]]:
+    yield transition.outputs
+    if transition.action is not None:
+        yield transition.on_failure or ({} if net.escalate is None else {net.escalate: 1})
+        if transition.on_doubt:
+            yield transition.on_doubt
+
+
+def _comes_back(name: str, outcomes: Sequence[Mapping[str, int]], others: frozenset[str]) -> bool:
+    """Whether a P-invariant has a place in it, and none of some others (Farkas' algorithm on what is connected)."""
+    touching: dict[str, list[int]] = {}
+    for number, change in enumerate(outcomes):
+        for place in change.keys() - others:
+            touching.setdefault(place, []).append(number)
+    rows: list[_Row] = []
+    todo, seen = [name], {name}
+    while todo:
+        place = todo.pop()
+        numbers = touching.get(place, [])
+        rows.append(({number: outcomes[number][place] for number in numbers}, frozenset((place,))))
+        near = {other for number in numbers for other in outcomes[number]} - others - seen
+        seen |= near
+        todo.extend(sorted(near))
+    while True:
+        left = Counter(number for rest, _ in rows for number in rest)
+        if not left:
+            return any(name in support for _, support in rows)
+        column = min(left, key=lambda number: (left[number], number))
+        kept = [row for row in rows if column not in row[0]]
+        gains = [row for row in rows if row[0].get(column, 0) > 0]
+        losses = [row for row in rows if row[0].get(column, 0) < 0]
+        if len(kept) + len(gains) * len(losses) > _MAX_ROWS:
+            return False
+        rows = _minimal([*kept, *(_joined(gain, loss, column) for gain in gains for loss in losses)])
+
+
+def _joined(gain: _Row, loss: _Row, column: int) -> _Row:
+    a, b = -loss[0][column], gain[0][column]
+    rest = {n: a * gain[0].get(n, 0) + b * loss[0].get(n, 0) for n in gain[0].keys() | loss[0].keys()}
+    divisor = gcd(*rest.values()) or 1
+    return {n: value // divisor for n, value in rest.items() if value}, gain[1] | loss[1]
+
+
+def _minimal(rows: list[_Row]) -> list[_Row]:
+    """Drops weightings whose places are more than those of another."""
+    found: list[_Row] = []
+    for row in sorted(rows, key=lambda row: len(row[1])):
+        if not any(support <= row[1] for _, support in found):
+            found.append(row)
+    return found
