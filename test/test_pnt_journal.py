@@ -9,12 +9,14 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from im_core import clock
 from im_core.errors import WaitTimeoutError
+from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
@@ -243,6 +245,22 @@ def test_a_journal_waits_for_the_disk_where_it_is_told_to(tmp_path, ros, monkeyp
     journal.write()
     assert bool(synced) is waits
     node.destroy_node()
+
+
+def test_a_node_goes_on_saying_what_it_has_forgotten(tmp_path, ros, wait_until):
+    (tmp_path / "front.yaml").write_text(NETS["front"])
+    first = Server("front", tmp_path)
+    first.phase_configure()
+    first.destroy_node()
+    (journal,) = (tmp_path / "journal" / "front").glob("*.journal")
+    journal.write_bytes(journal.read_bytes() + b"000000")
+    heard = []
+    node = ros(Server("front", tmp_path))
+    node.create_subscription(DiagnosticArray, "/diagnostics", lambda told: heard.extend(told.status), qos.STATUS)
+    told = wait_until(lambda: [s for s in heard if s.name == "front: journal"], "the node to say it")[0]
+    assert told.level == DiagnosticStatus.WARN
+    assert f"{journal}: the last record" in told.message
+    assert "was not written whole (6 bytes) and is dropped" in told.values[0].value
 
 
 def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_until):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from bench.figures import Line
 from bench.nets.player import Counter, never
-from im_core.clock import cpu
+from im_core.clock import cpu, monotonic
 from im_core.errors import StateError
 from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.link import Link
@@ -12,6 +12,7 @@ from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
 from im_pnt.journal.journal import Journal
+from im_pnt.journal.log import Sync
 from im_pnt.model.net import Net
 from im_pnt_analysis.simulation.families import ACTION, philosophers, ring
 
@@ -20,6 +21,7 @@ SIZES = (10, 100, 1000)
 A_TURN = 1000
 """Firings of a turn of a node."""
 _NEVER_COMPACT = 1 << 40
+_DISK_COMMITS = 300
 
 
 class Machine:
@@ -28,13 +30,14 @@ class Machine:
     Args:
         net: The net; its actions are called :data:`~im_pnt_analysis.simulation.families.ACTION`.
         folder: Folder of the journal.
+        sync: When a record counts as written.
 
     Raises:
         JournalError: The journal cannot be used.
     """
 
-    def __init__(self, net: Net, folder: Path) -> None:
-        self.journal = Journal(folder, "bench", compact_bytes=_NEVER_COMPACT)
+    def __init__(self, net: Net, folder: Path, sync: Sync = Sync.OS) -> None:
+        self.journal = Journal(folder, "bench", sync=sync, compact_bytes=_NEVER_COMPACT)
         exchange = Exchange("bench", self.journal.epoch)
         link = Link(
             "bench",
@@ -101,4 +104,11 @@ def lines(entries: int, folder: Path) -> list[Line]:
         if (again.executor.marking(), again.executor.sequence) != (marking, sequence):
             raise StateError(f"a journal of {sequence} firings brought back {again.executor.sequence}")
         found.append(Line(f"  recovery of {entries:,} entries", used, "s"))
+    for at_once in (1, 100):
+        machine = Machine(ring(PLACES), folder / f"disk_{at_once}", Sync.DISK)
+        began = monotonic()  # it waits for the disk, which is no CPU time
+        machine.fire(_DISK_COMMITS * at_once, at_once)
+        took = monotonic() - began
+        machine.journal.close()
+        found.append(Line(f"journal_sync: disk, {at_once} firings a commit", _DISK_COMMITS * at_once / took, "1/s"))
     return found

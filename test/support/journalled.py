@@ -13,6 +13,7 @@ from im_pnt.execution.functions import Functions, GuardFunction
 from im_pnt.execution.notification import Observer
 from im_pnt.journal.folder import Files
 from im_pnt.journal.journal import COMPACT_BYTES, Journal
+from im_pnt.journal.log import Sync
 from im_pnt.model.net import Net
 
 
@@ -30,6 +31,7 @@ class JournalledProcess:
         clock: Present time [s].
         observer: Is told of what happens.
         compact_bytes: Size of the journal above which a new file is begun [bytes].
+        sync: When a record counts as written.
     """
 
     def __init__(
@@ -45,10 +47,11 @@ class JournalledProcess:
         clock: Callable[[], float] = lambda: 0.0,
         observer: Observer | None = None,
         compact_bytes: int = COMPACT_BYTES,
+        sync: Sync = Sync.OS,
     ) -> None:
         observer = observer or Observer()
         self._nodes = dict(nodes or {})
-        self.journal = Journal(files, name, compact_bytes=compact_bytes, observer=observer)
+        self.journal = Journal(files, name, sync=sync, compact_bytes=compact_bytes, observer=observer)
         self.link = Link(
             name,
             self.journal.epoch,

@@ -23,6 +23,7 @@ class MemoryFiles:
         self.contents: dict[str, bytearray] = {}
         self.full = False
         self._locked = False
+        self._safe: dict[int, int] = {}
         self._steps: int | None = None
         self._part = 0.5
 
@@ -40,6 +41,17 @@ class MemoryFiles:
         other = self.copy()
         other._steps = None
         return other
+
+    def unplugged(self) -> "MemoryFiles":
+        """Returns the files as another process finds them when the computer has lost its power: the synchronised."""
+        other = self.reborn()
+        for name, content in self.contents.items():
+            del other.contents[name][self._safe.get(id(content), 0) :]
+        return other
+
+    def synchronised(self, content: bytearray) -> None:
+        """Notes that a file is on the disk as it is now."""
+        self._safe[id(content)] = len(content)
 
     def copy(self) -> "MemoryFiles":
         """Returns files with the same content, which nobody holds."""
@@ -136,6 +148,7 @@ class _MemoryFile:
 
     def sync(self) -> None:
         self._files.die_if_due()
+        self._files.synchronised(self._content)
 
     def close(self) -> None:
         pass

@@ -14,6 +14,7 @@ from im_pnt.execution.jobs import Command, CommandResult
 from im_pnt.execution.notification import Observer
 from im_pnt.journal.folder import Folder
 from im_pnt.journal.journal import GuardedRunner, Journal, fingerprint
+from im_pnt.journal.log import Sync
 from im_pnt.model.action import FunctionAction, RequestAction, TopicAction
 from im_pnt.netfile import parse_net
 from support.journalled import JournalledProcess
@@ -101,7 +102,7 @@ def test_another_net_another_node_and_another_process_are_refused():
         ([], "net n is missing"),
         ([parse_net(LINE), more], "net m is not in it"),
     ):
-        with pytest.raises(JournalError, match=rf"belongs to other nets: {what}\. .*Journal\.discard"):
+        with pytest.raises(JournalError, match=rf"belongs to other nets: {what}\. .*im pnt journal discard"):
             JournalledProcess("x", nets, files.reborn())
     assert {name: bytes(text) for name, text in files.contents.items()} == content
     assert JournalledProcess("x", [parse_net(LINE)], files.reborn()).recovered
@@ -124,7 +125,11 @@ def test_after_discard_everything_begins_anew_with_a_later_epoch(tmp_path):
     third.journal.close()
 
 
-def test_a_torn_last_record_is_dropped_and_said():
+POWER_LOST = "; if the computer lost its power, more may be missing, and an action that began may begin again"
+
+
+@pytest.mark.parametrize(("sync", "more"), [(Sync.OS, POWER_LOST), (Sync.DISK, "")])
+def test_a_torn_last_record_is_dropped_and_said(sync, more):
     files = MemoryFiles()
     process = JournalledProcess("x", [parse_net(LINE)], files)
     process.turn()
@@ -133,11 +138,12 @@ def test_a_torn_last_record_is_dropped_and_said():
     del files.contents[name][-3:]
     troubles = Troubles()
     size = len(files.contents[name])
-    again = JournalledProcess("x", [parse_net(LINE)], files.reborn(), observer=troubles)
+    again = JournalledProcess("x", [parse_net(LINE)], files.reborn(), observer=troubles, sync=sync)
     assert again.exchange.nets["n"].marking() == {"a": 3}
     start = files.contents[name].rindex(b"\n") + 1
     assert troubles.texts == [
         f"memory/{name}: the last record, at byte {start}, was not written whole ({size - start} bytes) and is dropped"
+        + more
     ]
     again.turn()
     assert again.exchange.nets["n"].marking() == {"b": 1}
@@ -457,3 +463,55 @@ def test_no_action_of_any_kind_begins_before_the_journal_is_written():
         runner.start(None, SimpleNamespace(action=action), None)
     runner.direct(FunctionAction("f"))(None)
     assert steps == ["write", "start topic /t", "start request m.s", "write", "call function f"]
+
+
+POWER = """
+net: power
+places: {idle: 1, a: , b: , c: , d: , bad: }
+transitions:
+  begin: {in: idle, out: a, symbol: go}
+  plain: {in: a, out: b, action: plain, on_failure: bad}
+  slow: {in: b, out: c, action: slow, on_failure: bad}
+  ask: {in: c, out: [d, other.p], request: other.work, on_failure: bad}
+"""
+
+
+@pytest.mark.parametrize("compact_bytes", [0, 1 << 30])
+def test_with_journal_sync_disk_nothing_begins_or_leaves_that_a_loss_of_power_makes_forgotten(compact_bytes):
+    files, known = MemoryFiles(), []
+
+    def remembered() -> list[str]:
+        """What runs, and what is on its way, after the power is lost now and comes back."""
+        silent = {"plain": lambda ctx: None, "slow": hold}
+        back = JournalledProcess("x", [parse_net(POWER)], files.unplugged(), actions=silent, sync=Sync.DISK)
+        running = [activity.transition for activity in back.exchange.nets["power"].activities]
+        return running + [str(message) for messages in back.link.in_flight().values() for message in messages]
+
+    async def hold(ctx: ActionContext) -> None:
+        """Goes on for ever, as far as its process is concerned."""
+
+    def plain(ctx: ActionContext) -> None:
+        known.append(("plain", remembered()))
+
+    async def slow(ctx: ActionContext) -> None:
+        known.append(("slow", remembered()))
+
+    def transmit(node: str, packet: str) -> None:
+        known.append(("packet", remembered()))
+
+    process = JournalledProcess(
+        "x",
+        [parse_net(POWER)],
+        files,
+        actions={"plain": plain, "slow": slow},
+        transmit=transmit,
+        compact_bytes=compact_bytes,
+        sync=Sync.DISK,
+    )
+    process.exchange.nets["power"].command(Command(1, "go"))
+    process.turn()
+    assert [what for what, _ in known] == ["plain", "slow", "packet"]
+    assert known[0][1] == ["plain"]
+    assert known[1][1] == ["slow"]
+    assert known[2][1][0] == "ask"
+    assert known[2][1][1].startswith("request x-")

@@ -412,7 +412,9 @@ class Link:
         self._happens(peer, LifeBegun(node, epoch, journal))
         peer.outgoing.hurry()
         if lost:
-            self._part(peer, f"{node} came back without its journal")
+            why = f"{node} came back without its journal"
+            self._observer.forgot(f"{why}; what it and {self.name} have asked each other is given up")
+            self._part(peer, why)
 
     def _part(self, peer: Peer, why: str) -> None:
         """The two processes do not remember the same: nothing but tokens is still on its way."""
@@ -423,7 +425,7 @@ class Link:
     def _fall_back(self, why: str) -> None:
         """The others remember more than the journal did: begin another life, as if there had been none."""
         text = f"the journal of {self.name} was an old copy, or has lost its end: {why}"
-        self._observer.troubled("", f"{text}; what happened since is forgotten, and what was asked is given up")
+        self._observer.forgot(f"{text}; what happened since is forgotten, and what was asked is given up")
         self._live_anew(self.epoch)
         for peer in list(self.peers.values()):
             if peer.incoming.epoch:

@@ -65,6 +65,10 @@ class Observer:
     def troubled(self, net: str, text: str) -> None:
         """Called for what should be in a log: refused tokens, late completions, guards that fail."""
 
+    def forgot(self, text: str) -> None:
+        """Called where something that happened is not remembered, here or there: a journal is gone, old or torn."""
+        self.troubled("", text)
+
     def chose(
         self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
     ) -> None:

@@ -32,7 +32,7 @@ from im_pnt.journal.codec import (
     net_encoder,
 )
 from im_pnt.journal.folder import Files, Folder
-from im_pnt.journal.log import Log, Recovered, Sync, discard, encode_json
+from im_pnt.journal.log import DISCARD, Log, Recovered, Sync, discard, encode_json
 from im_pnt.journal.state import exchange_state, link_state, net_state, restore_exchange, restore_link, restore_net
 from im_pnt.model.action import Action, RequestAction
 from im_pnt.model.net import Net
@@ -70,6 +70,7 @@ class Journal:
     ) -> None:
         self._files = Folder(files) if isinstance(files, Path) else files
         self._node, self._compact_bytes, self._observer = node, compact_bytes, observer or Observer()
+        self._sync = sync
         self._exchange: Exchange | None = None
         self._link: Link | None = None
         self._entries: list[str] = []
@@ -148,10 +149,10 @@ class Journal:
             case _:
                 raise JournalError(f"{recovered.file}: its header names no node and nets", file=recovered.file)
         if recovered.torn:
-            self._observer.troubled(
-                "",
+            power = "if the computer lost its power, more may be missing, and an action that began may begin again"
+            self._observer.forgot(
                 f"{recovered.file}: the last record, at byte {recovered.size}, was not written whole "
-                f"({recovered.torn} bytes) and is dropped",
+                f"({recovered.torn} bytes) and is dropped{'' if self._sync is Sync.DISK else f'; {power}'}",
             )
 
     def _compare(self, recovered: Recovered) -> None:
@@ -169,7 +170,7 @@ class Journal:
         if wrong:
             raise JournalError(
                 f"{recovered.file}: the journal belongs to other nets: {', '.join(wrong)}. Start with the nets of the "
-                "journal, or move it aside with Journal.discard and begin anew",
+                f"journal, or {DISCARD}",
                 file=recovered.file,
                 nets=sorted(there),
             )
@@ -312,8 +313,7 @@ def _bring_back(recovered: Recovered, exchange: Exchange, link: Link) -> None:
     except (ImError, ValueError, LookupError, TypeError, AttributeError, AssertionError) as error:
         raise JournalError(
             f"{recovered.file}: record {number} at byte {offset} does not fit what was before it "
-            f"({type(error).__name__}: {error}); nothing was started. Move the journal aside with Journal.discard and "
-            "begin anew",
+            f"({type(error).__name__}: {error}); nothing was started. To go on without it, {DISCARD}",
             file=recovered.file,
             record=number,
             offset=offset,

@@ -29,6 +29,7 @@ MOST_BYTES = 10**_MOST_DIGITS - 1
 """Longest body of a record [bytes]."""
 _HEAD = re.compile(rb"[0-9]{8} [0-9a-f]{8} ")
 _NAME = re.compile(r"(\d{6,})\.(journal|new)")
+DISCARD = "move the journal aside with scripts/im pnt journal discard NODE and begin anew"
 
 encode_json = json.JSONEncoder(separators=(",", ":")).encode
 
@@ -101,7 +102,7 @@ def scan(data: bytes, file: str) -> Scan:
             number = len(records) + 1
             raise JournalError(
                 f"{file}: record {number} at byte {offset} is damaged: {why}; nothing was started. "
-                "Restore the file, or move the journal aside with Journal.discard and begin anew",
+                f"Restore the file, or {DISCARD}",
                 file=file,
                 offset=offset,
                 record=number,
@@ -196,17 +197,14 @@ class Log:
             JournalError: It cannot be read, is damaged, or was written by another version.
         """
         try:
-            numbers = [int(m[1]) for name in self._files.names() if (m := _NAME.fullmatch(name)) and m[2] == "journal"]
-            if not numbers:
+            name = _newest(self._files)
+            if name is None:
                 return None
-            self._number = max(numbers)
-            name = f"{self._number:06d}.journal"
-            file = f"{self._files.name}/{name}"
-            found = scan(self._files.read(name), file)
-            recovered = _parse(found, file)
+            found, recovered = _read(self._files, name)
             self._file = self._files.extend(name, found.size)
         except OSError as error:
             raise self._failed("read", error) from error
+        self._number = int(name.partition(".")[0])
         self._checksum, self.size = found.checksum, found.size
         return recovered
 
@@ -297,6 +295,34 @@ class Log:
         return JournalError(f"{self._files.name}: the journal cannot be {what}: {error}", file=self._files.name)
 
 
+def look(files: Files) -> Recovered | None:
+    """Reads a log that another process may be writing; nothing is changed.
+
+    Returns:
+        What it holds; None if there is none.
+
+    Raises:
+        JournalError: It cannot be read, is damaged, or was written by another version.
+    """
+    try:
+        name = _newest(files)
+        return None if name is None else _read(files, name)[1]
+    except OSError as error:
+        raise JournalError(f"{files.name}: the journal cannot be read: {error}", file=files.name) from error
+
+
+def _newest(files: Files) -> str | None:
+    """Returns the name of the last file that is whole."""
+    names = [match for name in files.names() if (match := _NAME.fullmatch(name)) and match[2] == "journal"]
+    return max(names, key=lambda match: int(match[1]))[0] if names else None
+
+
+def _read(files: Files, name: str) -> tuple[Scan, Recovered]:
+    file = f"{files.name}/{name}"
+    found = scan(files.read(name), file)
+    return found, _parse(found, file)
+
+
 def discard(files: Files, stamp: Callable[[], str] = stamp_name) -> str | None:
     """Moves a journal aside, so that the next start begins anew; nothing is deleted.
 
@@ -362,7 +388,7 @@ def _loads(record: Record, file: str) -> object:
 def _bad(file: str, number: int, offset: int, why: str) -> JournalError:
     return JournalError(
         f"{file}: record {number} at byte {offset} cannot be used: {why}; nothing was started. "
-        "Restore the file, or move the journal aside with Journal.discard and begin anew",
+        f"Restore the file, or {DISCARD}",
         file=file,
         offset=offset,
         record=number,

@@ -1,4 +1,4 @@
-"""``pnt``: verify, simulate, time and convert net files, and what other packages add."""
+"""``pnt``: verify, simulate, time and convert net files, look into journals, and what other packages add."""
 
 import argparse
 import sys
@@ -18,6 +18,7 @@ PNML files of other tools. docs/nets.md tells how to write one.
   scripts/im pnt convert dispatcher.yaml dispatcher.pnml          writes it for other tools, or reads theirs
   scripts/im pnt schema > net.schema.json                         what editors complete and explain net files with
   scripts/im pnt bench dispatcher.yaml                            how fast it fires and is searched
+  scripts/im pnt journal show dispatcher                          what a node would remember if it came back
 
 Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong."""
 _DRAW = "\n  scripts/im pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)"
@@ -29,6 +30,7 @@ _COMMANDS = {
     "convert": "YAML to PNML and back",
     "schema": "print the JSON schema",
     "bench": "how fast are nets?",
+    "journal": "what does a node remember?",
 }
 """Modules of this folder; only the one that is called is imported, which no other has to wait for."""
 
