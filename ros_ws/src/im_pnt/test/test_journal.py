@@ -446,6 +446,45 @@ def test_where_the_journal_cannot_be_written_nothing_begins():
     assert JournalledProcess("x", [net], files.reborn(), actions={"f": act}).exchange.nets["n"].marking() == {"bad": 1}
 
 
+def test_who_asks_for_something_new_hears_of_a_full_disk_at_once():
+    net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b, symbol: go}}")
+    files = MemoryFiles()
+    process = JournalledProcess("x", [net], files)
+    process.journal.require_writable()
+    files.full = True
+    for _ in range(3):
+        with pytest.raises(JournalError, match="No space left"):
+            process.journal.require_writable()
+    files.full = False
+    process.journal.require_writable()
+    process.exchange.nets["n"].command(Command(1, "go"))
+    process.turn()
+    assert JournalledProcess("x", [net], files.reborn()).exchange.nets["n"].marking() == {"b": 1}
+
+
+def test_a_snapshot_that_finds_no_room_leaves_the_old_file_and_keeps_nobody_from_going_on():
+    loop = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b, symbol: go}, u: {in: b, out: a}}")
+    files, troubles = MemoryFiles(), Troubles()
+    process = JournalledProcess("x", [loop], files, compact_bytes=2000, observer=troubles)
+    create = files.create
+
+    def no_room(name):
+        raise OSError(28, "No space left on device")
+
+    files.create = no_room
+    for number in range(100):
+        process.exchange.nets["n"].command(Command(number, "go"))
+        process.turn()
+    assert any("is not compacted now: " in text for text in troubles.texts)
+    assert JournalledProcess("x", [loop], files.reborn()).exchange.nets["n"].sequence == 200
+    files.create = create
+    for number in range(100, 500):
+        process.exchange.nets["n"].command(Command(number, "go"))
+        process.turn()
+    assert len(files.names()) == 1
+    assert sum(len(content) for content in files.contents.values()) < 30_000
+
+
 def test_no_action_of_any_kind_begins_before_the_journal_is_written():
     steps: list[str] = []
 

@@ -188,6 +188,17 @@ class Journal:
             self._log.append(f"[{','.join(entries)}]")
             entries.clear()
 
+    def require_writable(self) -> None:
+        """Writes what has happened, an empty batch if nothing has: who asks for something new hears of a full disk now.
+
+        Raises:
+            JournalError: As :meth:`write`.
+        """
+        if self._entries:
+            self.write()
+        else:
+            self._log.append("[]")
+
     def commit(self) -> None:
         """Writes what has happened, and lets the messages go that depend on it; call it when the nets have been pumped.
 

@@ -191,7 +191,10 @@ class PntNode(ManagedNode):
 
         Raises:
             NotFoundError: No net knows the symbol.
+            JournalError: The journal cannot be written: the command would not even begin.
         """
+        if self._journal is not None:
+            self._journal.require_writable()
         number = self.commands.write(symbol, arguments or {})
         if started is not None:
             started(number)
