@@ -151,6 +151,32 @@ def test_a_node_is_reached_from_another_host_only_where_it_is_opened(hosts, seve
             assert found == NOBODY
 
 
+def test_a_deployment_over_two_hosts_opens_itself(hosts, tmp_path):
+    """The file alone decides: neither the terminal of the start nor that of the agent says anything of DDS."""
+    here, there = hosts
+    deployment = tmp_path / "two.yaml"
+    deployment.write_text(
+        """\
+hosts:
+  localhost:
+    dom:
+      dom: {package: im_dom, executable: dom, node: /dom}
+  far:
+    gripper_coordinator:
+      gripper_coordinator: {package: im_coordinators, executable: gripper_coordinator, node: /gripper_coordinator}
+"""
+    )
+    far, near = (neighbours(host)[0] for host in hosts)
+    agent = there.start(sys.executable, "-m", "im_bringup.ros.agent", "far", deployment, **far)
+    try:
+        done = here.run(sys.executable, "-m", "im_bringup.machine.start", deployment, "--timeout", 3 * WAIT_S, **near)
+        assert done.returncode == 0, done.stderr
+        assert "DDS listens on all interfaces, for hosts localhost, far (docs/security.md)" in done.stdout
+    finally:
+        assert here.run(sys.executable, "-m", "im_bringup.machine.stop", **near).returncode == 0
+    assert agent.wait(WAIT_S) == 0
+
+
 @pytest.mark.end_to_end
 def test_no_other_host_sees_or_calls_anything_of_a_whole_machine(hosts):
     here, there = hosts

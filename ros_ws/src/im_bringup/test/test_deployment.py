@@ -76,6 +76,8 @@ def test_a_task_may_refuse_simulated_time():
             {"localhost": {"a": {"one": "{}"}, "b": {"one": "{}"}}},
             "task 'one' is in process 'a' of host 'localhost' and",
         ),
+        ({"localhost": {f"p{n}": {f"t{n}": "{}"} for n in range(101)}}, "there are 101 tasks; 100 are allowed"),
+        ({"localhost": {"a" * 65: {"one": "{}"}}}, "String should have at most 64 characters"),
         (
             {"localhost": {"a": {"one": "{}", "two": "{}"}}},
             "process 'a' of host 'localhost' has 2 tasks, it must have 1",

@@ -7,10 +7,12 @@ from typing import Annotated, Literal
 import pydantic
 
 from im_core.config import Model, load_model, package_file
+from im_core.yamltext import control_character
 
 #: The cell's own poses, for the two ceiling cameras.
 OWN_POSES = ("im_dispatcher", "poses/ceiling_40.yaml")
 
+Coordinate = Annotated[float, pydantic.Field(ge=-100.0, le=100.0)]
 Quaternion = tuple[float, float, float, float]
 
 
@@ -19,13 +21,20 @@ class WristPose(Model):
 
     Attributes:
         name: Its name in reports.
-        position_m: Origin of the wrist frame in the world frame [m].
+        position_m: Origin of the wrist frame in the world frame, within 100 m [m].
         orientation_xyzw: Unit quaternion world <- wrist.
     """
 
     name: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
-    position_m: tuple[float, float, float]
+    position_m: tuple[Coordinate, Coordinate, Coordinate]
     orientation_xyzw: Quaternion
+
+    @pydantic.field_validator("name")
+    @classmethod
+    def _printable(cls, value: str) -> str:
+        if sentence := control_character(value):
+            raise ValueError(sentence)
+        return value
 
     @pydantic.field_validator("orientation_xyzw")
     @classmethod

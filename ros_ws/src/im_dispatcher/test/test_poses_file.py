@@ -43,6 +43,15 @@ def test_poses_are_read_in_order(tmp_path: Path) -> None:
             HEAD + "  - {name: a, position_m: [0, 0, 1], orientation_xyzw: [0, 0, 0, 2]}\n",
             "length 2.0000; it must be 1",
         ),
+        (
+            HEAD + "  - {name: a, position_m: [0, -100.5, 1], orientation_xyzw: [0, 0, 0, 1]}\n",
+            r"yaml:4: poses\[0\].position_m\[1\]: -100.5: Input should be greater than or equal to -100",
+        ),
+        (
+            HEAD + '  - {name: "a\\a", position_m: [0, 0, 1], orientation_xyzw: [0, 0, 0, 1]}\n',
+            r"yaml:4: poses\[0\].name: .*control character U\+0007 is not allowed in a text",
+        ),
+        (HEAD + "".join(POSE.format(name=f"p{n}") for n in range(1001)), "at most 1000 items"),
         (HEAD + POSE.format(name="a") * 2, "two poses are named 'a'"),
         ("group: middle\nframe: world\nposes: []\n", r"yaml:1: group"),
     ],

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from im_cell.robot import Cell
 from im_cell.sensor import SensorNoise
-from im_core.config import Model, load_model, package_file
+from im_core.config import Model, fault_in, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
 from im_vss.edges import CircleGates, LineGates
 from im_vss.laser.calibration import CalibrationGates
@@ -179,16 +179,22 @@ def load_settings(cell: Cell, path: Path | None = None) -> VssSettings:
     """Read the settings; the shipped ones by default.
 
     Raises:
-        ConfigError: The file is missing or wrong; the message names file and line.
-        NotFoundError: The cell has no camera or light of a given name.
+        ConfigError: The file is missing or wrong, or names a camera or light that there is not; the message names file
+            and line.
     """
-    settings = load_model(path or package_file("im_vss", "config/vss.yaml"), VssSettings)
-    for name in settings.cameras:
-        if name not in cell.cameras:
-            raise NotFoundError(kind="camera", name=name, known=cell.cameras)
-    for name in (name for pair in settings.stereo.pairs for name in pair):
-        if name not in settings.cameras:
-            raise NotFoundError(kind="camera of a stereo pair", name=name, known=settings.cameras)
-    if settings.light.name not in cell.light_names:
-        raise NotFoundError(kind="light", name=settings.light.name, known=cell.light_names)
+    path = path or package_file("im_vss", "config/vss.yaml")
+    settings = load_model(path, VssSettings)
+    lights, ours = cell.light_names, settings.cameras
+    named = [
+        *((("cameras", i), "camera", name, cell.cameras) for i, name in enumerate(ours)),
+        *(
+            (("stereo", "pairs", i, side), "camera of a stereo pair", name, ours)
+            for i, pair in enumerate(settings.stereo.pairs)
+            for side, name in enumerate(pair)
+        ),
+        (("light", "name"), "light", settings.light.name, lights),
+    ]
+    for place, kind, name, known in named:
+        if name not in known:
+            raise fault_in(path, place, NotFoundError(kind=kind, name=name, known=known).message)
     return settings

@@ -16,9 +16,12 @@ from im_core.errors import ConfigError, NotFoundError
 
 Scalar = bool | int | float | str
 ParameterValue = Scalar | list[Scalar]
-Name = Annotated[str, pydantic.StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
-HostName = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]*$")]
+Name = Annotated[str, pydantic.StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+HostName = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=253)]
+NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]*$", max_length=200)]
+
+MOST_TASKS = 100
+"""Of a machine; each is a process."""
 
 _VALUES = ("clock_factor", "period", "seed", "port", "control", "calibration")
 _REFERENCE = re.compile(r"\$\{(\w+)\}")
@@ -78,6 +81,9 @@ class Deployment(Model):
 
     @pydantic.model_validator(mode="after")
     def _check_tasks(self) -> Self:
+        count = sum(len(processes) for processes in self.hosts.values())
+        if count > MOST_TASKS:
+            raise ValueError(f"there are {count} tasks; {MOST_TASKS} are allowed")
         names: dict[str, str] = {}
         nodes: dict[str, str] = {}
         for host, processes in self.hosts.items():

@@ -64,7 +64,7 @@ class CalibrateCamera:
         self._times.restart()
         self._timed = ctx.command.id
         ctx.memory["begun"] = [clock.monotonic(), self._host.now()]
-        order = order_of(ctx.command.arguments, self._cameras)
+        order = await self._host.apart(order_of, ctx.command.arguments, self._cameras)
         poses = len(order.file.poses)
         ctx.memory["directory"] = str(make_directory(results_dir(), clock.stamp_name()))
         ctx.memory["cameras"], ctx.memory["group"] = list(order.cameras), order.file.group
