@@ -24,6 +24,10 @@ GENERATORS = '  ament_execute_extensions("rosidl_generate_idl_interfaces")\n'
 LEAN = f"""\
   # By im's scripts/underlay.py. There is no rclcpp in the wheels: rclpy with Fast DDS uses the C kinds only.
   list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp:")
+  # Python imports one extension module of each package; the others are for nobody.
+  macro(rosidl_generator_py_get_typesupports implementations)
+    set(${{implementations}} rosidl_typesupport_c)
+  endmacro()
   # One unit a library: most of the compiler's time goes into the same headers.
   set(CMAKE_UNITY_BUILD ON)
   set(CMAKE_UNITY_BUILD_BATCH_SIZE 0)

@@ -58,6 +58,7 @@ case "$*" in
   "-m venv "*)
     for folder; do :; done
     mkdir -p "$folder/bin" && cp "$0" "$folder/bin/python" && cp "$0" "$folder/bin/uv" ;;
+  *colcon\\ build*) echo : >install/setup.bash ;;
   *underlay.py*) echo : >"$2/local_setup.bash" ;;
   *message_cache.py\\ key*) echo key ;;
   *message_cache.py\\ fetch*) exit 1 ;;
