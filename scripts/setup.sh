@@ -281,7 +281,8 @@ write_stamp() {
 }
 
 began="$EPOCHREALTIME"
-trap 'warn "setup: interrupted; run it again, it goes on where it stopped"; exit 130' INT TERM
+exec {errors}>&2  # a trap within a step would speak into the step's log
+trap 'echo "setup: interrupted; run it again, it goes on where it stopped" >&"$errors"; exit 130' INT TERM
 mkdir -p "$IM_ROOT/.run"
 exec 9>"$IM_ROOT/.run/setup.lock"
 if ! flock -n 9; then

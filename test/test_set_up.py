@@ -5,6 +5,7 @@ import os
 import pty
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -105,29 +106,39 @@ def test_from_a_folder_of_wheels_nothing_comes_from_the_network(computer):
 def start(computer, output):
     argv = [computer.bin / "bash", computer.root / "scripts" / "setup.sh"]
     environment = {"PATH": str(computer.bin), "HOME": str(computer.root)}
-    return subprocess.Popen(argv, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=output)
+    return subprocess.Popen(
+        argv, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+    )
 
 
-def test_a_long_step_tells_how_long_it_takes_line_by_line(computer, tmp_path, wait_until):
+@pytest.fixture
+def gate(tmp_path):
+    """A pipe: a program that reads from it waits until the test writes into it."""
+    path = tmp_path / "gate"
+    os.mkfifo(path)
+    end = os.open(path, os.O_RDWR)  # so that neither side waits for the other to open it
+    yield path
+    os.close(end)
+
+
+def test_a_long_step_tells_how_long_it_takes_line_by_line(computer, gate, tmp_path, wait_until):
     computer.add_compilers()
-    go = tmp_path / "go"
-    computer.add_python("python3.11", f'case "$*" in "-m venv "*) until [ -e {go} ]; do :; done ;; esac')
+    computer.add_python("python3.11", f'case "$*" in "-m venv "*) read go <{gate} ;; esac')
     output = tmp_path / "output"
     with output.open("wb") as file:
         process = start(computer, file)
     ticks = re.compile(r"^setup: making \.venv \.\.\. +\d+ s$", re.M)
     wait_until(lambda: len(ticks.findall(output.read_text())) >= 2 or process.poll() is not None, "two lines")
-    go.touch()
+    gate.write_text("go\n")
     assert process.wait(60.0) == 0, output.read_text()
     said = output.read_text()
     assert "\r" not in said
     assert re.search(r"^setup: making \.venv \.\.\. +\d+\.\d s$", said, re.M)
 
 
-def test_on_a_terminal_a_long_step_moves_in_its_line(computer, tmp_path, wait_until):
+def test_on_a_terminal_a_long_step_moves_in_its_line(computer, gate, wait_until):
     computer.add_compilers()
-    go = tmp_path / "go"
-    computer.add_python("python3.11", f'case "$*" in "pip install "*) until [ -e {go} ]; do :; done ;; esac')
+    computer.add_python("python3.11", f'case "$*" in "pip install "*) read go <{gate} ;; esac')
     master, slave = pty.openpty()
     process = start(computer, slave)
     os.close(slave)
@@ -144,13 +155,24 @@ def test_on_a_terminal_a_long_step_moves_in_its_line(computer, tmp_path, wait_un
     reader.start()
     tick = re.compile(rb"\r\x1b\[Ksetup: installing \d+ locked packages \.\.\. +\d+ s, \d+ of \d+(?=\r)")
     wait_until(lambda: len(tick.findall(said)) >= 2 or process.poll() is not None, "two times")
-    go.touch()
+    gate.write_text("go\n")
     assert process.wait(60.0) == 0, said
     reader.join()
     os.close(master)
     assert tick.search(said)
     assert all(len(part) <= 82 for part in re.split(rb"[\r\n]+", bytes(said)))
     assert len(re.findall(rb"\n", said)) == said.count(b"\r\n") < 12
+
+
+def test_ctrl_c_in_a_long_step_leaves_no_process(computer, gate, wait_until):
+    computer.add_compilers()
+    computer.add_python("python3.11", f'case "$*" in "-m venv "*) read go <{gate} ;; esac')
+    process = start(computer, subprocess.PIPE)
+    wait_until(lambda: (computer.root / "calls").exists() and "-m venv" in computer.calls[-1], "the step")
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    said, _ = process.communicate(timeout=60.0)  # to the end of its output: nobody else has it open
+    assert process.returncode == 130
+    assert b"setup: interrupted; run it again, it goes on where it stopped\n" in said
 
 
 def script_module(name):
