@@ -239,13 +239,11 @@ for program in entry_points(group="console_scripts"):
 PY
 )
 
-# How far colcon is: the package that wrote last, and its steps as Ninja counts them; or the packages that are done.
+# How far colcon is: the package that wrote last, and its steps as Ninja counts them, where Ninja is at work.
 built() {
-  local log name counts
+  local log
   log="$(ls -t "$IM_WS"/log/latest_build/*/stdout_stderr.log | head -n 1)"
-  name="$(basename "$(dirname "$log")")"
-  counts="$(grep -o '^\[[0-9]*/[0-9]*\]' "$log" | tail -n 1)"
-  echo ", $name $counts"
+  [[ -z "$log" ]] || echo ", $(basename "$(dirname "$log")") $(grep -o '^\[[0-9]*/[0-9]*\]' "$log" | tail -n 1)"
 }
 
 messages_cached() { [[ "$kind" == wheels && "${IM_CACHE:-}" != none && -n "${IM_CACHE:-}${XDG_CACHE_HOME:-}${HOME:-}" ]]; }
