@@ -151,6 +151,27 @@ def printable(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
 
 
+def require_text(text: str, what: str) -> str:
+    """Returns a text that every message can carry: half a character (a lone surrogate) ends a process of ROS.
+
+    Such texts come from JSON, and as names of files and arguments that are no UTF-8.
+
+    Args:
+        text: The text.
+        what: What it is, for the message.
+
+    Raises:
+        DataError: It has half a character.
+    """
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        character = ord(text[error.start])
+        words = f"{what} with U+{character:04X}, which is half a character, is not allowed"
+        raise DataError(words, what=what, text=printable(text)[:200]) from error
+    return text
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Says what may have been meant: `` (did you mean 'x'?)``, or the known names where none is near.
 

@@ -5,7 +5,7 @@ import math
 import re
 from pathlib import Path
 
-from im_core.errors import printable
+from im_core.errors import DataError, printable, require_text
 from im_core.files import LARGEST, FileError, read_text
 
 MAX_DEPTH = 40
@@ -104,9 +104,7 @@ def _check_depth(data: object) -> None:
 
 
 def _check_unicode(data: object) -> None:
-    """Surrogates end a process when they reach a message of ROS."""
     try:
-        json.dumps(data, ensure_ascii=False).encode()
-    except UnicodeEncodeError as error:
-        character = ord(error.object[error.start])
-        raise JsonError(f"text with U+{character:04X}, which is half a character, is not allowed") from error
+        require_text(json.dumps(data, ensure_ascii=False), "text")
+    except DataError as error:
+        raise JsonError(error.message) from error

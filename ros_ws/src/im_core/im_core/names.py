@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+from im_core.errors import require_text
 from im_core.files import make_folder
 
 
@@ -19,8 +20,9 @@ def run_dir() -> Path:
 
     Raises:
         StoreError: It cannot be made.
+        DataError: No message can carry its name.
     """
-    return make_folder(Path(os.environ.get("IM_RUN_DIR") or Path.cwd() / ".run" / instance()))
+    return _folder("IM_RUN_DIR", Path.cwd() / ".run" / instance())
 
 
 def display_file() -> Path:
@@ -37,5 +39,10 @@ def results_dir() -> Path:
 
     Raises:
         StoreError: It cannot be made.
+        DataError: No message can carry its name.
     """
-    return make_folder(Path(os.environ.get("IM_RESULTS_DIR") or Path.cwd() / "results"))
+    return _folder("IM_RESULTS_DIR", Path.cwd() / "results")
+
+
+def _folder(variable: str, default: Path) -> Path:
+    return make_folder(Path(require_text(os.environ.get(variable) or str(default), f"the folder {variable}")))

@@ -5,7 +5,15 @@ from unittest.mock import patch
 
 import pytest
 
-from im_core.errors import ImError, LimitError, NotFoundError, StateError, WaitTimeoutError
+from im_core.errors import (
+    DataError,
+    ImError,
+    LimitError,
+    NotFoundError,
+    StateError,
+    WaitTimeoutError,
+    require_text,
+)
 from im_core.names import instance, results_dir, run_dir
 
 
@@ -50,3 +58,22 @@ def test_a_message_can_be_published_whatever_it_speaks_of(name: str) -> None:
     assert "\0" not in message
     assert message.encode().decode() == message
     assert str(StateError(name)) == StateError(name).message
+
+
+@pytest.mark.parametrize("text", ["", "wall", "\U0001f916 ü", "a\nb"])
+def test_text_is_what_messages_can_carry(text):
+    assert require_text(text, "it") is text
+
+
+@pytest.mark.parametrize("text", ["\ud800", "ab\udfff", b"\xff".decode(errors="surrogateescape")])
+def test_half_a_character_is_refused(text):
+    with pytest.raises(DataError, match=r"it with U\+D[0-9A-F]{3}, which is half a character, is not allowed"):
+        require_text(text, "it")
+
+
+@pytest.mark.parametrize(("variable", "folder"), [("IM_RUN_DIR", run_dir), ("IM_RESULTS_DIR", results_dir)])
+def test_a_folder_whose_name_no_message_can_carry_is_refused(monkeypatch, tmp_path, variable, folder):
+    monkeypatch.setenv(variable, f"{tmp_path}/\udcff")
+    with pytest.raises(DataError, match=f"the folder {variable} with U"):
+        folder()
+    assert list(tmp_path.iterdir()) == []

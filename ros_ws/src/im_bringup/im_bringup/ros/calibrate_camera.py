@@ -23,7 +23,7 @@ from im_bringup.calibration.progress import FiringPhase, ProgressLines
 from im_bringup.calibration.summary import summary
 from im_bringup.machine import record as machine
 from im_core import clock
-from im_core.errors import ImError, LinkError, WaitTimeoutError
+from im_core.errors import ImError, LinkError, WaitTimeoutError, require_text
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient, GuardedNode
 from im_core.ros.run import Spinner
@@ -152,7 +152,11 @@ def main() -> int:
     parser.add_argument("--poses", type=Path, metavar="FILE", help="wrist poses (default: the cell's own)")
     parser.add_argument("--json", action="store_true", help="print the report as JSON; progress goes to stderr")
     arguments = parser.parse_args()
-    poses = str(arguments.poses.resolve()) if arguments.poses else ""
+    try:
+        poses = require_text(str(arguments.poses.resolve()), "--poses") if arguments.poses else ""
+        cameras = [require_text(name, "--cameras") for name in arguments.cameras]
+    except ImError as error:
+        parser.error(error.message)
     try:
         machine.read_running()
     except ImError as error:
@@ -165,7 +169,7 @@ def main() -> int:
     began = clock.monotonic()
     try:
         with Spinner([client]):
-            response = client.calibrate(arguments.cameras, poses)
+            response = client.calibrate(cameras, poses)
     except KeyboardInterrupt:
         print("calibrate_camera: no longer waiting; the machine goes on with the command", file=sys.stderr)
         return INTERRUPTED
