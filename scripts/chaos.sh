@@ -5,15 +5,19 @@
 #   scripts/chaos.sh --minutes 10            as many injections as fit in
 #   scripts/chaos.sh --injections 500        so many
 #   scripts/chaos.sh --seed 42 --injections 1    repeats the injection that was told as 42
-#   scripts/chaos.sh --kinds kill --roles servo mcs --injections 20    only these; --help tells what there is
+#   scripts/chaos.sh --kinds kill stop --roles servo mcs --injections 20    only these
 #   scripts/chaos.sh --factor 1              in real time
+#   scripts/chaos.sh --port 8081             another port for the display of the machine
+#
+# Kinds: kill, kill-two, stop (1, 15 or 60 s), malformed, clock, second, load, disk, journal. Roles: servo, physics,
+# cameras, bootstrap, and the tasks: testbed, mcs, vss, dom, dispatcher, pnt_display, <which>_coordinator.
 #
 # Each injection must end with a true answer to the command (success, or a reason that names who failed), the next
 # command must succeed without a restart of the machine, and nothing may be left behind. Prints a table fault x outcome.
 # Exit codes: 0 no failure, 1 failures (each with its seed), 2 bad usage, 130 interrupted.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
-if wants_help "$@"; then help; fi
+if wants_help "$@"; then help; exit 0; fi
 "$IM_ROOT/scripts/setup.sh"
 im_env
 export PYTHONPATH="$IM_ROOT:$PYTHONPATH"

@@ -16,7 +16,8 @@ SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.sh") if path.s
 
 
 def test_every_script_is_here():
-    wanted = {"setup", "demo", "test", "start", "stop", "calibrate_camera", "shell", "run", "record", "replay", "bench"}
+    wanted = {"setup", "demo", "test", "start", "stop", "calibrate_camera", "shell", "run", "record", "replay"}
+    wanted |= {"bench", "chaos"}
     assert wanted <= set(SCRIPTS)
 
 

@@ -14,6 +14,7 @@ import yaml
 from bench.chaos import machine, trial
 from bench.chaos.command import Command
 from bench.chaos.faults import KINDS, ROLES
+from bench.chaos.safety import Watch
 from bench.chaos.trial import Result, Setting, Verdict
 from im_bringup.machine.interrupts import interrupt_once
 from im_core import clock
@@ -50,7 +51,9 @@ def main() -> int:
             while not results or results[-1].verdict is Verdict.LOST:
                 with machine.running(arguments.factor, 1, arguments.port):
                     setting = _setting(poses, tuple(arguments.kinds), tuple(arguments.roles))
-                    if not _inject(seeds, setting, results):
+                    with Watch() as watch:
+                        lost = _inject(seeds, setting, watch, results)
+                    if not lost:
                         break
     except KeyboardInterrupt:
         print("chaos: interrupted", file=sys.stderr)
@@ -73,10 +76,10 @@ def _seeds(arguments: argparse.Namespace) -> Iterator[int]:
         yield arguments.seed + count
 
 
-def _inject(seeds: Iterator[int], setting: Setting, results: list[Result]) -> bool:
+def _inject(seeds: Iterator[int], setting: Setting, watch: Watch, results: list[Result]) -> bool:
     """Inject until the seeds are used up, or the machine does not recover and is to be started anew: then true."""
     for seed in seeds:
-        result = trial.run(seed, setting)
+        result = trial.run(seed, setting, watch)
         results.append(result)
         recovery = "" if result.recovery_s is None else f", recovered in {result.recovery_s:.1f} s"
         print(f"{seed}: {result.fault}: {result.verdict.value}{recovery}: {result.said}", flush=True)

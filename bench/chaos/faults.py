@@ -7,9 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from random import Random
 
-from bench.chaos import machine
+from bench.chaos import machine, outside
 from im_core import clock
-from im_core.errors import StateError
 
 #: Who can be killed and stopped.
 ROLES = (
@@ -17,7 +16,12 @@ ROLES = (
     "vision_coordinator", "path_planning_coordinator", "gripper_coordinator", "pnt_display", "bootstrap",
 )  # fmt: skip
 STOPS_S = (1.0, 15.0, 60.0)
-_APPEARANCE_S = 60.0
+#: Who keeps a journal, and who writes files.
+JOURNALS = (
+    "dispatcher", "motion_coordinator", "vision_coordinator", "path_planning_coordinator", "gripper_coordinator",
+)  # fmt: skip
+WRITERS = (*JOURNALS, "dom", "vss", "mcs")
+JUMPS_H = (-1, 1, 100_000)
 
 
 @dataclass(frozen=True)
@@ -40,15 +44,8 @@ class Fault:
         return f"{self.kind} {' and '.join(self.victims)}".rstrip()
 
 
-def _pid(role: str) -> int:
-    process = machine.await_role(role, _APPEARANCE_S)
-    if process is None:
-        raise StateError(f"there is no {role}")
-    return process.pid
-
-
 def _signal(victims: tuple[str, ...], number: signal.Signals) -> list[int]:
-    pids = [_pid(victim) for victim in victims]
+    pids = [machine.pid_of(victim) for victim in victims]
     for pid in pids:
         with suppress(ProcessLookupError):  # it died with the one before it
             os.kill(pid, number)
@@ -57,8 +54,12 @@ def _signal(victims: tuple[str, ...], number: signal.Signals) -> list[int]:
 
 def kill(victims: tuple[str, ...]) -> Fault:
     """``kill -9``."""
+
+    def inject() -> None:
+        _signal(victims, signal.SIGKILL)
+
     kind = "kill -9" if len(victims) == 1 else "kill -9 of two"
-    return Fault(kind, victims, lambda: (_signal(victims, signal.SIGKILL), None)[1], _carries_motion(victims))
+    return Fault(kind, victims, inject, bool({"servo", "mcs"} & set(victims)))
 
 
 def stop(victims: tuple[str, ...], seconds: float) -> Fault:
@@ -71,11 +72,34 @@ def stop(victims: tuple[str, ...], seconds: float) -> Fault:
             with suppress(ProcessLookupError):  # it was replaced meanwhile
                 os.kill(pid, signal.SIGCONT)
 
-    return Fault(f"SIGSTOP {seconds:g} s", victims, inject, _carries_motion(victims))
+    return Fault(f"SIGSTOP {seconds:g} s", victims, inject, "servo" in victims and seconds > STOPS_S[0])
 
 
-def _carries_motion(victims: tuple[str, ...]) -> bool:
-    return bool({"servo", "physics", "mcs", "testbed"} & set(victims))
+def _malformed(draw: Random, among: tuple[str, ...]) -> Fault:
+    return Fault("malformed messages", (), outside.send_malformed)
+
+
+def _clock_jump(draw: Random, among: tuple[str, ...]) -> Fault:
+    hours = draw.choice(JUMPS_H)
+    return Fault(f"the clock jumps {hours} h", ("clock",), lambda: outside.jump_clock(hours))
+
+
+def _second(draw: Random, among: tuple[str, ...]) -> Fault:
+    return Fault("a second machine", (), outside.start_second)
+
+
+def _load(draw: Random, among: tuple[str, ...]) -> Fault:
+    return Fault("load", (), outside.burn)
+
+
+def _disk(draw: Random, among: tuple[str, ...]) -> Fault:
+    role = draw.choice([role for role in WRITERS if role in among] or WRITERS)
+    return Fault("full disk", (role,), lambda: outside.fill_disk(role))
+
+
+def _journal(draw: Random, among: tuple[str, ...]) -> Fault:
+    role = draw.choice([role for role in JOURNALS if role in among] or JOURNALS)
+    return Fault("damaged journal", (role,), lambda: outside.damage_journal(role, draw))
 
 
 #: How a fault of each kind is drawn.
@@ -83,4 +107,10 @@ KINDS: Mapping[str, Callable[[Random, tuple[str, ...]], Fault]] = {
     "kill": lambda draw, among: kill((draw.choice(among),)),
     "kill-two": lambda draw, among: kill(tuple(draw.sample(among, min(2, len(among))))),
     "stop": lambda draw, among: stop((draw.choice(among),), draw.choice(STOPS_S)),
+    "malformed": _malformed,
+    "clock": _clock_jump,
+    "second": _second,
+    "load": _load,
+    "disk": _disk,
+    "journal": _journal,
 }

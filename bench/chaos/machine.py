@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from im_bringup.machine import leftovers, stop
-from im_bringup.machine import record as machine
 from im_bringup.machine.start import start
 from im_bringup.tasks import deployment as deployments
 from im_core import clock, names
@@ -14,6 +13,7 @@ from im_core.errors import StateError
 from im_core.shm import ProcessId
 
 START_S = 180.0
+APPEARANCE_S = 60.0
 #: Processes that tasks start, by the module they run.
 CHILDREN = {"im_mcs.servo": "servo", "im_sim.physics": "physics", "im_sim.cameras": "cameras"}
 _POLL_S = 0.05
@@ -56,6 +56,18 @@ def await_role(role: str, timeout_s: float) -> ProcessId | None:
     return None
 
 
+def pid_of(role: str) -> int:
+    """Process of a role, waited for where it is being started.
+
+    Raises:
+        StateError: There is none.
+    """
+    process = await_role(role, APPEARANCE_S)
+    if process is None:
+        raise StateError(f"there is no {role}")
+    return process.pid
+
+
 def shared_files() -> set[str]:
     """Names of the machine's own blocks and semaphores in ``/dev/shm``."""
     return {name for name in os.listdir("/dev/shm") if name.removeprefix("sem.").startswith(f"{names.instance()}_")}
@@ -63,14 +75,8 @@ def shared_files() -> set[str]:
 
 def journal_of(task: str) -> Path | None:
     """The newest file of a task's journal, None if it keeps none."""
-    folder = Path(_run_dir()) / "journal" / task
-    files = [path for path in folder.rglob("*") if path.is_file()]
+    files = list((names.run_dir() / "journal" / task).glob("*.journal"))
     return max(files, key=lambda path: path.stat().st_mtime_ns, default=None)
-
-
-def _run_dir() -> str:
-    record = machine.read()
-    return str(names.run_dir()) if record is None else record.run_dir
 
 
 def _role(pid: int) -> str:

@@ -8,6 +8,7 @@ from random import Random
 from bench.chaos import machine
 from bench.chaos.command import Command, Outcome
 from bench.chaos.faults import KINDS, ROLES, Fault
+from bench.chaos.safety import Watch
 from im_core import clock
 from im_core.errors import ImError
 
@@ -24,6 +25,7 @@ SAYS = {
     "cameras": ("camera", "vss", "exposure"),
     "vss": ("vss", "vision", "camera"),
     "bootstrap": ("bootstrap",),
+    "clock": ("clock", "time", "older", "stamp"),
 }
 
 
@@ -84,7 +86,7 @@ class Setting:
     files: frozenset[str] = field(default_factory=frozenset)
 
 
-def run(seed: int, setting: Setting) -> Result:
+def run(seed: int, setting: Setting, watch: Watch) -> Result:
     """One injection, and the recovery from it."""
     draw = Random(seed)
     fault = KINDS[draw.choice(setting.kinds)](draw, setting.among)
@@ -92,6 +94,9 @@ def run(seed: int, setting: Setting) -> Result:
     command = Command(setting.poses)
     command.await_step(step, HANG_S)
     clock.sleep(later_s)
+    watch.take_findings()
+    if fault.stops_motion:
+        watch.expect_rest()
     try:
         fault.inject()
     except ImError as error:
@@ -100,10 +105,14 @@ def run(seed: int, setting: Setting) -> Result:
     injected = clock.monotonic()
     outcome = command.outcome(HANG_S)
     verdict = judge(fault, outcome)
+    unsafe = watch.take_findings()
     again, tries = _again(setting)
     if again is None:
         return Result(seed, fault, Verdict.LOST, f"{outcome.said} / then {tries[-1]}", None)
     recovery_s = max(0.0, again.ended - max(injected, outcome.ended) - setting.duration_s)
+    unsafe += watch.take_findings()
+    if unsafe:
+        return Result(seed, fault, Verdict.UNSAFE, f"{unsafe[0]} ({len(unsafe)} such readings)", recovery_s)
     left = leftovers(setting)
     if left and not verdict.failure:
         return Result(seed, fault, Verdict.LEFTOVER, left, recovery_s)

@@ -11,6 +11,11 @@ from im_bringup.tasks.deployment import PlacedTask
 from im_bringup.tasks.registry import Progress, Registry, TaskRecord
 from im_core.startup import StartupPhase
 
+#: A task of this host that was ready and is silent for longer is started again [s].
+SILENCE_S = 30.0
+#: A pause between two looks counts as silence for no more than this [s].
+_LONGEST_PAUSE_S = 0.5
+
 #: How far a task must be for its part of a phase to be done.
 _DONE = {
     StartupPhase.LOAD: Progress.LOADED,
@@ -58,6 +63,40 @@ def _finished(phase: StartupPhase, record: TaskRecord) -> bool:
     return _DONE[phase] <= record.progress <= Progress.READY
 
 
+class Silence:
+    """Which tasks have fallen silent, though they may run: their messages no longer come through.
+
+    Silence is counted only while this process listens itself: a pause between two looks counts for the little that it
+    should have been, so that whoever was stopped or had no processor blames nobody.
+    """
+
+    def __init__(self) -> None:
+        self._silent_s: dict[tuple[str, int], float] = {}
+        self._looked: float | None = None
+
+    def heard(self, name: str, pid: int, progress: Progress) -> None:
+        """A heartbeat of a task came; once it is ready it may fall silent. What it does before may take long."""
+        for other in [known for known in self._silent_s if known[0] == name]:
+            del self._silent_s[other]
+        if progress is Progress.READY:
+            self._silent_s[name, pid] = 0.0
+
+    def found(self, now: float) -> list[tuple[str, int]]:
+        """Task and process of those that have become silent since the last look; each is told once.
+
+        Args:
+            now: Monotonic time [s].
+        """
+        passed = 0.0 if self._looked is None else min(now - self._looked, _LONGEST_PAUSE_S)
+        self._looked = now
+        for task in self._silent_s:
+            self._silent_s[task] += passed
+        silent = [task for task, seconds in self._silent_s.items() if seconds > SILENCE_S]
+        for task in silent:
+            del self._silent_s[task]
+        return silent
+
+
 class Bootstrap:
     """Decides in which phase the machine is.
 
@@ -75,6 +114,7 @@ class Bootstrap:
         self.phase = StartupPhase.LOAD
         self.state = machine.STARTING
         self._agent = agent
+        self._silence = Silence()
         self._changed = True
 
     def start(self) -> None:
@@ -84,6 +124,7 @@ class Bootstrap:
 
     def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str, now: float) -> None:
         """Take a heartbeat; arguments as in :meth:`im_bringup.tasks.registry.Registry.heard`."""
+        self._silence.heard(name, pid, progress)
         if self.registry.heard(name, pid, incarnation, progress, detail, now):
             self._changed = True
             if progress is Progress.FAILED:
@@ -103,6 +144,8 @@ class Bootstrap:
             self._note(event)
         if self.registry.silence(now):
             self._changed = True
+        for name, pid in self._silence.found(now):
+            self._agent.replace(name, pid, f"nothing was heard of it for {SILENCE_S:g} s", now)
         if self.state == machine.STARTING:
             self._advance()
         return events

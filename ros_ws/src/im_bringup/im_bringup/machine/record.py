@@ -8,12 +8,15 @@ from typing import Annotated
 
 import pydantic
 
-from im_core import names
+from im_core import clock, names
 from im_core.config import field_name
 from im_core.errors import DataError, StateError
 from im_core.files import MEBIBYTE, FileError, write_whole
 from im_core.jsontext import load_json
 from im_core.shm import ProcessId
+
+#: How long a supervisor may take to notice that its bootstrap was killed [s].
+_NOTICED_S = 2.0
 
 STARTING, READY, FAILED, STOPPING = "starting", "ready", "failed", "stopping"
 
@@ -88,13 +91,15 @@ def read() -> MachineRecord | None:
 
 
 def read_running() -> MachineRecord:
-    """The record of the machine that runs in this ROS domain.
+    """The record of the machine that runs in this ROS domain, or is being started again.
 
     Raises:
         StateError: None runs.
         DataError: The record cannot be read.
     """
-    record = read()
+    deadline = clock.monotonic() + _NOTICED_S
+    while (record := read()) is not None and not record.alive and clock.monotonic() < deadline:
+        clock.sleep(0.05)  # its supervisor is about to say so
     if record is None or not record.alive:
         raise StateError(f"no machine runs in ROS domain {domain()}; scripts/start.sh starts one")
     return record

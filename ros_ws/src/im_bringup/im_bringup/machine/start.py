@@ -142,7 +142,6 @@ def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
     shown = ""
     while clock.monotonic() - began < timeout_s:
         record = machine.read()
-        record = record if record is not None and record.pid == process.pid else None
         if process.poll() is not None:
             print(f"start: the bootstrap ended at once: {stop.bootstrap_words()}", file=sys.stderr)
             stop.stop(say=lambda _: None)
@@ -175,6 +174,7 @@ def clear_the_way() -> None:
         )
     leftovers.kill(leftovers.processes(), timeout_s=2.0)
     leftovers.remove_shared_memory()
+    machine.remove()
     run_dir = names.run_dir()
     for folder in ("log", "parameters", "journal"):  # a new machine is a new mission
         shutil.rmtree(run_dir / folder, ignore_errors=True)
@@ -193,9 +193,10 @@ def tidy(deployment: Deployment) -> None:
 
 
 def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> ChildProcess:
-    """Start the bootstrap, detached from this terminal; all it starts knows how long the start may take [s]."""
+    """Start the bootstrap under its supervisor, detached from this terminal; all know how long a start may take [s]."""
     run_dir = names.run_dir().resolve()
     argv = [
+        *(sys.executable, "-m", "im_bringup.machine.supervisor"),
         str(path_of("im_bringup", "bootstrap")),
         str(path),
         *("--factor", repr(deployment.clock_factor)),

@@ -16,6 +16,8 @@ from im_core.shm import ProcessId
 
 #: The bootstrap's own ordered shutdown takes less than this [s].
 _ORDERLY_S = 4.3
+#: How long the supervisor may take to notice that its bootstrap has ended [s].
+_SUPERVISOR_S = 0.5
 
 
 def main() -> int:
@@ -47,6 +49,7 @@ def stop(say: Callable[[str], None]) -> int:
     ran = record is not None and is_member(record.process)
     if record is not None and ran:
         _end_bootstrap(record.process, began + _ORDERLY_S)
+        _await_supervisor(clock.monotonic() + _SUPERVISOR_S)
     elif record is not None and record.alive:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
     found = leftovers.processes()
@@ -64,6 +67,11 @@ def stop(say: Callable[[str], None]) -> int:
 def _end_bootstrap(process: ProcessId, deadline: float) -> None:
     signal_member(process, signal.SIGINT)
     while process.alive() and clock.monotonic() < deadline:
+        clock.sleep(0.02)
+
+
+def _await_supervisor(deadline: float) -> None:
+    while leftovers.processes() and clock.monotonic() < deadline:
         clock.sleep(0.02)
 
 

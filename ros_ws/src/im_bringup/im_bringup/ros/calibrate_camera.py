@@ -1,7 +1,8 @@
 """``calibrate_camera``: the service call ``/dispatcher/calibrate_camera``, with progress from ``/pnt/firings``.
 
 A dispatcher that dies and is started again goes on with the command, but its answer has nobody to go to. This client
-then attaches to the command with a goal of ``/dispatcher/execute``.
+then attaches to the command with a goal of ``/dispatcher/execute``. While the machine runs, or is started again after
+its bootstrap was killed, a silent dispatcher is waited for: only what is gone, or silent for long, is told as missing.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from im_bringup.calibration.progress import FiringPhase, ProgressLines
 from im_bringup.calibration.summary import summary
 from im_bringup.machine import record as machine
+from im_bringup.machine.record import MachineRecord
 from im_core import clock
 from im_core.errors import ImError, LinkError, WaitTimeoutError, require_text
 from im_core.ros import qos
@@ -36,9 +38,10 @@ SERVICE = "/dispatcher/calibrate_camera"
 ACTION = "/dispatcher/execute"
 NET = "calibrate_camera"
 #: Longest wait for the service to be found, and longest silence of the dispatcher [s] of wall time: a dispatcher that
-#: died is started again within a few seconds.
+#: died is started again within a few seconds, on a busy computer later; one without a machine is not.
 DISCOVERY_S = 10.0
-SILENCE_S = 20.0
+SILENCE_S = 60.0
+ALONE_S = 6.0
 #: Time after which a goal that met the server of a former life is sent again [s].
 ACCEPT_S = 2.0
 
@@ -76,7 +79,9 @@ class CalibrateCameraClient(GuardedNode):
             LinkError: The dispatcher fell silent.
             WaitTimeoutError: There is no such service.
         """
-        self._until(self._client.service_is_ready, f"the service {SERVICE}")
+        self._until(
+            lambda: self._client.service_is_ready() and not _starting(machine.read()), f"the service {SERVICE}"
+        )
         self._lines = ProgressLines()
         request = CalibrateCamera.Request(cameras=cameras, poses_file=poses_file)
         response = self._answer(self._client.call_async(request))
@@ -111,8 +116,8 @@ class CalibrateCameraClient(GuardedNode):
             if clock.monotonic() - begun > limit_s:
                 return None
             silent = clock.monotonic() - self._heard
-            if silent > SILENCE_S:
-                raise LinkError(f"the dispatcher is missing (last heard {silent:.1f} s ago)")
+            if silent > ALONE_S and (why := _why_lost(silent)):
+                raise LinkError(f"the dispatcher is missing (last heard {silent:.1f} s ago){why}")
             known = known or self._incarnation
             if self._incarnation != known:
                 return None
@@ -122,7 +127,7 @@ class CalibrateCameraClient(GuardedNode):
         deadline = clock.monotonic() + DISCOVERY_S
         while not ready():
             self._pause()
-            if clock.monotonic() > deadline:
+            if clock.monotonic() > deadline and not _starting(machine.read()):
                 raise WaitTimeoutError(what=what, seconds=DISCOVERY_S)
 
     def _pause(self) -> None:
@@ -141,6 +146,19 @@ class CalibrateCameraClient(GuardedNode):
         )
         if line is not None:
             print(line, file=self._progress, flush=True)
+
+
+def _starting(record: MachineRecord | None) -> bool:
+    """Whether the machine is being started, perhaps again."""
+    return record is not None and record.alive and record.state == machine.STARTING
+
+
+def _why_lost(silent_s: float) -> str:
+    """Why a dispatcher that has been silent for so long will not answer, a clause; empty if it may yet."""
+    record = machine.read()
+    if record is None or not record.alive:
+        return ": the machine has ended, its bootstrap is gone"
+    return "" if silent_s <= SILENCE_S or _starting(record) else f"; the machine is {record.state}"
 
 
 def main() -> int:

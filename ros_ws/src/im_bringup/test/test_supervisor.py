@@ -1,0 +1,101 @@
+"""The supervisor with bootstraps that are small programs: which death is followed by another life, and which is not."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from im_bringup.machine import record as machine
+from im_bringup.machine.bootstrap import SILENCE_S, Silence
+from im_bringup.tasks.registry import Progress
+from im_core import clock
+
+#: Writes the record of a machine, tells its life, and does what it is told for that life.
+BOOTSTRAP = textwrap.dedent(
+    """
+    import os, signal, sys, time
+    from pathlib import Path
+    from im_bringup.machine import record as machine
+    from im_core.shm import ProcessId
+
+    lives, state, *deeds = Path(sys.argv[1]), *sys.argv[2:]
+    signal.signal(signal.SIGINT, lambda *_: os._exit(0))
+    me = ProcessId.current()
+    with lives.open("a") as file:
+        life = sum(1 for _ in lives.open())
+        file.write(f"{me.pid}\\n")
+    machine.write(machine.MachineRecord(me.pid, me.start, state, "START", 1, "", "", 0.0, 1, 0))
+    if deeds[life] == "die":
+        os.kill(me.pid, signal.SIGKILL)
+    if deeds[life] == "end":
+        sys.exit(7)
+    time.sleep(600)
+    """
+)
+
+
+@pytest.fixture
+def supervise(tmp_path, monkeypatch):
+    """``supervise(state, deed of each life...)``: the process of a supervisor, and a function that gives its lives."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1000 + os.getpid() % 100_000))  # of no machine
+    program, lives, started = tmp_path / "bootstrap.py", tmp_path / "lives", []
+    program.write_text(BOOTSTRAP)
+
+    def start(*arguments):
+        argv = [sys.executable, "-m", "im_bringup.machine.supervisor", sys.executable, program, lives, *arguments]
+        started.append(subprocess.Popen([str(part) for part in argv]))
+        return started[-1], lambda: lives.read_text().split() if lives.exists() else []
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+    for pid in lives.read_text().split():
+        subprocess.run(["kill", "-9", pid], check=False, capture_output=True)
+    machine.remove()
+
+
+def until(condition, seconds=60.0):
+    deadline = clock.monotonic() + seconds
+    while not (value := condition()):
+        assert clock.monotonic() < deadline, "waited in vain"
+        clock.sleep(0.02)
+    return value
+
+
+def test_a_bootstrap_that_is_killed_when_the_machine_was_ready_gets_another_life(supervise):
+    process, lives = supervise(machine.READY, "die", "live")
+    until(lambda: len(lives()) == 2)
+    until(lambda: (record := machine.read()) is not None and record.pid == int(lives()[1]))
+    process.send_signal(signal.SIGINT)  # is passed on
+    assert process.wait(60.0) == 0
+    assert len(lives()) == 2
+
+
+@pytest.mark.parametrize(("state", "deed", "code"), [(machine.STARTING, "die", 1), (machine.READY, "end", 7)])
+def test_what_never_was_ready_or_ended_by_itself_stays_dead(supervise, state, deed, code):
+    process, lives = supervise(state, deed, "live")
+    assert process.wait(60.0) == code
+    assert len(lives()) == 1
+
+
+def test_a_ready_task_that_falls_silent_is_told_once():
+    silence, now = Silence(), 100.0
+    silence.found(now)
+    silence.heard("dom", 7, Progress.READY)
+    silence.heard("mcs", 8, Progress.CONFIGURED)  # its work may take long
+    told = []
+    while now < 100.0 + SILENCE_S + 2.0:
+        now += 0.05
+        told += silence.found(now)
+    assert told == [("dom", 7)]
+
+
+def test_who_did_not_listen_blames_nobody():
+    silence = Silence()
+    silence.heard("dom", 7, Progress.READY)
+    assert silence.found(100.0) == []
+    assert silence.found(100.0 + 10.0 * SILENCE_S) == []  # it was stopped meanwhile
