@@ -33,12 +33,14 @@ class Fault:
         victims: Roles it is done to; what a failed command must name, one of them or what fails with them.
         inject: Does it, and undoes what is to be undone.
         stops_motion: Whether an arm that moves must come to rest at once.
+        words: What a true reason may say instead of a name.
     """
 
     kind: str
     victims: tuple[str, ...]
     inject: Callable[[], None]
     stops_motion: bool = False
+    words: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.kind} {' and '.join(self.victims)}".rstrip()
@@ -81,7 +83,9 @@ def _malformed(draw: Random, among: tuple[str, ...]) -> Fault:
 
 def _clock_jump(draw: Random, among: tuple[str, ...]) -> Fault:
     hours = draw.choice(JUMPS_H)
-    return Fault(f"the clock jumps {hours} h", ("clock",), lambda: outside.jump_clock(hours))
+    return Fault(
+        f"the clock jumps {hours} h", (), lambda: outside.jump_clock(hours), words=("clock", "time", "older", "stamp")
+    )
 
 
 def _second(draw: Random, among: tuple[str, ...]) -> Fault:
@@ -94,12 +98,12 @@ def _load(draw: Random, among: tuple[str, ...]) -> Fault:
 
 def _disk(draw: Random, among: tuple[str, ...]) -> Fault:
     role = draw.choice([role for role in WRITERS if role in among] or WRITERS)
-    return Fault("full disk", (role,), lambda: outside.fill_disk(role))
+    return Fault("full disk", (role,), lambda: outside.fill_disk(role), words=("too large", "journal"))
 
 
 def _journal(draw: Random, among: tuple[str, ...]) -> Fault:
     role = draw.choice([role for role in JOURNALS if role in among] or JOURNALS)
-    return Fault("damaged journal", (role,), lambda: outside.damage_journal(role, draw))
+    return Fault("damaged journal", (role,), lambda: outside.damage_journal(role, draw), words=("journal", "doubt"))
 
 
 #: How a fault of each kind is drawn.

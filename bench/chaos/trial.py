@@ -25,7 +25,6 @@ SAYS = {
     "cameras": ("camera", "vss", "exposure"),
     "vss": ("vss", "vision", "camera"),
     "bootstrap": ("bootstrap",),
-    "clock": ("clock", "time", "older", "stamp"),
 }
 
 
@@ -125,7 +124,7 @@ def judge(fault: Fault, outcome: Outcome) -> Verdict:
         return Verdict.HANG
     if outcome.success:
         return Verdict.SUCCESS if _plausible(outcome.report) else Verdict.FALSE
-    words = [word for victim in fault.victims for word in SAYS.get(victim, (victim,))]
+    words = [*fault.words, *(word for victim in fault.victims for word in SAYS.get(victim, (victim,)))]
     said = outcome.said.lower()
     return Verdict.TRUE_REASON if any(word in said for word in words) else Verdict.FALSE
 

@@ -79,9 +79,7 @@ class CalibrateCameraClient(GuardedNode):
             LinkError: The dispatcher fell silent.
             WaitTimeoutError: There is no such service.
         """
-        self._until(
-            lambda: self._client.service_is_ready() and not _starting(machine.read()), f"the service {SERVICE}"
-        )
+        self._until(lambda: self._client.service_is_ready() and not _starting(machine.read()), f"the service {SERVICE}")
         self._lines = ProgressLines()
         request = CalibrateCamera.Request(cameras=cameras, poses_file=poses_file)
         response = self._answer(self._client.call_async(request))
