@@ -28,7 +28,12 @@ def running(factor: float, seed: int, port: int) -> Iterator[None]:
     """
     path = deployments.default_path()
     deployment = deployments.load(path).with_values(factor, seed, port)
-    if start(deployment, path, START_S) != 0:
+    try:
+        code = start(deployment, path, START_S)
+    except KeyboardInterrupt:
+        stop.stop(say=lambda _: None)
+        raise
+    if code != 0:
         raise StateError("the machine did not start")
     try:
         yield

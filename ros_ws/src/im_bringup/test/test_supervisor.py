@@ -9,7 +9,7 @@ import textwrap
 import pytest
 
 from im_bringup.machine import record as machine
-from im_bringup.machine.bootstrap import SILENCE_S, Silence
+from im_bringup.machine.bootstrap import SILENCE_S, SilentTasks
 from im_bringup.tasks.registry import Progress
 from im_core import clock
 
@@ -83,7 +83,7 @@ def test_what_never_was_ready_or_ended_by_itself_stays_dead(supervise, state, de
 
 
 def test_a_ready_task_that_falls_silent_is_told_once():
-    silence, now = Silence(), 100.0
+    silence, now = SilentTasks(), 100.0
     silence.found(now)
     silence.heard("dom", 7, Progress.READY)
     silence.heard("mcs", 8, Progress.CONFIGURED)  # its work may take long
@@ -95,7 +95,7 @@ def test_a_ready_task_that_falls_silent_is_told_once():
 
 
 def test_who_did_not_listen_blames_nobody():
-    silence = Silence()
+    silence = SilentTasks()
     silence.heard("dom", 7, Progress.READY)
     assert silence.found(100.0) == []
     assert silence.found(100.0 + 10.0 * SILENCE_S) == []  # it was stopped meanwhile

@@ -63,7 +63,7 @@ def _finished(phase: StartupPhase, record: TaskRecord) -> bool:
     return _DONE[phase] <= record.progress <= Progress.READY
 
 
-class Silence:
+class SilentTasks:
     """Which tasks have fallen silent, though they may run: their messages no longer come through.
 
     Silence is counted only while this process listens itself: a pause between two looks counts for the little that it
@@ -114,7 +114,7 @@ class Bootstrap:
         self.phase = StartupPhase.LOAD
         self.state = machine.STARTING
         self._agent = agent
-        self._silence = Silence()
+        self._silence = SilentTasks()
         self._changed = True
 
     def start(self) -> None:

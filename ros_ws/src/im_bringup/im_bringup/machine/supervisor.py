@@ -21,8 +21,8 @@ _ORDERLY_S = 4.0
 _POLL_S = 0.05
 
 
-class Supervisor:
-    """Runs a bootstrap, and another one when that is killed after the machine was ready.
+class BootstrapKeeper:
+    """The supervisor: runs a bootstrap, and another one when that is killed after the machine was ready.
 
     Args:
         argv: Program and arguments of the bootstrap.
@@ -72,7 +72,7 @@ class Supervisor:
 
 def main() -> int:
     """Run the command: a bootstrap and its arguments."""
-    supervisor = Supervisor(sys.argv[1:])
+    supervisor = BootstrapKeeper(sys.argv[1:])
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, supervisor.stop)
     return supervisor.run()
