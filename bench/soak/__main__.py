@@ -54,7 +54,7 @@ def soak(runs: int, minutes: float, seed: int, port: int) -> tuple[list[Sample],
                 outcome = commander.whole_calibration() if runs else commander.any_command()
                 outcomes.append(outcome)
                 pids = [process.pid for process in leftovers.processes()]
-                samples.append(sample(pids, clock.monotonic() - began, outcome.duration_s))
+                samples.append(sample(pids, outcome.name, clock.monotonic() - began, outcome.duration_s))
                 told = "" if outcome.as_it_should else f" ENDED WRONGLY: {outcome.message}"
                 print(
                     f"soak: {len(outcomes)}: {outcome.name}, {outcome.duration_s:.1f} s, "

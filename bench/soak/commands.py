@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 from rclpy.action import ActionClient
 
+from im_bringup.machine import record as machine
 from im_bringup.ros.calibrate_camera import CalibrateCameraClient
 from im_core import clock, config
 from im_core.errors import StateError, WaitTimeoutError
@@ -84,7 +85,12 @@ class Commander(CalibrateCameraClient):
 
     def _grip(self) -> Outcome:
         symbol = self._random.choice(("open_gripper", "close_gripper"))
-        return self._outcome(symbol, {}, self._succeeded, symbol=symbol)
+        return self._outcome(symbol, {}, self._gripped, symbol=symbol)
+
+    @staticmethod
+    def _gripped(result: Any) -> bool:
+        """Between commands the power is off, and /mcs says so."""
+        return bool(result.success) or "is refused in state" in said(result)
 
     @staticmethod
     def _succeeded(result: Any) -> bool:
@@ -122,6 +128,7 @@ class Commander(CalibrateCameraClient):
     def _done(self, future: Any) -> Any:
         deadline = clock.monotonic() + ANSWER_S
         while not future.done():
+            machine.read_running()
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what="an answer of the dispatcher", seconds=ANSWER_S)
             clock.sleep(0.02)

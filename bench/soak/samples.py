@@ -21,6 +21,7 @@ class Sample:
     """What all processes of a machine hold together.
 
     Attributes:
+        kind: Of the command before it.
         at_s: When, since the first command began [s].
         duration_s: How long the command before it took [s].
         memory: PSS [MiB].
@@ -30,6 +31,7 @@ class Sample:
         disk: Folder of logs, journals and data objects [MiB].
     """
 
+    kind: str
     at_s: float
     duration_s: float
     memory: float
@@ -62,7 +64,7 @@ QUANTITIES = (
     Quantity("shm", "MiB", 64.0),
     Quantity("disk", "MiB", 1024.0),
 )
-#: A command of the same kind may take so much longer after a week.
+#: A command may take so much longer after a week, as a share of the mean of its kind.
 LONGER = 0.1
 
 
@@ -96,10 +98,11 @@ class Trend:
         return cls(mean, slope, slope - reach, slope + reach)
 
 
-def sample(pids: Iterable[int], at_s: float, duration_s: float) -> Sample:
+def sample(pids: Iterable[int], kind: str, at_s: float, duration_s: float) -> Sample:
     """Look at processes, and at the folders of the machine of this ROS domain."""
     found = list(pids)
     return Sample(
+        kind,
         at_s,
         duration_s,
         memory_mib(found),
@@ -127,8 +130,10 @@ def lines(samples: Sequence[Sample]) -> list[Line]:
     for quantity in QUANTITIES:
         trend = Trend.through(at_s, [getattr(each, quantity.name) for each in used])
         result += _of(quantity.name, quantity.unit, trend, quantity.week)
-    trend = Trend.through(at_s, [each.duration_s for each in used])
-    return result + _of("duration of a command", "s", trend, LONGER * trend.mean)
+    kinds = {each.kind for each in used}
+    means = {kind: float(np.mean([each.duration_s for each in used if each.kind == kind])) for kind in kinds}
+    trend = Trend.through(at_s, [each.duration_s / means[each.kind] for each in used])
+    return result + _of("duration over the mean of its kind", "", trend, LONGER)
 
 
 def _of(name: str, unit: str, trend: Trend, bar: float) -> list[Line]:
@@ -143,7 +148,7 @@ def _of(name: str, unit: str, trend: Trend, bar: float) -> list[Line]:
     ]
 
 
-def table(samples: Sequence[Sample]) -> list[dict[str, float]]:
+def table(samples: Sequence[Sample]) -> list[dict[str, float | str]]:
     """All samples, for the file of the figures."""
     return [{field.name: getattr(each, field.name) for field in fields(Sample)} for each in samples]
 

@@ -8,7 +8,7 @@ import pytest
 
 from bench.soak.samples import WEEK_S, Sample, Trend, after_warm_up, lines, sample
 
-FLAT = Sample(0.0, 10.0, 1000.0, 300.0, 180.0, 220.0, 3.0)
+FLAT = Sample("calibration", 0.0, 10.0, 1000.0, 300.0, 180.0, 220.0, 3.0)
 
 
 def run(count=60, noise=0.0, **growth_a_week):
@@ -43,6 +43,14 @@ def test_what_grows_is_named_and_nothing_else(name, week):
     assert verdict[name].value == pytest.approx(week, rel=1e-6)
 
 
+def test_kinds_of_commands_that_differ_are_no_trend_and_one_that_slows_down_is():
+    short = [replace(each, kind="short", duration_s=0.1) for each in run()]
+    mixed = [pair[k % 2] for k, pair in enumerate(zip(run(), short, strict=True))]
+    assert judged(mixed)["duration over the mean of its kind"].met
+    slower = [replace(each, duration_s=each.duration_s * (1.0 + each.at_s / WEEK_S)) for each in mixed]
+    assert judged(slower)["duration over the mean of its kind"].met is False
+
+
 def test_scatter_is_no_growth_and_a_short_run_proves_nothing():
     noisy = judged(run(noise=5.0))["memory"]
     assert noisy.met
@@ -65,9 +73,9 @@ def test_the_interval_is_that_of_student():
 def test_a_sample_is_of_the_processes_that_are_named(tmp_path, monkeypatch):
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     (tmp_path / "log").write_bytes(bytes(2**20))
-    before = sample([os.getpid()], 1.0, 2.0)
+    before = sample([os.getpid()], "x", 1.0, 2.0)
     files = [(tmp_path / "log").open("rb") for _ in range(5)]
-    after = sample([os.getpid(), 2**30], 1.0, 2.0)
+    after = sample([os.getpid(), 2**30], "x", 1.0, 2.0)
     for file in files:
         file.close()
     assert after.descriptors - before.descriptors == 5
