@@ -115,13 +115,15 @@ class Commander(CalibrateCameraClient):
         goal = ExecuteCommand.Goal(symbol=symbol, arguments=json.dumps(dict(arguments)))
         if not self._execute.wait_for_server(ANSWER_S):
             raise WaitTimeoutError(what="the action of the dispatcher", seconds=ANSWER_S)
-        handle = self._done(self._execute.send_goal_async(goal))
+        assert self.executor is not None, "the node spins"
+        # sent in the loop: rclpy notes a goal after it has sent it, and another thread may take the answer in between
+        handle = self._done(self._done(self.executor.create_task(self._execute.send_goal_async, goal)))
         if not handle.accepted:
             raise StateError(f"{name}: the dispatcher did not accept the goal")
-        answer = handle.get_result_async()
+        answer = self._done(self.executor.create_task(handle.get_result_async))
         if cancel_after_s is not None:
             clock.sleep(cancel_after_s)
-            self._done(handle.cancel_goal_async())
+            self._done(self._done(self.executor.create_task(handle.cancel_goal_async)))
         result = self._done(answer).result
         return Outcome(name, right(result), said(result), clock.monotonic() - began)
 

@@ -67,7 +67,7 @@ def test_a_full_disk(default, monkeypatch, tmp_path):
 def test_a_folder_that_cannot_be_made(default, monkeypatch, tmp_path, variable):
     (tmp_path / "file").touch()
     monkeypatch.setenv(variable, str(tmp_path / "file" / "folder"))
-    with pytest.raises(ImError, match=r"file/folder cannot be made: Not a directory"):
+    with pytest.raises(ImError, match=r"file/folder cannot be made: Not a directory; nothing was started$"):
         preflight.check(default)
 
 

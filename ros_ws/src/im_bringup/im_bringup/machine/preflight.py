@@ -4,12 +4,13 @@ import os
 import re
 import resource
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment
 from im_core import files, names
 from im_core.errors import ImError, StoreError
-from im_core.files import FileError, make_folder, write_whole
+from im_core.files import FileError, write_whole
 
 # Counted on the machine of the default deployment, 11 participants, while it ran a command.
 #: Most that any process has open is 29; the page of the display has one more for each of its readers.
@@ -35,8 +36,8 @@ def check(deployment: Deployment) -> None:
         ImError: Something is missing; one sentence that says what, how much is there and how much is needed.
     """
     _check_open_files()
-    for folder in (names.run_dir(), names.results_dir()):
-        _check_folder(folder)
+    for find in (names.run_dir, names.results_dir):
+        _check_folder(find)
     _check_shared_memory(shared_memory_bytes(len(deployment.on_host(deployment.local_host()))))
 
 
@@ -60,9 +61,10 @@ def _check_open_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, most))
 
 
-def _check_folder(folder: Path) -> None:
+def _check_folder(find: Callable[[], Path]) -> None:
     try:
-        free = shutil.disk_usage(make_folder(folder)).free
+        folder = find()  # which makes it
+        free = shutil.disk_usage(folder).free
         write_whole(folder / ".preflight", bytes(4096)).unlink(missing_ok=True)
     except StoreError as error:
         raise ImError(f"{error.message}; nothing was started", code="resources", **error.facts) from error
