@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from im_pnt.errors import NetFileError
 from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.model.delay import Delay
-from im_pnt.model.net import Guard, Net, Place, RemotePlace, Service, Strategy, Transition
+from im_pnt.model.net import Guard, Net, Place, ReadFor, RemotePlace, Service, Strategy, Transition
 from im_pnt.netfile import describe, load_net, parse_net, schema_text, yaml_text
 from im_pnt.pnml import pnml_text
 
 NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
 NCNAME = re.compile(r"[A-Za-z_][\w.-]*", re.ASCII)
 
-names = st.sampled_from(["a", "b", "yes", "null", "arc_1", "page", "Q7", "long_name", "_x", "I", "remote_1", "on"])
+WORDS = ["a", "b", "yes", "null", "arc_1", "page", "Q7", "long_name", "_x", "I", "remote_1", "on"]
+names = st.sampled_from(WORDS)
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 shown = st.text(st.characters(exclude_categories=["Cs", "Cc"], exclude_characters="\ufffe\uffff"), max_size=8)
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -74,6 +75,8 @@ def nets(draw_):
         remote, resource = draw_(st.booleans()), draw_(st.none() | st.booleans())
         places[name] = Place(name, tokens, capacity, data_object, on_invalid, remote, resource)
     escalate = draw_(st.none() | place)
+    readings = [(None, None), (ReadFor.COMMAND, None), (ReadFor.NOBODY, 0.0), (None, 2.5)]
+    said_of = {symbol: draw_(st.sampled_from(readings)) for symbol in WORDS} | {None: (None, None)}
     transitions = {}
     for name in draw_(st.lists(names, min_size=1, max_size=4, unique=True)):
         inputs = draw_(arcs)
@@ -82,6 +85,8 @@ def nets(draw_):
         if action and escalate is None:
             on_failure = on_failure or {some[0]: 1}
         inhibitors = draw_(st.dictionaries(place, st.integers(1, 4), max_size=2))
+        symbol = draw_(names) if not inputs else draw_(optional)
+        said = said_of[symbol]
         remote = st.builds(RemotePlace, st.sampled_from(["other", "far_away"]), names)
         transitions[name] = Transition(
             name,
@@ -90,7 +95,7 @@ def nets(draw_):
             draw_(st.dictionaries(remote, st.integers(1, 2), max_size=2)),
             {key: weight for key, weight in inhibitors.items() if weight > inputs.get(key, 0)},
             draw_(st.none() | st.builds(Guard, names, st.booleans())),
-            draw_(names) if not inputs else draw_(optional),
+            symbol,
             tuple(draw_(st.lists(names, max_size=2))),
             action,
             on_failure,
@@ -101,6 +106,7 @@ def nets(draw_):
             draw_(positive),
             draw_(st.none() | st.builds(Strategy, positive, positive, st.floats(0.01, 1))) if action else None,
             draw_(st.integers(-5, 5)),
+            *said,
             origin=name,
         )
     services = {}
@@ -171,6 +177,7 @@ CONSISTENCY = (
     "must be three different places",
     "can fail: say where",
     "goes from",
+    "something else than transition",
     "is not between low and high",
     "has no finite mean",
     "'places' is missing",

@@ -21,6 +21,7 @@ KEYS = {
     "ServiceFile": "entry done failed",
     "TransitionFile": "in out inhibitors guard symbol emit action service goal topic request on_failure on_doubt "
     "timeout delay success weight strategy priority",
+    "SymbolFile": "name of expires",
     "StrategyFile": "successes failures decay",
     "ServiceCallFile": "name type request build handle task",
     "GoalFile": "name type goal build handle task",

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
+from im_pnt.errors import NetFileError
 from im_pnt.execution.events import CommandCancelled, GuardsChanged
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity, Command, CommandResult
@@ -22,7 +23,7 @@ from im_pnt.model.action import FunctionAction, RequestAction
 from im_pnt.model.net import Guard, Net, Place, Transition
 from im_pnt.model.resources import resource_places
 from im_pnt.netfile import parse_net
-from support.process import Process, hold
+from support.process import Clock, Process, hold
 
 SERVER = parse_net(
     """
@@ -338,3 +339,127 @@ transitions:
     assert activity.cancelled
     process.end("confirm")
     assert [result.success for result in process.results] == [True, True]
+
+
+CONFIRMED = """
+net: n
+places: {idle: 3, asked: , going: }
+transitions:
+  begin: {symbol: move, in: idle, out: asked}
+  confirm: {symbol: {name: confirm, of: command}, in: asked, out: going, guard: open}
+  tell: {in: going, out: idle, action: tell, emit: move_done, on_failure: going}
+"""
+
+
+class Confirmed:
+    """Commands that wait to be confirmed."""
+
+    def __init__(self, text: str = CONFIRMED) -> None:
+        self.open = True
+        self.told: list[int] = []
+        self.process = Process(
+            [parse_net(text)],
+            {"tell": lambda ctx: self.told.append(ctx.command.id)},
+            {"open": lambda ctx: self.open},
+            clock=Clock(),
+        )
+
+    def errors(self) -> list[str]:
+        return [str(result.error) for result in self.process.results if result.error is not None]
+
+
+def test_a_word_is_for_the_command_that_it_names_and_for_the_oldest_where_it_names_none():
+    run = Confirmed()
+    first, second, third = (run.process.command("n", "move") for _ in range(3))
+    run.process.command("n", "confirm", command=second)
+    assert run.told == [second]
+    run.process.command("n", "confirm")
+    run.process.command("n", "confirm")
+    assert run.told == [second, first, third]
+    assert run.errors() == []
+    assert len(run.process.results) == 6
+
+
+def test_a_word_begins_no_command_and_waits_for_one_that_asks():
+    run = Confirmed()
+    run.process.command("n", "confirm")
+    assert run.process.results == []
+    moved = run.process.command("n", "move")
+    assert run.told == [moved]
+
+
+def test_a_word_to_a_command_that_has_ended_or_never_was_is_refused():
+    run = Confirmed()
+    first = run.process.command("n", "move")
+    run.process.command("n", "confirm", command=7)
+    assert run.errors() == ["confirm is for command 7, which is not under way"]
+    run.open = False
+    run.process.command("n", "confirm", command=first)
+    run.open = True
+    run.process.command("n", "confirm")  # the one before is read first, and this one waits
+    assert run.told == [first]
+    run.process.command("n", "confirm", command=first)
+    assert run.errors()[1:] == [f"confirm is for command {first}, which is not under way"]
+
+
+@pytest.mark.parametrize("expires", [0, 2])
+def test_a_symbol_that_nobody_has_asked_for_expires(expires):
+    run = Confirmed(CONFIRMED.replace("of: command", f"of: command, expires: {expires}"))
+    run.process.command("n", "confirm")
+    run.process.wait(1.0)
+    assert len(run.errors()) == (expires == 0)
+    run.process.wait(1.5)
+    assert run.errors() == ["nothing has asked for confirm in time"]
+    run.process.command("n", "move")
+    assert run.told == []
+    run.process.command("n", "confirm")
+    assert len(run.told) == 1
+
+
+def test_a_symbol_that_is_asked_for_waits_though_its_guard_is_closed():
+    run = Confirmed(CONFIRMED.replace("of: command", "of: command, expires: 0"))
+    run.open = False
+    moved = run.process.command("n", "move")
+    run.process.command("n", "confirm")
+    run.open = True
+    run.process.exchange.nets["n"].post(GuardsChanged())
+    run.process.pump()
+    assert run.told == [moved]
+
+
+def test_a_symbol_of_nobody_begins_no_command():
+    net = parse_net(
+        "net: n\nplaces: {dark: 1, light: }\n"
+        "transitions: {on: {symbol: {name: press, of: nobody}, in: dark, out: light, action: f, on_failure: dark}}"
+    )
+    seen: list[int] = []
+    process = Process([net], {"f": lambda ctx: seen.append(ctx.command.id)})
+    process.command("n", "press")
+    assert seen == [0]
+    assert [result.success for result in process.results] == [True]
+
+
+def test_all_that_read_a_symbol_say_the_same_of_it():
+    with pytest.raises(NetFileError, match="says of 'confirm' something else than transition 'confirm' does"):
+        parse_net(f"{CONFIRMED}  again: {{symbol: confirm, in: going, out: asked}}\n")
+
+
+def test_a_journal_brings_words_back():
+    run = Confirmed(CONFIRMED.replace("of: command", "of: command, expires: 2"))
+    executor = run.process.exchange.nets["n"]
+    entries: list[str] = []
+    encode = net_encoder("n")
+    executor.rule.record = lambda entry: entries.append(encode(entry))
+    for step in ("confirm", "move", "move", "move"):
+        run.process.command("n", step)
+    run.process.command("n", "confirm", command=3)
+    run.process.command("n", "confirm", command=2)
+    run.open = False
+    run.process.command("n", "confirm", command=4)
+    run.process.wait(3.0)
+    again = Process([executor.written], run.process.functions.actions, {"open": lambda ctx: False})
+    replayed = again.exchange.nets["n"]
+    for text in entries:
+        replayed.replay(decode_net_entry(json.loads(text)[2]))
+    replayed.rule.record = executor.record
+    assert net_state(replayed) == net_state(executor)

@@ -112,6 +112,7 @@ class EventLoop:
         self._contexts = [actions.fresh_context(index) for index in range(len(rule.transitions))]
         self._pumping = False
         self._guard_clocks: set[str] = set()
+        self._watched: set[int] = set()
         self._told: tuple[Mode, bool, tuple[str, ...]] = (self.operator.mode, self.operator.paused, ())
 
     @property
@@ -173,6 +174,7 @@ class EventLoop:
         """Goes on after a journal was replayed."""
         self.conflicts.reseed(self.rule.notifier.sequence)
         self.actions.resume()
+        self._watch_symbols()
         self.rule.notifier.flush()
 
     def _pump(self, limit: int) -> bool:
@@ -233,6 +235,8 @@ class EventLoop:
         match event:
             case TokenArrived() | CommandWritten() | RequestArrived():
                 rule.happens(event)
+                if rule.expires:
+                    self._watch_symbols()
             case CommandCancelled(command_id, error):
                 jobs = rule.ledger.of_command(command_id)
                 rule.happens(event)
@@ -495,6 +499,7 @@ class EventLoop:
         if self.conflicts.clocks:
             self._arm_guard_clocks()
         if self.rule.ledger.count and self.operator.free:
+            self.rule.drop_stale()
             self.rule.close_forgotten()
         if self.operator.free and self._told == _BY_ITSELF:
             return
@@ -503,6 +508,18 @@ class EventLoop:
         if told != self._told:
             self._told = told
             self.rule.notifier.operated(*told)
+
+    def _watch_symbols(self) -> None:
+        """Has symbols that have come to the tape expire."""
+        for job in self.rule.ledger.tape.waiting():
+            seconds = self.rule.expires.get(job.symbol)
+            if seconds and job.number not in self._watched:
+                self._watched.add(job.number)
+                self._timers.at(self._clock() + seconds, partial(self._expire, job))
+
+    def _expire(self, job: Job) -> None:
+        self._watched.discard(job.number)
+        self.rule.expire(job)
 
     def _arm_guard_clocks(self) -> None:
         for source, period in self.conflicts.clocks.items():

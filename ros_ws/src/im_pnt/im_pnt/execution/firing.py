@@ -36,9 +36,11 @@ from im_pnt.execution.record import (
 from im_pnt.model.action import RequestAction
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place, expand, input_place
-from im_pnt.model.net import Net, Role, Transition
+from im_pnt.model.net import Net, ReadFor, Role, Transition
 from im_pnt.model.resources import resource_places
 
+ADDRESS = "command"
+"""Argument of a word to a command: the number of that command; without it, it is for whichever asks first."""
 DOUBT_CODE = "in_doubt"
 """Code of the error of an action of which nobody can tell what became."""
 _WAITING_ROLES = (Role.END, Role.FAILED, Role.CANCEL, Role.LOST, Role.GIVEN_UP, Role.WITHDRAWN)
@@ -74,6 +76,7 @@ class FiringRule:
         call: A ``t.start`` whose function is being called, and since when [s]: its token is on ``t.active``, nothing
             belongs to it, and it is made an activity only where one is needed.
         callee: The activity that was made so last.
+        expires: For each symbol that does not wait for ever, how long it does [s].
         choosy: Transitions that tokens alone do not enable: it matters whose they are.
     """
 
@@ -101,7 +104,11 @@ class FiringRule:
                 self.readers.setdefault(symbol, []).append(index)
         ends_service = (Role.FINISH, Role.FINISH_FAILED)
         self._finishing = frozenset(i for i, t in enumerate(self.transitions) if t.role in ends_service)
-        self.choosy = self.tokens.choosy | self._finishing
+        self._to_commands = frozenset(i for i, t in enumerate(self.transitions) if t.symbol_of is ReadFor.COMMAND)
+        self.choosy = self.tokens.choosy | self._finishing | self._to_commands
+        reading = [t for t in self.transitions if t.symbol is not None]
+        self.expires = {t.symbol: t.symbol_expires for t in reading if t.symbol and t.symbol_expires is not None}
+        self._words = frozenset(t.symbol for t in reading if t.symbol_of is ReadFor.COMMAND)
         emitted = {each for transition in self.transitions for each in transition.emit}
         self._answered = {s for s in self.readers if any(ends(each, s) is not None for each in emitted)}
         self.call: tuple[int, float] | None = None
@@ -153,7 +160,9 @@ class FiringRule:
             case GuardBroke(number, error):
                 self._open_job(number).last_failure = error
             case JobForgotten(number, error):
-                self.close(self._open_job(number), error)
+                job = self._open_job(number)
+                self.ledger.tape.withdraw(job)
+                self.close(job, error)
             case ModeSet() | PauseSet():
                 raise ValueError("it is for the operator of the net")
 
@@ -194,6 +203,11 @@ class FiringRule:
     def write(self, job: Job) -> None:
         """Puts a job on the input tape."""
         self.ledger.add(job)
+        address = job.arguments.get(ADDRESS)
+        if job.symbol in self._words and address is not None and not self._under_way(address):
+            text = f"{job.symbol} is for command {address}, which is not under way"
+            self.close(job, NetError(text, symbol=job.symbol, command=address))
+            return
         self.ledger.tape.write(job)
         self.consider_readers(job.symbol)
 
@@ -216,8 +230,31 @@ class FiringRule:
         self.notifier.flush()
         self.ledger.close(job, error)
         self.tokens.disown(job)
+        for word in self.ledger.tape.waiting() if self._words else ():
+            address = word.arguments.get(ADDRESS)
+            if word.symbol in self._words and address is not None and not self._under_way(address):
+                self.ledger.tape.withdraw(word)
+                text = f"command {address}, for which {word.symbol} was, has ended"
+                self.close(word, NetError(text, symbol=word.symbol, command=address))
         if was_open and job.request is not None:
             self.outlet.send_reply(job.request, error, job.results)
+
+    def _under_way(self, number: object) -> bool:
+        return any(job.command.id == number and job.symbol not in self._words for job in self.ledger.jobs())
+
+    def expire(self, job: Job) -> None:
+        """Ends a symbol that still waits to be read, when it does so no longer."""
+        if job.waiting:
+            text = f"nothing has asked for {job.symbol} in time"
+            self.happens(JobForgotten(job.number, NetError(text, net=self.net.name, symbol=job.symbol)))
+
+    def drop_stale(self) -> None:
+        """Ends the symbols that nothing waits for as the net comes to rest, where they do not wait themselves."""
+        for symbol, seconds in self.expires.items():
+            asked = any(not self.enabling.unmet[index] and self.owners(index) for index in self.readers[symbol])
+            if seconds == 0.0 and not asked:
+                for job in list(self.ledger.tape.of_symbol(symbol)):
+                    self.expire(job)
 
     def _awaits_acceptance(self, job: Job) -> bool:
         if job.request is None or job.from_tape:
@@ -282,13 +319,23 @@ class FiringRule:
         owners = self.tokens.owners(index)
         if index in self._finishing:
             return [owner for owner in owners if owner is None or owner is self.ledger.serving]
+        if index in self._to_commands:
+            return [owner for owner in owners if owner is not None and self._symbol_for(index, owner) is not None]
         return owners
+
+    def _symbol_for(self, index: int, owner: Job | None) -> Job | None:
+        """Returns the oldest on the tape that a transition may read for a command, None where there is none."""
+        waiting = self.ledger.tape.of_symbol(self.transitions[index].symbol or "")
+        if index not in self._to_commands or owner is None:
+            return next(iter(waiting), None)
+        number = owner.command.id
+        return next((word for word in waiting if word.arguments.get(ADDRESS, number) == number), None)
 
     def foreseen(self, index: int, owner: Job | None) -> Lineage:
         """Returns what a firing for a job would go on with: where the tokens are of nobody, the command it reads."""
-        symbol = self.transitions[index].symbol
-        if owner is None and symbol is not None:
-            return Lineage(self.ledger.tape.first(symbol), None)
+        transition = self.transitions[index]
+        if owner is None and transition.symbol is not None and transition.symbol_of is None:
+            return Lineage(self._symbol_for(index, None), None)
         return self.tokens.peek_inputs(index, owner)
 
     def fire(self, index: int, owner: Job | None) -> Activity | None:
@@ -309,9 +356,11 @@ class FiringRule:
         lineage = self.tokens.take_inputs(index, owner)
         word: Job | None = None
         if transition.symbol is not None:
-            word = self.ledger.tape.read(transition.symbol)
+            word = self._symbol_for(index, owner)
+            assert word is not None
+            self.ledger.tape.withdraw(word)
             self.consider_readers(transition.symbol)
-            if lineage.job is None:
+            if owner is None and transition.symbol_of is None:
                 lineage, word = Lineage(word, None), None
         activity = self._move_on(index, lineage)
         if word is not None and word.symbol not in self._answered:

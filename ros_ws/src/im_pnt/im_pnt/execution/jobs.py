@@ -344,26 +344,12 @@ class InputTape:
         """Whether a symbol is on the tape."""
         return bool(self._waiting.get(symbol))
 
-    def first(self, symbol: str) -> Job:
-        """Returns the oldest job of a symbol, and leaves it on the tape.
-
-        Raises:
-            LookupError: The symbol is not there.
-        """
-        return self._waiting[symbol][0]
-
-    def read(self, symbol: str) -> Job:
-        """Takes the oldest job of a symbol from the tape.
-
-        Raises:
-            LookupError: The symbol is not there.
-        """
-        job = self._waiting[symbol].popleft()
-        job.waiting = False
-        return job
+    def of_symbol(self, symbol: str) -> Collection[Job]:
+        """Returns the jobs of a symbol, the oldest first."""
+        return self._waiting.get(symbol, ())
 
     def withdraw(self, job: Job) -> bool:
-        """Takes a job from the tape, wherever it is; returns whether it was there."""
+        """Takes a job from the tape, which reads it, wherever it is; returns whether it was there."""
         if not job.waiting:
             return False
         self._waiting[job.symbol].remove(job)

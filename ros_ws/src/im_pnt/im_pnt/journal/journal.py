@@ -359,7 +359,7 @@ def _replay(entry: object, exchange: Exchange, link: Link) -> None:
 # Whether a journal belongs to a net.
 
 _UNIMPORTANT = ("line", "source", "description")
-_ADDED = ("resource",)
+_ADDED = ("resource", "symbol_of", "symbol_expires")
 """Fields that nets have not always had: where they say nothing, a net is what it was without them."""
 
 

@@ -81,6 +81,13 @@ class Strategy:
     decay: float = 1.0
 
 
+class ReadFor(enum.StrEnum):
+    """For whom a symbol is read."""
+
+    COMMAND = "command"
+    NOBODY = "nobody"
+
+
 class Role(enum.Enum):
     """What a transition of an expanded net is."""
 
@@ -111,6 +118,8 @@ class Transition:
         inhibitors: It is disabled while the place holds that many tokens or more.
         guard: Enabling function.
         symbol: Symbol it needs from the input tape.
+        symbol_of: COMMAND: the symbol is a word to a command under way; NOBODY: it begins none; None: whichever fits.
+        symbol_expires: Time that the symbol waits on the tape [s], 0: not when the net comes to rest; None: for ever.
         emit: Symbols it writes to the output tape when it ends.
         action: What is done between taking and giving.
         on_failure: Tokens it gives instead when the action fails.
@@ -144,6 +153,8 @@ class Transition:
     weight: float = 1.0
     strategy: Strategy | None = None
     priority: int = 0
+    symbol_of: ReadFor | None = None
+    symbol_expires: float | None = None
     role: Role = Role.PLAIN
     origin: str = ""
     line: int = 0

@@ -8,7 +8,7 @@ from im_pnt.errors import NetError, NetFileError
 from im_pnt.model.action import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.model.delay import Delay
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
-from im_pnt.model.net import Guard, Net, Place, RemotePlace, Service, Strategy, Transition
+from im_pnt.model.net import Guard, Net, Place, ReadFor, RemotePlace, Service, Strategy, Transition
 from im_pnt.netfile.schema import DelayFile, NetFile, PlaceFile, TransitionFile, is_name, shown_name
 from im_pnt.netfile.text import checked, complaint_at, read_data
 
@@ -56,10 +56,21 @@ class _Reader:
         transitions = {name: self._transition(name, each) for name, each in file.transitions.items()}
         if not transitions:
             raise self._error(("transitions",), "the net has no transition")
+        self._require_one_reading(transitions)
         net = Net(file.net, places, transitions, services, file.escalate, file.rest, file.description, self._root.file)
         if self._foreign:
             self._require_names(net)
         return net
+
+    def _require_one_reading(self, transitions: Mapping[str, Transition]) -> None:
+        """Checks that all that read a symbol say the same of it."""
+        first: dict[str, Transition] = {}
+        for name, transition in transitions.items():
+            if transition.symbol is not None:
+                other = first.setdefault(transition.symbol, transition)
+                if (other.symbol_of, other.symbol_expires) != (transition.symbol_of, transition.symbol_expires):
+                    sentence = f"says of '{transition.symbol}' something else than transition '{other.name}' does"
+                    raise self._error(("transitions", name, "symbol"), sentence)
 
     def _place(self, name: str, file: PlaceFile) -> Place:
         for rank, other in enumerate(file.on_invalid):
@@ -87,7 +98,7 @@ class _Reader:
                 if inhibitors[place] <= inputs[place]:
                     sentence = f"'{place}' both enables and disables it; it could never fire"
                     raise self._error((*here, "inhibitors"), sentence)
-        strategy = file.strategy
+        strategy, symbol = file.strategy, file.symbol
         return Transition(
             name,
             inputs,
@@ -95,7 +106,7 @@ class _Reader:
             remote_outputs,
             inhibitors,
             _guard(file.guard),
-            file.symbol,
+            None if symbol is None else symbol.name,
             file.emit,
             action,
             on_failure,
@@ -106,6 +117,8 @@ class _Reader:
             weight=file.weight,
             strategy=None if strategy is None else Strategy(strategy.successes, strategy.failures, strategy.decay),
             priority=file.priority,
+            symbol_of=None if symbol is None or symbol.of is None else ReadFor(symbol.of),
+            symbol_expires=None if symbol is None else symbol.expires,
             origin=name,
             line=self._lines[name],
         )

@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import NoneType
-from typing import Annotated, ClassVar, Self, TypeVar, get_args
+from typing import Annotated, ClassVar, Literal, Self, TypeVar, get_args
 
 import pydantic
 from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema
@@ -533,6 +533,28 @@ class StrategyFile(_Part):
     )
 
 
+class SymbolFile(_Part):
+    """A symbol of the input tape: its name, or its keys."""
+
+    short_forms = (_ONE_TEXT,)
+
+    name: Name = Field(description="The symbol.")
+    of: Given[Literal["command", "nobody"]] = Field(
+        None,
+        description="command: it is a word to a command under way, and waits for one that asks for it; nobody: it "
+        "begins no command; not said: with tokens of nobody it begins a command.",
+    )
+    expires: Given[NotNegative] = Field(
+        None,
+        description="Time for which it waits to be read [s]; 0: it does not wait when nothing else happens any more.",
+    )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _long(cls, value: object) -> object:
+        return value if isinstance(value, dict) else {"name": value}
+
+
 class TransitionFile(_Part):
     """A transition: it takes the tokens of 'in', does its action, then gives those of 'out'."""
 
@@ -558,7 +580,7 @@ class TransitionFile(_Part):
     guard: Given[
         Annotated[str, _Form(rf"\s*(not\s+)?{_NAME}\s*", "is not a name, nor 'not' and a name", like_truth=True)]
     ] = Field(None, description="Enabling function by its registered name, or 'not' and the name.")
-    symbol: Given[Name] = Field(None, description="Symbol it needs from the input tape.")
+    symbol: Given[SymbolFile] = Field(None, description="Symbol it needs from the input tape: its name, or its keys.")
     emit: Names = Field((), description="Symbols it writes to the output tape when it ends.")
     action: Given[Name] = Field(None, description="Calls a registered function.")
     service: Given[ServiceCallFile] = Field(None, description="Calls a ROS service.")

@@ -69,7 +69,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
     """Returns what is written about a transition."""
     t, data = transition, dict[str, object]()
     if t.symbol is not None:
-        data["symbol"] = t.symbol
+        data["symbol"] = _symbol_data(t)
     if t.inputs:
         data["in"] = arcs_data(t.inputs)
     if t.inhibitors:
@@ -128,6 +128,15 @@ def _filled(**values: object) -> dict[str, object]:
 
 def _delay_data(delay: Delay) -> float | Mapping[str, object]:
     return delay.values[0] if delay.kind == "constant" else {delay.kind: delay.parameters()}
+
+
+def _symbol_data(transition: Transition) -> object:
+    said: dict[str, object] = {}
+    if transition.symbol_of is not None:
+        said["of"] = transition.symbol_of.value
+    if transition.symbol_expires is not None:
+        said["expires"] = transition.symbol_expires
+    return {"name": transition.symbol, **said} if said else transition.symbol
 
 
 def _strategy_data(strategy: Strategy) -> dict[str, float]:
