@@ -98,9 +98,12 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
 
 
 def _nonsense(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
-    """Whether it is worth to ask what the data may be instead; residuals as large as part of the image are no noise."""
-    if not plausible(gated, problem, layout):
-        return True
+    """Whether it is worth to ask what the data may be instead."""
+    return not plausible(gated, problem, layout) or _beyond_noise(gated, problem)
+
+
+def _beyond_noise(gated: Gated, problem: CalibrationProblem) -> bool:
+    """Whether the typical residual is so large a part of the image that no camera has such noise."""
     residuals = np.linalg.norm(gated.fit.linearisation.residuals.reshape(-1, 2), axis=1)
     width = min(width for width, _ in problem.image_sizes)
     return bool(np.median(residuals[residuals > 0.0]) > _NO_NOISE_SHARE * width)
@@ -111,7 +114,7 @@ def _factors(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout,
     dof = _freedom(gated.fit, gated.used, layout)
     few = bool(np.any(gated.used.sum(axis=1) < TRUSTED_SHARE * problem.detected.sum(axis=1)))
     chi2 = gated.fit.chi2 - layout.prior(gated.fit.unknowns).lens_chi2
-    if not cause and (few or chance_of(chi2, dof) < UNLIKELY):
+    if not cause and not _beyond_noise(gated, problem) and (few or chance_of(chi2, dof) < UNLIKELY):
         return find_noise(problem, layout, NOISE_SOURCES).factors
     return noise_factors(gated.fit.unknowns, problem, layout, gated.used)
 

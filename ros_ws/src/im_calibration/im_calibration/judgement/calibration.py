@@ -28,12 +28,14 @@ class Verdict:
         parameters: The parameters concerned.
         reason: What is wrong, a sentence.
         advice: What to do about it, a sentence.
+        lens: Lens model to take instead; empty: none.
     """
 
     kind: str
     parameters: tuple[str, ...]
     reason: str
     advice: str
+    lens: str = ""
 
     def __str__(self) -> str:
         """The verdict as text."""

@@ -30,6 +30,15 @@ _MANY = 25
 _FAR_SIGMAS, _LARGEST_OFFSET_M = 5.0, 1.0
 _EXPLAINED, _FEWEST, _GATE = 0.6, 6, 30.0
 _ROUNDS = 6
+_LARGEST_CELL_M = 50.0
+
+
+def strange_units(problem: CalibrationProblem) -> str:
+    """That positions are too far apart for metres, a sentence; empty where they are not."""
+    spread = np.median(np.linalg.norm(problem.positions - np.median(problem.positions, axis=0), axis=1))
+    if spread <= _LARGEST_CELL_M:
+        return ""
+    return f"Half of the LED positions are {spread:.0f} m and more from their median: are they metres?"
 
 
 def find_cause(problem: CalibrationProblem) -> str:
@@ -38,6 +47,8 @@ def find_cause(problem: CalibrationProblem) -> str:
     Args:
         problem: The observations, in the order in which they were made.
     """
+    if sentence := strange_units(problem):
+        return sentence
     unknowns = _fitted(problem)
     alone = [_of_camera(problem, c) for c in range(len(problem.camera_names))]
     typical = [_typical_of(each) for each in alone]

@@ -10,6 +10,7 @@ from im_calibration.estimation.start import FLAT, core_extent, robust_extent
 from im_calibration.estimation.unknowns import LENS_RADIUS, ParameterLayout, camera_parameters, lens_reach
 from im_calibration.judgement.agreement import CameraAgreement
 from im_calibration.judgement.calibration import Calibration, Verdict
+from im_calibration.judgement.causes import strange_units
 from im_calibration.judgement.lenses import LensFault
 from im_calibration.judgement.scale import Scale
 from im_calibration.problem.problem import CalibrationProblem
@@ -27,7 +28,6 @@ _FEWEST_MOVED, _MOVED_SHARE = 6, 0.1
 _DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejections together are a misfit as well
 _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outliers; with some, less bad residuals do
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
-_LARGEST_CELL_M = 50.0
 _FOCAL_LIMIT = 0.07
 _TURN_LIMIT = 0.15
 _CENTRE_LIMIT = 0.15
@@ -187,7 +187,7 @@ def _misfit(
     outside = _outside_image(problem)
     if not len(contradictory) and not noisy and not moved and not outside and not calibration.cause:
         return None
-    reasons = [calibration.cause] if calibration.cause else []
+    reasons = [text for text in (calibration.cause or strange_units(problem),) if text]
     if noisy:
         reasons.append(
             f"The residuals are {np.sqrt(calibration.chi2_per_dof):.1f} times as large as the stated noise explains "
@@ -200,7 +200,7 @@ def _misfit(
         for c in contradictory
     ]
     reasons += [_moved_alike(calibration, problem, c) for c in moved]
-    reasons += _strange_units(problem) + outside
+    reasons += outside
     return Verdict(
         MISFIT,
         (),
@@ -221,15 +221,8 @@ def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFa
         before, after = fault.held_out_px
         reason += f"; {fault.better} predicts poses from the others to {after:.2g} px instead of {before:.2g} px"
         advice = f"Calibrate {name} as {fault.better} (--lens-model, or distortion_model in the data set)."
-    return Verdict(MISFIT, _camera_names(name, lens.coefficients[: lens.estimated]), f"{reason}.", advice)
-
-
-def _strange_units(problem: CalibrationProblem) -> list[str]:
-    """What a misfit may come from: positions that are no metres."""
-    spread = np.median(np.linalg.norm(problem.positions - np.median(problem.positions, axis=0), axis=1))
-    if spread <= _LARGEST_CELL_M:
-        return []
-    return [f"Half of the LED positions are {spread:.0f} m and more from their median: are they metres?"]
+    parameters = _camera_names(name, lens.coefficients[: lens.estimated])
+    return Verdict(MISFIT, parameters, f"{reason}.", advice, fault.better)
 
 
 def _outside_image(problem: CalibrationProblem) -> list[str]:

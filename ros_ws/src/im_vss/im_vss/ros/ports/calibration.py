@@ -46,10 +46,19 @@ class CalibratePort(Port):
         response.report = to_report(
             result.calibration,
             self.rig.cell.led.offset,
-            result.calibration.message,
+            told(result),
             directory=str(result.directory) if result.directory is not None else "",
             json=json.dumps(result.report),
         )
+
+
+def told(result: CalibrateResult) -> str:
+    """The outcome; where another lens model is proposed, that the Service makes one only: its answer holds no other."""
+    message = result.calibration.message
+    if not any(verdict.lens for verdict in result.calibration.verdicts):
+        return message
+    where = f"{result.directory}/observations.json" if result.directory else "the observations, as a data set"
+    return f"{message} The Service calibrate makes plumb_bob only: use the command calibrate_dataset on {where}."
 
 
 def from_observation(message: ObservationMessage) -> Observation:
