@@ -5,6 +5,8 @@ import math
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -17,10 +19,12 @@ from im_core import clock
 from im_core.config import package_file
 
 pytestmark = pytest.mark.end_to_end
+ROOT = Path(__file__).resolve().parent.parent
 
 SEED = 3
 FEW = 20
 COMMAND_S = 240.0
+MOST_GROWTH_MIB = 200.0
 READY_AGAIN = "recover: ready: 10 tasks, MCS is cold"
 
 
@@ -448,6 +452,35 @@ def test_a_killed_mcs_is_named_and_comes_back(machine, few_poses):
     back()
     again = machine.calibrate(few_poses)
     assert again.success, again.message
+
+
+def test_whatever_arrives_nothing_dies_and_the_command_goes_on(machine, few_poses):
+    """Every interface gets values made from its type, from a process of its own, while a command runs."""
+    from sensor_msgs.msg import JointState
+
+    restarts = {name: task.restarts for name, task in machine.tasks.items()}
+    thread, answers = machine.in_background(few_poses)
+    machine.wait_for_firing("calibrate_camera", "move_robot")
+    command = [sys.executable, "-m", "bench.fuzz", "--rounds", "3", "--seed", str(SEED)]
+    thrown = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=COMMAND_S, check=False)
+    assert thrown.returncode == 0, thrown.stdout + thrown.stderr[-2000:]
+    told = json.loads(thrown.stdout)
+    assert told["unanswered"] == told["restarted"] == []
+    assert all(told["interfaces"][kind] >= few for kind, few in (("topic", 20), ("service", 100), ("action", 11)))
+    assert all(count > 0 for count in told["sent"].values())
+    assert max(told["grown"].values()) < MOST_GROWTH_MIB, told["grown"]
+    thread.join(COMMAND_S)
+    (answer,) = answers
+    assert answer.success, answer.message
+    assert {name: task.restarts for name, task in machine.tasks.items()} == restarts
+    positions = []
+    machine.node.create_subscription(JointState, "/joint_states", positions.append, 10)
+    machine.wait_for(lambda: positions, "the joints")
+    joints = dict(zip(positions[-1].name, positions[-1].position, strict=True))
+    home = dict(zip(load_cell().joint_names, load_cell().home, strict=True))
+    right = [name for name in joints if name.startswith("right")]
+    assert right
+    assert [joints[name] for name in right] == pytest.approx([home[name] for name in right], abs=0.01)
 
 
 def test_who_changes_the_net_changes_what_happens(machine, few_poses):

@@ -49,7 +49,7 @@ class VisionCoordinator(PntNode):
             asks={"keep_observation": idempotent(self.keep_observation)},
             verifier=verify_to_load,
         )
-        self.sources.follow(LIGHTS, String, qos.LATCHED)
+        self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: is_lit(message.data, ""))
         self._long_exposure = self.fixed_parameters.declare(
             "long_exposure", 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
         )

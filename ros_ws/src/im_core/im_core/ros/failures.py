@@ -48,7 +48,8 @@ class Failures:
         now = clock.monotonic()
         if now - said_at >= REPEAT_S:
             self._said[what] = now, count
-            words = self.last if said else f"{self.last}\n{_trace(error)}"
+            expected = said or isinstance(error, ImError)  # which says what is wrong; of others it matters where
+            words = self.last if expected else f"{self.last}\n{_trace(error)}"
             again = f" (failed {count - said} times since this was said last)" if said else ""
             self._node.get_logger().error(f"the callback of {words}{again}")
         self._show()

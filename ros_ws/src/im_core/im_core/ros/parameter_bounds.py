@@ -148,4 +148,5 @@ def _looked_at(srv_type: Any) -> Any:
         why = too_long(address)
         return TooLong(f"The request has {why}.") if why else whole(address)
 
-    return type(srv_type)(srv_type.__name__, (srv_type,), {"Request": converted_by(srv_type.Request, convert)})
+    members = {"Request": converted_by(srv_type.Request, convert), "__module__": srv_type.__module__}
+    return type(srv_type)(srv_type.__name__, (srv_type,), members)

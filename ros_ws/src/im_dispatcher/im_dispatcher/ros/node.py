@@ -10,6 +10,7 @@ from rclpy.action.server import ServerGoalHandle
 from im_core.arrivals import read_json
 from im_core.errors import ImError, StateError
 from im_core.ros import run
+from im_core.ros.calls import run_in_thread
 from im_core.ros.guard import GuardedActionServer
 from im_core.ros.status import to_status
 from im_dispatcher.command import joined
@@ -23,6 +24,9 @@ from im_pnt.ros.node import CommandOutcome, PntNode, ProgressListener
 from im_pnt_analysis import verify_to_load
 
 CANCEL_CHECK_S = 0.1
+
+#: How long it may take to read a net [s].
+READ_S = 60.0
 
 
 class Dispatcher(PntNode):
@@ -120,7 +124,8 @@ class Dispatcher(PntNode):
 
     async def _load_net(self, request: LoadNet.Request, response: LoadNet.Response) -> LoadNet.Response:
         try:
-            net = parse_net(request.net_yaml) if request.net_yaml else load_net(request.net_file)
+            read, told = (parse_net, request.net_yaml) if request.net_yaml else (load_net, request.net_file)
+            net = await run_in_thread(self, read, told, timeout_s=READ_S)
             report = await self.load_net(net, request.wait)
         except ImError as error:
             response.success, response.message = False, error.message

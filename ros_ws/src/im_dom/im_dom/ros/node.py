@@ -9,9 +9,13 @@ from im_core.names import run_dir
 from im_core.ros import qos, run
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import ok_status, to_status
+from im_core.ros.worker import Worker
 from im_dom.store import ObjectRecord, ObjectStore
 from im_msgs.msg import ObjectChange, ObjectInfo
 from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
+
+#: How long the store may take to answer [s].
+ANSWER_S = 5.0
 
 AnswerT = TypeVar("AnswerT", PutObject.Response, GetObject.Response, InvalidateObject.Response)
 
@@ -22,6 +26,7 @@ class DomNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("dom")
         self._store: ObjectStore | None = None
+        self._worker = Worker(self, "the objects' store", ANSWER_S)
 
     def phase_configure(self) -> None:
         """Open the store and offer the services."""
@@ -33,8 +38,8 @@ class DomNode(ManagedNode):
         self.create_service(InvalidateObject, "/dom/invalidate", self._invalidate)
 
     def phase_shutdown(self) -> None:
-        """Close the store."""
-        if self._store is not None:
+        """Close the store, unless something in it hangs."""
+        if self._worker.close() and self._store is not None:
             self._store.close()
 
     @property
@@ -48,38 +53,39 @@ class DomNode(ManagedNode):
             raise StateError("the objects' store is not open yet")
         return self._store
 
-    def _put(self, request: PutObject.Request, response: PutObject.Response) -> PutObject.Response:
+    async def _put(self, request: PutObject.Request, response: PutObject.Response) -> PutObject.Response:
         def put() -> ObjectRecord:
             return self.store.put(
                 request.name, request.type, bytes(request.data), request.place, request.source, self._now_ns()
             )
 
-        return self._answer(response, put, changed=True)
+        return await self._answer(response, put, changed=True)
 
-    def _get(self, request: GetObject.Request, response: GetObject.Response) -> GetObject.Response:
+    async def _get(self, request: GetObject.Request, response: GetObject.Response) -> GetObject.Response:
         def get() -> ObjectRecord:
             record, data = self.store.get(request.name, request.type)
             if not request.metadata_only:
                 response.data = data
             return record
 
-        return self._answer(response, get, changed=False)
+        return await self._answer(response, get, changed=False)
 
-    def _invalidate(
+    async def _invalidate(
         self, request: InvalidateObject.Request, response: InvalidateObject.Response
     ) -> InvalidateObject.Response:
         def invalidate() -> ObjectRecord:
             return self.store.invalidate(request.name, request.source, self._now_ns())
 
-        return self._answer(response, invalidate, changed=True)
+        return await self._answer(response, invalidate, changed=True)
 
-    def _list(self, request: ListObjects.Request, response: ListObjects.Response) -> ListObjects.Response:
-        response.objects = [to_info(record) for record in self.store.records(request.prefix)]
+    async def _list(self, request: ListObjects.Request, response: ListObjects.Response) -> ListObjects.Response:
+        records = await self._worker.run(lambda: self.store.records(request.prefix))
+        response.objects = [to_info(record) for record in records]
         return response
 
-    def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:
+    async def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:
         try:
-            response.object = to_info(operation())
+            response.object = to_info(await self._worker.run(operation))
         except ImError as error:
             response.success, response.status = False, to_status(error)
             return response

@@ -31,10 +31,19 @@ class Sources:
         self._last: dict[str, Any] = {}
         self.known = True
 
-    def follow(self, topic: str, message_type: type, profile: QoSProfile) -> None:
-        """Follows a topic, so that guards may be woken by it."""
+    def follow(
+        self, topic: str, message_type: type, profile: QoSProfile, check: Callable[[Any], object] = lambda _: None
+    ) -> None:
+        """Follows a topic, so that guards may be woken by it.
+
+        Args:
+            topic: Its name.
+            message_type: Its type.
+            profile: Quality of service.
+            check: Raises what is wrong with a message that makes no sense; the last that did stays then.
+        """
         self._last[topic] = None
-        self._node.create_subscription(message_type, topic, partial(self._hear, topic), profile)
+        self._node.create_subscription(message_type, topic, partial(self._hear, topic, check), profile)
 
     def last(self, topic: str) -> Any:
         """Returns the last message of a topic that is followed, None before the first."""
@@ -85,6 +94,7 @@ class Sources:
         else:
             done(None)
 
-    def _hear(self, topic: str, message: Any) -> None:
+    def _hear(self, topic: str, check: Callable[[Any], object], message: Any) -> None:
+        check(message)
         self._last[topic] = message
         self._changed(f"topic:{topic}")

@@ -37,6 +37,9 @@ from im_vss.vsm import PROCESS, VisionServicesManager
 
 WATCH_PERIOD_S = 1.0
 
+#: How long it may take to write the files of a calibration [s].
+FILES_S = 30.0
+
 
 class VssNode(ManagedNode):
     """ROS shell of :class:`im_vss.vsm.VisionServicesManager`."""
@@ -155,11 +158,12 @@ class VssNode(ManagedNode):
         taken = self._vsm.request("snap", SnapRequest(cameras, exposure_s))
         return int(taken.frames[0].stamp_ns + (exposure_s / 2.0 + self._rig.cell.period) * 1e9)
 
-    def _set_camera_info(
+    async def _set_camera_info(
         self, camera: str, request: SetCameraInfo.Request, response: SetCameraInfo.Response
     ) -> SetCameraInfo.Response:
         try:
-            folder = self._book.set_cameras({camera: from_camera_info(request.camera_info)}, pose=False)
+            models = {camera: from_camera_info(request.camera_info)}
+            folder = await run_in_thread(self, partial(self._book.set_cameras, models, pose=False), timeout_s=FILES_S)
         except ImError as error:
             response.status_message = error.message
             return response

@@ -1,0 +1,159 @@
+"""Throw values at every interface of the machine of this ROS domain; prints what was sent and what did not answer.
+
+Exit codes: 0 everything answered and every process lives, 1 not so (said what).
+"""
+
+import argparse
+import json
+import sys
+import threading
+from dataclasses import dataclass
+
+import rclpy
+from rclpy.node import Node
+
+from bench.fuzz.attack import Attack
+from bench.fuzz.targets import Target, targets
+from bench.fuzz.values import Values
+from bench.usage import memory_mib
+from im_core import clock
+from im_core.ros import qos
+from im_core.ros.run import spin_in_thread
+from im_msgs.msg import TaskRegistry
+
+#: How long the machine is given to become quiet before its memory is read again [s].
+QUIET_S = 5.0
+
+
+class Census(Node):
+    """Knows the processes of the machine, and what they hold."""
+
+    def __init__(self) -> None:
+        super().__init__("fuzz")
+        self._tasks: dict[str, tuple[int, int]] = {}
+        self.create_subscription(TaskRegistry, "/bootstrap/tasks", self._learn, qos.LATCHED)
+
+    def _learn(self, registry: TaskRegistry) -> None:
+        self._tasks = {task.name: (task.pid, task.restarts) for task in registry.tasks}
+
+    def restarts(self) -> dict[str, int]:
+        """How often each task was started again."""
+        return {name: restarts for name, (_, restarts) in self._tasks.items()}
+
+    def memory(self) -> dict[str, float]:
+        """Memory of each task [MiB]."""
+        return {name: memory_mib([pid]) for name, (pid, _) in self._tasks.items()}
+
+
+def slow_subscribers(count: int, found: list[Target]) -> list[Node]:
+    """Nodes that subscribe and never take anything."""
+    nodes = []
+    topics = [target for target in found if target.kind == "topic"]
+    for number in range(count):
+        node = Node(f"fuzz_slow_{number}")
+        target = topics[number % len(topics)]
+        node.create_subscription(target.type, target.name, lambda _: None, qos.STATUS)
+        nodes.append(node)
+    return nodes
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is thrown.
+
+    Attributes:
+        clients: Nodes that throw, each with what it draws.
+        slow: Nodes that subscribe and never take anything.
+        rounds: How often each client throws at each interface, where ``seconds`` is 0.
+        rate: Throws a second of all clients together; 0: as many as go.
+        seconds: How long [s]; 0: ``rounds`` rounds.
+        seed: Of what is drawn.
+        large: Share of texts and lists of bytes that have two million elements.
+    """
+
+    clients: int = 1
+    slow: int = 0
+    rounds: int = 5
+    rate: float = 0.0
+    seconds: float = 0.0
+    seed: int = 0
+    large: float = 0.002
+
+
+def attack(plan: Plan) -> dict[str, object]:
+    """Throw values at the machine of this ROS domain; ROS is initialised.
+
+    Returns:
+        What was found, as JSON data: ``interfaces``, ``sent``, ``unanswered``, ``restarted`` (tasks that were started
+        again meanwhile) and ``grown`` (memory of each task afterwards less that before [MiB]).
+    """
+    census = Census()
+    nodes = [Node(f"fuzz_{number}") for number in range(plan.clients)]
+    with spin_in_thread(census, *nodes):
+        found = _settled(nodes[0])
+        attacks = [Attack(node, Values(plan.seed + number, plan.large)) for number, node in enumerate(nodes)]
+        for each in attacks:
+            each.open(found)
+        idle = slow_subscribers(plan.slow, found)
+        before, restarts = census.memory(), census.restarts()
+        pause_s = plan.clients / plan.rate if plan.rate else 0.0
+        until = clock.monotonic() + plan.seconds
+
+        def run(one: Attack) -> None:
+            done = 0
+            while clock.monotonic() < until if plan.seconds else done < plan.rounds:
+                for target in found:
+                    one.throw(target)
+                    clock.sleep(pause_s)
+                done += 1
+            one.finish()
+
+        threads = [threading.Thread(target=run, args=[each], daemon=True) for each in attacks]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        clock.sleep(QUIET_S)
+        after, now = census.memory(), census.restarts()
+        for node in idle:
+            node.destroy_node()
+    return {
+        "interfaces": {kind: sum(target.kind == kind for target in found) for kind in ("topic", "service", "action")},
+        "sent": {kind: sum(each.sent[kind] for each in attacks) for kind in ("topic", "service", "action")},
+        "unanswered": sorted({name for each in attacks for name in each.unanswered}),
+        "restarted": sorted(name for name in now if now[name] != restarts.get(name)),
+        "grown": {name: round(after[name] - before.get(name, 0.0), 1) for name in sorted(after)},
+    }
+
+
+def _settled(node: Node) -> list[Target]:
+    """The interfaces, when a node has discovered all: when it finds no more for two seconds."""
+    found: list[Target] = []
+    looks = 0
+    while looks < 2:
+        clock.sleep(1.0)
+        before, found = found, targets(node, own="fuzz")
+        looks = looks + 1 if found and found == before else 0
+    return found
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(prog="python -m bench.fuzz", description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5, help="throws of each client at each interface")
+    parser.add_argument("--seconds", type=float, default=0.0, help="go on for so long instead, e.g. 60")
+    parser.add_argument("--rate", type=float, default=0.0, help="throws a second in all, e.g. 200 (default: what goes)")
+    parser.add_argument("--clients", type=int, default=1, help="nodes that throw, e.g. 50")
+    parser.add_argument("--slow", type=int, default=0, help="nodes that subscribe and never take anything, e.g. 100")
+    parser.add_argument("--large", type=float, default=0.002, help="share of texts that have two million characters")
+    parser.add_argument("--seed", type=int, default=0)
+    told = parser.parse_args()
+    rclpy.init(args=[])
+    found = attack(Plan(**vars(told)))
+    rclpy.try_shutdown()
+    print(json.dumps(found, indent=1))
+    return 1 if found["unanswered"] or found["restarted"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
