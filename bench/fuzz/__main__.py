@@ -62,9 +62,9 @@ class Plan:
     """What is thrown.
 
     Attributes:
-        clients: Nodes that throw, each with what it draws.
+        clients: Nodes that throw, which share the interfaces.
         slow: Nodes that subscribe and never take anything.
-        rounds: How often each client throws at each interface, where ``seconds`` is 0.
+        rounds: How often something is thrown at each interface, where ``seconds`` is 0.
         rate: Throws a second of all clients together; 0: as many as go.
         seconds: How long [s]; 0: ``rounds`` rounds.
         seed: Of what is drawn.
@@ -92,23 +92,26 @@ def attack(plan: Plan) -> dict[str, object]:
     with spin_in_thread(census, *nodes):
         found = _settled(nodes[0])
         attacks = [Attack(node, Values(plan.seed + number, plan.large)) for number, node in enumerate(nodes)]
-        for each in attacks:
-            each.open(found)
+        for number, each in enumerate(attacks):
+            each.open(found[number :: plan.clients])  # thousands of ends would be no attack but a flood of discovery
         idle = slow_subscribers(plan.slow, found)
         before, restarts = census.memory(), census.restarts()
         pause_s = plan.clients / plan.rate if plan.rate else 0.0
         until = clock.monotonic() + plan.seconds
 
-        def run(one: Attack) -> None:
+        def run(one: Attack, mine: list[Target]) -> None:
             done = 0
             while clock.monotonic() < until if plan.seconds else done < plan.rounds:
-                for target in found:
+                for target in mine:
                     one.throw(target)
                     clock.sleep(pause_s)
                 done += 1
             one.finish()
 
-        threads = [threading.Thread(target=run, args=[each], daemon=True) for each in attacks]
+        threads = [
+            threading.Thread(target=run, args=[each, found[number :: plan.clients]], daemon=True)
+            for number, each in enumerate(attacks)
+        ]
         for thread in threads:
             thread.start()
         for thread in threads:
