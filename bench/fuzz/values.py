@@ -11,7 +11,7 @@ from im_core.ros.interfaces import interface_class
 
 #: No value is one that a joint, a pose, a time or a gripper could be sent to.
 FLOATS = (math.nan, math.inf, -math.inf, -1e300, 1e300, 5e-324, -7.0)
-TEXTS = ("", "\x01", "x" * 300, "../..", "/dev/zero", "77", "ä\U0001f916")
+TEXTS: tuple[str, ...] = ("", "\x01", "x" * 300, "../..", "/dev/zero", "77", "ä\U0001f916")
 TEXTS += ("[]", "{}", "null", '"\\ud800"', "[" * 5000, "{a: " * 300)  # for those who read JSON or YAML
 COUNTS = (0, 1, 2, 7, 100)
 LARGE = 2_000_000
