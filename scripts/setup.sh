@@ -46,7 +46,7 @@ seconds_since() { LC_ALL=C awk -v a="$1" -v b="$EPOCHREALTIME" 'BEGIN { printf "
 # line NAME TEXT: one line of at most 79 characters; on a terminal in place of the last.
 line() {
   local text
-  printf -v text 'setup: %-46s %s' "$1 ..." "$2"
+  printf -v text 'setup: %-40s %s' "$1 ..." "$2"
   if [[ -t 1 ]]; then printf '\r\e[K%.79s' "$text"; else printf '%.79s\n' "$text"; fi
 }
 
@@ -301,7 +301,7 @@ if [[ ! -x "$IM_VENV/bin/python" || "$(cat "$INSTALLED" 2>/dev/null)" != "$wante
   step "making .venv" : make_venv
   step "installing $UV" : install_uv
   step "installing $(lock | grep -c .) locked packages" installed install_lock
-  [[ "$kind" == wheels ]] && step "making .venv an underlay of the workspace" : make_underlay
+  [[ "$kind" == wheels ]] && step "making .venv an underlay" : make_underlay
   write_stamp "$INSTALLED" "$wanted $IM_VENV"
 fi
 
