@@ -217,7 +217,9 @@ def test_a_spoilt_bag_is_one_sentence(plugin, tmp_path, capsys):
     for content in (b"", b"- 1", b"{", b"rosbag2_bagfile_information: 1", meta[: len(meta) // 2]):
         (bag / "metadata.yaml").write_bytes(content)
         assert run(bag, tmp_path / "out.json", "--poses", "/tool", "--image-size", "640x480") == command.BAD_INPUT
-        assert "cannot be read: " in capsys.readouterr().err
+        error = capsys.readouterr().err
+        assert error.startswith(f"make_dataset: {bag}")
+        assert error.count("\n") == 1
     assert run(tmp_path / "none", tmp_path / "out.json", "--poses", "/tool") == command.BAD_INPUT
     assert "does not exist" in capsys.readouterr().err
     assert run(data, tmp_path / "out.json", "--poses", "/tool", "--image-size", "640x480") == command.OK
