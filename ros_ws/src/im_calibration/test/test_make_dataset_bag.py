@@ -221,5 +221,5 @@ def test_a_spoilt_bag_is_one_sentence(plugin, tmp_path, capsys):
         assert error.startswith(f"make_dataset: {bag}")
         assert error.count("\n") == 1
     assert run(tmp_path / "none", tmp_path / "out.json", "--poses", "/tool") == command.BAD_INPUT
-    assert "does not exist" in capsys.readouterr().err
+    assert f"{tmp_path / 'none'}: cannot be read: " in capsys.readouterr().err
     assert run(data, tmp_path / "out.json", "--poses", "/tool", "--image-size", "640x480") == command.OK
