@@ -42,7 +42,7 @@ check() {
 
 # tests NAME ARGS...: pytest, one result a test. Exit code 5 says that nothing was selected.
 tests() {
-  local name="$1" began=$SECONDS file="$results/$1.xml" code=0 counts
+  local name="$1" began=$SECONDS file="$results/${1// /_}.xml" code=0 counts
   shift
   say "== $name tests"
   "$IM_VENV/bin/python" -m pytest -q --junitxml="$file" "$@" ${selection[@]+"${selection[@]}"} || code=$?
@@ -70,8 +70,8 @@ check "stubs of the messages" "$IM_VENV/bin/python" scripts/message_stubs.py "$I
 check mypy "$IM_VENV/bin/python" -m mypy "${packages[@]}"
 tests unit ros_ws/src bench --numprocesses auto --dist loadgroup
 if ((!quick)); then
-  tests node test -m "not end_to_end"
-  tests end-to-end test -m end_to_end
+  # two machines at a time, file by file; the longest file first
+  tests "node and end-to-end" test/test_case_study.py test --numprocesses 2 --dist loadfile --no-loadscope-reorder
 fi
 
 say ""

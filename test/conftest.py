@@ -54,6 +54,14 @@ def pytest_unconfigure(config):
     shutil.rmtree(config.stash[FOLDER], ignore_errors=True)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _one_failure_is_one():
+    """A fixture that fails before it could shut ROS down does not take the next files with it."""
+    yield
+    if "rclpy" in sys.modules:
+        sys.modules["rclpy"].try_shutdown()
+
+
 @pytest.fixture
 def wait_until():
     """``wait_until(condition, what, seconds)``: returns the first true value of the condition, or fails naming what."""
