@@ -163,4 +163,4 @@ def test_residuals_of_a_robot_that_is_bent_are_told_from_noise():
     spoiled = calibrate(replace(problem, positions=bent, noise_to_estimate=BOTH))
     assert not honest.neighbours.alike
     assert spoiled.neighbours.alike
-    assert "The residuals are no noise" in spoiled.message
+    assert "neighbouring spots are off alike" in spoiled.message

@@ -113,7 +113,9 @@ def test_real_time_keeps_pace_alone_and_outlives_its_servo():
         assert servo.read_state().power
         panel.wait_tick(panel.tick + 10, timeout_s=3.0)  # no further command: declared gone after 0.5 s
         assert panel.servo_losses == 1
-        state = servo.read_state()
+        with pytest.raises(LinkError, match="the testbed declared the servo gone"):
+            servo.read_state()
+        state = servo.read_state()  # it has been told once
         assert not state.power
         assert state.brakes.all()
 
