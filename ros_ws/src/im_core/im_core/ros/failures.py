@@ -83,4 +83,9 @@ def sentence(error: BaseException) -> str:
 
 
 def _trace(error: BaseException) -> str:
-    return "".join(traceback.format_exception(error)).rstrip().encode("utf-8", "backslashreplace").decode()
+    try:
+        lines = traceback.format_exception(error)
+    except SystemError:  # Python 3.11 cannot parse in two threads at once (gh-106905), and parses for its carets
+        frames = traceback.walk_tb(error.__traceback__)
+        lines = [f'  File "{frame.f_code.co_filename}", line {line}\n' for frame, line in frames]
+    return "".join(lines).rstrip().encode("utf-8", "backslashreplace").decode()
