@@ -12,7 +12,7 @@
 #   scripts/bench.sh --mcs tick line    only those; --mcs --help tells what there is
 #   scripts/bench.sh --vss              instead: vision: frames and answers a second, and where the time goes
 #   scripts/bench.sh --vss frames       only that; --vss --help tells what there is
-#   scripts/bench.sh --soak             instead: does anything grow? 200 calibrations in a row, hours; --soak --runs 20: fewer
+#   scripts/bench.sh --soak             instead: does anything grow? 200 calibrations in a row; --soak --runs 20: fewer
 #   scripts/bench.sh --soak --minutes 60   and with random commands in real time, for an hour
 #
 # The peers (SNAKES, libpetri, pm4py) are installed once, from bench/peers/requirements.txt into .venv-peers, an

@@ -125,8 +125,22 @@ def test_after_kill_of_the_bootstrap_stop_leaves_nothing(small_machine, script):
     assert (again.returncode, again.stdout) == (0, f"stop: no machine runs in ROS domain {machine.domain()}\n")
 
 
+def test_a_bootstrap_that_is_killed_is_started_again_with_its_machine(small_machine, wait_until):
+    killed = machine.read()
+    os.kill(killed.pid, signal.SIGKILL)
+
+    def another():
+        record = machine.read()
+        return record is not None and record.state == machine.READY and record.pid != killed.pid
+
+    wait_until(another, "the machine to be ready again")
+
+
 def test_a_start_after_a_killed_machine_works(small_machine, small_deployment, script):
-    os.kill(machine.read().pid, signal.SIGKILL)
+    bootstrap = machine.read().pid
+    supervisor = int(Path(f"/proc/{bootstrap}/stat").read_text().rpartition(")")[2].split()[1])
+    for pid in (supervisor, bootstrap):
+        os.kill(pid, signal.SIGKILL)
     done = script("start", small_deployment)
     assert done.returncode == 0, done.stderr
 

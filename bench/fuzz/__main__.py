@@ -90,7 +90,7 @@ def attack(plan: Plan) -> dict[str, object]:
     census = Census()
     nodes = [Node(f"fuzz_{number}") for number in range(plan.clients)]
     with spin_in_thread(census, *nodes):
-        found = _settled(nodes[0])
+        found = _settled(nodes[0], census)
         attacks = [Attack(node, Values(plan.seed + number, plan.large)) for number, node in enumerate(nodes)]
         for number, each in enumerate(attacks):
             each.open(found[number :: plan.clients])  # thousands of ends would be no attack but a flood of discovery
@@ -124,18 +124,18 @@ def attack(plan: Plan) -> dict[str, object]:
         "interfaces": {kind: sum(target.kind == kind for target in found) for kind in ("topic", "service", "action")},
         "sent": {kind: sum(each.sent[kind] for each in attacks) for kind in ("topic", "service", "action")},
         "unanswered": sorted({name for each in attacks for name in each.unanswered}),
-        "restarted": sorted(name for name in now if now[name] != restarts.get(name)),
-        "grown": {name: round(after[name] - before.get(name, 0.0), 1) for name in sorted(after)},
+        "restarted": sorted(name for name in restarts if now.get(name) != restarts[name]),
+        "grown": {name: round(after[name] - before[name], 1) for name in sorted(before) if name in after},
     }
 
 
-def _settled(node: Node) -> list[Target]:
-    """The interfaces, when a node has discovered all: when it finds no more for two seconds."""
+def _settled(node: Node, census: Census) -> list[Target]:
+    """The interfaces of the machine, when a node has discovered all: when it finds no more for two seconds."""
     found: list[Target] = []
     looks = 0
     while looks < 2:
         clock.sleep(1.0)
-        before, found = found, targets(node, own="fuzz")
+        before, found = found, targets(node, {"bootstrap", *census.restarts()})
         looks = looks + 1 if found and found == before else 0
     return found
 

@@ -1,5 +1,6 @@
 """The interfaces of a running machine, as its graph tells; and what of them is an order whatever it says."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,11 +29,11 @@ class Target:
     type: Any
 
 
-def targets(node: Node, own: str) -> list[Target]:
-    """All interfaces that nodes take something on, sorted; but of those whose names begin with ``own``."""
+def targets(node: Node, of: Collection[str]) -> list[Target]:
+    """All interfaces that the nodes of these names take something on, sorted."""
     found: dict[tuple[str, str], str] = {}
     for name, namespace in set(node.get_node_names_and_namespaces()):
-        if name.startswith(own):
+        if name not in of:
             continue
         actions = get_action_server_names_and_types_by_node(node, name, namespace)
         for kind, told in (

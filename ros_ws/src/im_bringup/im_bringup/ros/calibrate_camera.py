@@ -79,7 +79,7 @@ class CalibrateCameraClient(GuardedNode):
             LinkError: The dispatcher fell silent.
             WaitTimeoutError: There is no such service.
         """
-        self._until(lambda: self._client.service_is_ready() and not _starting(machine.read()), f"the service {SERVICE}")
+        self._until(self._dispatcher_there, f"the service {SERVICE}")
         self._lines = ProgressLines()
         request = CalibrateCamera.Request(cameras=cameras, poses_file=poses_file)
         response = self._answer(self._client.call_async(request))
@@ -88,6 +88,10 @@ class CalibrateCameraClient(GuardedNode):
         while response is None:
             response = self._attached()
         return response
+
+    def _dispatcher_there(self) -> bool:
+        """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""
+        return bool(self._incarnation) and self._client.service_is_ready() and not _starting(machine.read())
 
     def _attached(self) -> Any | None:
         """The answer to the command that is running or ended last, None if the dispatcher died again."""
@@ -116,7 +120,6 @@ class CalibrateCameraClient(GuardedNode):
             silent = clock.monotonic() - self._heard
             if silent > ALONE_S and (why := _why_lost(silent)):
                 raise LinkError(f"the dispatcher is missing (last heard {silent:.1f} s ago){why}")
-            known = known or self._incarnation
             if self._incarnation != known:
                 return None
         return future.result()

@@ -34,7 +34,7 @@ Started = Callable[[int], None]
 _EVIDENCE = "mcs"
 _INTRODUCTIONS, _INTRODUCTION_S = 20, 0.05
 #: How long a testbed that was lost is waited for, and how often it is looked for [s] of wall time.
-_RECOVERY_S, _AGAIN_S = 30.0, 0.5
+_RECOVERY_S, _AGAIN_S = 20.0, 0.5  # less than the 30 s for which nets wait for an answer
 #: Time for the answer of a last service to leave [s].
 _ANSWERED_S = 0.5
 _LIFECYCLE = {Event.POWER_ON: "activate", Event.POWER_OFF: "deactivate"}

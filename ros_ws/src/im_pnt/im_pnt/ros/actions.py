@@ -23,7 +23,7 @@ from im_pnt.model.action import Action, GoalAction, ServiceAction, TopicAction
 
 DISCOVERY_TIMEOUT_S = 20.0
 """Time in which a server that lives is discovered, also on a busy computer [s]."""
-SETTLING_S = 1.0
+SETTLING_S = 2.0
 """Time in which a client and its server have certainly discovered each other, both ways [s]."""
 LATE_ANSWER_S = 30.0
 SERVICE_TIMEOUT_S = 30.0
