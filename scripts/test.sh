@@ -70,8 +70,8 @@ check "stubs of the messages" "$IM_VENV/bin/python" scripts/message_stubs.py "$I
 check mypy "$IM_VENV/bin/python" -m mypy "${packages[@]}"
 tests unit ros_ws/src bench --numprocesses auto --dist loadgroup
 if ((!quick)); then
-  # two machines at a time, file by file; the longest file first
-  tests "node and end-to-end" test/test_case_study.py test --numprocesses 2 --dist loadfile --no-loadscope-reorder
+  # two machines at a time, file by file
+  tests "node and end-to-end" test --numprocesses 2 --dist loadfile --no-loadscope-reorder
 fi
 
 say ""
