@@ -94,7 +94,7 @@ def environment_with(changes):
 
 
 @pytest.fixture
-def hosts():
+def hosts(wait_until):
     """Two hosts that reach each other."""
     with ExitStack() as stack:
         here, there = Host(stack, "10.99.7.1"), Host(stack, "10.99.7.2")
@@ -112,6 +112,8 @@ def hosts():
                 pytest.skip("there is no command ip")
             if done.returncode:
                 pytest.skip(f"no network between namespaces here: {done.stderr.strip()}")
+        for host in (here, there):  # DDS takes the interfaces that are up when it begins
+            wait_until(lambda host=host: "state UP" in host.run("ip", "link", "show", "eth7").stdout, "the cable")
         yield here, there
 
 
