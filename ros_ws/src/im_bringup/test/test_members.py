@@ -25,17 +25,22 @@ def instance(monkeypatch):
 
 @pytest.fixture
 def started():
-    """``started(mark, **options)``: a process that sleeps."""
+    """``started(mark, **options)``: a process that waits; it has begun, for until then it has no environment."""
     running = []
 
     def start(mark="", **options):
-        running.append(subprocess.Popen(["sleep", "300"], env={**os.environ, MARKER: mark}, **options))
-        return running[-1]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        process = subprocess.Popen(["cat"], env={**os.environ, MARKER: mark}, **pipes, **options)
+        running.append(process)
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == b"\n"
+        return process
 
     yield start
     for process in running:
         process.kill()
-        process.wait()
+        process.communicate()
 
 
 def record_of(process):

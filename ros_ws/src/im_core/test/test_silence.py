@@ -61,12 +61,12 @@ def test_who_computes_is_silent_for_as_long_as_it_computes(child):
 
 
 def test_who_is_kept_from_the_processor_is_not_silent(child):
-    """A niced process among eight others on one core has 1 in 500 of it."""
+    """Among eight others on one core it has a ninth of it; less where they are not as nice."""
     core = {max(os.sched_getaffinity(0))}
     pid = child(SPIN, core, 19)
     for _ in range(8):
         child(SPIN, core)
-    assert listen(pid, 0.3, limit=1.5).seconds < 0.15
+    assert listen(pid, 10.0, limit=1.5).seconds < 0.75
 
 
 def test_time_in_which_nobody_looked_or_no_answer_was_due_does_not_count(child):
