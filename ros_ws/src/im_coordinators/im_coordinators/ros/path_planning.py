@@ -21,7 +21,7 @@ from im_pnt.execution.functions import ActionContext, idempotent, woken_by
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 
-ANSWER_S = 10.0
+ANSWER_S = 30.0
 
 
 class PathPlanningCoordinator(PntNode):
