@@ -5,8 +5,9 @@ from pathlib import Path
 
 
 def cpu_s(pid: int) -> float:
-    """CPU time that a process has used so far [s]."""
-    return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[0]) * 1e-9
+    """CPU time that a process has used so far, in the threads that it has [s]."""
+    threads = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return sum(int(thread.read_text(encoding="ascii").split()[0]) for thread in threads) * 1e-9
 
 
 def memory_mib(pids: Iterable[int]) -> float:

@@ -12,6 +12,7 @@
 #   scripts/bench.sh --mcs tick line    only those; --mcs --help tells what there is
 #   scripts/bench.sh --vss              instead: vision: frames and answers a second, and where the time goes
 #   scripts/bench.sh --vss frames       only that; --vss --help tells what there is
+#   scripts/bench.sh --dom              instead: data objects: puts and gets beside a bare service; 200 kills of the store
 #   scripts/bench.sh --soak             instead: does anything grow? 200 calibrations in a row; --soak --runs 20: fewer
 #   scripts/bench.sh --soak --minutes 60   and with random commands in real time, for an hour
 #
@@ -42,7 +43,7 @@ part=""
 arguments=()
 for argument in "$@"; do
   case "$argument" in
-    --nets | --mcs | --vss | --soak)
+    --nets | --mcs | --vss | --dom | --soak)
       [[ -z "$part" || "$part" == "${argument#--}" ]] || die 2 "--$part and $argument are two benchmarks; name one"
       part="${argument#--}"
       ;;

@@ -8,9 +8,12 @@
 #   scripts/chaos.sh --kinds kill stop --roles servo mcs --injections 20    only these
 #   scripts/chaos.sh --factor 1              in real time
 #   scripts/chaos.sh --port 8081             another port for the display of the machine
+#   scripts/chaos.sh --minutes 30 --out results/chaos.jsonl    in pieces: adds to the file, goes on with its next seed
+#   scripts/chaos.sh --out results/chaos.jsonl --docs docs/reliability.md    injects nothing, writes the table there
 #
-# Kinds: kill, kill-two, stop (1, 15 or 60 s), malformed, clock, second, load, disk, journal. Roles: servo, physics,
-# cameras, bootstrap, and the tasks: testbed, mcs, vss, dom, dispatcher, pnt_display, <which>_coordinator.
+# Kinds: kill, kill-two, stop (1, 15 or 60 s), malformed, clock, second, load, disk, journal, lifecycle (shutdown of
+# /mcs). Roles: servo, physics, cameras, bootstrap, and the tasks: testbed, mcs, vss, dom, dispatcher, pnt_display,
+# <which>_coordinator.
 #
 # Each injection must end with a true answer to the command (success, or a reason that names who failed), the next
 # command must succeed without a restart of the machine, and nothing may be left behind. Prints a table fault x outcome.

@@ -63,12 +63,12 @@ trap interrupted INT TERM
 
 "$IM_ROOT/scripts/setup.sh"
 im_env
-run "$IM_BRINGUP/start" --factor "$factor" --seed "$seed" ${port:+--port "$port"}
-started=1
-if ((record)); then
+if ((record)); then  # before the machine: what is volatile reaches only who is there
   "$IM_BRINGUP/record" &
   recorder=$!
 fi
+run "$IM_BRINGUP/start" --fresh --factor "$factor" --seed "$seed" ${port:+--port "$port"}
+started=1
 run "$IM_BRINGUP/calibrate_camera" ${poses:+--poses "$poses"}
 say ""
 say "against the truth, which only the testbed knows:"

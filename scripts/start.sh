@@ -6,6 +6,8 @@
 #   scripts/start.sh --factor 0 --seed 7         simulated time as fast as it goes, another seed
 #   scripts/start.sh --port 8081                 another port for the display (a web page); the next free one if in use
 #   scripts/start.sh --control                   the display may also operate nets: pause, step, confirm, resolve
+#   scripts/start.sh --unproved                  even where nobody can tell in time whether its nets may run together
+#   scripts/start.sh --fresh                     not on with commands that a killed machine has left; they are kept aside
 #   scripts/start.sh --timeout 120               a longer wait, of its parts for each other too (default 60 s)
 #   scripts/start.sh --calibration results/latest   cameras (and laser scanner) as calibrated before, not as drawn
 #
@@ -14,7 +16,7 @@
 #
 # Other hosts reach nothing of it, unless the deployment has tasks on several hosts (docs/security.md).
 #
-# Logs: .run/im<domain>/log/<task>.log. Stop it with scripts/stop.sh.
+# Logs: .run/im<domain>/log/<process>.log. Stop it with scripts/stop.sh.
 # Exit codes: 0 ready, 1 not started (said why; nothing is left running), 2 bad usage, deployment or calibration,
 # 130 interrupted.
 set -euo pipefail

@@ -1,7 +1,7 @@
 """Fixtures of the tests with nodes and processes. Every session has a ROS domain and a run folder of its own."""
 
+import contextlib
 import fcntl
-import gc
 import json
 import os
 import shutil
@@ -14,6 +14,7 @@ import pytest
 
 from im_bringup.machine import leftovers
 from im_core import clock, names
+from im_core.startup import START_TIMEOUT
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -23,11 +24,13 @@ def pytest_configure(config):
     config.stash[DOMAIN], domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ[START_TIMEOUT] = "300"  # a slow or busy computer makes a start late, and fails no test
     folder = Path(tempfile.mkdtemp(prefix="im_test_"))
-    for name in ("run", "results", "ros"):
+    for name in ("run", "results", "ros", "cache"):
         (folder / name).mkdir()
     os.environ["IM_RUN_DIR"] = str(folder / "run")
     os.environ["IM_RESULTS_DIR"] = str(folder / "results")
+    os.environ["IM_CACHE_DIR"] = str(folder / "cache")
     os.environ["ROS_LOG_DIR"] = str(folder / "ros")
     config.stash[FOLDER] = folder
 
@@ -48,25 +51,48 @@ def own_domain():
     raise pytest.UsageError("60 sessions test on this host; each needs a ROS domain of its own")
 
 
+@pytest.fixture
+def other_domain():
+    """A ROS domain beside the session's own."""
+    lock, domain = own_domain()
+    with lock:
+        yield domain
+
+
+def own_participants():
+    """Ports, counted from the first of the domain, at which participants of this process listen."""
+    first = 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"])  # as RTPS says
+    sockets = set()
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):
+            sockets.add(descriptor.readlink().name)
+    lines = (line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:])
+    ports = [int(local.split(":")[1], 16) - first for _, local, *rest in lines if f"socket:[{rest[7]}]" in sockets]
+    return sorted(port for port in ports if 0 <= port < 250)
+
+
 def pytest_collection_modifyitems(items):
-    """The longest file comes first: where files are divided between processes, the others fill in."""
-    items.sort(key=lambda item: item.path.name != "test_case_study.py")
+    """The longest files come first: where files are divided between processes, the others fill in."""
+    items.sort(key=lambda item: not item.path.name.startswith("test_case_study"))
 
 
 def pytest_unconfigure(config):
     """Leave nothing behind."""
-    leftovers.kill(leftovers.processes(), timeout_s=2.0)
+    leftovers.end_all(timeout_s=2.0)
     leftovers.remove_shared_memory()
     shutil.rmtree(config.stash[FOLDER], ignore_errors=True)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _one_failure_is_one():
-    """A fixture that fails before it could shut ROS down does not take the next files with it."""
+    """A fixture that fails before it could shut ROS down does not take the next files with it.
+
+    Nor do nodes that are still in the graph: services of which a client hears only a part count as none.
+    """
     yield
     if "rclpy" in sys.modules:
         sys.modules["rclpy"].try_shutdown()
-        gc.collect()  # nodes that nobody holds any more leave the graph
+        assert not own_participants(), "nodes are left in the graph: spin them in a thread that is stopped"
 
 
 @pytest.fixture
@@ -136,20 +162,9 @@ def process():
 @pytest.fixture
 def script():
     """``script(name, args...)``: runs ``scripts/<name>.sh`` to its end."""
+    from support.whole_machine import run_script
 
-    def run(name, *arguments, timeout=300.0, **environment):
-        return subprocess.run(
-            ["bash", str(ROOT / "scripts" / f"{name}.sh"), *map(str, arguments)],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-            env={**os.environ, **environment},
-            cwd=ROOT,
-            check=False,
-        )
-
-    return run
+    return run_script
 
 
 @pytest.fixture
@@ -209,7 +224,7 @@ class VisionMachine:
 
         if service not in self.clients:
             self.clients[service] = self.client.create_client(kind, service)
-        return call_blocking(self.clients[service], kind.Request(**fields), 30.0, service)
+        return call_blocking(self.clients[service], kind.Request(**fields), 60.0, service)
 
     def light(self, on):
         from im_msgs.srv import SetLight

@@ -4,8 +4,6 @@ import contextlib
 import json
 import math
 import os
-import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -16,163 +14,50 @@ import yaml
 
 from im_cell.calibration_files import read_calibration
 from im_cell.robot import load_cell
-from im_core import clock
 from im_core.config import package_file
+from support.whole_machine import (
+    COMMAND_S,
+    EACH,
+    FEW,
+    ROOT,
+    SEED,
+    free_port,
+    report_of,
+    run_script,
+    running_machine,
+    write_few_poses,
+)
 
 pytestmark = pytest.mark.end_to_end
-ROOT = Path(__file__).resolve().parent.parent
 
-SEED = 3
-FEW = 20
-COMMAND_S = 240.0
 MOST_GROWTH_MIB = 200.0
-READY_AGAIN = "recover: ready: 10 tasks, MCS is cold"
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture(scope="module")
 def few_poses(tmp_path_factory):
-    """Half of the cell's own poses."""
-    own = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text())
-    own["poses"] = own["poses"][::2]
-    assert len(own["poses"]) == FEW
-    path = tmp_path_factory.mktemp("poses") / "few.yaml"
-    path.write_text(yaml.safe_dump(own))
-    return path
-
-
-class Machine:
-    """A running machine and a node that talks to it."""
-
-    def __init__(self, run_script):
-        import rclpy
-
-        from im_core.ros import qos
-        from im_core.ros.node import ManagedNode
-        from im_core.ros.run import spin_in_thread
-        from im_msgs.msg import Firing, TaskRegistry
-
-        self.run_script = run_script
-        rclpy.init(args=[])
-        self.node = ManagedNode("case_study_test")
-        self.firings = []
-        self.tasks = {}
-        self.node.create_subscription(Firing, "/pnt/firings", self.firings.append, qos.EVENTS)
-        self.node.create_subscription(TaskRegistry, "/bootstrap/tasks", self._registry, qos.LATCHED)
-        self.spinner = spin_in_thread(self.node)
-
-    def _registry(self, message):
-        self.tasks = {task.name: task for task in message.tasks}
-
-    def call(self, kind, name, timeout=60.0, **fields):
-        from im_core.ros.calls import call_blocking
-
-        client = self.node.create_client(kind, name)
-        try:
-            return call_blocking(client, kind.Request(**fields), timeout, f"{name} of the test")
-        finally:
-            self.node.destroy_client(client)
-
-    def calibrate(self, poses="", cameras=()):
-        from im_msgs.srv import CalibrateCamera
-
-        return self.call(
-            CalibrateCamera,
-            "/dispatcher/calibrate_camera",
-            COMMAND_S,
-            cameras=list(cameras),
-            poses_file=str(poses),
-        )
-
-    def trigger(self, name):
-        from std_srvs.srv import Trigger
-
-        return self.call(Trigger, name)
-
-    def in_background(self, poses):
-        answers = []
-        thread = threading.Thread(target=lambda: answers.append(self.calibrate(poses)), daemon=True)
-        thread.start()
-        return thread, answers
-
-    def wait_for(self, condition, what, seconds=60.0):
-        deadline = clock.monotonic() + seconds
-        while not condition():
-            assert clock.monotonic() < deadline, f"waited {seconds} s for {what}, in vain"
-            clock.sleep(0.02)
-
-    def wait_for_firing(self, net, transition, count=1):
-        begin = len(self.firings)
-
-        def seen():
-            fired = [f for f in self.firings[begin:] if (f.net, f.transition) == (net, transition)]
-            return len(fired) >= count
-
-        self.wait_for(seen, f"{count} firings of {net}.{transition}")
-
-    def message(self, kind, topic, seconds=60.0, profile=None):
-        from im_core.ros import qos
-
-        received = []
-        subscription = self.node.create_subscription(kind, topic, received.append, profile or qos.EVENTS)
-        self.wait_for(lambda: received, topic, seconds)
-        self.node.destroy_subscription(subscription)
-        return received[0]
-
-    def stop(self):
-        import rclpy
-
-        self.spinner.stop()
-        rclpy.try_shutdown()
-        return self.run_script("stop")
+    return write_few_poses(tmp_path_factory.mktemp("poses"))
 
 
 @pytest.fixture(scope="module")
-def run_script():
-    import subprocess
-
-    root = Path(__file__).resolve().parent.parent
-
-    def run(name, *arguments, timeout=300.0, **environment):
-        return subprocess.run(
-            ["bash", str(root / "scripts" / f"{name}.sh"), *map(str, arguments)],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-            env={**os.environ, **environment},
-            check=False,
-        )
-
-    return run
-
-
-@pytest.fixture(scope="module")
-def machine(run_script):
-    started = run_script("start", "--factor", 0, "--seed", SEED, "--port", free_port())
-    assert started.returncode == 0, started.stdout + started.stderr
-    machine = Machine(run_script)
-    yield machine
-    ended = machine.stop()
-    assert ended.returncode == 0, ended.stdout + ended.stderr
+def machine():
+    with running_machine() as machine:
+        yield machine
 
 
 @pytest.fixture(scope="module")
 def first_run(machine, few_poses):
     """The answer to the first command of the machine, and the firings that led to it."""
+    from im_msgs.msg import Firing
+
     begin = len(machine.firings)
     answer = machine.calibrate(few_poses)
-    clock.sleep(0.5)
+
+    def told():
+        ended = {(f.net, f.transition) for f in machine.firings[begin:] if f.phase == Firing.END}
+        return {("calibrate_camera", "loop_done"), ("calibrate_camera", "skip_done")} & ended
+
+    machine.wait_for(told, "the last firings")
     return answer, machine.firings[begin:]
-
-
-def report_of(answer):
-    return json.loads((Path(answer.report.directory) / "report.json").read_text())
 
 
 def test_a_calibration_comes_back_with_its_uncertainty(first_run, machine):
@@ -228,10 +113,11 @@ def test_calibration_reaches_the_standard_interfaces(first_run, machine):
     from im_msgs.srv import Snap
 
     answer, _ = first_run
-    thread = threading.Timer(0.5, lambda: machine.call(Snap, "/vss/snap", cameras=["ceiling_left"]))
-    thread.start()
-    info = machine.message(CameraInfo, "/ceiling_left/camera_info")
-    thread.join()
+    infos = []
+    machine.node.create_subscription(CameraInfo, "/ceiling_left/camera_info", infos.append, qos.EVENTS)
+    snap = {"kind": Snap, "name": "/vss/snap", "cameras": ["ceiling_left"]}
+    machine.wait_for(lambda: machine.call(**snap).success and infos, "an image that is heard of")
+    info = infos[0]
     assert list(info.k) == pytest.approx(list(answer.report.cameras[0].k))
     assert info.distortion_model == "plumb_bob"
     frames = machine.message(TFMessage, "/tf_static", profile=qos.LATCHED_MANY)
@@ -260,7 +146,7 @@ def test_the_robot_speaks_standard_messages(machine):
     assert services["/wall/set_camera_info"] == ["sensor_msgs/srv/SetCameraInfo"]
 
 
-def test_the_page_of_interfaces_is_what_the_machine_offers(machine, run_script):
+def test_the_page_of_interfaces_is_what_the_machine_offers(machine):
     written = (Path(__file__).resolve().parent.parent / "docs" / "interfaces.md").read_text()
     printed = run_script("run", "im_bringup", "interfaces").stdout
     assert printed.partition("## Topics")[0] == written.partition("## Topics")[0]
@@ -318,112 +204,77 @@ def test_poses_out_of_reach_or_out_of_sight_are_skipped_and_reported(machine, fe
     assert "no camera sees the light" in rejected["down"]
 
 
-def test_without_a_configured_mcs_the_command_says_so(machine, few_poses, run_script):
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
+def wrist(machine, group):
+    """Position [m] and rotation of a wrist."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
 
-    def change(transition):
-        request = {"transition": Transition(id=transition)}
-        assert machine.call(ChangeState, "/mcs/change_state", **request).success
+    from im_msgs.srv import GetGroupState
 
-    change(Transition.TRANSITION_CLEANUP)
-    answer = machine.calibrate(few_poses)
-    recovered = run_script("run", "im_bringup", "recover")
-    assert not answer.success
-    assert "MCS is unconfigured; scripts/im recover configures it" in answer.message
-    assert (recovered.returncode, "MCS is unconfigured; configure" in recovered.stdout) == (0, True), recovered.stderr
+    pose = machine.call(GetGroupState, "/mcs/get_group_state", group=group).state.wrist
+    p, o = pose.position, pose.orientation
+    return np.array([p.x, p.y, p.z]), Rotation.from_quat([o.x, o.y, o.z, o.w])
 
 
-def test_one_command_brings_the_machine_back_after_the_death_of_testbed_and_servo(machine, few_poses, run_script):
-    """The commands of the tests that follow find it as it was."""
-    from im_msgs.srv import ReserveGroup
+def test_commands_with_nothing_in_common_run_at_once_and_one_that_needs_what_is_held_waits(machine):
+    """The first is held where it plans its way, so that nothing depends on who is faster."""
+    from im_msgs.srv import ControlNet, ListCommands
 
-    assert machine.call(ReserveGroup, "/mcs/reserve", group="left").success
-    for name in ("power_on", "enable_motion"):
-        assert machine.trigger(f"/mcs/{name}").success
-    before = machine.tasks["testbed"]
-    os.kill(child_of("im_sim.physics"), signal.SIGKILL)
-    machine.wait_for(lambda: machine.tasks["testbed"].restarts > before.restarts, "the testbed to be started again")
-    recovered = run_script("run", "im_bringup", "recover")
-    assert (recovered.returncode, recovered.stdout.splitlines()[-1]) == (0, READY_AGAIN), recovered.stderr
-    assert "MCS is estopped: the testbed's physics process is gone; reset" in recovered.stdout
-    os.kill(child_of("im_mcs.servo"), signal.SIGKILL)
-    answer = machine.calibrate(few_poses)  # a command brings it back by itself
-    assert answer.success, answer.message
+    def plans(request):
+        service, net = "/path_planning_coordinator/control_net", "path_planning_coordinator"
+        assert machine.call(ControlNet, service, net=net, request=request).success
 
+    def listed():
+        return {each.symbol: each for each in machine.call(ListCommands, "/dispatcher/list_commands").commands}
 
-def child_of(module):
-    """Process id of the machine's process that runs a module."""
-    from im_bringup.machine import leftovers
-
-    for process in leftovers.processes():
-        if module.encode() in Path(f"/proc/{process.pid}/cmdline").read_bytes().split(b"\0"):
-            return process.pid
-    raise AssertionError(f"no process runs {module}")
-
-
-def test_a_second_command_is_refused_while_one_runs(machine, few_poses):
-    thread, answers = machine.in_background(few_poses)
-    machine.wait_for_firing("calibrate_camera", "move_robot")
-    second = machine.calibrate(few_poses)
-    assert not second.success
-    assert "already running" in second.message
-    thread.join(COMMAND_S)
-    assert answers[0].success, answers[0].message
+    assert machine.execute("home", group="left")().success
+    place, turn = wrist(machine, "left")
+    plans("pause")
+    try:
+        first = machine.execute("move", group="left", frame="tool", position=[0.0, 0.0, -0.05])
+        machine.wait_for(lambda: [each.state for each in listed().values()] == ["running"], "the move to begin")
+        second = machine.execute("open_gripper", group="left", width=0.06)
+        beside = machine.execute("close_gripper", group="right", width=0.03)()
+        under_way = listed()
+    finally:
+        plans("resume")
+    assert beside.success, beside.status.message
+    assert json.loads(beside.results) == {"width": near(0.03, 2e-3), "force": near(0.0, 1.0), "gripped": False}
+    assert {name: each.state for name, each in under_way.items()} == {"move": "running", "open_gripper": "waiting"}
+    assert "left_arm" in under_way["open_gripper"].message
+    moved, opened = first(), second()
+    assert moved.success, moved.status.message
+    assert json.loads(opened.results)["width"] == near(0.06, 2e-3)
+    there, turned = wrist(machine, "left")
+    assert there == near(place + turn.apply([0.0, 0.0, -0.05]), 1e-3)
+    assert (turn.inv() * turned).magnitude() == near(0.0, 1e-2)
 
 
-def test_an_estop_ends_the_command_with_its_reason_and_reset_mends_it(machine, few_poses):
-    thread, answers = machine.in_background(few_poses)
-    machine.wait_for_firing("motion_coordinator", "move_manip", 3)
-    assert machine.trigger("/mcs/estop").success
-    thread.join(60.0)
-    assert answers, "the command did not end"
-    assert not answers[0].success
-    assert "stop" in answers[0].message.lower()
-    refused = machine.calibrate(few_poses)
-    assert not refused.success
-    assert "reset" in refused.message
-    assert machine.trigger("/mcs/reset").success
-    again = machine.calibrate(few_poses)
-    assert again.success, again.message
+def test_arguments_that_a_schema_does_not_allow_are_refused_before_anything_begins(machine):
+    refused = machine.execute("open_gripper", group="right", width=0.5)()
+    assert (refused.success, refused.status.code) == (False, "argument")
+    assert "argument width is 0.5, not a number from 0 to 0.08 [m]" in refused.status.message
+    away = machine.execute("move", group="left", position=[0.0, 0.0, 9.0])()
+    assert (away.success, away.status.code) == (False, "unreachable")
+    assert "the tool of left cannot be at (0, 0, 9) m in world" in away.status.message
+    assert machine.execute("home", group="left")().success
+    assert machine.execute("open_gripper", group="right")().success
 
 
-def kill(machine, victim):
-    """Kills a task; returns when the one that takes its place is ready."""
-    before = machine.tasks[victim].incarnation
-    os.kill(machine.tasks[victim].pid, signal.SIGKILL)
-    return lambda: machine.wait_for(
-        lambda: machine.tasks[victim].incarnation != before and machine.tasks[victim].phase == "ready",
-        f"{victim} to come back",
-        40.0,
-    )
+def near(value, tolerance):
+    return pytest.approx(value, abs=tolerance)
 
 
-@pytest.mark.parametrize("victim", ["vision_coordinator", "motion_coordinator", "path_planning_coordinator", "dom"])
-def test_a_command_survives_the_death_of_a_coordinator(machine, few_poses, victim):
-    """What is journalled goes on; each pose is visited once, and a pose is lost only for what the cameras saw."""
-    machine.wait_for(lambda: machine.tasks and all(t.phase == "ready" for t in machine.tasks.values()), "all tasks")
-    thread, answers = machine.in_background(few_poses)
-    machine.wait_for_firing("motion_coordinator", "move_manip", 3)
-    back = kill(machine, victim)
-    thread.join(COMMAND_S)
-    assert answers, "the command did not end"
-    assert answers[0].success, answers[0].message
-    report = report_of(answers[0])
-    assert report["points_used"] + len(report["points_rejected"]) == FEW
-    assert report["points_used"] >= FEW - 3
-    back()
-
-
-def test_a_command_survives_the_death_of_the_dispatcher_and_its_client_is_told(machine, few_poses, run_script):
-    machine.wait_for(lambda: all(t.phase == "ready" for t in machine.tasks.values()), "all tasks")
+def test_a_command_survives_the_death_of_the_coordination_level_and_its_client_is_told(machine, few_poses):
+    """Dispatcher, coordinators, DOM and display share a process, and go on together by their journals."""
+    machine.all_ready()
     done = []
     thread = threading.Thread(
         target=lambda: done.append(run_script("calibrate_camera", "--poses", few_poses, "--json")), daemon=True
     )
     thread.start()
     machine.wait_for_firing("motion_coordinator", "move_manip", 3)
-    kill(machine, "dispatcher")()
+    machine.kill("dispatcher")()
     machine.wait_for(lambda: machine.tasks["dispatcher"].phase == "ready", "the dispatcher")
     assert "already running" in refusal(machine, few_poses)
     thread.join(COMMAND_S)
@@ -446,20 +297,6 @@ def refusal(machine, poses):
         with contextlib.suppress(WaitTimeoutError):
             return machine.call(CalibrateCamera, "/dispatcher/calibrate_camera", 6.0, poses_file=str(poses)).message
     return pytest.fail("the dispatcher did not answer")
-
-
-def test_a_killed_mcs_is_named_and_comes_back(machine, few_poses):
-    machine.wait_for(lambda: all(t.phase == "ready" for t in machine.tasks.values()), "all tasks")
-    thread, answers = machine.in_background(few_poses)
-    machine.wait_for_firing("motion_coordinator", "move_manip", 3)
-    back = kill(machine, "mcs")
-    thread.join(60.0)
-    assert answers, "the command did not end"
-    assert not answers[0].success
-    assert "mcs" in answers[0].message
-    back()
-    again = machine.calibrate(few_poses)
-    assert again.success, again.message
 
 
 def test_whatever_arrives_nothing_dies_and_the_command_goes_on(machine, few_poses):
@@ -492,7 +329,10 @@ def test_whatever_arrives_nothing_dies_and_the_command_goes_on(machine, few_pose
 
 
 def test_who_changes_the_net_changes_what_happens(machine, few_poses):
-    """Without the transition light_on the light stays off, and no spot is found: there is no sequence in Python."""
+    """Without the transition light_on the light stays off, and no spot is found: there is no sequence in Python.
+
+    With it again a command runs as before, and a second one is refused meanwhile.
+    """
     from im_msgs.srv import LoadNet
 
     written = package_file("im_dispatcher", "nets/calibrate_camera.yaml").read_text()
@@ -503,10 +343,15 @@ def test_who_changes_the_net_changes_what_happens(machine, few_poses):
     assert machine.call(LoadNet, "/dispatcher/load_net", net_yaml=yaml.safe_dump(net)).success
     dark = machine.calibrate(few_poses)
     assert not dark.success
-    assert "no light seen" in dark.message
+    assert "light left_led is off" in dark.message
     assert machine.call(LoadNet, "/dispatcher/load_net", net_yaml=written).success
-    bright = machine.calibrate(few_poses)
-    assert bright.success, bright.message
+    thread, answers = machine.in_background(few_poses)
+    machine.wait_for_firing("calibrate_camera", "move_robot")
+    second = machine.calibrate(few_poses)
+    assert not second.success
+    assert "already running" in second.message
+    thread.join(COMMAND_S)
+    assert answers[0].success, answers[0].message
 
 
 def test_a_net_that_can_get_stuck_is_refused_with_the_way_there(machine):
@@ -519,14 +364,14 @@ def test_a_net_that_can_get_stuck_is_refused_with_the_way_there(machine):
     assert any("power_down" in step for step in refused.counterexample)
 
 
-def test_the_same_seed_gives_the_same_run(first_run, run_script, few_poses, tmp_path):
-    """A second machine on this host, in a ROS domain of its own, beside the first."""
+def test_the_same_seed_gives_the_same_run(first_run, few_poses, tmp_path, other_domain):
+    """A second machine on this host, in a ROS domain of its own, beside the first; its tasks share no process."""
     other = {
-        "ROS_DOMAIN_ID": str(int(os.environ["ROS_DOMAIN_ID"]) + 100),
+        "ROS_DOMAIN_ID": str(other_domain),
         "IM_RUN_DIR": str(tmp_path / "run"),
         "IM_RESULTS_DIR": str(tmp_path / "results"),
     }
-    started = run_script("start", "--factor", 0, "--seed", SEED, "--port", free_port(), **other)
+    started = run_script("start", EACH, "--factor", 0, "--seed", SEED, "--port", free_port(), **other)
     assert started.returncode == 0, started.stdout + started.stderr
     try:
         done = run_script("calibrate_camera", "--poses", few_poses, "--json", **other)

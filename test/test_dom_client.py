@@ -1,17 +1,26 @@
 """What a client of the Data Object Manager asks for, and what it knows already."""
 
+import json
+from array import array
+
 import pytest
 import rclpy
-from std_msgs.msg import Int32, String
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Int32, String, UInt8MultiArray
 
 from im_core import clock
-from im_core.errors import ImError
+from im_core.errors import DataError, ImError, WaitTimeoutError
+from im_core.files import LARGEST
+from im_core.ros import dom as dom_client
 from im_core.ros import qos
+from im_core.ros.calls import call
 from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_dom.ros.node import DomNode
 from im_msgs.msg import ObjectChange
+from im_msgs.srv import GetObject, PutObject
 
 
 class CountingDom(DomNode):
@@ -52,9 +61,8 @@ class Client(ManagedNode):
                 done.append((None, error))
 
         self.spawn(run())
-        for _ in range(1000):
-            if done:
-                break
+        deadline = clock.monotonic() + 60.0
+        while not done and clock.monotonic() < deadline:
             clock.sleep(0.01)
         (result, error) = done[0]
         if error is not None:
@@ -111,3 +119,163 @@ def test_a_change_that_arrives_late_is_no_news(three):
     assert mine.do(mine.dom.is_valid("b"))
     assert mine.do(mine.dom.get("b", String)).data == "two"
     assert dom.calls == calls
+
+
+def test_what_is_below_a_name_is_forgotten_and_told_of(three, wait_until):
+    _, mine, other = three
+    for name in ("boss/1/a", "boss/1/b", "boss/12/a"):
+        mine.do(mine.dom.put(name, String(data=name)))
+    wait_until(lambda: ("boss/12/a", 1, True) in mine.changes, "the changes")
+    assert other.do(other.dom.names("boss/")) == ["boss/1/a", "boss/1/b", "boss/12/a"]
+    other.do(other.dom.forget("boss/1/"))
+    for name in ("boss/1/a", "boss/1/b"):
+        wait_until(lambda: (name, 1, False) in mine.changes, "the change")  # noqa: B023
+        with pytest.raises(ImError, match=f"there is no data object '{name}'"):
+            mine.do(mine.dom.get(name, String))
+    assert mine.do(mine.dom.names("boss/")) == ["boss/12/a"]
+
+
+def test_a_client_remembers_no_more_than_it_can(three, monkeypatch):
+    monkeypatch.setattr("im_core.ros.dom.MOST_KNOWN", 2)
+    dom, mine, _ = three
+    for name in ("a", "b", "c"):
+        mine.do(mine.dom.put(name, String(data=name)))
+    calls = dom.calls
+    assert [mine.do(mine.dom.get(name, String)).data for name in ("c", "b", "a")] == ["c", "b", "a"]
+    assert dom.calls == calls + 1
+
+
+def ask(node, client, request):
+    """The answer of a service of /dom to a request as anybody may make it."""
+    return node.do(call(node, client, request, 60.0, "to be answered"))
+
+
+GARBLED = {
+    "nothing": (b"", "'a' is no std_msgs/msg/String: its 0 bytes do not decode"),
+    "no CDR": (b"\0\1\0\0\xff\xff\xff\x7fabc", "its 11 bytes do not decode"),
+    "another type": (serialize_message(PoseStamped()), "bytes follow after the end of one"),
+}
+
+
+@pytest.mark.parametrize("kind", GARBLED)
+def test_bytes_that_are_no_message_of_the_type_are_refused(three, kind):
+    _, mine, _ = three
+    data, sentence = GARBLED[kind]
+    request = PutObject.Request(name="a", type="std_msgs/msg/String", data=data)
+    answer = ask(mine, mine.dom._put, request)
+    assert (answer.success, answer.status.code) == (False, "data")
+    assert sentence in answer.status.message
+    assert mine.do(mine.dom.names("")) == []
+
+
+def test_a_type_that_is_not_installed_is_refused(three):
+    _, mine, _ = three
+    for kind, sentence in (("std_msgs/msg/Strin", "did you mean 'String'"), ("no_such/msg/Type", "no_such")):
+        answer = ask(mine, mine.dom._put, PutObject.Request(name="a", type=kind, data=b"\0\1\0\0"))
+        assert (answer.success, answer.status.code) == (False, "not_found")
+        assert sentence in answer.status.message
+
+
+def test_an_object_tells_its_type_where_it_comes_from_and_what_it_holds(three):
+    _, mine, other = three
+    name = "boss/20260131-142501-7/goal"
+    mine.do(mine.dom.put(name, PoseStamped(), place=""))
+    found = ask(other, other.dom._get, GetObject.Request(name=name, as_json=True))
+    assert (found.object.source, found.object.command) == ("mine", "boss/20260131-142501-7")
+    assert found.object.type_hash == "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"
+    assert json.loads(found.json)["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    assert len(found.data) == 0
+
+
+def test_older_versions_are_read_and_the_newest_is_what_is_meant(three):
+    _, mine, other = three
+    for text in ("one", "two"):
+        mine.do(mine.dom.put("a", String(data=text)))
+    assert other.do(other.dom.version("a", String, 1)).data == "one"
+    assert other.do(other.dom.get("a", String)).data == "two"
+    with pytest.raises(ImError, match="there is no version of data object 'a' '3'"):
+        other.do(other.dom.version("a", String, 3))
+
+
+def test_who_waits_for_an_object_gets_it_when_it_is_put_and_else_hears_why_not(three):
+    _, mine, other = three
+    mine.do(mine.dom.put("a", String(data="old")))
+    mine.do(mine.dom.invalidate("a"))
+    got = []
+
+    async def get(name):
+        got.append((await other.dom.get(name, String, timeout_s=60.0)).data)
+
+    for name in ("a", "b"):
+        other.spawn(get(name))
+        assert got == []
+        mine.do(mine.dom.put(name, String(data=f"{name} is there")))
+        for _ in range(6000):
+            if got:
+                break
+            clock.sleep(0.01)
+        assert got.pop() == f"{name} is there"
+    mine.do(mine.dom.invalidate("a"))
+    with pytest.raises(ImError, match=r"'a' .* is not valid; mine invalidated it"):
+        other.do(other.dom.get("a", String, timeout_s=0.05))
+    answer = ask(other, other.dom._get, GetObject.Request(name="a", timeout=float("nan")))
+    assert "the time-out nan s is not allowed: 0 to 3600 s" in answer.status.message
+
+
+def test_a_large_object_is_carried_and_one_that_is_too_large_refused_by_its_length(three):
+    _, mine, other = three
+    content = array("B", bytes(range(256)) * 2**15)  # 8 MiB: more than a message of the transport
+    mine.do(mine.dom.put("large", UInt8MultiArray(data=content)))
+    assert other.do(other.dom.get("large", UInt8MultiArray)).data == content
+    with pytest.raises(DataError, match=r"'large' has \d+ bytes; at most 67108864 \(64 MiB\) are kept"):
+        mine.do(mine.dom.put("large", UInt8MultiArray(data=array("B", bytes(LARGEST)))))
+
+
+def test_of_many_requests_at_once_none_is_lost(three, monkeypatch):
+    monkeypatch.setattr(dom_client, "TIMEOUT_S", 60.0)  # what is lost is not asked for again within the test
+    _, mine, _ = three
+    mine.do(mine.dom.put("a", String()))
+    done = []
+
+    async def put(number):
+        done.append(await mine.dom.put(f"a/{number}", String(data=str(number))))
+
+    for number in range(200):
+        mine.spawn(put(number))
+    deadline = clock.monotonic() + 60.0
+    while len(done) < 200 and clock.monotonic() < deadline:
+        clock.sleep(0.01)
+    assert done == [1] * 200
+
+
+@pytest.fixture
+def alone(tmp_path, monkeypatch):
+    """A client without a /dom, and the module of its times."""
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    monkeypatch.setattr(dom_client, "TIMEOUT_S", 0.1)
+    rclpy.init(args=["--ros-args", "-p", "standalone:=true"])
+    yield Client("mine")
+    rclpy.try_shutdown()
+
+
+def test_a_request_outlives_a_dom_that_hangs_and_is_started_again(alone):
+    answers = []
+
+    async def put():
+        answers.append(await alone.dom.put("a", String(data="one")))
+
+    with spin_in_thread(alone):
+        alone.spawn(put())
+        clock.sleep(0.5)  # several requests in vain
+        assert not answers
+        with spin_in_thread(DomNode()):
+            deadline = clock.monotonic() + 60.0
+            while not answers and clock.monotonic() < deadline:
+                clock.sleep(0.01)
+    assert answers == [1]
+
+
+def test_of_a_dom_that_is_not_there_it_is_said_how_long_it_was_waited_for(alone, monkeypatch):
+    monkeypatch.setattr(dom_client, "PATIENCE_S", 0.3)
+    with spin_in_thread(alone), pytest.raises(WaitTimeoutError, match=r"waited 0\.3 s for /dom to store 'a', in vain"):
+        alone.do(alone.dom.put("a", String(data="one")))

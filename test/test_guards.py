@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.action import ActionClient
 from rclpy.action.server import GoalResponse
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -13,7 +12,8 @@ from std_srvs.srv import SetBool, Trigger
 from im_core.errors import StateError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
-from im_core.ros.guard import GuardedActionServer, GuardedNode
+from im_core.ros.failures import few
+from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.ros.node import ManagedNode
 from im_msgs.action import ExecuteCommand
 from im_msgs.srv import GetObject
@@ -108,9 +108,25 @@ def test_subscriptions_and_timers_that_raise_are_counted_and_go_on(clumsy, asker
     assert FAULT in status.message
 
 
+def test_who_floods_a_node_is_looked_for_in_the_graph_once_and_many_are_named_shortly(clumsy):
+    asked = []
+
+    def told():
+        asked.append(True)
+        return f"published by {few([f'/flood_{number}' for number in range(150)])}"
+
+    for _ in range(100):
+        clumsy.note_failure("subscription /flood", ValueError(FAULT), told)
+    assert clumsy.failures.counts["subscription /flood"] == 100
+    assert len(asked) == 1
+    clumsy.note_failure("subscription /other", ValueError(FAULT), told)
+    names = "/flood_0, /flood_1, /flood_2, /flood_3, /flood_4 and 145 more"
+    assert clumsy.failures.last == f"subscription /other (published by {names}): ValueError: {FAULT}"
+
+
 def test_the_log_names_topic_type_and_sender(clumsy, asker, wait_until):
     said = []
-    clumsy.failures.add = lambda what, error, detail="": said.append((what, repr(error), detail))
+    clumsy.failures.add = lambda what, error, told: said.append((what, repr(error), told()))
     publisher = asker.create_publisher(String, "/clumsy/hear", qos.EVENTS)
     client = asker.create_client(Trigger, "/clumsy/at_once")
     wait_until(lambda: publisher.get_subscription_count(), "the subscription")
@@ -147,7 +163,7 @@ def test_a_service_that_raises_answers(clumsy, asker, name, kind):
 
 
 def test_goals_whose_callbacks_raise_are_rejected_or_aborted(clumsy, asker, wait_until):
-    client = ActionClient(asker, ExecuteCommand, "/clumsy/do")
+    client = GuardedActionClient(asker, ExecuteCommand, "/clumsy/do")
     assert client.wait_for_server(60.0)
 
     def outcome(symbol):
@@ -165,6 +181,8 @@ def test_goals_whose_callbacks_raise_are_rejected_or_aborted(clumsy, asker, wait
     assert FAULT in failed.result.status.message
     unsayable = outcome("unsayable")
     assert "surrogates" in unsayable.result.status.message
+    kept = clumsy.server._goal_handles.values()
+    assert [handle.request for handle in kept] == [None, None]  # what was asked does not add up
 
 
 def test_coroutines_alarms_and_tasks_that_raise_leave_the_loop_turning(clumsy, wait_until):

@@ -188,7 +188,7 @@ def test_no_other_host_sees_or_calls_anything_of_a_whole_machine(hosts):
     try:
         assert done.returncode == 0, done.stderr
         assert here.look(WAIT_S)["answered"]
-        assert listens_on_loopback_alone(here, 10)
+        assert listens_on_loopback_alone(here, 5)
         assert [there.look(2 * LOOK_S, **settings) for settings in neighbours(here)] == [NOBODY, NOBODY]
     finally:
         assert here.run(sys.executable, *stop, **settings).returncode == 0

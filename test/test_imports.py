@@ -159,18 +159,17 @@ OPEN_FILES = {
     "im_core/jsontext.py": "the reader of JSON",
     "im_core/yamltext.py": "the reader of YAML",
     "im_core/bag.py": "the reader of bags",
-    "im_bringup/bag.py": "what its own writer has written",
+    "im_core/bag_files.py": "record by record, of limited size; the delivery of a topic, out of its own file",
+    "im_bringup/bag/writer.py": "what it writes itself",
+    "im_pnt/journal/ended.py": "what it writes itself",
     "im_bringup/tasks/upkeep.py": "logs of the machine's own processes",
     "im_core/process.py": "logs and standard input of children",
-    "im_core/shm/block.py": "/proc",
-    "im_core/silence.py": "/proc",
-    "im_core/loop_watch.py": "/proc",
-    "im_bringup/tasks/standstill.py": "/proc",
+    "im_core/procfs.py": "/proc",
     "im_bringup/machine/members.py": "/proc",
     "im_bringup/machine/leftovers.py": "/proc, locks of Fast DDS",
     "im_mcs/control/law_server.py": "standard input, from its parent",
     "im_pnt/journal/folder.py": "the node's own journal, in a folder that it has locked",
-    "im_dom/store.py": "the DOM's own data base",
+    "im_dom/file.py": "the DOM's own data base",
 }
 OPENERS = {"open", "read_text", "read_bytes", "fdopen", "load", "safe_load", "full_load", "unsafe_load", "load_all"}
 OPENERS |= {"safe_load_all", "loadtxt", "genfromtxt", "fromfile", "imread", "FileStorage", "connect", "Reader"}

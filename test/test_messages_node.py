@@ -61,9 +61,9 @@ def test_a_filled_message_is_no_empty_one():
 
 @pytest.fixture
 def node(ros):
-    import rclpy
+    from im_core.ros.guard import GuardedNode
 
-    return ros(rclpy.create_node("each"))
+    return ros(GuardedNode("each"))
 
 
 def test_every_message_makes_the_round_trip(node, wait_until):
@@ -101,7 +101,9 @@ def test_every_service_takes_a_request_and_answers(node, wait_until):
 
 
 def test_every_action_takes_a_goal_and_gives_feedback_and_a_result(node, wait_until):
-    from rclpy.action import ActionClient, ActionServer
+    from rclpy.action import ActionServer
+
+    from im_core.ros.guard import GuardedActionClient
 
     for kind in interfaces("action"):
         goals, feedbacks = [], []
@@ -113,7 +115,7 @@ def test_every_action_takes_a_goal_and_gives_feedback_and_a_result(node, wait_un
             return filled(kind.Result, 5)
 
         server = ActionServer(node, kind, topic(kind), execute)
-        client = ActionClient(node, kind, topic(kind))
+        client = GuardedActionClient(node, kind, topic(kind))
         assert client.wait_for_server(60.0), kind
         sent = client.send_goal_async(
             filled(kind.Goal), feedback_callback=lambda message, into=feedbacks: into.append(message.feedback)

@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +16,8 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from im_core import clock
-from im_core.errors import WaitTimeoutError
+from im_core.errors import StateError, WaitTimeoutError
+from im_core.open_commands import OpenCommandNote, noted
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.node import ManagedNode
@@ -126,7 +128,7 @@ class Machine:
     def attach(self) -> Trigger.Response:
         """Asks for the command; a request that meets the server of the former life is made again."""
         client = self.arm.create_client(Trigger, "/front/attach")
-        for _ in range(10):
+        for _ in range(30):
             with contextlib.suppress(WaitTimeoutError):
                 return call_blocking(client, Trigger.Request(), 4.0, "attach of the test")
         return pytest.fail("the command did not end")
@@ -206,8 +208,10 @@ def test_a_goal_is_asked_about_and_not_sent_again(machine):
 def test_everything_may_die_at_once(machine):
     machine.serve()
     machine.until(machine.begun, "the action to begin")
+    machine.until(lambda: noted(machine.folder), "the note of the command")
     for name in NETS:
         machine.kill(name)
+    assert noted(machine.folder) == [OpenCommandNote("front", 1, "serve")]
     for name in NETS:
         machine.processes[name] = machine.start(name)
     machine.allow("thought")
@@ -215,21 +219,47 @@ def test_everything_may_die_at_once(machine):
     answer = machine.attach()
     assert answer.success, answer.message
     assert machine.begun() == ["never", "never"]
+    machine.until(lambda: not noted(machine.folder), "the command to be noted no more")
 
 
-def test_a_damaged_journal_is_named_and_nothing_starts(machine):
+def behead(machine, name):
+    """Kills a node, and cuts its journal in the header; returns the file."""
+    machine.kill(name)
+    journal = max((machine.folder / "journal" / name).glob("*.journal"))
+    journal.write_bytes(journal.read_bytes()[:100])
+    return journal
+
+
+def test_after_a_damaged_journal_the_command_ends_with_it_as_reason_and_the_next_one_works(machine):
+    answer = machine.serve()
+    machine.until(machine.begun, "the action to begin")
+    journal = behead(machine, "back")
+    machine.processes["back"] = machine.start("back")
+    machine.until(answer.done, "the answer")
+    assert not answer.result().success
+    assert "back came back without its journal" in answer.result().message
+    (kept,) = journal.parent.glob("damaged-*/*.journal")
+    assert len(kept.read_bytes()) == 100
+    machine.allow("thought")
+    machine.allow("moved")
+    following = machine.serve()
+    machine.until(following.done, "the answer to the next command")
+    assert following.result().success, following.result().message
+
+
+def test_whoever_asks_for_a_command_that_a_damaged_journal_forgot_is_told_so(machine):
     machine.serve()
     machine.until(machine.begun, "the action to begin")
-    machine.kill("back")
-    journal = max((machine.folder / "journal" / "back").glob("*.journal"))
-    content = bytearray(journal.read_bytes())
-    content[len(content) // 2] ^= 1
-    journal.write_bytes(content)
-    node = Server("back", machine.folder)
-    with spin_in_thread(node):
-        machine.until(lambda: node.failed, "the node to refuse", 5.0)
-        assert str(journal) in node.failed
-        assert "record" in node.failed
+    behead(machine, "front")
+    machine.processes["front"] = machine.start("front")
+    answer = machine.attach()
+    assert not answer.success
+    assert "the journal of front was damaged, and what it told is forgotten" in answer.message
+    machine.allow("thought")
+    machine.allow("moved")
+    following = machine.serve()
+    machine.until(following.done, "the answer to the next command")
+    assert following.result().success, following.result().message
 
 
 @pytest.mark.parametrize(("sync", "waits"), [("os", False), ("disk", True)])
@@ -272,3 +302,41 @@ def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_
 if __name__ == "__main__":
     name, folder = sys.argv[1:]
     sys.exit(main(lambda: Server(name, Path(folder)), args=[]))
+
+
+SAY = """
+net: say
+places: {idle: {tokens: 1, resource: true}, said: }
+commands: {say: {arguments: {text: {type: string}}}}
+transitions:
+  say: {symbol: say, in: idle, out: said, result: {said: "${arguments.text}"}, on_failure: said}
+  tell: {in: said, out: idle, emit: say_done}
+"""
+
+
+def test_how_a_command_has_ended_is_known_after_the_death_of_its_node(tmp_path, ros):
+    (tmp_path / "say.yaml").write_text(SAY)
+    first = Server("say", tmp_path)
+    first.phase_configure()
+    numbers = [first.commands.write("say", {"text": text}) for text in ("one", "two")]
+    executor = first.exchange.nets["say"]
+    while executor.pump():
+        pass
+    first._commit()
+    killed = tmp_path / "killed"
+    shutil.copytree(tmp_path / "journal", killed / "journal")  # as a kill leaves it
+    first.destroy_node()
+    again = Server("say", tmp_path, journal_dir=str(killed / "journal"))
+    again.phase_configure()
+    for number, text in zip(numbers, ("one", "two"), strict=True):
+        with pytest.raises(StopIteration) as ended:
+            again.commands.attach("say", number=number).send(None)
+        assert (ended.value.value.success, ended.value.value.results) == (True, {"said": text})
+    assert again.commands.write("say", {"text": "three"}) == 3
+    again.destroy_node()
+    (killed / "journal" / "say").rename(tmp_path / "aside")
+    anew = Server("say", tmp_path, journal_dir=str(killed / "journal"))
+    anew.phase_configure()
+    with pytest.raises(StateError, match="no command has the number 1"):
+        anew.commands.attach("say", number=1).send(None)
+    anew.destroy_node()

@@ -1,9 +1,13 @@
 """Service calls, action goals and data objects as parts of transitions; nets that are refused at load."""
 
+import json
+import re
 import threading
 
 import pytest
 import rclpy
+from action_msgs.msg import GoalStatus
+from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
@@ -11,27 +15,39 @@ from std_srvs.srv import SetBool
 
 from im_core import clock
 from im_core.ros import qos
-from im_core.ros.calls import pause
+from im_core.ros.calls import call_blocking, pause
+from im_core.ros.guard import GuardedActionClient
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
-from im_msgs.action import Move
+from im_msgs.action import ExecuteCommand, Move
 from im_msgs.msg import Firing, ObjectChange, Status
-from im_msgs.srv import GetObject
+from im_msgs.srv import ControlCommand, GetObject, ListCommands
+from im_pnt.errors import NetFileError
+from im_pnt.expression.scope import check_net
+from im_pnt.netfile import parse_net
+from im_pnt.ros.messages import RosTypes
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 
 NET = """
 net: worker
+commands:
+  flip: {arguments: {on: {type: boolean}, loud: {type: integer, default: 3}}}
 places:
   idle: 1
   ready:
   trouble:
+  flipped:
+  told:
   path_valid: {data_object: path, on_invalid: [trouble]}
 transitions:
   switch:
     {in: idle, out: ready, symbol: switch, on_failure: trouble,
      service: {name: /hardware/switch, type: std_srvs/srv/SetBool, build: wanted, handle: note}}
-  ended: {in: ready, out: idle, emit: [switch_done, slow_done, move_done, shout_done]}
+  ended:
+    {in: ready, out: idle,
+     emit: [switch_done, slow_done, move_done, shout_done, follow_done, hear_done, sense_done, read_done, last_done,
+            until_done]}
   move:
     {in: idle, out: ready, symbol: move, on_failure: trouble,
      goal: {name: /hardware/move, type: im_msgs/action/Move, build: path}}
@@ -46,6 +62,42 @@ transitions:
   absent:
     {in: idle, out: ready, symbol: absent, on_failure: trouble,
      goal: {name: /nowhere/move, type: im_msgs/action/Move}}
+  follow:
+    {in: idle, out: ready, symbol: follow, on_failure: trouble,
+     goal: {name: /hardware/follow, type: control_msgs/action/FollowJointTrajectory}}
+  hear:
+    {in: idle, out: ready, symbol: hear, on_failure: trouble, timeout: 30.0,
+     await: {name: /hardware/events, type: std_msgs/msg/String, handle: heard}}
+  sense:
+    {in: idle, out: ready, symbol: sense, on_failure: trouble, timeout: 30.0,
+     await: {name: /hardware/stream, type: std_msgs/msg/String, handle: heard}}
+  read:
+    {in: idle, out: ready, symbol: read, on_failure: trouble, timeout: 30.0,
+     await: {name: /hardware/state, type: std_msgs/msg/String, latched: true, handle: heard}}
+  last:
+    {in: idle, out: ready, symbol: last, on_failure: trouble, timeout: 30.0,
+     await: {name: /hardware/stream, type: std_msgs/msg/String, latched: true, handle: heard}}
+  until:
+    {in: idle, out: ready, symbol: until, on_failure: trouble, timeout: 30.0, result: {heard: "${answers.until.data}"},
+     await: {name: /hardware/events, type: std_msgs/msg/String, until: "${answers.until.data in command.symbol}"}}
+  vain:
+    {in: idle, out: ready, symbol: vain, on_failure: trouble, timeout: 0.2,
+     await: {name: /hardware/nothing, type: std_msgs/msg/String}}
+  endless:
+    {in: idle, out: ready, symbol: endless, on_failure: trouble,
+     await: {name: /hardware/nothing, type: std_msgs/msg/String}}
+  flip:
+    {in: idle, out: flipped, symbol: flip, on_failure: trouble,
+     service: {name: /hardware/switch, type: std_srvs/srv/SetBool, request: {data: "${arguments.on}"}}}
+  cry:
+    {in: flipped, out: told, on_failure: trouble,
+     guard: "${answers.flip.message == 'on' and arguments.loud > 2}",
+     topic: {name: /hardware/cries, type: std_msgs/msg/String, message: {data: "it is ${answers.flip.message}"}}}
+  whisper:
+    {in: flipped, out: told, guard: "not ${answers.flip.message == 'on' and arguments.loud > 2}"}
+  flop:
+    {in: told, out: idle, emit: flip_done, on_failure: trouble,
+     result: {said: "${answers.flip.message}", louder: "${arguments.loud + 1}"}}
   give_up: {in: trouble, out: idle}
 """
 
@@ -62,6 +114,11 @@ class Hardware(ManagedNode):
         self.create_service(GetObject, "/dom/get", self._get)
         self.changes = self.create_publisher(ObjectChange, "/dom/changes", qos.EVENTS)
         self.refusals = 0
+        ActionServer(self, FollowJointTrajectory, "/hardware/follow", self._trajectory)
+        self.code = 0
+        self.events = self.create_publisher(String, "/hardware/events", qos.EVENTS)
+        self.stream = self.create_publisher(String, "/hardware/stream", qos.SENSOR)
+        self.state = self.create_publisher(String, "/hardware/state", qos.LATCHED)
         ActionServer(self, Move, "/hardware/move", self._move, cancel_callback=self._may_cancel)
 
     def _switch(self, request, response):
@@ -78,6 +135,11 @@ class Hardware(ManagedNode):
         response.success = self.valid
         return response
 
+    async def _trajectory(self, goal):
+        goal.succeed()
+        words = "left_j3 was 0.2 rad behind" if self.code else ""
+        return FollowJointTrajectory.Result(error_code=self.code, error_string=words)
+
     def _may_cancel(self, goal):
         self.refusals -= 1
         return CancelResponse.REJECT if self.refusals >= 0 else CancelResponse.ACCEPT
@@ -87,7 +149,7 @@ class Hardware(ManagedNode):
         if goal.request.speed_scale > 0.5:
             goal.abort()
             return Move.Result(success=False, status=Status(code="limit", message="left_j3: too fast"))
-        for _ in range(100):
+        for _ in range(3000):
             if goal.is_cancel_requested:
                 goal.canceled()
                 return Move.Result()
@@ -113,6 +175,7 @@ def machine(tmp_path_factory):
         "wanted": lambda ctx: {"data": ctx.command.arguments["on"]},
         "note": lambda ctx, response: noted.append(response.message),
         "path": path,
+        "heard": lambda ctx, message: ctx.result.update(heard=message.data),
         "pace": lambda ctx: {"data": ctx.command.arguments["very"]},
         "nothing": lambda ctx: None,
     }
@@ -136,7 +199,6 @@ def run(node, symbol, cancel_after=None, after=None, **arguments):
     node.executor.create_task(work())
     node.wake()
     if after is not None:
-        clock.sleep(0.5)
         after()
     if cancel_after is not None:
         while not numbers:
@@ -164,7 +226,7 @@ def test_a_service_that_answers_a_little_late_has_answered(machine):
     assert run(machine[0], "slow", very=False).success
 
 
-def test_a_service_that_does_not_answer_leaves_the_transition_in_doubt(machine):
+def test_a_service_that_does_not_answer_leaves_the_transition_in_doubt(machine, wait_until):
     node, _, _, _ = machine
     phases = []
     node.create_subscription(Firing, "/pnt/firings", lambda f: phases.append((f.transition, f.phase)), qos.EVENTS)
@@ -173,7 +235,7 @@ def test_a_service_that_does_not_answer_leaves_the_transition_in_doubt(machine):
     assert "nobody can tell what became of service /hardware/slow of transition slow: waited 0.3" in (
         outcome.status.message
     )
-    clock.sleep(0.3)
+    wait_until(lambda: ("slow", Firing.FAILED) in phases, "the end of the transition")
     assert [phase for transition, phase in phases if transition == "slow"] == [
         Firing.START,
         Firing.DOUBT,
@@ -181,14 +243,59 @@ def test_a_service_that_does_not_answer_leaves_the_transition_in_doubt(machine):
     ]
 
 
-def test_a_message_is_published(machine):
+def test_a_message_is_published(machine, wait_until):
     node, hardware, _, _ = machine
     heard = []
-    hardware.create_subscription(String, "/hardware/shouts", lambda message: heard.append(message.data), qos.EVENTS)
-    clock.sleep(0.5)
+    ears = hardware.create_subscription(
+        String, "/hardware/shouts", lambda message: heard.append(message.data), qos.EVENTS
+    )
+    wait_until(ears.get_publisher_count, "the publisher")
     assert run(node, "shout").success
-    clock.sleep(0.3)
+    wait_until(lambda: heard, "the message")
     assert heard == ["ho"]
+
+
+def test_a_net_in_yaml_alone_sends_arguments_looks_at_the_answer_sends_it_on_and_returns_it(machine):
+    node, hardware, _, _ = machine
+    heard = []
+    hardware.create_subscription(String, "/hardware/cries", lambda message: heard.append(message.data), qos.EVENTS)
+    outcome = run(node, "flip", on=True, loud=2)
+    assert outcome.results == {"said": "on", "louder": 3}
+    deadline = clock.monotonic() + 60.0
+    while not heard and clock.monotonic() < deadline:  # until the two have discovered each other
+        outcome = run(node, "flip", on=True)
+        assert outcome.results == {"said": "on", "louder": 4}
+        clock.sleep(0.05)
+    assert set(heard) == {"it is on"}
+    outcome = run(node, "flip", on=False)
+    assert (outcome.success, outcome.status.message) == (False, "the fuse has blown")
+
+
+def test_messages_are_checked_at_load_against_their_types():
+    for find, replace, complaint in (
+        (
+            "{data: ho}",
+            "{dat: ho}",
+            r"shout.topic.message.dat: std_msgs/msg/String has no field 'dat' \(did you mean 'da",
+        ),
+        ("{data: ho}", "{data: 5}", "shout.topic.message.data: '5' is not a text"),
+        (
+            "it is ${answers.flip.message}",
+            "${answers.flip.success}",
+            "cry.topic.message.data: .* is true or false, not",
+        ),
+        ("answers.flip.message == 'on'", "answers.flip.massage == 'on'", "has no field 'massage'"),
+        ('data: "${arguments.on}"', 'data: "${arguments.loud}"', "is a whole number, not true or false"),
+        (
+            "std_msgs/msg/String, latched",
+            "std_mgs/msg/String, latched",
+            "read.await.type: .* 'std_mgs'.* sourced before",
+        ),
+        ("control_msgs/action/FollowJ", "control_msgs/action/FollowJJ", "no action type of control_msgs 'FollowJJoint"),
+    ):
+        assert find in NET
+        with pytest.raises(NetFileError, match=rf"^worker:\d+:\d+: transitions.*{complaint}"):
+            check_net(parse_net(NET.replace(find, replace), "worker"), RosTypes())
 
 
 def test_a_goal_is_filled_from_plain_data_and_its_abortion_carries_the_status(machine):
@@ -223,16 +330,208 @@ def test_an_action_that_is_not_there_is_named(machine, monkeypatch):
     assert "the action /nowhere/move is not there" in outcome.status.message
 
 
-def test_a_data_place_is_marked_only_if_the_object_is_valid_and_unmarked_when_it_is_not_any_more(machine):
+def test_a_data_place_is_marked_only_if_the_object_is_valid_and_unmarked_when_it_is_not_any_more(machine, wait_until):
     node, hardware, _, keep = machine
     assert run(node, "plan").success
     hardware.valid = False
-    assert "data object path is not valid" in run(node, "plan").status.message
+    assert re.search(r"data object worker/[\d-]+/path is not valid", run(node, "plan").status.message)
     hardware.valid, keep[0] = True, True
-    change = ObjectChange()
-    change.object.name = "path"
-    outcome = run(node, "plan", after=lambda: hardware.changes.publish(change))
-    assert "data object path lost its validity" in outcome.status.message
+    named = []
+
+    def invalidate():
+        wait_until(lambda: node.exchange.nets["worker"].marking().get("path_valid"), "the mark of the data place")
+        (scope,) = node.commands.scopes()
+        named.append(f"{scope}/path")
+        change = ObjectChange()
+        change.object.name = named[0]
+        hardware.changes.publish(change)
+
+    outcome = run(node, "plan", after=invalidate)
+    assert f"data object {named[0]} lost its validity" in outcome.status.message
+
+
+def test_a_result_is_judged_by_the_error_code_that_its_type_names(machine):
+    node, hardware, _, _ = machine
+    assert run(node, "follow").success
+    hardware.code = FollowJointTrajectory.Result.PATH_TOLERANCE_VIOLATED
+    outcome = run(node, "follow")
+    assert outcome.status.code == "path_tolerance_violated"
+    assert outcome.status.message.endswith("PATH_TOLERANCE_VIOLATED (-4): left_j3 was 0.2 rad behind")
+
+
+def begin(node, symbol):
+    """A command that has begun: the node knows its number, and its action runs."""
+    numbers, outcomes = [], []
+
+    async def work():
+        outcomes.append(await node.command(symbol, started=numbers.append))
+
+    node.spawn(work())
+    deadline = clock.monotonic() + 60.0
+    while not any(a.transition == symbol for a in node.exchange.nets["worker"].activities):
+        assert clock.monotonic() < deadline, f"{symbol} did not begin"
+        clock.sleep(0.01)
+    return numbers[0], outcomes
+
+
+@pytest.mark.parametrize(("symbol", "topic"), [("hear", "events"), ("sense", "stream")])
+def test_a_message_is_awaited_from_publishers_of_either_quality(machine, wait_until, symbol, topic):
+    node, hardware, _, _ = machine
+    publisher = getattr(hardware, topic)
+    publisher.publish(String(data="too early"))
+    clock.sleep(0.3)
+    _, outcomes = begin(node, symbol)
+
+    def came():
+        publisher.publish(String(data="now"))
+        return outcomes
+
+    assert wait_until(came, f"a message of {topic}")[0].results == {"heard": "now"}
+
+
+def test_what_was_latched_before_counts_where_it_is_asked_for(machine, wait_until):
+    node, hardware, _, _ = machine
+    hardware.state.publish(String(data="open"))
+    _, outcomes = begin_or_ended(node, "read")
+    assert wait_until(lambda: outcomes, "what was latched")[0].results == {"heard": "open"}
+
+
+def test_a_topic_that_is_not_latched_is_heard_all_the_same_where_that_was_asked_for(machine, wait_until):
+    node, hardware, _, _ = machine
+    _, outcomes = begin_or_ended(node, "last")
+
+    def came():
+        hardware.stream.publish(String(data="next"))
+        return outcomes
+
+    assert wait_until(came, "the next message")[0].results == {"heard": "next"}
+
+
+def begin_or_ended(node, symbol):
+    outcomes = []
+
+    async def work():
+        outcomes.append(await node.command(symbol))
+
+    node.spawn(work())
+    return None, outcomes
+
+
+def test_messages_that_do_not_fulfil_the_condition_are_passed_over(machine, wait_until):
+    node, hardware, _, _ = machine
+    _, outcomes = begin(node, "until")
+
+    def came():
+        hardware.events.publish(String(data="nonsense"))
+        hardware.events.publish(String(data="until"))
+        return outcomes
+
+    assert wait_until(came, "the word")[0].results == {"heard": "until"}
+
+
+def test_a_message_that_does_not_come_fails_by_its_timeout(machine):
+    outcome = run(machine[0], "vain")
+    assert outcome.status.code == "timeout"
+    assert "message of /hardware/nothing of transition vain" in outcome.status.message
+
+
+def test_a_wait_is_cancelled(machine, wait_until):
+    node, _, _, _ = machine
+    number, outcomes = begin(node, "endless")
+    node.cancel(number)
+    outcome = wait_until(lambda: outcomes, "the end")[0]
+    assert (outcome.success, outcome.status.code) == (False, "cancelled")
+
+
+@pytest.fixture(scope="module")
+def client(machine):
+    """A client of the action that the node offers, and what it has told of its commands."""
+    node, hardware, _, _ = machine
+    told = []
+    node.spawn(offer(node))
+    hardware.create_subscription(String, "/worker/commands", lambda message: told.append(message.data), qos.LATCHED)
+    return GuardedActionClient(hardware, ExecuteCommand, "/worker/execute"), told
+
+
+async def offer(node):
+    node.offer_commands()
+
+
+def execute(client, symbol, arguments="", steps=None):
+    """The handle of a goal that was accepted."""
+    assert client.wait_for_server(60.0)
+    goal = ExecuteCommand.Goal(symbol=symbol, arguments=arguments)
+    return completed(client.send_goal_async(goal, feedback_callback=lambda m: steps.append(m.feedback)))
+
+
+def completed(future):
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    assert done.wait(60.0)
+    return future.result()
+
+
+def test_anybody_in_ros_runs_a_command_and_is_told_of_its_steps(client):
+    steps = []
+    handle = execute(client[0], "switch", '{"on": true}', steps)
+    answer = completed(handle.get_result_async())
+    assert (answer.status, answer.result.success) == (GoalStatus.STATUS_SUCCEEDED, True)
+    assert [feedback.step for feedback in steps if feedback.step][:1] == ["switch"]
+    assert steps[0].command_id > 0
+
+
+def test_anybody_in_ros_cancels_a_command(client):
+    handle = execute(client[0], "move", '{"speed": 0.1}', [])
+    completed(handle.cancel_goal_async())
+    answer = completed(handle.get_result_async())
+    assert (answer.status, answer.result.status.code) == (GoalStatus.STATUS_CANCELED, "cancelled")
+
+
+def test_a_command_is_listed_paused_resumed_attached_to_and_cancelled_by_its_number(machine, client, wait_until):
+    hardware, steps = machine[1], []
+    listed = lambda: {c.command_id: c for c in call(hardware, ListCommands, "list_commands").commands}  # noqa: E731
+    handle = execute(client[0], "move", '{"speed": 0.1}', steps)
+    wait_until(lambda: steps, "the number of the command")
+    number = steps[0].command_id
+    wait_until(lambda: listed()[number].state == "running", "the command to run")
+    assert listed()[number].arguments == '{"speed": 0.1}'
+    assert control(hardware, number, "pause").success
+    wait_until(lambda: listed()[number].state == "paused", "the command to be paused")
+    assert "there is nothing to pause" in control(hardware, number, "pause").message
+    assert control(hardware, number, "resume").success
+    attached = completed(client[0].send_goal_async(ExecuteCommand.Goal(attach=True, command_id=number)))
+    assert control(hardware, number, "cancel").success
+    answers = [completed(each.get_result_async()).result for each in (handle, attached)]
+    assert [answer.status.code for answer in answers] == ["cancelled", "cancelled"]
+    assert number not in listed()
+    again = completed(client[0].send_goal_async(ExecuteCommand.Goal(attach=True, command_id=number)))
+    assert completed(again.get_result_async()).result.status.code == "cancelled"
+    assert f"no command has the number {number}" in control(hardware, number, "cancel").message
+
+
+def call(hardware, kind, name, **fields):
+    found = hardware.create_client(kind, f"/worker/{name}")
+    try:
+        return call_blocking(found, kind.Request(**fields), 60.0, name)
+    finally:
+        hardware.destroy_client(found)
+
+
+def control(hardware, number, request):
+    return call(hardware, ControlCommand, "control_command", command_id=number, request=request)
+
+
+def test_a_command_whose_arguments_are_no_json_is_refused_with_the_reason(client):
+    answer = completed(execute(client[0], "switch", "on", []).get_result_async())
+    assert answer.status == GoalStatus.STATUS_ABORTED
+    assert "the JSON object of the command's arguments" in answer.result.status.message
+
+
+def test_the_commands_of_a_node_are_listed(machine, client, wait_until):
+    wait_until(lambda: client[1], "the list of commands")
+    commands = json.loads(client[1][-1])["commands"]
+    assert {"symbol": "switch", "net": "worker", "description": ""} in commands
+    assert [each["symbol"] for each in commands] == list(machine[0].exchange.nets["worker"].net.symbols())
 
 
 def test_an_unknown_command_is_refused_by_name(machine):
@@ -265,6 +564,12 @@ def test_an_unknown_command_is_refused_by_name(machine):
             "net: n\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a, symbol: s, on_failure: a, "
             "service: {name: /x, type: std_srvs/srv/Triger}}}",
             "did you mean 'Trigger'",
+        ),
+        (
+            "net: n\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a, symbol: s, on_failure: a, "
+            "goal: {name: /x, type: lab_msgs/action/Weigh}}}",
+            "transitions.t.goal.type: there is no package with action types 'lab_msgs'; types are those of "
+            "packages whose install/setup.bash was sourced before the start",
         ),
     ],
 )

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from im_core import clock
 from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
-from im_msgs.msg import Firing, Marking, McsState, NetDescription, NetRefusal
+from im_msgs.msg import Firing, GroupStatus, Marking, McsState, NetDescription, NetRefusal
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 from im_pnt_display import DisplayServer
@@ -144,8 +144,11 @@ def test_what_motion_control_said_last_is_stale_when_it_has_fallen_silent(machin
     display, walker = machine
     shown = display.server.state.snapshot
     assert shown()["mcs"] is None
-    walker.create_publisher(McsState, "/mcs/state", qos.LATCHED).publish(McsState(state="motion", power=True))
+    walker.create_publisher(McsState, "/mcs/state", qos.LATCHED).publish(
+        McsState(state="motion", power=True, groups=[GroupStatus(group="left", state="motion", reserved=True)])
+    )
     said = {"kind": "mcs", "state": "motion", "reason": "", "power": True, "brakes": False}
+    said["groups"] = {"left": "motion"}
     wait_until(lambda: shown()["mcs"] == {**said, "stale": False}, "the state of MCS on the page")
     display._mcs.silence_s = 0.0
     wait_until(lambda: shown()["mcs"] == {**said, "stale": True}, "it to be marked as stale")

@@ -74,7 +74,7 @@ class Operator(ManagedNode):
 
     def ask(self, request, argument="", net="walker"):
         asked = ControlNet.Request(net=net, request=request, argument=argument)
-        return call_blocking(self.control, asked, 10.0, "test")
+        return call_blocking(self.control, asked, 60.0, "test")
 
     def until(self, condition, what, seconds=60.0):
         deadline = clock.monotonic() + seconds
@@ -145,7 +145,7 @@ def machine(tmp_path, monkeypatch):
     walker = make_walker(tmp_path)
     with spin_in_thread(operator, walker):
         operator.until(lambda: operator.tokens() == {"idle": 1}, "the net")
-        operator.control.wait_for_service(10.0)
+        operator.control.wait_for_service(60.0)
         clock.sleep(0.3)
         yield operator, walker
         for promise in walker.held:
@@ -172,11 +172,10 @@ def test_step_by_step_each_request_fires_one_transition(machine):
     operator, walker = machine
     assert operator.ask("step").state.startswith("step: ")
     outcomes = walker.go()
-    for place in ("here", "there"):
-        clock.sleep(0.1)
+    for place in ("here", "there", "idle"):
+        operator.until(lambda: walker.exchange.nets["walker"].operator._held, "something to be allowed")
         operator.ask("step")
         operator.until(lambda wanted=place: operator.tokens() == {wanted: 1}, f"a token on {place}")
-    operator.ask("step")
     operator.until(lambda: outcomes, "the end of the command")
     assert operator.markings["walker"].mode == "step"
 

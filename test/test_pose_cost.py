@@ -3,40 +3,49 @@
 import itertools
 import json
 import os
+import re
 import signal
 import statistics
 import sys
+import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
 import rclpy
 import yaml
 from rclpy.action import ActionServer
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core import clock
 from im_core.config import package_file
 from im_core.ros import qos
-from im_core.ros.calls import call_blocking
+from im_core.ros.calls import call_blocking, pause
+from im_core.ros.guard import GuardedActionClient
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_dom.ros.node import DomNode
-from im_msgs.action import Move
-from im_msgs.msg import GroupState, McsState, Spot
+from im_msgs.action import ExecuteCommand, Move
+from im_msgs.msg import GroupState, GroupStatus, McsState, Spot
 from im_msgs.srv import (
     Calibrate,
     CalibrateCamera,
     CheckPath,
     GetGroupState,
+    GroupCommand,
     InverseKinematics,
+    LoadNet,
     ReserveGroup,
     SetLight,
     SpotFind,
 )
+from support.loop import in_loop
 
 POSES = 16
 MOST_CALLS = 10
+ARMS = ("left", "right")
 CAMERAS = ["ceiling_left", "ceiling_right"]
 PROCESSES = {
     "dispatcher": "im_dispatcher.ros.node",
@@ -45,6 +54,11 @@ PROCESSES = {
     "vision_coordinator": "im_coordinators.ros.vision",
 }
 ALONE = ["--ros-args", "-p", "standalone:=true"]
+
+
+def _object(name):
+    """Name of an object among those of its command."""
+    return re.sub(r"^dispatcher/[\d-]+/", "", name)
 
 
 class CountingDom(DomNode):
@@ -56,14 +70,14 @@ class CountingDom(DomNode):
         super().__init__()
 
     def _put(self, request, response):
-        self.calls.append(("put", request.name))
-        if request.name == "destination":
+        self.calls.append(("put", _object(request.name)))
+        if _object(request.name) == "destination":
             self.sizes.append(sum(file.stat().st_size for file in self._journal.rglob("*") if file.is_file()))
             self.at_pose.pop(self.calls.count(("put", "destination")), lambda: None)()
         return super()._put(request, response)
 
     def _get(self, request, response):
-        self.calls.append(("look" if request.metadata_only else "get", request.name))
+        self.calls.append(("look" if request.metadata_only else "get", _object(request.name)))
         return super()._get(request, response)
 
     def _list(self, request, response):
@@ -71,7 +85,7 @@ class CountingDom(DomNode):
         return super()._list(request, response)
 
     def _invalidate(self, request, response):
-        self.calls.append(("invalidate", request.name))
+        self.calls.append(("invalidate", _object(request.name)))
         return super()._invalidate(request, response)
 
     def poses(self) -> list[list[tuple[str, str]]]:
@@ -85,16 +99,17 @@ class Cell(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("mcs")
-        self.problems, self.moves, self.looks = [], 0, 0
+        self.problems, self.moves, self.looks, self.paths = [], 0, 0, []
         self.hidden, self.late = set(), set()
+        self.together, self.under_way = 1, []
         self.lights, self.switched = {"left_led": False, "right_led": True}, []
         self._lights = self.create_publisher(String, "/testbed/lights", qos.LATCHED)
         self.tell_lights()
         self.create_publisher(McsState, "/mcs/state", qos.LATCHED).publish(
-            McsState(state="motion", reserved_groups=["left"])
+            McsState(state="motion", groups=[GroupStatus(group=arm, state="motion", reserved=True) for arm in ARMS])
         )
         for name in ("disable_motion", "power_off"):
-            self.create_service(Trigger, f"/mcs/{name}", self._succeed)
+            self.create_service(GroupCommand, f"/mcs/group/{name}", self._succeed)
         self.create_service(ReserveGroup, "/mcs/release", self._succeed)
         self.create_service(SetLight, "/testbed/set_light", self._set_light)
         self.create_service(CheckPath, "/mcs/check_path", self._succeed)
@@ -102,7 +117,7 @@ class Cell(ManagedNode):
         self.create_service(InverseKinematics, "/mcs/inverse_kinematics", self._configuration)
         self.create_service(SpotFind, "/vss/spot_find", self._spots)
         self.create_service(Calibrate, "/vss/calibrate", self._calibrate)
-        self._move = ActionServer(self, Move, "/left/move", self._moved)
+        self._move = [ActionServer(self, Move, f"/{arm}/move", partial(self._moved, arm)) for arm in ARMS]
 
     def tell_lights(self):
         self._lights.publish(String(data=json.dumps(self.lights)))
@@ -135,10 +150,15 @@ class Cell(ManagedNode):
         response.success, response.q = True, [request.wrist.position.x] * 9
         return response
 
-    def _moved(self, goal):
+    async def _moved(self, arm, goal):
+        """An arm arrives when as many as shall move together are under way."""
         self.moves += 1
+        self.under_way.append(arm)
+        while len(self.under_way) < self.together:
+            await pause(self, 0.02)
+        self.paths.append((arm, [list(point.positions) for point in goal.request.path.points]))
         goal.succeed()
-        return Move.Result(success=True, state=self._rest("left"))
+        return Move.Result(success=True, state=self._rest(arm))
 
     def _spots(self, request, response):
         self.looks += 1
@@ -173,6 +193,9 @@ class Cast:
     def start(self, name):
         return self._process(sys.executable, "-m", PROCESSES[name], *ALONE, "-p", f"journal_dir:={self.folder}")
 
+    def objects(self):
+        return [record.name for record in in_loop(self.dom, self.dom.store.records)]
+
     def restart(self, name):
         os.kill(self.processes[name].pid, signal.SIGKILL)
         self.processes[name] = self.start(name)
@@ -183,30 +206,148 @@ class Cast:
 
 
 @pytest.fixture
-def cast(tmp_path, process, monkeypatch):
+def cast(tmp_path, process, monkeypatch, wait_until):
     for name in ("run", "results"):
         (tmp_path / name).mkdir()
         monkeypatch.setenv(f"IM_{name.upper()}_DIR", str(tmp_path / name))
     rclpy.init(args=ALONE)
     cast = Cast(tmp_path, process)
     with spin_in_thread(cast.dom, cast.cell, cast.client):
+        wait_until(lambda: cast.dom.ready, "the Data Object Manager")
+        for name in PROCESSES:
+            wait_until(lambda: cast.client.count_subscribers(f"/{name}/tokens"), f"{name} to listen")  # noqa: B023
         yield cast
     rclpy.try_shutdown()
+
+
+FOLLOW = """
+net: follow
+description: Moves along a path that the command names.
+commands:
+  follow: {needs: [left_arm, left_cart], arguments: {path: {type: string}}}
+places: {idle: {tokens: 1, resource: true}, moved: , bad: }
+transitions:
+  follow:
+    symbol: follow
+    in: idle
+    out: moved
+    request: {to: motion_coordinator.move_robot, arguments: {group: left, path: "${arguments.path}"}}
+    on_failure: bad
+  followed: {in: moved, out: idle, emit: follow_done}
+  not_followed: {in: bad, out: idle, emit: follow_failed}
+"""
+
+
+BOTH = """
+net: both
+description: Moves both arms at once.
+commands:
+  both: {needs: [left_arm, left_cart, right_arm, right_cart]}
+templates:
+  arm:
+    parameters: [side]
+    places: {$(side): , $(side)_moved: , $(side)_failed: }
+    transitions:
+      $(side):
+        in: $(side)
+        out: $(side)_moved
+        request: {to: motion_coordinator.move_robot, arguments: {group: $(side), path: /corridor_$(side)}}
+        on_failure: $(side)_failed
+places: {idle: {tokens: 1, resource: true}}
+use: {template: arm, for: {side: [left, right]}}
+transitions:
+  begin: {symbol: both, in: idle, out: [left, right]}
+  done: {in: [left_moved, right_moved], out: idle, emit: both_done}
+  neither: {in: [left_failed, right_failed], out: idle, emit: both_failed}
+  left_only: {in: [left_moved, right_failed], out: idle, emit: both_failed}
+  right_only: {in: [left_failed, right_moved], out: idle, emit: both_failed}
+"""
+
+
+def path_of(joints, points):
+    points = [JointTrajectoryPoint(positions=point) for point in points]
+    return serialize_message(JointTrajectory(joint_names=joints, points=points))
+
+
+def execute(cast, symbol, **arguments):
+    """How a command ended."""
+    client = GuardedActionClient(cast.client, ExecuteCommand, "/dispatcher/execute")
+    assert client.wait_for_server(60.0)
+    goal = ExecuteCommand.Goal(symbol=symbol, arguments=json.dumps(arguments))
+    handle = completed(client.send_goal_async(goal))
+    return completed(handle.get_result_async()).result
+
+
+def completed(future):
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    assert done.wait(60.0)
+    return future.result()
+
+
+def test_a_path_is_given_by_whoever_asks_and_nothing_that_lies_about_steers_a_command(cast):
+    """Whoever had put ``given_path`` or ``path`` into the DOM used to move the arm of somebody else's calibration."""
+    joints, stray, given = [f"j{number}" for number in range(9)], [[9.0] * 9], [[0.1] * 9, [0.2] * 9]
+    for name, points in (("given_path", stray), ("path", stray), ("destination", stray), ("corridor", given)):
+        in_loop(
+            cast.dom,
+            cast.dom.store.put,
+            name,
+            "trajectory_msgs/msg/JointTrajectory",
+            path_of(joints, points),
+            "",
+            "a stranger",
+            0,
+        )
+    assert cast.calibrate().success
+    assert len(cast.cell.paths) == POSES
+    assert all(points != stray for _, points in cast.cell.paths)
+    loading = cast.client.create_client(LoadNet, "/dispatcher/load_net")
+    guessing = LoadNet.Request(net_yaml=FOLLOW.replace("group: left, ", ""))
+    refused = call_blocking(loading, guessing, 60.0, "a net to be refused")
+    assert "argument group is missing, one of 'left', 'right' (which arm)" in refused.message
+    loaded = call_blocking(loading, LoadNet.Request(net_yaml=FOLLOW), 60.0, "a net to be loaded")
+    assert loaded.success, loaded.message
+    result = execute(cast, "follow", path="/corridor")
+    assert result.success, result.status.message
+    assert cast.cell.paths[-1] == ("left", given)
+    for arguments, sentence in (
+        ({"path": "corridor"}, r"there is no data object 'dispatcher/[\d-]+/corridor'"),
+        ({"path": ""}, "move_robot needs one of the arguments destination, position, joints, path; it was given none"),
+    ):
+        assert re.search(sentence, execute(cast, "follow", **arguments).status.message)
+    assert len(cast.cell.paths) == POSES + 1
+    both_arms_move_at_once(cast, loading, joints)
+
+
+def both_arms_move_at_once(cast, loading, joints):
+    """The Coordinator serves a request for each; the paths of the one command are two."""
+    ways = {arm: [[0.01 * number] * 9] for number, arm in enumerate(ARMS, 1)}
+    for arm, points in ways.items():
+        kind = "trajectory_msgs/msg/JointTrajectory"
+        in_loop(cast.dom, cast.dom.store.put, f"corridor_{arm}", kind, path_of(joints, points), "", "test", 0)
+    loaded = call_blocking(loading, LoadNet.Request(net_yaml=BOTH), 60.0, "a net to be loaded")
+    assert loaded.success, loaded.message
+    cast.cell.paths, cast.cell.under_way, cast.cell.together = [], [], 2
+    result = execute(cast, "both")
+    assert result.success, result.status.message
+    assert dict(cast.cell.paths) == ways
 
 
 def report(answer):
     return json.loads((Path(answer.report.directory) / "report.json").read_text())
 
 
-def test_a_pose_costs_at_most_ten_calls_whichever_it_is(cast):
+def test_a_pose_costs_at_most_ten_calls_whichever_it_is(cast, wait_until):
     answer = cast.calibrate()
     assert answer.success, answer.message
+    wait_until(lambda: cast.objects() == ["calibration", "observations"], "the objects of the command to be forgotten")
     assert cast.cell.switched == [("left_led", True), ("left_led", False)]
     poses = cast.dom.poses()
     assert len(poses) == POSES - 1
     costs = [len(pose) for pose in poses]
     assert max(costs) <= MOST_CALLS
-    assert len(set(costs)) == 1, costs
+    assert max(costs) - min(costs) <= 1, costs  # whether an object is valid is asked, or was heard in time
     (problem,) = cast.cell.problems
     assert [observation.pose for observation in problem.observations] == cast.names
     assert [observation.spots[0].u for observation in problem.observations] == list(range(1, POSES + 1))
@@ -246,13 +387,14 @@ def test_what_was_observed_outlives_whoever_keeps_it(cast, victim, wait_until):
     cast.cell.tell_lights()
     cast.dom.at_pose[6] = lambda: cast.restart(victim)
     service = cast.client.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
-    wait_until(service.service_is_ready, "the dispatcher", 20.0)
+    wait_until(service.service_is_ready, "the dispatcher")
     clock.sleep(1.0)
     service.call_async(CalibrateCamera.Request(poses_file=str(cast.file)))
     wait_until(lambda: cast.cell.problems, "the calibration", 60.0)
     written = cast.folder / "results" / "latest" / "report.json"
     wait_until(written.exists, "the report")
     wait_until(lambda: len(cast.cell.switched) > 1, "the light")
+    wait_until(lambda: cast.objects() == ["calibration", "observations"], "the objects of the command to be forgotten")
     assert cast.cell.lights == {"left_led": True, "right_led": True}
     found = json.loads(written.read_text())
     seen = [name for number, name in enumerate(cast.names, 1) if number != 3]

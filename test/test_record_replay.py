@@ -1,6 +1,7 @@
 """What was published comes back from a bag, byte for byte, with type, hash and delivery."""
 
 import os
+import random
 import signal
 from pathlib import Path
 
@@ -8,14 +9,22 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
+from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
 from im_bringup.bag import BagReader
+from im_core import clock
+from im_core.bag import messages_of, topics_of
 from im_core.ros import qos
+from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.ros.interfaces import interface_class
+from im_core.ros.node import ManagedNode
+from im_msgs.action import ExecuteCommand
 from im_msgs.msg import Firing
 
 RUN = Path(__file__).resolve().parent.parent / "scripts" / "run.sh"
@@ -89,6 +98,8 @@ def test_a_bag_holds_what_was_published(recorded):
     with (path / "bag.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         decoded = [message for *_, message in reader.iter_decoded_messages(topics=["/events"])]
+        numbers = [message.sequence for *_, message in reader.iter_messages(topics=["/events"])]
+    assert numbers == list(range(1, 201)), "none was lost, by the numbers of the publisher"
     assert [(message.transition, message.stamp.sec, message.duration) for message in decoded[:2]] == [
         ("t0", 0, 0.25),
         ("t1", 1, 0.25),
@@ -98,15 +109,19 @@ def test_a_bag_holds_what_was_published(recorded):
 def test_replay_publishes_the_same_on_the_same_topics(recorded, ros, script, wait_until):
     path, _ = recorded
     node = Node("listener")
-    texts, events = [], []
+    texts, events, times = [], [], []
     node.create_subscription(String, "/described", texts.append, qos.LATCHED)
-    node.create_subscription(Firing, "/events", lambda data: events.append(data), qos.EVENTS, raw=True)
+    node.create_subscription(Firing, "/again", lambda data: events.append(data), qos.EVENTS, raw=True)
+    node.create_subscription(Clock, "/clock", times.append, 100)
     ros(node)
-    done = script("replay", path, "--rate", 5, "--topics", "/events", "/described")
+    options = ("--rate", 5, "--remap", "/events:=/again", "--clock")
+    done = script("replay", path, *options, "--topics", "/events", "/described")
     assert done.returncode == 0, done.stderr
     assert "replay: 201 messages published" in done.stdout
     wait_until(lambda: len(events) == 200 and len(texts) >= 1, "the replayed messages")
+    wait_until(lambda: len(times) >= 1, "the time of the bag")
     with BagReader(path) as bag:
+        assert times[-1].clock.sec >= bag.begin_ns // 10**9
         assert [bytes(data) for data in events] == [data for _, _, data in bag.messages(["/events"])]
 
 
@@ -123,15 +138,88 @@ def test_sigterm_closes_the_bag_too(recorder, ros, wait_until, tmp_path):
         assert dict(bag.counts) == {"/a": 1}
 
 
+@pytest.mark.parametrize("count", random.Random(15).sample(range(50, 600), 3))
+def test_a_recorder_that_is_killed_leaves_a_bag_that_opens(recorder, ros, wait_until, tmp_path, count):
+    node = ros(Node("source"))
+    publisher = node.create_publisher(Firing, "/events", qos.EVENTS)
+    child = recorder("--topics", "/events")
+    wait_until(publisher.get_subscription_count, "the recorder")
+    publisher.publish(firing(0))
+    part = tmp_path / "bag" / "bag.mcap"
+    empty = part.stat().st_size
+    wait_until(lambda: part.stat().st_size > empty, "the first flush")
+    for number in range(1, count):
+        publisher.publish(firing(number))
+        if number % 50 == 0:
+            clock.sleep(0.01)
+    child.kill()
+    wait_until(lambda: child.poll() is not None, "the end of the recorder")
+    with BagReader(tmp_path / "bag") as bag:
+        events = [deserialize_message(data, Firing) for _, _, data in bag.messages(["/events"])]
+    assert events
+    assert events == [firing(number) for number in range(len(events))]
+    with part.open("rb") as file:
+        decoded = [
+            message for *_, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        ]
+    assert len(decoded) == len(events)
+
+
 def test_a_bag_is_never_overwritten(script, tmp_path):
     done = script("record", "-o", tmp_path)
     assert (done.returncode, f"the bag {tmp_path} cannot be made" in done.stderr) == (2, True)
 
 
-@pytest.mark.parametrize("arguments", [["nowhere"], ["nowhere", "--rate", "0"], []])
+@pytest.mark.parametrize("arguments", [["nowhere"], ["nowhere", "--rate", "0"], ["nowhere", "--remap", "a=b"], []])
 def test_replay_refuses_what_it_cannot_play(script, arguments):
     assert script("replay", *arguments).returncode == 2
 
 
 def test_message_classes_are_found_by_name():
     assert interface_class("std_msgs/msg/String") is String
+
+
+class Teller(ManagedNode):
+    """Answers a service and carries out an action."""
+
+    def __init__(self):
+        super().__init__("teller", parameter_overrides=[Parameter("introspection", value="contents")])
+        self.create_service(SetBool, "/teller/set", self._set)
+        self._server = GuardedActionServer(self, ExecuteCommand, "/teller/execute", self._execute)
+
+    async def _set(self, request, response):
+        response.success, response.message = request.data, "as asked"
+        return response
+
+    def _execute(self, handle):
+        handle.succeed()
+        return ExecuteCommand.Result(success=True, results=handle.request.arguments)
+
+
+def test_what_services_and_actions_carry_is_in_the_bag(recorder, ros, wait_until, tmp_path):
+    node, other = Teller(), GuardedNode("asker")
+    ros(node, other)
+    child = recorder()
+    events = ("/teller/set", "/teller/execute/_action/send_goal", "/teller/execute/_action/get_result")
+    topics = {f"{name}/_service_event" for name in events}
+    for topic in topics:
+        wait_until(lambda topic=topic: node.count_subscribers(topic), f"the recorder on {topic}")
+    client = other.create_client(SetBool, "/teller/set")
+    wait_until(client.service_is_ready, "the service")
+    asked = client.call_async(SetBool.Request(data=True))
+    wait_until(asked.done, "the answer")
+    actions = GuardedActionClient(other, ExecuteCommand, "/teller/execute")
+    wait_until(actions.server_is_ready, "the action")
+    goal = actions.send_goal_async(ExecuteCommand.Goal(symbol="look", arguments='{"light": "left"}'))
+    wait_until(goal.done, "the goal")
+    result = goal.result().get_result_async()
+    wait_until(result.done, "the result")
+    wait_until(lambda: all(each.wait_for_all_acked() for each in node.publishers), "the last event to arrive")
+    end(child, signal.SIGINT, wait_until)
+    types = {topic: kind for topic, kind in topics_of(tmp_path / "bag").items() if topic in topics}
+    found = list(messages_of(tmp_path / "bag", {topic: (kind,) for topic, kind in types.items()}))
+    calls, goals, results = ([each.content for each in found if each.topic.startswith(name)] for name in events)
+    assert [each.request[0].data for each in calls if each.request] == [True]
+    assert [each.response[0].message for each in calls if each.response] == ["as asked"]
+    assert [each.request[0].goal.arguments for each in goals] == ['{"light": "left"}']
+    assert [each.response[0].result.results for each in results] == ['{"light": "left"}']

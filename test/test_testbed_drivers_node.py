@@ -70,9 +70,9 @@ def robot():
         process.wait()
 
 
-def drive_to(driver, target, seconds):
+def drive_to(driver, target):
     """A PD law in every tick until every joint is at its target and at rest; the last reading."""
-    last, deadline = driver.read().q, clock.monotonic() + seconds
+    last, deadline = driver.read().q, clock.monotonic() + 60.0
     velocity = np.zeros(len(last))
     while clock.monotonic() < deadline:
         measured = driver.read()
@@ -92,7 +92,8 @@ def standing(driver):
     while clock.monotonic() < deadline:
         before = driver.read().q
         clock.sleep(0.3)
-        if (driver.read().q == before).all():
+        now = driver.read()
+        if now.age_s.max() < 0.1 and (now.q == before).all():  # what it says is not from before
             return before
     pytest.fail("the robot did not come to a stand")
 
@@ -100,7 +101,7 @@ def standing(driver):
 def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
     with robot() as process:
         driver = JointStateDriver(
-            INSTANCE, 15.0, JOINTS, "/robot/state", "/robot/command", period_s=0.005, silence_s=SILENCE_S
+            INSTANCE, 60.0, JOINTS, "/robot/state", "/robot/command", period_s=0.005, silence_s=SILENCE_S
         )
         try:
             measured = driver.read()
@@ -108,7 +109,7 @@ def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
             assert not measured.power
             assert measured.brakes.all()
             target = np.array([0.1, -0.2])
-            measured = drive_to(driver, target, 20.0)
+            measured = drive_to(driver, target)
             np.testing.assert_allclose(measured.q, target, atol=0.03)
             assert 0.0 <= measured.age_s.max() < SILENCE_S
 
@@ -119,18 +120,18 @@ def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
                 driver.write(off)
                 clock.sleep(0.005)
             np.testing.assert_allclose(driver.read().q, before, atol=1e-12)
-            for _ in range(30):
+            deadline = clock.monotonic() + 60.0
+            while (after := driver.read().q)[1] <= before[1] + 0.01 and clock.monotonic() < deadline:
                 driver.write(held)
                 clock.sleep(0.005)
-            after = driver.read().q
-            assert after[0] == before[0], "a braked joint is not commanded"
             assert after[1] > before[1] + 0.01
+            assert after[0] == before[0], "a braked joint is not commanded"
 
             process.send_signal(signal.SIGKILL)
             process.wait()
-            silent = r"topic '/robot/state' has said nothing of joint 'shoulder' for [2-9][0-9.]* s; 2 s are allowed"
+            silent = r"topic '/robot/state' has said nothing of joint 'shoulder' for [0-9.]+ s; 2 s are allowed"
             with pytest.raises(LinkError, match=silent):
-                drive_to(driver, -target, 20.0)
+                drive_to(driver, -target)
             with pytest.raises(LinkError, match=r"'/robot/state' .* 2 s are allowed"):
                 driver.connect()
         finally:
@@ -139,11 +140,10 @@ def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
 
 
 def test_a_joint_that_the_robot_does_not_have_is_named():
-    with (
-        robot(),
-        pytest.raises(LinkError, match=r"nothing of joint wrist within 10 s; it names gripper, elbow, shoulder$"),
-    ):
-        JointStateDriver(INSTANCE, 10.0, ["elbow", "wrist"], "/robot/state", "/robot/command")
+    with robot():
+        JointStateDriver(INSTANCE, 60.0, JOINTS, "/robot/state", "/robot/command").close()  # it has begun
+        with pytest.raises(LinkError, match=r"nothing of joint wrist within 10 s; it names gripper, elbow, shoulder$"):
+            JointStateDriver(INSTANCE, 10.0, ["elbow", "wrist"], "/robot/state", "/robot/command")
 
 
 def test_a_robot_that_says_nothing_is_told_apart_from_one_that_lacks_a_joint():

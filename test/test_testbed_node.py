@@ -66,8 +66,8 @@ def test_a_session(run_folder):
         assert not answer.success
         assert "there is no light 'left_lamp'; did you mean 'left_led'?" in answer.message
 
-        with CameraEnd.attach(names.instance(), timeout_s=30.0) as camera:
-            exposure = camera.expose(2, blank_light=False, timeout_s=30.0)
+        with CameraEnd.attach(names.instance(), timeout_s=60.0) as camera:
+            exposure = camera.expose(2, blank_light=False, timeout_s=60.0)
         assert exposure.light_fraction == {"left_led": 1.0, "right_led": 0.0}
 
         answer = call_blocking(advance, Advance.Request(duration=0.45), 5.0, "time")
@@ -94,13 +94,13 @@ def test_faults_and_objects_by_service(run_folder):
     with spin_in_thread(node, listener):
         until(lambda: node.ready or node.failed)
         assert node.ready, node.failed
-        ends = [kind.attach(names.instance(), timeout_s=30.0) for kind in (PanelEnd, ServoEnd, HostEnd)]
+        ends = [kind.attach(names.instance(), timeout_s=60.0) for kind in (PanelEnd, ServoEnd, HostEnd)]
         panel, servo, host = ends
 
         def broken(fault, joint, active):
             request = InjectFault.Request(fault=fault, joint=joint, active=active)
             answer = call_blocking(inject, request, 5.0, "fault")
-            panel.wait_tick(panel.request_time(1), timeout_s=30.0)
+            panel.wait_tick(panel.request_time(1), timeout_s=60.0)
             return answer.success, answer.message
 
         assert broken("encoder_nan", "left_j2", True) == (True, "broken: encoder_nan of left_j2")
@@ -113,7 +113,7 @@ def test_faults_and_objects_by_service(run_folder):
 
         request = PutInJaws.Request(gripper="left_gripper", width=0.05, stiffness=1e4, mass=0.2)
         assert call_blocking(put, request, 5.0, "object").success
-        panel.wait_tick(panel.request_time(1), timeout_s=30.0)
+        panel.wait_tick(panel.request_time(1), timeout_s=60.0)
         assert host.objects()[0].mass == 0.2
         answer = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=-1.0), 5.0, "object")
         assert not answer.success

@@ -64,7 +64,7 @@ for name, kind, request in json.load(open(sys.argv[2])):
     kind = getattr(im_msgs.srv, kind)
     for _ in range(int(sys.argv[1])):
         client = node.create_client(kind, f"/vss/{name}")
-        assert client.wait_for_service(30.0)
+        assert client.wait_for_service(60.0)
         client.call_async(deserialize_message(bytes.fromhex(request), kind.Request))
 print("asked", flush=True)
 time.sleep(60.0)

@@ -50,16 +50,16 @@ def test_what_the_page_adds_is_all_that_is_loaded_and_it_answers(folder, wait_un
     try:
         testbed, client = TestbedNode(), rclpy.create_node("client")
         spinners.append(spin_in_thread(testbed, client))
-        wait_until(lambda: testbed.ready or testbed.failed, "the testbed", 30.0)
+        wait_until(lambda: testbed.ready or testbed.failed, "the testbed")
         vss = VssNode()
         spinners.append(spin_in_thread(vss))
-        wait_until(lambda: vss.ready or vss.failed, "the node", 40.0)
+        wait_until(lambda: vss.ready or vss.failed, "the node")
         assert vss.ready, vss.failed
-        answer = call_blocking(client.create_client(Trigger, "/vss/light_meter"), Trigger.Request(), 30.0, "light")
+        answer = call_blocking(client.create_client(Trigger, "/vss/light_meter"), Trigger.Request(), 60.0, "light")
         assert answer.success, answer.message
         assert re.fullmatch(r"\d+\.\d DN: enough light to work by", answer.message)
         query = client.create_client(VisionQuery, "/vss/query")
-        state = call_blocking(query, VisionQuery.Request(), 10.0, "state").state
+        state = call_blocking(query, VisionQuery.Request(), 60.0, "state").state
         assert (state.services, state.tools) == (["light_meter"], ["tool_snap", "tool_light_meter"])
         assert {module.name: module.released for module in state.modules} == {"vm_snap": 1, "vm_light_meter": 1}
         assert client.count_services("/vss/snap") == 0

@@ -18,9 +18,9 @@ from im_calibration.problem.dataset import load_problems, problems
 from im_cell.calibration_files import read_calibration
 from im_cell.robot import load_cell
 from im_cell.robot.truth import load_truth
-from im_coordinators.requests import calibration_request, collected_poses, kept_pose
 from im_core.config import package_file
 from im_core.errors import ImError
+from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL
 from im_dispatcher.job import order_of
 from im_dispatcher.poses_file import load_poses
 from im_mcs.limits.configuration import load_config
@@ -111,15 +111,45 @@ FILES = {
     "strategies": ({"strategies": {"n.t": {"successes": 1, "failures": 0}}}, StrategyBook),
 }  # fmt: skip
 
+DECLARED = load_net(COMMAND.net).commands[SYMBOL].arguments
+
+#: What each service of a Coordinator takes.
+ASKED = [
+    ("motion_coordinator", "power_up", {"group": "left"}),
+    ("motion_coordinator", "power_down", {"group": "right"}),
+    ("motion_coordinator", "move_robot",
+     {"group": "left", "position": [1.0, 2.0, 0.5], "orientation": [0.0, 0.0, 1.0], "frame": "tool"}),
+    ("motion_coordinator", "find_pos", {"group": "left"}),
+    ("path_planning_coordinator", "plan_path", {"group": "left", "destination": "destination"}),
+    ("path_planning_coordinator", "validate_path", {"group": "left", "path": "given"}),
+    ("vision_coordinator", "light_on", {"light": "left_led"}),
+    ("vision_coordinator", "light_off", {"light": "left_led"}),
+    ("vision_coordinator", "find_spot", {"cameras": ["wall"], "light": "left_led", "exposure": 0.01}),
+    ("vision_coordinator", "keep_observation", {"number": 1, "pose": "p1"}),
+    ("vision_coordinator", "calibrate",
+     {"cameras": ["a"], "observations": [1], "rejected": {"p": "why"}, "directory": "d"}),
+    ("gripper_coordinator", "open_gripper", {"gripper": "left_gripper", "width": 0.05, "force": 10}),
+    ("gripper_coordinator", "close_gripper", {"gripper": "right_gripper", "force": 10}),
+]  # fmt: skip
+
+
+def declared(net, service):
+    """What a service of a Coordinator declares."""
+    return load_net(package_file("im_coordinators", f"nets/{net}.yaml")).arguments_of(service)
+
+
+def checker(net, service):
+    schema = declared(net, service)
+    return lambda arguments: schema.check(arguments, service)
+
+
 #: Likewise of requests.
 REQUESTS = {
     "calibrate_camera": (
         {"cameras": ["ceiling_left"], "poses_file": ""},
-        lambda arguments: order_of(arguments, ["ceiling_left", "ceiling_right"]),
+        lambda arguments: order_of(DECLARED.check(arguments, SYMBOL), ["ceiling_left", "ceiling_right"]),
     ),
-    "calibration": ({"cameras": ["ceiling_left"], "group": "left"}, calibration_request),
-    "observation": ({"number": 1, "pose": "p1"}, kept_pose),
-    "solver": ({"cameras": ["a"], "observations": [1], "rejected": {"p": "why"}, "directory": "d"}, collected_poses),
+    **{f"{net}.{service}": (arguments, checker(net, service)) for net, service, arguments in ASKED},
 }
 
 SCALARS = (
@@ -214,17 +244,17 @@ def test_any_value_in_a_request_is_accepted_or_refused(kind):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"cameras": 5}, "cameras: Input should be a valid list, not 5"),
-        ({"cameras": [5]}, "cameras[0]: Input should be a valid string, not 5"),
-        ({"cameras": None}, "cameras: Input should be a valid list, not None"),
-        ({"cameras": ["a" * 65]}, "cameras[0]: String should have at most 64 characters"),
-        ({"poses_file": {}}, "poses_file: Input should be a valid string, not {}"),
-        ({"camera": ["ceiling_left"]}, "camera: Extra inputs are not permitted"),
+        ({"cameras": 5}, "argument cameras is 5, not a list of at most 64 texts"),
+        ({"cameras": [5]}, "argument cameras[0] is 5, not a list of at most 64 texts"),
+        ({"cameras": None}, "argument cameras is nothing, not a list"),
+        ({"cameras": ["a" * 65]}, "there is no camera 'aaaa"),
+        ({"poses_file": {}}, "argument poses_file is a JSON object, not a text of at most 4096 characters"),
+        ({"camera": ["ceiling_left"]}, "has no argument 'camera' (did you mean 'cameras'?)"),
     ],
 )
 def test_wrong_arguments_of_a_command_are_told(arguments, sentence):
     with pytest.raises(ImError) as refused:
-        order_of(arguments, ["ceiling_left"])
+        order_of(DECLARED.check(arguments, SYMBOL), ["ceiling_left"])
     assert sentence in refused.value.message
 
 
@@ -239,4 +269,25 @@ def test_all_readers_of_files_are_here():
     known = {"deployment", "poses_file", "design", "cell", "configuration", "settings", "catalogue", "truth", "record"}
     known |= {"covariance", "extrinsics", "laser", "intrinsics", "folder"}  # test_calibration_files.py
     known |= {"dataset", "conflicts", "config", "jsontext"}
+    known |= {"proofs"}  # im_pnt_analysis/test/test_proofs.py
     assert callers == known
+
+
+def test_every_service_of_a_coordinator_says_what_it_takes():
+    nets = {net for net, _, _ in ASKED}
+    offered = {
+        (net, name) for net in nets for name in load_net(package_file("im_coordinators", f"nets/{net}.yaml")).services
+    }
+    assert offered == {(net, service) for net, service, _ in ASKED}
+
+
+@pytest.mark.parametrize(("net", "service", "right"), ASKED)
+def test_a_coordinator_guesses_nothing(net, service, right):
+    """An argument that is missing, or that it does not know, is named."""
+    schema = declared(net, service)
+    for name, argument in schema.arguments.items():
+        if argument.required:
+            with pytest.raises(ImError, match=f"{service}: argument {name} is missing, "):
+                schema.check({key: value for key, value in right.items() if key != name}, service)
+    with pytest.raises(ImError, match=f"{service} has no argument 'gruppe'"):
+        schema.check({**right, "gruppe": "left"}, service)

@@ -2,20 +2,19 @@
 
 import argparse
 import itertools
-import statistics
 import sys
 import tempfile
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import yaml
 
-from bench.chaos import machine, trial
+from bench.chaos import machine, records, trial
 from bench.chaos.command import Command
 from bench.chaos.faults import KINDS, ROLES
+from bench.chaos.records import Result, Verdict
 from bench.chaos.safety import Watch
-from bench.chaos.trial import Result, Setting, Verdict
+from bench.chaos.trial import Setting
 from im_bringup.machine.interrupts import interrupt_once
 from im_core import clock
 from im_core.config import package_file
@@ -37,24 +36,27 @@ def main() -> int:
     )
     parser.add_argument("--minutes", type=float, help="how long to go on")
     parser.add_argument("--injections", type=int, help="how many (default: 20, or what --minutes gives)")
-    parser.add_argument("--seed", type=int, default=1, help="of the first injection; the next has one more")
+    parser.add_argument(
+        "--seed", type=int, help="of the first injection, the next has one more (default: 1, or what follows in --out)"
+    )
     parser.add_argument("--factor", type=float, default=0.0, help="clock factor of the machine (default: 0)")
     parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), default=tuple(KINDS), metavar="KIND")
     parser.add_argument("--roles", nargs="+", choices=ROLES, default=ROLES, metavar="ROLE")
     parser.add_argument("--port", type=int, default=8080, help="of the display")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="add a line for each injection; the table is of all")
+    parser.add_argument("--docs", type=Path, metavar="PAGE", help="write the table of --out there, and inject nothing")
     arguments = parser.parse_args()
+    if arguments.docs is not None and arguments.out is None:
+        parser.error("--docs needs --out, the file that it sums up")
     interrupt_once()
     results: list[Result] = []
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            poses, seeds = _few_poses(Path(folder)), _seeds(arguments)
-            while not results or results[-1].verdict is Verdict.LOST:
-                with machine.running(arguments.factor, 1, arguments.port):
-                    setting = _setting(poses, tuple(arguments.kinds), tuple(arguments.roles))
-                    with Watch() as watch:
-                        lost = _inject(seeds, setting, watch, results)
-                    if not lost:
-                        break
+        if arguments.out is not None and arguments.out.exists():
+            results = records.read(arguments.out)
+        if arguments.docs is not None:
+            records.document(results, arguments.docs)
+        else:
+            _run(arguments, results)
     except KeyboardInterrupt:
         print("chaos: interrupted", file=sys.stderr)
         return 130
@@ -62,27 +64,50 @@ def main() -> int:
         print(f"chaos: {error.message}", file=sys.stderr)
         return 1
     finally:
-        print(table(results))
+        print(records.table(results))
     return 1 if any(result.verdict.failure for result in results) else 0
 
 
-def _seeds(arguments: argparse.Namespace) -> Iterator[int]:
+def _run(arguments: argparse.Namespace, results: list[Result]) -> None:
+    """Inject until there are enough or time is up; what comes of it is added to ``results``.
+
+    Raises:
+        ImError: The machine does not start, or fails undisturbed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        poses, seeds = _few_poses(Path(folder)), _seeds(arguments, results)
+        lost = True
+        while lost:
+            with machine.running(arguments.factor, 1, arguments.port):
+                setting = _setting(poses, arguments)
+                with Watch() as watch:
+                    lost = _inject(seeds, setting, watch, results, arguments.out)
+
+
+def _seeds(arguments: argparse.Namespace, results: list[Result]) -> Iterator[int]:
     """Seeds of the injections, until there are enough or time is up."""
+    first = arguments.seed
+    if first is None:
+        first = max((result.seed for result in results), default=0) + 1
     end = clock.monotonic() + 60.0 * arguments.minutes if arguments.minutes else float("inf")
     most = arguments.injections or (None if arguments.minutes else DEFAULT_INJECTIONS)
     for count in itertools.count():
         if clock.monotonic() > end or count == most:
             return
-        yield arguments.seed + count
+        yield first + count
 
 
-def _inject(seeds: Iterator[int], setting: Setting, watch: Watch, results: list[Result]) -> bool:
+def _inject(seeds: Iterator[int], setting: Setting, watch: Watch, results: list[Result], out: Path | None) -> bool:
     """Inject until the seeds are used up, or the machine does not recover and is to be started anew: then true."""
     for seed in seeds:
         result = trial.run(seed, setting, watch)
         results.append(result)
+        if out is not None:
+            records.append(out, result)
         recovery = "" if result.recovery_s is None else f", recovered in {result.recovery_s:.1f} s"
         print(f"{seed}: {result.fault}: {result.verdict.value}{recovery}: {result.said}", flush=True)
+        if result.verdict.failure:
+            print(f"logs: {machine.keep_logs(seed)}", flush=True)
         if result.verdict is Verdict.LOST:
             return True
     return False
@@ -97,7 +122,7 @@ def _few_poses(folder: Path) -> Path:
     return path
 
 
-def _setting(poses: Path, kinds: tuple[str, ...], among: tuple[str, ...]) -> Setting:
+def _setting(poses: Path, arguments: argparse.Namespace) -> Setting:
     """Run one command undisturbed, to know what is normal.
 
     Raises:
@@ -107,30 +132,15 @@ def _setting(poses: Path, kinds: tuple[str, ...], among: tuple[str, ...]) -> Set
     outcome = command.outcome(trial.HANG_S)
     if not outcome.success:
         raise StateError(f"undisturbed, calibrate_camera failed: {outcome.said}")
-    duration_s = outcome.ended - command.began
-    return Setting(poses, command.steps, duration_s, kinds, among, frozenset(machine.shared_files()))
-
-
-def table(results: Sequence[Result]) -> str:
-    """Faults against outcomes, and the times of recovery."""
-    rows = sorted({str(result.fault) for result in results})
-    verdicts = [verdict for verdict in Verdict if any(result.verdict is verdict for result in results)]
-    head = f"{'fault':44}" + "".join(f"{verdict.value:>14}" for verdict in verdicts) + f"{'recovery [s]':>14}"
-    lines = [head]
-    for row in rows:
-        mine = [result for result in results if str(result.fault) == row]
-        counts = Counter(result.verdict for result in mine)
-        times = [result.recovery_s for result in mine if result.recovery_s is not None]
-        cells = "".join(f"{counts[verdict] or '':>14}" for verdict in verdicts)
-        lines.append(f"{row:44}{cells}{f'{max(times):.1f}' if times else '-':>14}")
-    times = sorted(result.recovery_s for result in results if result.recovery_s is not None)
-    if times:
-        within = sum(seconds <= 15.0 for seconds in times) / len(results)
-        lines.append(
-            f"{len(results)} injections; recovery: median {statistics.median(times):.1f} s, "
-            f"most {times[-1]:.1f} s, {within:.0%} within 15 s"
-        )
-    return "\n".join(lines)
+    return Setting(
+        poses,
+        command.steps,
+        outcome.ended - command.began,
+        arguments.factor,
+        tuple(arguments.kinds),
+        tuple(arguments.roles),
+        frozenset(machine.shared_files()),
+    )
 
 
 if __name__ == "__main__":

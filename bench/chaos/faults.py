@@ -16,6 +16,8 @@ ROLES = (
     "vision_coordinator", "path_planning_coordinator", "gripper_coordinator", "pnt_display", "bootstrap",
 )  # fmt: skip
 STOPS_S = (1.0, 15.0, 60.0)
+#: How often each is drawn: most is learnt where a wait of the machine ends or does not.
+_STOP_WEIGHTS = (2, 3, 1)
 #: Who keeps a journal, and who writes files.
 JOURNALS = (
     "dispatcher", "motion_coordinator", "vision_coordinator", "path_planning_coordinator", "gripper_coordinator",
@@ -31,15 +33,14 @@ class Fault:
     Attributes:
         kind: Its kind, a row of the table.
         victims: Roles it is done to; what a failed command must name, one of them or what fails with them.
-        inject: Does it, and undoes what is to be undone.
-        stops_motion: Whether an arm that moves must come to rest at once.
+        inject: Does it, and undoes what is to be undone. It calls its argument where an arm that moves must come to
+            rest from then on.
         words: What a true reason may say instead of a name.
     """
 
     kind: str
     victims: tuple[str, ...]
-    inject: Callable[[], None]
-    stops_motion: bool = False
+    inject: Callable[[Callable[[], None]], None]
     words: tuple[str, ...] = ()
 
     def __str__(self) -> str:
@@ -57,64 +58,72 @@ def _signal(victims: tuple[str, ...], number: signal.Signals) -> list[int]:
 def kill(victims: tuple[str, ...]) -> Fault:
     """``kill -9``."""
 
-    def inject() -> None:
+    def inject(motion_lost: Callable[[], None]) -> None:
         _signal(victims, signal.SIGKILL)
+        if {"servo", "mcs"} & set(victims):
+            motion_lost()
 
-    kind = "kill -9" if len(victims) == 1 else "kill -9 of two"
-    return Fault(kind, victims, inject, bool({"servo", "mcs"} & set(victims)))
+    return Fault("kill -9" if len(victims) == 1 else "kill -9 of two", victims, inject)
 
 
 def stop(victims: tuple[str, ...], seconds: float) -> Fault:
     """SIGSTOP, and SIGCONT after a while."""
 
-    def inject() -> None:
+    def inject(motion_lost: Callable[[], None]) -> None:
         pids = _signal(victims, signal.SIGSTOP)
+        if "servo" in victims and seconds > STOPS_S[0]:
+            motion_lost()
         clock.sleep(seconds)
         for pid in pids:
             with suppress(ProcessLookupError):  # it was replaced meanwhile
                 os.kill(pid, signal.SIGCONT)
 
-    return Fault(f"SIGSTOP {seconds:g} s", victims, inject, "servo" in victims and seconds > STOPS_S[0])
+    return Fault(f"SIGSTOP {seconds:g} s", victims, inject)
 
 
 def _malformed(draw: Random, among: tuple[str, ...]) -> Fault:
-    return Fault("malformed messages", (), outside.send_malformed)
+    return Fault("malformed messages", (), lambda _: outside.send_malformed())
 
 
 def _clock_jump(draw: Random, among: tuple[str, ...]) -> Fault:
     hours = draw.choice(JUMPS_H)
     return Fault(
-        f"the clock jumps {hours} h", (), lambda: outside.jump_clock(hours), words=("clock", "time", "older", "stamp")
+        f"the clock jumps {hours} h", (), lambda _: outside.jump_clock(hours), words=("clock", "time", "older", "stamp")
     )
 
 
 def _second(draw: Random, among: tuple[str, ...]) -> Fault:
-    return Fault("a second machine", (), outside.start_second)
+    return Fault("a second machine", (), lambda _: outside.start_second())
 
 
 def _load(draw: Random, among: tuple[str, ...]) -> Fault:
-    return Fault("load", (), outside.burn)
+    return Fault("load", (), lambda _: outside.burn(), words=("deadlines",))
 
 
 def _disk(draw: Random, among: tuple[str, ...]) -> Fault:
     role = draw.choice([role for role in WRITERS if role in among] or WRITERS)
-    return Fault("full disk", (role,), lambda: outside.fill_disk(role), words=("too large", "journal"))
+    return Fault("full disk", (role,), lambda _: outside.fill_disk(role), words=("too large", "journal"))
 
 
 def _journal(draw: Random, among: tuple[str, ...]) -> Fault:
     role = draw.choice([role for role in JOURNALS if role in among] or JOURNALS)
-    return Fault("damaged journal", (role,), lambda: outside.damage_journal(role, draw), words=("journal", "doubt"))
+    return Fault("damaged journal", (role,), lambda _: outside.damage_journal(role, draw), words=("journal", "doubt"))
+
+
+def _lifecycle(draw: Random, among: tuple[str, ...]) -> Fault:
+    return Fault("lifecycle shutdown", ("mcs",), outside.shut_mcs_down, words=("finalized",))
 
 
 #: How a fault of each kind is drawn.
 KINDS: Mapping[str, Callable[[Random, tuple[str, ...]], Fault]] = {
     "kill": lambda draw, among: kill((draw.choice(among),)),
     "kill-two": lambda draw, among: kill(tuple(draw.sample(among, min(2, len(among))))),
-    "stop": lambda draw, among: stop((draw.choice(among),), draw.choice(STOPS_S)),
+    "stop": lambda draw, among: stop((draw.choice(among),), draw.choices(STOPS_S, _STOP_WEIGHTS)[0]),
     "malformed": _malformed,
     "clock": _clock_jump,
     "second": _second,
     "load": _load,
     "disk": _disk,
     "journal": _journal,
+    "lifecycle": _lifecycle,
 }

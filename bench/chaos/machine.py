@@ -1,6 +1,7 @@
 """The machine under test: who its processes are, what it leaves behind, how it is started and stopped."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,8 @@ START_S = 180.0
 APPEARANCE_S = 60.0
 #: Processes that tasks start, by the module they run.
 CHILDREN = {"im_mcs.servo": "servo", "im_sim.physics": "physics", "im_sim.cameras": "cameras"}
+#: Program of a process that has several tasks; they are its arguments.
+SHARED = "shared_process"
 _POLL_S = 0.05
 
 
@@ -45,10 +48,14 @@ def roles() -> dict[str, list[ProcessId]]:
     """Processes of the machine by what they are: tasks by name, ``servo``, ``physics``, ``cameras``, ``bootstrap``."""
     found: dict[str, list[ProcessId]] = {}
     for process in leftovers.processes():
-        role = _role(process.pid)
-        if role:
+        for role in _roles(process.pid):
             found.setdefault(role, []).append(process)
     return found
+
+
+def sharing(role: str) -> set[str]:
+    """Roles of the process of a role: tasks that share one die together."""
+    return {role}.union(*(among for process in leftovers.processes() if role in (among := _roles(process.pid))))
 
 
 def await_role(role: str, timeout_s: float) -> ProcessId | None:
@@ -73,6 +80,13 @@ def pid_of(role: str) -> int:
     return process.pid
 
 
+def keep_logs(seed: int) -> Path:
+    """Copy the logs of the machine, which the next start removes, into the results; where they are."""
+    folder = names.results_dir() / f"chaos-{seed}-{clock.stamp_name()}"
+    shutil.copytree(names.run_dir() / "log", folder)
+    return folder
+
+
 def shared_files() -> set[str]:
     """Names of the machine's own blocks and semaphores in ``/dev/shm``."""
     return {name for name in os.listdir("/dev/shm") if name.removeprefix("sem.").startswith(f"{names.instance()}_")}
@@ -84,12 +98,17 @@ def journal_of(task: str) -> Path | None:
     return max(files, key=lambda path: path.stat().st_mtime_ns, default=None)
 
 
-def _role(pid: int) -> str:
+def _roles(pid: int) -> list[str]:
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
     except OSError:
-        return ""
+        return []
     if "-m" in words:
-        return CHILDREN.get(words[words.index("-m") + 1], "")
+        module = words[words.index("-m") + 1]
+        return [CHILDREN[module]] if module in CHILDREN else []
     program = Path(words[1]) if len(words) > 1 else Path()
-    return program.name if program.parent.parent.name == "lib" else ""
+    if program.parent.parent.name != "lib":
+        return []
+    if program.name != SHARED:
+        return [program.name]
+    return [Path(task).name for task in words[2 : words.index("--ros-args")]]

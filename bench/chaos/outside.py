@@ -5,11 +5,13 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from random import Random
 
 import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
@@ -18,6 +20,8 @@ from bench.chaos import machine
 from im_core import clock
 from im_core.errors import StateError
 from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+from im_core.ros.run import Spinner
 from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import Firing, NetDescription, TaskStatus, TokenPacket
 
@@ -31,7 +35,7 @@ MALFORMED = (
 )
 LOAD_PROCESSES, LOAD_S = 6, 15.0
 DISK_S = 8.0
-_DISCOVERY_S = 2.0
+_DISCOVERY_S, _CALL_S = 2.0, 30.0
 
 
 @contextmanager
@@ -69,6 +73,25 @@ def jump_clock(hours: int) -> None:
         for _ in range(20):
             publisher.publish(message)
             clock.sleep(0.02)
+
+
+def shut_mcs_down(motion_lost: Callable[[], None]) -> None:
+    """The lifecycle transition *shutdown* of ``/mcs``, which nothing leads out of.
+
+    Args:
+        motion_lost: Is called when it was done.
+
+    Raises:
+        ImError: It is refused, or nobody answers.
+    """
+    with _node() as node, Spinner([node]):
+        client = node.create_client(ChangeState, "/mcs/change_state")
+        request = ChangeState.Request(transition=Transition(label="shutdown"))
+        clock.sleep(_DISCOVERY_S)  # a server that has not discovered its client cannot answer
+        answer = call_blocking(client, request, _CALL_S, "/mcs/change_state")
+    if not answer.success:
+        raise StateError("/mcs refuses the lifecycle transition shutdown")
+    motion_lost()
 
 
 def start_second() -> None:
@@ -114,18 +137,26 @@ def fill_disk(role: str) -> None:
 
 
 def damage_journal(role: str, draw: Random) -> None:
-    """Kill a process and damage the end of its journal before it is there again: cut, or other bytes."""
+    """Kill a process and damage its journal before it is there again.
+
+    It is cut at its end, has other bytes there, or is cut near its beginning, where header and snapshot are.
+
+    Raises:
+        StateError: There is no such process, or it keeps no journal.
+    """
     journal = machine.journal_of(role)
     pid = machine.pid_of(role)
-    cut, length = draw.random() < 0.5, draw.randrange(1, 200)
+    way, length = draw.choice(("cut", "spoilt", "beheaded")), draw.randrange(1, 200)
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
     if journal is None:
         raise StateError(f"{role} keeps no journal")
     size = journal.stat().st_size
     with journal.open("r+b") as file:
-        if cut:
+        if way == "cut":
             file.truncate(max(0, size - length))
+        elif way == "beheaded":
+            file.truncate(min(size, length))
         else:
             file.seek(max(0, size - length))
             file.write(draw.randbytes(min(length, size)))

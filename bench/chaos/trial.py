@@ -1,13 +1,14 @@
 """One injection: a command, a fault at a moment drawn from the seed, and what came of it."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 from random import Random
 
 from bench.chaos import machine
 from bench.chaos.command import Command, Outcome
 from bench.chaos.faults import KINDS, ROLES, Fault
+from bench.chaos.records import Result, Verdict
 from bench.chaos.safety import Watch
 from im_core import clock
 from im_core.errors import ImError
@@ -28,42 +29,6 @@ SAYS = {
 }
 
 
-class Verdict(Enum):
-    """What an injection came to."""
-
-    SUCCESS = "success"
-    TRUE_REASON = "true reason"
-    FALSE = "FALSE"
-    HANG = "HANG"
-    UNSAFE = "UNSAFE"
-    LEFTOVER = "LEFTOVER"
-    LOST = "NOT RECOVERED"
-
-    @property
-    def failure(self) -> bool:
-        """Whether the bench fails with it."""
-        return self not in (Verdict.SUCCESS, Verdict.TRUE_REASON)
-
-
-@dataclass(frozen=True)
-class Result:
-    """What came of an injection.
-
-    Attributes:
-        seed: Repeats it.
-        fault: What was done.
-        verdict: What it came to.
-        said: What the command said, and what else was found.
-        recovery_s: From the end of fault and command to the next success, less the duration of a command [s].
-    """
-
-    seed: int
-    fault: Fault
-    verdict: Verdict
-    said: str
-    recovery_s: float | None
-
-
 @dataclass(frozen=True)
 class Setting:
     """What all injections of a run share.
@@ -72,6 +37,7 @@ class Setting:
         poses: Poses of the command.
         steps: Lines of progress of an undisturbed command.
         duration_s: Of an undisturbed command, wall time [s].
+        factor: Clock factor of the machine.
         kinds: Kinds to draw from.
         among: Roles to draw from.
         files: Files in shared memory that are there between commands.
@@ -80,6 +46,7 @@ class Setting:
     poses: Path
     steps: int
     duration_s: float
+    factor: float = 0.0
     kinds: tuple[str, ...] = tuple(KINDS)
     among: tuple[str, ...] = ROLES
     files: frozenset[str] = field(default_factory=frozenset)
@@ -89,42 +56,50 @@ def run(seed: int, setting: Setting, watch: Watch) -> Result:
     """One injection, and the recovery from it."""
     draw = Random(seed)
     fault = KINDS[draw.choice(setting.kinds)](draw, setting.among)
+    verdict, said, recovery_s = _throw(fault, draw, setting, watch)
+    return Result(seed, setting.factor, fault.kind, str(fault), verdict, said, recovery_s)
+
+
+def _throw(fault: Fault, draw: Random, setting: Setting, watch: Watch) -> tuple[Verdict, str, float | None]:
+    """Verdict, what was said, and the time of recovery [s]."""
     step, later_s = draw.randrange(setting.steps), draw.uniform(0.0, 0.5)
     command = Command(setting.poses)
     command.await_step(step, HANG_S)
     clock.sleep(later_s)
     watch.take_findings()
-    if fault.stops_motion:
-        watch.expect_rest()
     try:
-        fault.inject()
+        fault.inject(watch.expect_rest)
     except ImError as error:
         command.outcome(HANG_S)
-        return Result(seed, fault, Verdict.LOST, error.message, None)
+        return Verdict.LOST, error.message, None
     injected = clock.monotonic()
     outcome = command.outcome(HANG_S)
-    verdict = judge(fault, outcome)
-    unsafe = watch.take_findings()
     again, tries = _again(setting)
     if again is None:
-        return Result(seed, fault, Verdict.LOST, f"{outcome.said} / then {tries[-1]}", None)
+        return Verdict.LOST, f"{outcome.said} / then {tries[-1]}", None
     recovery_s = max(0.0, again.ended - max(injected, outcome.ended) - setting.duration_s)
-    unsafe += watch.take_findings()
-    if unsafe:
-        return Result(seed, fault, Verdict.UNSAFE, f"{unsafe[0]} ({len(unsafe)} such readings)", recovery_s)
-    left = leftovers(setting)
-    if left and not verdict.failure:
-        return Result(seed, fault, Verdict.LEFTOVER, left, recovery_s)
-    return Result(seed, fault, verdict, "; then: ".join([outcome.said, *tries]), recovery_s)
+    beside = {role for victim in fault.victims for role in machine.sharing(victim)}
+    verdict, said = judge(fault, outcome, beside), "; then: ".join([outcome.said, *tries])
+    if unsafe := watch.take_findings():
+        verdict, said = Verdict.UNSAFE, f"{unsafe[0]} ({len(unsafe)} such readings)"
+    elif not verdict.failure and (left := leftovers(setting)):
+        verdict, said = Verdict.LEFTOVER, left
+    return verdict, said, recovery_s
 
 
-def judge(fault: Fault, outcome: Outcome) -> Verdict:
-    """Whether the end of a command was true."""
+def judge(fault: Fault, outcome: Outcome, beside: Collection[str] = ()) -> Verdict:
+    """Whether the end of a command was true.
+
+    Args:
+        fault: What was done.
+        outcome: The end.
+        beside: Who shares a process with a victim, and fails with it.
+    """
     if outcome.code is None:
         return Verdict.HANG
     if outcome.success:
         return Verdict.SUCCESS if _plausible(outcome.report) else Verdict.FALSE
-    words = [*fault.words, *(word for victim in fault.victims for word in SAYS.get(victim, (victim,)))]
+    words = [*fault.words, *(word for victim in {*fault.victims, *beside} for word in SAYS.get(victim, (victim,)))]
     said = outcome.said.lower()
     return Verdict.TRUE_REASON if any(word in said for word in words) else Verdict.FALSE
 

@@ -7,10 +7,11 @@ import argparse
 import json
 import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import rclpy
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from bench.fuzz.attack import Attack
 from bench.fuzz.targets import Target, targets
@@ -46,13 +47,17 @@ class Census(Node):
 
 
 def slow_subscribers(count: int, found: list[Target]) -> list[Node]:
-    """Nodes that subscribe and never take anything."""
+    """Nodes that subscribe and never take anything; what is sent reliably must be acknowledged by them, too."""
     nodes = []
     topics = [target for target in found if target.kind == "topic"]
     for number in range(count):
         node = Node(f"fuzz_slow_{number}")
         target = topics[number % len(topics)]
-        node.create_subscription(target.type, target.name, lambda _: None, qos.STATUS)
+        offered = [each.qos_profile.reliability for each in node.get_publishers_info_by_topic(target.name)]
+        reliable = all(each is ReliabilityPolicy.RELIABLE for each in offered)
+        kind = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        profile = QoSProfile(depth=qos.STATUS.depth, reliability=kind)
+        node.create_subscription(target.type, target.name, lambda _: None, profile)
         nodes.append(node)
     return nodes
 
@@ -78,6 +83,10 @@ class Plan:
     seconds: float = 0.0
     seed: int = 0
     large: float = 0.002
+
+
+#: What the machine must bear for long: many clients that throw, and many that do not listen.
+LONG = Plan(clients=50, slow=100, rate=200.0, seconds=60.0)
 
 
 def attack(plan: Plan) -> dict[str, object]:
@@ -150,9 +159,16 @@ def main() -> int:
     parser.add_argument("--slow", type=int, default=0, help="nodes that subscribe and never take anything, e.g. 100")
     parser.add_argument("--large", type=float, default=0.002, help="share of texts that have two million characters")
     parser.add_argument("--seed", type=int, default=0)
-    told = parser.parse_args()
+    parser.add_argument(
+        "--long",
+        action="store_true",
+        help=f"{LONG.rate:g} throws a second for {LONG.seconds:g} s, {LONG.clients} clients, {LONG.slow} that do not "
+        "listen; only --seed and --large are heeded",
+    )
+    told = vars(parser.parse_args())
+    plan = replace(LONG, seed=told["seed"], large=told["large"]) if told.pop("long") else Plan(**told)
     rclpy.init(args=[])
-    found = attack(Plan(**vars(told)))
+    found = attack(plan)
     rclpy.try_shutdown()
     print(json.dumps(found, indent=1))
     return 1 if found["unanswered"] or found["restarted"] else 0

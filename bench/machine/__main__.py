@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from bench.figures import Line, report, write
 from bench.machine.deadlines import deadline_lines
+from bench.machine.pairs import pair_lines
 from bench.machine.vision import vision_lines
 from bench.usage import memory_mib
 from im_bringup.calibration.truth import truth_error
@@ -167,9 +168,14 @@ def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="bench", description="Measure the machine against baselines of the same run.")
     parser.add_argument("--runs", type=int, default=2, help="commands at clock factor 0 (default: %(default)d)")
-    parser.add_argument("--real-time", action="store_true", help="also one command in real time, for the servo")
+    parser.add_argument(
+        "--real-time",
+        action="store_true",
+        help="also one command in real time, for the servo; with --pairs: in real time",
+    )
     parser.add_argument("--seeds", type=int, default=0, help="instead: the accuracy over this many seeds")
     parser.add_argument("--deadlines", action="store_true", help="instead: missed deadlines of the servo in real time")
+    parser.add_argument("--pairs", type=int, default=0, metavar="N", help="instead: N times two moves at once")
     parser.add_argument("--vision", choices=("frames", "services"), help="instead: speed of the vision services")
     parser.add_argument(
         "--renderer", choices=("auto", "egl", "tiny"), default="auto", help="of the cameras, with --vision"
@@ -178,19 +184,22 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--port", type=int, default=8080)
     arguments = parser.parse_args()
-    if arguments.runs < 1 or arguments.seeds < 0:
-        parser.error(f"--runs {arguments.runs} must be at least 1, --seeds {arguments.seeds} at least 0")
+    if arguments.runs < 1 or min(arguments.seeds, arguments.pairs) < 0:
+        least = f"--runs {arguments.runs} must be at least 1, --seeds {arguments.seeds} and --pairs {arguments.pairs}"
+        parser.error(f"{least} at least 0")
     interrupt_once()
     try:
         if arguments.deadlines:
             lines = deadline_lines(arguments.seed, arguments.port)
+        elif arguments.pairs:
+            lines = pair_lines(arguments.pairs, 1.0 if arguments.real_time else 0.0, arguments.port)
         elif arguments.vision:
             lines = vision_lines(arguments.vision, arguments.renderer, arguments.seed, arguments.port)
         elif arguments.seeds:
             lines = accuracy_lines(arguments.seeds, arguments.port)
         else:
             lines = machine_lines(0.0, arguments.seed, arguments.port, arguments.runs)
-        if arguments.real_time:
+        if arguments.real_time and not arguments.pairs:
             lines += machine_lines(1.0, arguments.seed, arguments.port, 1)
     except KeyboardInterrupt:
         print("bench: interrupted", file=sys.stderr)

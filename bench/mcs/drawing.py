@@ -53,7 +53,7 @@ def figure_6() -> str:
 
 
 def figure_7() -> str:
-    """States, and the events that lead from one to another; below each, what leaves it as it is."""
+    """States of a group, and the events that lead from one to another; below, what leaves each as it is."""
     ways: dict[tuple[State, State], list[str]] = {}
     stays: dict[State, list[str]] = {}
     for row in TABLE:
@@ -65,6 +65,7 @@ def figure_7() -> str:
     for state, (x, y) in _PLACES.items():
         parts.append(_box(x, y, _WIDTH, _HEIGHT, state.value, f"lifecycle {lifecycle_of(state)}"))
     legend = [f"{state.value} stays: {', '.join(events)}" for state, events in stays.items()]
+    parts.append(_text(560, 40, "of each group; the state of MCS is the highest that any group is in", "s"))
     parts += [_text(470, 520 + 20 * row, line, "s") for row, line in enumerate(legend)]
     return _svg(940, 540 + 20 * len(legend), parts)
 

@@ -22,7 +22,7 @@ GROUPS = {
     "node": "firings a second of a node with guard, action and journal, told to a display",
     "idle": "CPU time while a thousand actions run and nothing happens, in the core and in a node",
     "search": "markings a second of explicit search; time and memory of large spaces",
-    "verify": "pnt verify of all shipped nets, composed",
+    "verify": "pnt prove of all shipped nets, as before a start",
     "journal": "firings with an action, an observer and a journal; entries a second, and coming back from them",
     "remote": "round trip of a token between two processes, in turns with a bare topic",
 }
@@ -83,7 +83,7 @@ def measure_groups(groups: Sequence[str], options: argparse.Namespace) -> tuple[
             "node": lambda: firings.node_lines(FIRINGS // share // 5, rounds, folder),
             "idle": lambda: idle.lines(IDLE_S / share, rounds, folder),
             "search": lambda: searches.lines(rounds),
-            "verify": lambda: searches.shipped_lines(options.shipped),
+            "verify": lambda: searches.shipped_lines(options.shipped, folder),
             "journal": lambda: journals.lines(ENTRIES // share, folder),
             "remote": lambda: links.lines(TRIPS // share, rounds, folder),
         }

@@ -49,22 +49,22 @@ class Quantity:
     Attributes:
         name: The field.
         unit: Its unit.
-        week: Growth in a week that is no trouble; None: what bounds it is reached after more commands than a soak has.
+        week: Growth in a week that is no trouble.
     """
 
     name: str
     unit: str
-    week: float | None
+    week: float
 
 
-#: What a week may add: a quarter of a machine's memory, and no files, threads or shared memory to speak of. Journals
-#: grow to 8 MB each before they are begun anew, so that a line through a short run says nothing of a week's disk.
+#: What a week may add: a quarter of a machine's memory; on the disk, what its logs may hold with those before them; and
+#: no files, threads or shared memory to speak of.
 QUANTITIES = (
     Quantity("memory", "MiB", 512.0),
     Quantity("descriptors", "", 64.0),
     Quantity("threads", "", 16.0),
     Quantity("shm", "MiB", 64.0),
-    Quantity("disk", "MiB", None),
+    Quantity("disk", "MiB", 512.0),
 )
 #: A command may take so much longer after a week, as a share of the mean of its kind.
 LONGER = 0.1
@@ -138,7 +138,7 @@ def lines(samples: Sequence[Sample]) -> list[Line]:
     return result + _of("duration over the mean of its kind", "", trend, LONGER)
 
 
-def _of(name: str, unit: str, trend: Trend, bar: float | None) -> list[Line]:
+def _of(name: str, unit: str, trend: Trend, bar: float) -> list[Line]:
     if not math.isfinite(trend.low):
         return [Line(f"{name}, in a week", None, unit, against="too few commands: three after the warm-up are needed")]
     week = [WEEK_S * slope for slope in (trend.slope, trend.low, trend.high)]

@@ -2,12 +2,16 @@
 
 from random import Random
 
+import numpy as np
 import pytest
 
-from bench.chaos.__main__ import table
 from bench.chaos.command import Outcome
 from bench.chaos.faults import KINDS, ROLES, kill, stop
-from bench.chaos.trial import Result, Verdict, judge
+from bench.chaos.records import BEGIN, END, Result, Verdict, append, document, read, table
+from bench.chaos.safety import Rest, Uncontrolled
+from bench.chaos.trial import judge
+from im_cell.link import ControlState
+from im_core.files import FileError
 
 SERVO, TWO = kill(("servo",)), kill(("dom", "mcs"))
 
@@ -45,14 +49,77 @@ def test_seeds_reach_every_role_and_two_are_two():
     assert all(len(set(KINDS["kill-two"](Random(seed), ROLES).victims)) == 2 for seed in range(50))
 
 
+def result(seed, fault, verdict, said, recovery_s):
+    return Result(seed, 0.0, fault.kind, str(fault), verdict, said, recovery_s)
+
+
+RESULTS = [
+    result(1, SERVO, Verdict.SUCCESS, "", 2.0),
+    result(2, SERVO, Verdict.TRUE_REASON, "servo", 4.0),
+    result(3, stop(("dom",), 15.0), Verdict.LOST, "dom", None),
+]
+
+
 def test_the_table_tells_every_fault_and_the_slowest_recovery():
-    results = [
-        Result(1, SERVO, Verdict.SUCCESS, "", 2.0),
-        Result(2, SERVO, Verdict.TRUE_REASON, "servo", 4.0),
-        Result(3, stop(("dom",), 15.0), Verdict.LOST, "dom", None),
-    ]
-    head, stopped, killed, summary = table(results).splitlines()
+    head, stopped, killed, summary = table(RESULTS).splitlines()
     assert head.split()[:2] == ["fault", "success"]
     assert stopped.split()[:4] == ["SIGSTOP", "15", "s", "dom"]
     assert killed.split()[-1] == "4.0"
+    assert summary.startswith("3 injections (3 at factor 0), 1 failures")
     assert summary.endswith("most 4.0 s, 67% within 15 s")
+
+
+def test_runs_accumulate_in_a_file_from_which_the_documentation_is_written(tmp_path):
+    file, page = tmp_path / "chaos.jsonl", tmp_path / "page.md"
+    for each in RESULTS:
+        append(file, each)
+    assert read(file) == RESULTS
+    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
+    document(read(file), page)
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    assert "| kill -9 | 2 | 1 | 1 | 0 | 4.0 |" in text
+
+
+def test_a_line_that_is_no_result_is_named(tmp_path):
+    file = tmp_path / "chaos.jsonl"
+    append(file, RESULTS[0])
+    with file.open("a", encoding="utf-8") as lines:
+        lines.write('{"seed": 2}\n')
+    with pytest.raises(FileError, match=r"chaos\.jsonl:2: is no line of a chaos run"):
+        read(file)
+
+
+PERIOD_S, JOINTS = 0.0045, ("left_j1", "left_j2")
+STILL, MOVING = np.zeros(2), np.array([0.0, -0.24])
+
+
+def control(tick, servo=7, losses=0, power=True, braked=False):
+    return ControlState(tick, servo, losses, power, braked)
+
+
+def test_arms_without_control_may_move_for_half_a_second_and_no_longer():
+    rest = Rest(control(1000), JOINTS, PERIOD_S)
+    assert rest.finding(control(1000 + 100), MOVING) == ""
+    assert rest.finding(control(1000 + 120), STILL) == ""
+    assert rest.finding(control(1000 + 120), MOVING) == "0.54 s after the fault left_j2 still moves, -0.240"
+    assert "still moves" in rest.finding(control(5000, servo=0, losses=1, power=False), MOVING)
+
+
+@pytest.mark.parametrize("taken_over", [{"servo": 8, "losses": 1}, {"servo": 8}, {"losses": 1}])
+def test_the_motion_of_the_next_command_is_none_of_the_fault_before_it(taken_over):
+    rest = Rest(control(1000), JOINTS, PERIOD_S)
+    assert rest.finding(control(1001, servo=0, losses=1, power=False, braked=True), STILL) == ""
+    assert rest.finding(control(1120, **taken_over), MOVING) == ""
+    assert rest.over
+
+
+def test_without_a_servo_power_is_off_and_brakes_hold_from_the_second_tick_on():
+    rule = Uncontrolled()
+    assert rule.finding(control(10)) == ""
+    assert rule.finding(control(11, servo=0)) == ""
+    assert rule.finding(control(13, servo=0, power=False, braked=True)) == ""
+    assert rule.finding(control(13, servo=0)) == "2 ticks without a servo: power on, brakes off"
+    assert rule.finding(control(14)) == rule.finding(control(15, servo=0)) == ""

@@ -94,7 +94,7 @@ class Studio:
         """Render each camera once."""
         self._cell, self._settings = cell, settings
         self.bank = CameraBank(cell, drawn_truth(cell), simulated(settings), scene, seed=1)
-        self.bank.warm_up()
+        list(self.bank.warm_up())
         self._frame = 0
 
     def take_frames(self, cameras: tuple[str, ...], moving: bool) -> None:

@@ -9,7 +9,6 @@ import yaml
 from control_msgs.action import FollowJointTrajectory
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -21,6 +20,7 @@ from im_core import clock
 from im_core.config import package_file
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
+from im_core.ros.guard import GuardedActionClient, GuardedNode
 from im_core.ros.run import spin_in_thread
 from im_mcs.ros.node import McsNode
 from im_msgs.action import Move
@@ -29,6 +29,8 @@ from im_msgs.srv import GetGroupState, ReserveGroup
 from im_sim.ros.node import TestbedNode
 
 CELL = load_cell()
+MOST_POINTS = 1000
+"""Of a trajectory: to send the 100,001 that are too many by default holds every thread of this process up."""
 
 
 def wait(future, seconds=60.0):
@@ -68,7 +70,7 @@ class Client:
         """Call a service of ``/mcs``."""
         client = self._clients.get(name) or self.node.create_client(service_type, f"/mcs/{name}")
         self._clients[name] = client
-        return call_blocking(client, service_type.Request(**fields), 15.0, name)
+        return call_blocking(client, service_type.Request(**fields), 60.0, name)
 
     def trigger(self, name):
         return self.call(Trigger, name)
@@ -89,8 +91,8 @@ class Client:
     def act(self, action_type, name, goal, feedback=None):
         """Send a goal; its handle, and a function that waits for the result."""
         if name not in self._clients:
-            self._clients[name] = ActionClient(self.node, action_type, name)
-            assert self._clients[name].wait_for_server(60.0)
+            self._clients[name] = GuardedActionClient(self.node, action_type, name)
+            assert self._clients[name].wait_for_server(60.0), f"no server of {name}"
             clock.sleep(0.5)  # the server must have discovered the client, too, or its answer is lost; nothing tells
         client = self._clients[name]
         handle = wait(client.send_goal_async(goal, feedback_callback=feedback))
@@ -167,6 +169,7 @@ def machine(tmp_path_factory):
     """
     data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
     data["protective"]["patience_s"] = 600.0
+    data["planning"]["max_trajectory_points"] = MOST_POINTS
     config = tmp_path_factory.mktemp("mcs") / "mcs.yaml"
     config.write_text(yaml.safe_dump(data), encoding="utf-8")
     parameters = {"testbed:factor": 0.0, "testbed:seed": 3, "mcs:config": config}
@@ -189,7 +192,7 @@ def _machine(*node_types, parameters):
     try:
         with contextlib.ExitStack() as stack:
             mcs = [stack.enter_context(_running(node_type())) for node_type in node_types][-1]
-            listener = rclpy.create_node("listener")
+            listener = GuardedNode("listener")
             stack.enter_context(spin_in_thread(listener))
             client = Client(listener, mcs)
             client.until(lambda: client.states)
@@ -202,7 +205,7 @@ def _machine(*node_types, parameters):
 def _running(node):
     """A node that has started, until the end of the block."""
     with spin_in_thread(node):
-        Client.until(lambda: node.ready or node.failed, 30.0)
+        Client.until(lambda: node.ready or node.failed)
         assert node.ready, node.failed
         yield node
 

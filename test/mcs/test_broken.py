@@ -117,7 +117,7 @@ def test_a_brake_that_opens_by_itself(client, inject):
     assert "the brake of right_j2 is open at tick" in client.states[-1].reason
     assert "the brake open of right_j2" in client.trigger("reset").message
     inject("brake_open", "right_j2", active=False)
-    client.until(lambda: client.trigger("reset").success, 5.0)
+    client.until(lambda: client.trigger("reset").success)
     client.to_motion()
     assert client.move(client.home).success
 
@@ -129,7 +129,7 @@ def test_a_testbed_that_stalls_is_waited_for_two_seconds(client, inject):
     message = result().status.message
     assert "the testbed has not ticked for 2" in message
     check_evidence(message)
-    client.until(lambda: client.trigger("reset").success, 5.0)
+    client.until(lambda: client.trigger("reset").success)
     client.to_motion()
     assert client.move(client.home).success
 
@@ -139,4 +139,4 @@ def test_nobody_waits_for_a_testbed_that_stalls_before_it_is_asked(client, injec
     answer = client.call(ReserveGroup, "reserve", group="left")
     assert not answer.success
     assert "the testbed does not answer: the testbed has not ticked for 2" in answer.message
-    client.until(lambda: client.call(ReserveGroup, "reserve", group="left").success, 5.0)
+    client.until(lambda: client.call(ReserveGroup, "reserve", group="left").success)

@@ -16,13 +16,13 @@ CAUSE = "request on /mcs/estop"
 
 @pytest.fixture
 def panel():
-    with PanelEnd.attach(names.instance(), 1.0) as end:
+    with PanelEnd.attach(names.instance(), 60.0) as end:
         yield end
 
 
 @pytest.fixture
 def testbed():
-    with ServoEnd.attach(names.instance(), 1.0) as end:
+    with ServoEnd.attach(names.instance(), 60.0) as end:
         yield end
 
 
@@ -72,7 +72,7 @@ def test_it_outlives_the_servo(client, panel):
 
 def test_a_circuit_that_is_found_cut_is_an_estop(client):
     assert client.change("cleanup")
-    with StopEnd.attach(names.instance(), 1.0) as circuit:
+    with StopEnd.attach(names.instance(), 60.0) as circuit:
         circuit.cut()
         assert client.change("configure")
         client.until(lambda: client.state() == "estopped" and "circuit was found cut" in client.states[-1].reason)

@@ -69,7 +69,7 @@ def test_unconfigured(client):
 def test_a_killed_servo_ends_the_goal_and_the_testbed_brakes(client):
     client.to_motion()
     _, result = client.start_far_move()
-    panel, end = PanelEnd.attach(names.instance(), 1.0), ServoEnd.attach(names.instance(), 1.0)
+    panel, end = PanelEnd.attach(names.instance(), 60.0), ServoEnd.attach(names.instance(), 60.0)
     os.kill(panel.servo_pid, signal.SIGKILL)
     assert "the process im_mcs.servo ended with code -9" in result().status.message
     client.until(lambda: client.state() == "unconfigured")
@@ -85,8 +85,8 @@ def test_a_killed_servo_ends_the_goal_and_the_testbed_brakes(client):
 def test_a_killed_node_takes_its_servo_along(client, process):
     assert client.change("cleanup")
     other = process(sys.executable, "-m", "im_mcs.ros.node", "--ros-args", "-p", "standalone:=true", "-r", "__ns:=/x")
-    panel, end = PanelEnd.attach(names.instance(), 1.0), ServoEnd.attach(names.instance(), 1.0)
-    client.until(lambda: panel.servo_pid != 0, 15.0)
+    panel, end = PanelEnd.attach(names.instance(), 60.0), ServoEnd.attach(names.instance(), 60.0)
+    client.until(lambda: panel.servo_pid != 0)
     servo = panel.servo_pid
     other.kill()
     client.until(lambda: not os.path.exists(f"/proc/{servo}"))

@@ -36,6 +36,8 @@ SERVICES = {
     "renew": RenewLease,
     "set_partition": SetPartition,
     "pause": GroupCommand,
+    "group/power_on": GroupCommand,
+    "group/disable_motion": GroupCommand,
     "set_speed": SetSpeed,
     "set_payload": SetPayload,
     "set_controller": SetController,

@@ -58,7 +58,7 @@ def test_the_owner_drives_setpoints(client):
         publisher.publish(SetpointCommand(owner="me", lease=1.0, joints=client.joints, position=target.tolist()))
         clock.sleep(0.02)
     client.until(lambda: abs(client.group_state().q[3] - target[3]) < 1e-3)
-    client.until(lambda: client.group_state().at_rest, 15.0)  # the lease lapses: it holds
+    client.until(lambda: client.group_state().at_rest)  # the lease lapses: it holds
 
 
 def test_the_owner_drives_torques_and_a_lapsed_lease_holds(client):
@@ -69,7 +69,7 @@ def test_the_owner_drives_torques_and_a_lapsed_lease_holds(client):
     held = list(torques[-1].torque)
     publisher.publish(TorqueCommand(owner="me", lease=0.05, torque=held))
     client.until(lambda: any(list(m.torque) == held for m in torques[1:]))
-    client.until(lambda: client.group_state().at_rest, 15.0)
+    client.until(lambda: client.group_state().at_rest)
 
 
 def test_wrong_commands_are_refused_and_counted(client):

@@ -1,4 +1,4 @@
-"""Whose a group is: several clients, each a participant of DDS as a process is, at one ``/mcs``."""
+"""Whose a group is, and what it is in: several clients, each a participant of DDS as a process is, at one ``/mcs``."""
 
 import contextlib
 
@@ -10,10 +10,14 @@ from geometry_msgs.msg import Inertia
 from rclpy.context import Context
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from im_cell.robot import load_cell
 from im_core.ros import callers
+from im_core.ros.guard import GuardedNode
 from im_core.ros.run import spin_in_thread
 from im_msgs.srv import GroupCommand, ReserveGroup, SetController, SetPayload, SetSpeed
 
+RIGHT = load_cell().home[9:]
+FAR = [RIGHT - [0.5, *[0.0] * 8], RIGHT] * 3
 LAW = "im_mcs.control.pid_gravity:PidGravity"
 
 
@@ -29,7 +33,7 @@ def _participant(client, name):
     context = Context()
     rclpy.init(context=context)
     try:
-        node = rclpy.create_node(name, context=context)
+        node = GuardedNode(name, context=context)
         with spin_in_thread(node):
             yield type(client)(node, client.mcs)
     finally:
@@ -107,8 +111,9 @@ def test_a_command_line_reserves_for_a_node_which_moves(client, newcomer):
     """As with MoveIt: ``ros2 service call`` is a process that ends, ``move_group`` sends the trajectories."""
     with _participant(client, "_ros2cli_77") as shell:
         assert shell.call(ReserveGroup, "reserve", group="left", owner="move_group").success
-    assert client.trigger("power_on").success
-    assert client.trigger("enable_motion").success
+    assert "group 'left' is driven by its owner 'move_group' only" in client.trigger("power_on").message
+    for name in ("power_on", "enable_motion"):
+        assert client.call(GroupCommand, f"group/{name}", group="left", owner="move_group").success
     move_group = newcomer("move_group")
     assert "its owner 'move_group' only, not by '/listener'" in follow(client)[1]
     assert follow(move_group) == (0, "")
@@ -128,7 +133,8 @@ def test_an_operator_takes_over_which_is_logged_and_shown(client, newcomer):
     client.until(lambda: client.status().owner == "panel")
     assert operator.move(client.home).success
     assert operator.call(ReserveGroup, "take_over", group="left", owner="ann").success
-    assert client.call(ReserveGroup, "release", group="left", owner="ann").message.startswith("release is refused in")
+    refusal = client.call(ReserveGroup, "release", group="left", owner="ann").message
+    assert refusal.startswith("release of group 'left' is refused in state motion")
 
 
 def test_a_process_is_known_by_the_header_of_its_request(client, newcomer):
@@ -151,3 +157,90 @@ def test_a_process_is_known_by_the_header_of_its_request(client, newcomer):
 async def _answered(seen, caller):
     seen.append(caller)
     return ReserveGroup.Response(success=True)
+
+
+def states_of(client):
+    """State and brakes of every group on ``/mcs/state``, once it has told them anew."""
+    told = len(client.states)
+    client.until(lambda: len(client.states) > told)
+    return {status.group: (status.state, status.brakes) for status in client.states[-1].groups}
+
+
+def test_one_moves_while_another_comes_and_goes(client, newcomer):
+    ann, bob = newcomer("ann"), newcomer("bob")
+    ann.to_motion("left", owner="ann")
+    handle, result = ann.start_far_move(speed_scale=0.02)
+    assert states_of(client) == {"left": ("motion", False), "right": ("cold", True)}
+    assert bob.call(ReserveGroup, "reserve", group="right", owner="bob").success
+    for name, state, brakes in (("power_on", "active", True), ("enable_motion", "motion", False)):
+        answer = bob.trigger(name)
+        assert answer.success, answer.message
+        assert states_of(client) == {"left": ("motion", False), "right": (state, brakes)}
+    moved = bob.move(RIGHT - 0.05 * (RIGHT > 1.0), group="right")
+    assert moved.success, moved.status.message
+    for name, said in (("disable_motion", "active"), ("power_off", "reserved")):
+        answer = bob.call(GroupCommand, f"group/{name}", group="right")
+        assert answer.success, answer.message
+        assert states_of(client) == {"left": ("motion", False), "right": (said, True)}
+    assert client.states[-1].state == "motion"
+    assert client.states[-1].power
+    assert client.lifecycle() == "active"
+    assert bob.call(ReserveGroup, "release", group="right").success
+    assert client.status().moving
+    client.cancel(handle)
+    assert result().status.code == "cancelled"
+
+
+def test_nobody_takes_power_or_brakes_from_another_s_group(client, newcomer):
+    """Seen: a second command's failure branch cut the power under a running calibration."""
+    ann, bob = newcomer("ann"), newcomer("bob")
+    ann.to_motion("left", owner="ann")
+    _, result = ann.start_far_move()
+    for name in ("disable_motion", "power_off"):
+        answers = bob.trigger(name), bob.call(GroupCommand, f"group/{name}", group="left")
+        assert not any(answer.success for answer in answers)
+        assert "left" in answers[1].message
+    assert not bob.change("deactivate")
+    bob.to_motion("right", owner="bob")
+    assert "group 'left' is driven by its owner 'ann' only" in bob.call(
+        GroupCommand, "group/disable_motion", group="left"
+    ).message
+    for name in ("disable_motion", "power_off"):  # a Trigger is for what is the caller's
+        assert bob.trigger(name).success
+    assert states_of(client) == {"left": ("motion", False), "right": ("reserved", True)}
+    assert result().success
+    assert ann.trigger("disable_motion").success
+    assert "group 'left' is driven by its owner 'ann' only" in newcomer("eve").trigger("power_off").message
+    assert ann.trigger("power_off").success
+    assert client.lifecycle() == "inactive"
+
+
+def test_an_emergency_stop_is_of_all_groups(client, newcomer):
+    users = {"left": newcomer("ann"), "right": newcomer("bob")}
+    for group, user in users.items():
+        user.to_motion(group, owner=user.node.get_name())
+    _, first = users["left"].start_far_move(speed_scale=0.02)
+    _, second = users["right"].start_move(*FAR, group="right", speed_scale=0.02)
+    assert newcomer("eve").trigger("estop").success
+    for result in (first, second):
+        assert "emergency stop: request on /mcs/estop" in result().status.message
+    assert states_of(client) == {"left": ("estopped", True), "right": ("estopped", True)}
+    assert client.trigger("reset").success
+    assert states_of(client) == {"left": ("cold", True), "right": ("cold", True)}
+
+
+def test_a_client_that_dies_loses_its_own_group_alone(client, newcomer):
+    ann = newcomer("ann")
+    ann.to_motion("left", owner="ann")
+    with _participant(client, "bob") as bob:
+        bob.to_motion("right", owner="bob", lease=1.0)
+        bob.start_move(*FAR, group="right", speed_scale=0.02)
+    handle, of_ann = ann.start_far_move(speed_scale=0.02)
+    client.until(lambda: client.status("right").lapsed and not client.status("right").moving)
+    for name in ("disable_motion", "power_off"):
+        answer = ann.call(GroupCommand, f"group/{name}", group="right")  # anybody may: its owner is given up on
+        assert answer.success, answer.message
+    client.until(lambda: client.status("right").state == "cold")
+    assert client.status().moving
+    client.cancel(handle)
+    assert of_ann().status.code == "cancelled"

@@ -45,7 +45,7 @@ def test_after_an_emergency_stop(client, recover):
 
 
 def test_after_the_death_of_the_servo(client, recover):
-    with PanelEnd.attach(names.instance(), 1.0) as panel:
+    with PanelEnd.attach(names.instance(), 60.0) as panel:
         os.kill(panel.servo_pid, signal.SIGKILL)
     client.until(lambda: client.state() == "unconfigured")
     assert client.states[-1].reason == "the process im_mcs.servo ended with code -9"
@@ -66,7 +66,7 @@ def reserve(client):
 
 def test_the_next_reservation_brings_a_dead_servo_back(client):
     client.to_motion()
-    with PanelEnd.attach(names.instance(), 1.0) as panel:
+    with PanelEnd.attach(names.instance(), 60.0) as panel:
         os.kill(panel.servo_pid, signal.SIGKILL)
     client.until(lambda: client.state() == "unconfigured")
     assert not client.trigger("power_on").success  # only who begins to work brings it back
@@ -90,14 +90,14 @@ def lose_testbed(client):
 
     def lose():
         client.to_motion()
-        with PanelEnd.attach(names.instance(), 1.0) as panel:
+        with PanelEnd.attach(names.instance(), 60.0) as panel:
             pid, losses = panel.servo_pid, panel.servo_losses
             os.kill(pid, signal.SIGSTOP)
             try:
                 panel.request_time(2)
                 client.until(lambda: panel.servo_losses > losses)
                 client.until(lambda: not client.states[-1].power and client.states[-1].brakes)  # not as it was
-                with ServoEnd.attach(names.instance(), 1.0) as testbed:
+                with ServoEnd.attach(names.instance(), 60.0) as testbed:
                     state = testbed.read_state()
                     assert not state.power
                     assert state.brakes.all()

@@ -34,7 +34,7 @@ def run(
     arguments = ["im_sim.physics", "--instance", instance, "--factor", str(factor), "--seed", "7"]
     with contextlib.ExitStack() as stack:
         stack.enter_context(_process(*arguments))
-        link = ClockEnd.attach(instance, 15.0)
+        link = ClockEnd.attach(instance, 60.0)
         channel = stack.enter_context(contextlib.closing(ServoChannel.create(instance, config)))
         servo = stack.enter_context(_process("im_mcs.servo", instance))
         client = stack.enter_context(contextlib.closing(ServoClient(channel, TestbedTime(link))))
@@ -45,12 +45,12 @@ def run(
             clock.sleep(0.01)
         steps = []
         for event, given in ((Event.RESERVE, {"group": "left"}), (Event.POWER_ON, None), (Event.ENABLE_MOTION, None)):
-            reply = ask(client, event, given, 20.0)
+            reply = ask(client, event, given, 60.0)
             assert reply.error is None, reply.error
         for point in points:
             clock.sleep(pause_s)
             arguments = {"group": "left", "path": {"kind": "joint", "points": [point.tolist()], "blend": 0.0}}
-            reply = ask(client, Event.MOVE, arguments, 30.0)
+            reply = ask(client, Event.MOVE, arguments, 60.0)
             assert reply.error is None, reply.error
             snapshot = client.snapshot()
             steps.append((int(snapshot["tick"]), snapshot["q_rest"][:9].tolist()))

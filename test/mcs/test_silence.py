@@ -17,7 +17,7 @@ SLOW = {"speed_scale": 0.02}
 @pytest.fixture
 def servo():
     """Process id of the servo."""
-    with PanelEnd.attach(names.instance(), 1.0) as panel:
+    with PanelEnd.attach(names.instance(), 60.0) as panel:
         yield lambda: panel.servo_pid
 
 
@@ -55,7 +55,7 @@ def test_a_servo_that_hangs_is_named_and_waited_for_by_nobody(client, servo):
         answer = client.call(ReserveGroup, "reserve", group="right")
         assert (answer.success, answer.message) == (False, sentence)
         assert sentence in client.trigger("estop").message  # passed on nevertheless
-        with PanelEnd.attach(names.instance(), 1.0) as panel, ServoEnd.attach(names.instance(), 1.0) as end:
+        with PanelEnd.attach(names.instance(), 60.0) as panel, ServoEnd.attach(names.instance(), 60.0) as end:
             panel.request_time(2)
             client.until(lambda: end.read_state().brakes.all() and not end.read_state().power)
     finally:

@@ -78,7 +78,7 @@ def config(tmp_path):
     }
     data["testbed"].update(clock="robot", drivers={"robot": {"driver": DRIVER, "settings": settings}})
     data["control"]["parameters"].update(
-        bandwidth_rad_s=8.0, integral_rad_s=1.0, feedforward={"gravity": 1.0, "inertia": 1.0}
+        bandwidth_rad_s=3.0, integral_rad_s=0.4, feedforward={"gravity": 1.0, "inertia": 1.0}
     )
     data["limits"].update(following_error_rad=0.5, following_error_m=0.2)
     data["safety"].update(driver_age_s=2.0, driver_age_estop_s=4.0)

@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJ
 from im_mcs.client.wire import read_trajectory
 from im_mcs.ros import trajectory_server
 from im_msgs.msg import GroupSetpoints
+from test.mcs.conftest import MOST_POINTS
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 Result = FollowJointTrajectory.Result
@@ -356,10 +357,11 @@ def test_what_is_too_long_is_refused_by_its_length(ready_once, monkeypatch):
     monkeypatch.setattr(trajectory_server, "read_trajectory", never)
     client = ready_once
     request = goal(client)
-    request.trajectory.points = [JointTrajectoryPoint()] * 100_001
+    request.trajectory.points = [JointTrajectoryPoint()] * (MOST_POINTS + 1)
     answer = client.follow(request)[1]()
     assert answer.result.error_code == Result.INVALID_GOAL
-    assert answer.result.error_string == "a trajectory of 100001 points is too long; 100000 are allowed"
+    sentence = f"a trajectory of {MOST_POINTS + 1} points is too long; {MOST_POINTS} are allowed"
+    assert answer.result.error_string == sentence
     for names in (["x" * 1_000_000], ["x"] * 1000):
         request = goal(client, (1.0, client.home), joints=names)
         error = client.follow(request)[1]().result.error_string
@@ -409,6 +411,9 @@ def ready_once(machine):
         machine.to_cold()
         machine.to_motion()
         machine.until(lambda: machine.state() == "motion")
+        assert machine.move(machine.home).success
+    while now(machine) < 3.0:  # a trajectory of two seconds from the begin of time is one of the past
+        assert machine.move(machine.home + STEP).success
         assert machine.move(machine.home).success
     return machine
 

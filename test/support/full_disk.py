@@ -69,7 +69,11 @@ def dom(disk: Disk) -> None:
     disk.fill()
     refused(lambda: put("lost", bytes(2**20)))
     refused(lambda: put("kept", bytes(2**20)))
-    assert store.get("kept")[1] == b"before"
+    lost, kept = store.together([lambda: put("lost", bytes(2**20)), lambda: store.get("kept")])
+    assert isinstance(lost, ImError)
+    assert lost.code == "store"
+    assert isinstance(kept, tuple)
+    assert kept[1] == b"before"
     assert [record.name for record in store.records()] == ["kept"]
     disk.free()
     put("after", b"after")

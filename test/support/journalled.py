@@ -4,10 +4,10 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from im_core.errors import StateError
-from im_pnt.distributed.exchange import Exchange
+from im_pnt.distributed.exchange import RETURN_TIMEOUT_S, Exchange
 from im_pnt.distributed.link import Link
 from im_pnt.distributed.packets import Message
-from im_pnt.execution.actions import FunctionRunner
+from im_pnt.execution.actions import FunctionRunner, Perform
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions, GuardFunction
 from im_pnt.execution.notification import Observer
@@ -32,6 +32,7 @@ class JournalledProcess:
         observer: Is told of what happens.
         compact_bytes: Size of the journal above which a new file is begun [bytes].
         sync: When a record counts as written.
+        others: What carries out actions of further kinds.
     """
 
     def __init__(
@@ -48,6 +49,8 @@ class JournalledProcess:
         observer: Observer | None = None,
         compact_bytes: int = COMPACT_BYTES,
         sync: Sync = Sync.OS,
+        others: Mapping[type, Perform] | None = None,
+        return_timeout_s: float = RETURN_TIMEOUT_S,
     ) -> None:
         observer = observer or Observer()
         self._nodes = dict(nodes or {})
@@ -63,9 +66,11 @@ class JournalledProcess:
             observer,
             clock,
         )
-        self.exchange = Exchange(name, self.journal.epoch, self, observer, clock=clock)
+        self.exchange = Exchange(
+            name, self.journal.epoch, self, observer, return_timeout_s=return_timeout_s, clock=clock
+        )
         functions = Functions(actions, guards)
-        runner = self.journal.guard(FunctionRunner(functions, self.exchange, _drive))
+        runner = self.journal.guard(FunctionRunner(functions, self.exchange, _drive, others))
         for net in nets:
             record = self.journal.recorder(net.name)
             self.exchange.add(Executor(net, functions, runner, self.exchange, observer, clock=clock, record=record))

@@ -5,7 +5,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
 from im_pnt.distributed.exchange import Exchange, Transport
-from im_pnt.execution.actions import ActionOwner, FunctionRunner, Spawn
+from im_pnt.execution.actions import ActionOwner, FunctionRunner, Perform, Spawn
 from im_pnt.execution.conflicts import StrategyBook
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.executor import Executor
@@ -14,6 +14,7 @@ from im_pnt.execution.jobs import Activity, Command, CommandResult, Job
 from im_pnt.execution.notification import Firing, Observer, Phase
 from im_pnt.execution.operator import Mode
 from im_pnt.execution.record import Record
+from im_pnt.execution.values import Objects
 from im_pnt.model.action import Action, FunctionAction
 from im_pnt.model.net import Net
 
@@ -93,6 +94,8 @@ class Process:
         observer: Is told what happens, in the place of the recorder.
         strategies: What was learned about strategies.
         record: Takes what happens before it does, for all nets.
+        others: What carries out actions of further kinds.
+        objects: Data objects that expressions read and store.
 
     Attributes:
         recorder: Keeps what the nets tell.
@@ -117,6 +120,8 @@ class Process:
         observer: Observer | None = None,
         strategies: StrategyBook | None = None,
         record: Record | None = None,
+        others: Mapping[type, Perform] | None = None,
+        objects: Objects | None = None,
     ) -> None:
         self.recorder = Recorder()
         self.clock = clock
@@ -125,8 +130,8 @@ class Process:
         self.held: list[tuple[ActionOwner, Activity, ActionContext]] = []
         self.results: list[CommandResult] = []
         self.answers: dict[str, Answer] = {}
-        self._runner = FunctionRunner(self.functions, self.exchange, spawn or _drive, clock=clock)
-        self._commands = 0
+        self._runner = FunctionRunner(self.functions, self.exchange, spawn or _drive, others, clock=clock)
+        self._name, self._commands = name, 0
         for net in nets:
             self.exchange.add(
                 Executor(
@@ -139,6 +144,7 @@ class Process:
                     strategies=strategies,
                     clock=clock,
                     record=record,
+                    objects=objects,
                 )
             )
 
@@ -202,7 +208,7 @@ class Process:
     def command(self, net: str, symbol: str, **arguments: object) -> int:
         """Writes a command to a net's tape and fires; its result goes to ``results``. Returns its number."""
         self._commands += 1
-        command = Command(self._commands, symbol, dict(arguments))
+        command = Command(self._commands, symbol, dict(arguments), scope=f"{self._name}/{self._commands}")
         self.exchange.nets[net].command(command, self.results.append)
         self.pump()
         return self._commands

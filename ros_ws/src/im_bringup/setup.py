@@ -28,6 +28,8 @@ setup(
             "recover=im_bringup.ros.recover:main",
             "replay=im_bringup.ros.replay:main",
             "run=im_bringup.tasks.executables:main",
+            "run_command=im_bringup.ros.run_command:main",
+            "shared_process=im_bringup.ros.shared_process:main",
             "start=im_bringup.machine.start:main",
             "stop=im_bringup.machine.stop:main",
             "truth_error=im_bringup.ros.truth_error:main",

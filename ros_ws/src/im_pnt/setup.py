@@ -18,4 +18,5 @@ setup(
     maintainer_email="maintainers@example.org",
     description="Petri net transducers in execution: nets from YAML and PNML, executed, distributed, journalled",
     license="MIT",
+    entry_points={"console_scripts": ["pnt_node = im_pnt.ros.pnt_node:main"]},
 )

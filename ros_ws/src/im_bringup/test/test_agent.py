@@ -2,11 +2,15 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+import yaml
 
-from im_bringup.tasks.agent import RESPAWN_LIMIT, Agent, Died, Started, TaskCommand
+from im_bringup.tasks.agent import RESPAWN_LIMIT, Agent, Died, ProcessCommand, Started, commands
+from im_bringup.tasks.deployment import Deployment
 from im_core import clock
+from im_core.config import parse_model
 from im_core.process import last_words
 
 OBEDIENT = "import signal; print('up', flush=True); signal.sigwait({signal.SIGINT}); print('{name} ends', flush=True)"
@@ -24,7 +28,7 @@ def python(tmp_path, name, code):
     code = code.replace("{name}", name)
     if "sigwait" in code:
         code = "import signal; signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})\n" + code
-    return TaskCommand(name, [sys.executable, "-S", "-E", "-c", code], tmp_path / f"{name}.log")
+    return ProcessCommand(name, (name,), [sys.executable, "-S", "-E", "-c", code], tmp_path / f"{name}.log")
 
 
 def environment():
@@ -48,7 +52,7 @@ def test_shutdown_is_in_reverse_order(tmp_path):
     names = ["one", "two", "three"]
     agent = Agent([python(tmp_path, name, OBEDIENT) for name in names], environment())
     events = agent.start()
-    assert [event.name for event in events] == names
+    assert [event.tasks for event in events] == [(name,) for name in names]
     up(tmp_path, names)
     assert agent.running() == names
     assert agent.shut_down() == []
@@ -79,7 +83,7 @@ class Crasher:
 
 
 def test_a_task_that_keeps_dying_is_given_up(tmp_path):
-    agent = Agent([TaskCommand("x", ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
+    agent = Agent([ProcessCommand("x", ("x",), ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
     agent.respawn = True
     agent.start()
     events = [event for now in range(60) for event in agent.poll(now * 0.5)]
@@ -91,10 +95,10 @@ def test_a_task_that_keeps_dying_is_given_up(tmp_path):
 
 
 def test_without_respawn_the_dead_stay_dead(tmp_path):
-    agent = Agent([TaskCommand("x", ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
+    agent = Agent([ProcessCommand("x", ("x",), ["x"], tmp_path / "x.log")], {}, lambda *_: Crasher())
     agent.start()
     assert [event for now in range(10) for event in agent.poll(now)] == [
-        Died("x", f"it ended with exit code 3 (log: {tmp_path / 'x.log'})")
+        Died(("x",), f"it ended with exit code 3 (log: {tmp_path / 'x.log'})")
     ]
 
 
@@ -122,7 +126,7 @@ def test_a_task_that_says_it_cannot_go_on_is_ended_and_started_again(tmp_path, d
         children.append(Failing(deaf))
         return children[-1]
 
-    agent = Agent([TaskCommand("x", ["x"], tmp_path / "x.log")], {}, spawn)
+    agent = Agent([ProcessCommand("x", ("x",), ["x"], tmp_path / "x.log")], {}, spawn)
     agent.start()
     agent.replace("x", 5, "no physics", 0.0)
     assert children[0].code is None  # before the machine was ready the start fails instead
@@ -138,19 +142,66 @@ def test_a_task_that_says_it_cannot_go_on_is_ended_and_started_again(tmp_path, d
     assert children[1].code is None
 
 
+def test_the_tasks_of_a_process_fail_die_and_start_together(tmp_path):
+    children = []
+
+    def spawn(*_):
+        children.append(Failing(deaf=False))
+        return children[-1]
+
+    agent = Agent([ProcessCommand("both", ("x", "y"), ["x"], tmp_path / "both.log")], {}, spawn)
+    assert [event.tasks for event in agent.start()] == [("x", "y")]
+    assert agent.running() == ["x", "y"]
+    agent.respawn = True
+    agent.replace("y", 5, "no disk", 0.0)
+    events = [event for now in range(20) for event in agent.poll(now * 0.5)]
+    assert [(type(event), event.tasks) for event in events] == [(Died, ("x", "y")), (Started, ("x", "y"))]
+    assert str(events[0]).startswith("tasks x, y: it failed: no disk (log: ")
+    assert str(events[1]) == "tasks x, y started again, process 5"
+
+
+def test_a_process_of_several_tasks_gets_the_parameters_of_each(tmp_path, monkeypatch):
+    for package, executable in (("im_bringup", "shared_process"), ("lab", "oven"), ("lab", "scale")):
+        program = tmp_path / "lib" / package / executable
+        program.parent.mkdir(parents=True, exist_ok=True)
+        program.touch(mode=0o755)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    text = """
+    hosts:
+      localhost:
+        kitchen:
+          oven: {package: lab, executable: oven, node: /oven, parameters: {heat: 200.0}}
+          scale: {package: lab, executable: scale, node: /scale, parameters: {use_sim_time: false}}
+        bar:
+          mixer: {package: lab, executable: scale, node: /bar/mixer}
+    """
+    kitchen, bar = commands(parse_model(text, Deployment, name="d.yaml"), "localhost", tmp_path)
+    assert (kitchen.name, kitchen.tasks, bar.tasks) == ("kitchen", ("oven", "scale"), ("mixer",))
+    shared = str(tmp_path / "lib" / "im_bringup" / "shared_process")
+    assert kitchen.argv[:3] == [shared, "lab/oven", "lab/scale"]
+    assert bar.argv[:2] == [str(tmp_path / "lib" / "lab" / "scale"), "--ros-args"]
+    assert kitchen.log == tmp_path / "log" / "kitchen.log"
+    given = {"use_sim_time": True, "introspection": "contents"}
+    assert yaml.safe_load(Path(kitchen.argv[-1]).read_text()) == {
+        "/oven": {"ros__parameters": {**given, "heat": 200.0}},
+        "/scale": {"ros__parameters": {**given, "use_sim_time": False}},
+    }
+    assert yaml.safe_load(Path(bar.argv[-1]).read_text()) == {"/bar/mixer": {"ros__parameters": given}}
+
+
 def test_the_last_words_are_those_of_the_process_that_died(tmp_path):
     log = tmp_path / "x.log"
     log.write_text("an older crash\n")
-    agent = Agent([TaskCommand("x", ["x"], log)], {}, lambda *_: Crasher())
+    agent = Agent([ProcessCommand("x", ("x",), ["x"], log)], {}, lambda *_: Crasher())
     agent.start()
-    assert agent.poll(0.0) == [Died("x", f"it ended with exit code 3 (log: {log})")]
+    assert agent.poll(0.0) == [Died(("x",), f"it ended with exit code 3 (log: {log})")]
 
 
 def test_children_end_when_the_agent_is_killed(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from im_bringup.tasks.agent import Agent, TaskCommand\n"
+        "import sys; from pathlib import Path; from im_bringup.tasks.agent import Agent, ProcessCommand\n"
         f"argv, log = [sys.executable, '-S', '-E', '-c', {OBEDIENT!r}], Path({str(tmp_path / 'x.log')!r})\n"
-        "agent = Agent([TaskCommand('x', argv, log)], {})\n"
+        "agent = Agent([ProcessCommand('x', ('x',), argv, log)], {})\n"
         "print(agent.start()[0].pid, flush=True); sys.stdin.read()"
     )
     parent = subprocess.Popen(

@@ -1,7 +1,14 @@
+import errno
+import itertools
+import multiprocessing
+import os
+import random
+
 import pytest
 
 from im_bringup import bag
 from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits, chosen_topics
+from im_core.bag import messages_of
 from im_core.errors import DataError, StoreError
 
 
@@ -14,7 +21,7 @@ def workspace(tmp_path, monkeypatch):
     (folder / "Outer.msg").write_text(
         "std_msgs/Header header\nInner[] parts\nInner[2] two\nbuiltin_interfaces/Time[<=3] t\n"
     )
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"), prepend=os.pathsep)
 
 
 def test_what_goes_in_comes_out(tmp_path, workspace):
@@ -78,10 +85,80 @@ def test_a_bag_is_split_by_size_and_by_time_and_read_as_one(tmp_path, limits):
         assert [topic for topic, _ in read[:4]] == ["/a", "/a", "/a", "/b"]
 
 
-def test_a_recorder_that_is_killed_loses_only_the_part_it_was_writing(tmp_path):
-    written_in_parts(tmp_path / "bag", PartLimits(size_bytes=300), count=8)  # and never closed
+def write_until_killed(path, flushed):
+    """Messages, ten a chunk and three chunks a part; tells how many have been flushed."""
+    writer = BagWriter(path, PartLimits(size_bytes=3000))
+    writer.add_topic("/a", STRING, RELIABLE)
+    for number in itertools.count():
+        writer.write("/a", 10**18 + number, number.to_bytes(4, "little") + bytes(96), 10**18 - number, number)
+        if number % 10 == 9:
+            writer.flush()
+            flushed.value = number + 1
+
+
+def test_a_recorder_that_is_killed_at_any_moment_keeps_all_that_was_flushed(tmp_path):
+    choose = random.Random(15)
+    fork = multiprocessing.get_context("fork")
+    for number in range(12):
+        flushed, enough = fork.Value("i", 0), choose.randrange(10, 400)
+        child = fork.Process(target=write_until_killed, args=(tmp_path / f"bag{number}", flushed))
+        child.start()
+        while flushed.value < enough and child.is_alive():
+            pass
+        child.kill()
+        child.join()
+        with BagReader(tmp_path / f"bag{number}") as reader:
+            read = [int.from_bytes(data[:4], "little") for _, _, data in reader.messages(["/a"])]
+        assert read == list(range(len(read)))
+        assert flushed.value <= len(read) <= flushed.value + 10
+
+
+def test_a_disk_that_is_full_leaves_whole_chunks_and_a_bag_that_opens(tmp_path, monkeypatch):
+    writer = written_in_parts(tmp_path / "bag", PartLimits(), count=4)
+    writer.flush()
+    with monkeypatch.context() as full:
+
+        def write_half(file, data):
+            if len(data) < 2:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return write(file, data[: len(data) // 2])
+
+        write = os.write
+        full.setattr(os, "write", write_half)
+        writer.write("/a", 1004 * 10**9, b"lost")
+        with pytest.raises(StoreError, match="No space left on device"):
+            writer.flush()
+        with pytest.raises(StoreError, match="No space left on device"):
+            writer.write("/a", 1005 * 10**9, b"refused")
+    writer.close()
     with BagReader(tmp_path / "bag") as reader:
-        assert sum(reader.counts.values()) == 6
+        assert [data[0] for _, _, data in reader.messages(["/a", "/b"])] == [0, 1, 2, 3]
+
+
+def test_a_message_has_the_time_and_the_number_of_its_source(tmp_path):
+    from mcap.reader import make_reader
+
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING, RELIABLE, "RIHS01_0")
+    writer.write("/a", 7, b"\0\1\0\0", published_ns=5, sequence=42)
+    writer.close()
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
+        ((_, channel, message),) = make_reader(file).iter_messages()
+    assert (message.log_time, message.publish_time, message.sequence) == (7, 5, 42)
+    assert channel.metadata["topic_type_hash"] == "RIHS01_0"
+
+
+def test_the_event_of_a_service_is_decoded_from_the_bag_alone(tmp_path):
+    name = "std_srvs/srv/SetBool_Event"
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/light/_service_event", name, RELIABLE)
+    request = b"\1\0\0\0\1" + bytes(3)
+    writer.write("/light/_service_event", 7, b"\0\1\0\0" + b"\3" + bytes(39) + request + bytes(4))
+    writer.close()
+    (event,) = messages_of(tmp_path / "bag", {"/light/_service_event": (name,)})
+    assert event.content.info.event_type == 3
+    assert [each.data for each in event.content.request] == [True]
+    assert not event.content.response
 
 
 def test_a_recording_ends_before_the_disk_is_full_and_is_whole(tmp_path):

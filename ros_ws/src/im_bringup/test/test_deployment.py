@@ -3,7 +3,7 @@ import re
 import pytest
 
 from im_bringup.tasks import deployment
-from im_core.config import parse_model
+from im_core.config import package_file, parse_model
 from im_core.errors import ConfigError, NotFoundError
 
 TASK = "{package: im_dom, executable: dom, node: /%s, parameters: %s}"
@@ -15,7 +15,7 @@ def machine(hosts):
     for host, processes in hosts.items():
         lines.append(f"  {host}:")
         for process, tasks in processes.items():
-            lines.append(f"    {process}:")
+            lines.append(f"    {process}: {'' if tasks else '{}'}")
             lines += [f"      {name}: {TASK % (name, parameters)}" for name, parameters in tasks.items()]
     return "\n".join(lines)
 
@@ -51,22 +51,52 @@ def test_ids_are_unique_and_count_in_starting_order():
 def test_moving_a_task_is_moving_its_line():
     here = parsed(machine({"localhost": {"a": {"one": "{}"}, "b": {"two": "{}"}}}))
     there = parsed(machine({"localhost": {"a": {"one": "{}"}}, "far": {"b": {"two": "{}"}}}))
-    assert [task.name for task in here.on_host("localhost")] == ["one", "two"]
-    assert [task.name for task in there.on_host("far")] == ["two"]
+    assert tasks_of(here.on_host("localhost")) == {"a": ["one"], "b": ["two"]}
+    assert tasks_of(there.on_host("far")) == {"b": ["two"]}
     with pytest.raises(NotFoundError, match="no host of the deployment 'fat'; did you mean 'far'"):
         there.on_host("fat")
+
+
+def tasks_of(processes):
+    return {process: [placed.name for placed in tasks] for process, tasks in processes.items()}
+
+
+def test_a_process_may_have_several_tasks():
+    value = parsed(machine({"localhost": {"a": {"one": "{}", "two": "{}"}, "b": {"three": "{}"}}}))
+    assert tasks_of(value.on_host("localhost")) == {"a": ["one", "two"], "b": ["three"]}
+    assert [placed.id for placed in value.tasks()] == [1, 2, 3]
+
+
+def test_each_has_the_tasks_of_the_default_deployment_each_in_a_process_of_its_own():
+    path = deployment.default_path()
+    together, each = deployment.load(path), deployment.load(path.with_name("each.yaml"))
+    assert [(placed.name, placed.task) for placed in each.tasks()] == [
+        (placed.name, placed.task) for placed in together.tasks()
+    ]
+    assert all(len(tasks) == 1 for tasks in each.on_host("localhost").values())
+    assert each.model_copy(update={"hosts": {}}) == together.model_copy(update={"hosts": {}})
+    assert tasks_of(together.on_host("localhost"))["coordination"] == [
+        "dom",
+        "motion_coordinator",
+        "gripper_coordinator",
+        "vision_coordinator",
+        "path_planning_coordinator",
+        "dispatcher",
+        "pnt_display",
+    ]
 
 
 def test_references_become_values_and_keep_their_type():
     text = machine({"localhost": {"a": {"one": '{factor: "${clock_factor}", seed: "${seed}", name: "run ${seed}"}'}}})
     changed = parsed(text).with_values(0.0, None, None)
     (placed,) = changed.tasks()
-    assert changed.parameters_of(placed.task) == {"use_sim_time": True, "factor": 0.0, "seed": 3, "name": "run 3"}
+    given = {"factor": 0.0, "seed": 3, "name": "run 3"}
+    assert changed.parameters_of(placed.task) == {"use_sim_time": True, "introspection": "contents", **given}
 
 
-def test_a_task_may_refuse_simulated_time():
-    value = parsed(machine({"localhost": {"a": {"one": "{use_sim_time: false}"}}}))
-    assert value.parameters_of(next(value.tasks()).task) == {"use_sim_time": False}
+def test_a_task_may_refuse_simulated_time_and_telling_what_it_carries():
+    value = parsed(machine({"localhost": {"a": {"one": "{use_sim_time: false, introspection: metadata}"}}}))
+    assert value.parameters_of(next(value.tasks()).task) == {"use_sim_time": False, "introspection": "metadata"}
 
 
 @pytest.mark.parametrize(
@@ -78,13 +108,10 @@ def test_a_task_may_refuse_simulated_time():
         ),
         ({"localhost": {f"p{n}": {f"t{n}": "{}"} for n in range(101)}}, "there are 101 tasks; 100 are allowed"),
         ({"localhost": {"a" * 65: {"one": "{}"}}}, "String should have at most 64 characters"),
-        (
-            {"localhost": {"a": {"one": "{}", "two": "{}"}}},
-            "process 'a' of host 'localhost' has 2 tasks, it must have 1",
-        ),
+        ({"localhost": {"a": {}}}, "process 'a' of host 'localhost' has no task"),
         (
             {"localhost": {"a": {"one": '{x: "${sed}"}'}}},
-            "refers to '${sed}'; known are calibration, clock_factor, control, period, port, seed",
+            "refers to '${sed}'; known are calibration, clock_factor, commands, control, period, port, seed",
         ),
     ],
 )
@@ -109,3 +136,18 @@ def test_values_out_of_range_are_refused():
     value = parsed(machine({"localhost": {"a": {"one": "{}"}}}))
     with pytest.raises(ConfigError, match="clock_factor: -1"):
         value.with_values(-1.0, None, None)
+
+
+def test_commands_are_names_and_files_relative_to_the_deployment(tmp_path):
+    path = tmp_path / "d.yaml"
+    parameters = '{commands: "${commands}"}'
+    path.write_text("commands: [move, nets/, ../mine.yaml]\n" + machine({"localhost": {"a": {"one": parameters}}}))
+    loaded = deployment.load(path)
+    (placed,) = loaded.tasks()
+    files = [str(tmp_path / "nets"), str(tmp_path.parent / "mine.yaml")]
+    assert loaded.parameters_of(placed.task)["commands"] == ",".join(["move", *files])
+
+
+def test_every_command_that_is_shipped_is_in_the_default_deployment():
+    shipped = {path.stem for path in package_file("im_dispatcher", "nets/move.yaml").parent.glob("*.yaml")}
+    assert set(deployment.load(deployment.default_path()).commands) == shipped

@@ -3,49 +3,11 @@ from hypothesis import strategies as st
 
 from im_bringup.machine import bootstrap as phases
 from im_bringup.machine import record as machine
-from im_bringup.machine.bootstrap import Bootstrap
-from im_bringup.tasks.agent import Agent, TaskCommand
-from im_bringup.tasks.deployment import PlacedTask, Task
 from im_bringup.tasks.registry import Progress, Registry
 from im_core.startup import StartupPhase
+from support.tasks import NAMES, bootstrap, placed
 
-NAMES = ("one", "two", "three")
 ORDER = [Progress.LOADED, Progress.CONFIGURED, Progress.READY]
-
-
-def placed(names=NAMES, host="localhost"):
-    return [
-        PlacedTask(number, name, host, name, Task(package="p", executable="e", node=f"/{name}"))
-        for number, name in enumerate(names, start=1)
-    ]
-
-
-class Process:
-    """Stands for a process of the operating system."""
-
-    pid = 7
-
-    def __init__(self):
-        self.code = None
-
-    def poll(self):
-        return self.code
-
-    def send_signal(self, number):
-        self.code = -number
-
-
-def bootstrap(tmp_path, children=None):
-    children = {} if children is None else children
-
-    def spawn(command, *_):
-        children[command.name] = Process()
-        return children[command.name]
-
-    agent = Agent([TaskCommand(name, ["x"], tmp_path / name) for name in NAMES], {}, spawn)
-    value = Bootstrap(placed(), agent, "localhost")
-    value.start()
-    return value
 
 
 @given(st.lists(st.tuples(st.sampled_from(NAMES), st.sampled_from(ORDER)), max_size=40))

@@ -1,14 +1,16 @@
 """What this host lacks is said in one sentence before anything starts."""
 
+import os
 import resource
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections import namedtuple
 
 import pytest
 
-from im_bringup.machine import preflight
+from im_bringup.machine import preflight, record
 from im_bringup.tasks import deployment
 from im_core.errors import ImError
 
@@ -19,6 +21,8 @@ Usage = namedtuple("Usage", "total used free")
 def folders(tmp_path, monkeypatch):
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path / "run"))
     monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path / "results"))
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
 
 @pytest.fixture
@@ -37,8 +41,9 @@ def with_free(monkeypatch, **free):
 
 def test_a_host_that_has_it_all(default, monkeypatch, tmp_path):
     with_free(monkeypatch)
-    preflight.check(default)
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["results", "run"]
+    preflight.check_host()
+    preflight.check_shared_memory(default)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["results", "ros", "run"]
 
 
 def test_shared_memory_is_counted_from_the_tasks_and_the_profile(monkeypatch, tmp_path):
@@ -54,45 +59,59 @@ def test_full_shared_memory(default, monkeypatch):
     with_free(monkeypatch, shm=3 * 2**20)
     words = r"^/dev/shm has 3 MiB free, and the machine needs \d+ MiB .*; nothing was started$"
     with pytest.raises(ImError, match=words):
-        preflight.check(default)
+        preflight.check_shared_memory(default)
 
 
-def test_a_full_disk(default, monkeypatch, tmp_path):
+def test_a_full_disk(monkeypatch):
     with_free(monkeypatch, results=2**20)
     with pytest.raises(ImError, match=r"results has 1 MiB free, and 16 MiB are needed; nothing was started$"):
-        preflight.check(default)
+        preflight.check_host()
 
 
-@pytest.mark.parametrize("variable", ["IM_RUN_DIR", "IM_RESULTS_DIR"])
-def test_a_folder_that_cannot_be_made(default, monkeypatch, tmp_path, variable):
+@pytest.mark.parametrize("variable", ["IM_RUN_DIR", "IM_RESULTS_DIR", "ROS_LOG_DIR"])
+def test_a_folder_that_cannot_be_made(monkeypatch, tmp_path, variable):
     (tmp_path / "file").touch()
     monkeypatch.setenv(variable, str(tmp_path / "file" / "folder"))
     with pytest.raises(ImError, match=r"file/folder cannot be made: Not a directory; nothing was started$"):
-        preflight.check(default)
+        preflight.check_host()
 
 
-def test_a_folder_that_cannot_be_written(default, monkeypatch, tmp_path):
-    read_only = tmp_path / "read_only"
-    read_only.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "ro", "tmpfs", str(read_only)]
-    program = (
-        "import os; os.environ['IM_RESULTS_DIR'] = os.sys.argv[1]\n"
-        "from im_bringup.machine import preflight\nfrom im_bringup.tasks import deployment\n"
-        "try:\n    preflight.check(deployment.load(deployment.default_path()))\n"
-        "except Exception as error:\n    print(error)"
-    )
-    shell = 'set -e; "${@:3}" || exit 77; exec "$0" -c "$1" "$2"'
-    done = subprocess.run(
-        ["unshare", "--map-root-user", "--mount", "bash", "-c", shell, sys.executable, program, str(read_only), *mount],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    if done.returncode in (1, 77):
+def test_no_folder_for_temporary_files(monkeypatch):
+    def none():
+        raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "gettempdir", none)
+    with pytest.raises(ImError, match=r"^no folder for temporary files can be written; nothing was started$"):
+        preflight.check_host()
+
+
+@pytest.mark.parametrize("folder", ["run", "results", "ros", "/dev/shm"])
+def test_what_cannot_be_written_is_one_sentence_of_start_whatever_is_left_there(monkeypatch, tmp_path, folder):
+    for name in ("run/log", "results", "ros"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "run" / "pnt_display.url").touch()
+    read_only = tmp_path / folder
+    shell = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" || exit 77; exec "$0" "${@:2}"'
+    command = ["-m", "im_bringup.machine.start", "--timeout", "1", "--port", "18199"]
+    domain = str(1000 + os.getpid() % 100_000)  # of no machine
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    record.write(record.MachineRecord(2**22 + 1, 0, record.READY, "START", 1, "", "", 0.0, 1, 0))  # of a dead one
+    try:
+        done = subprocess.run(
+            ["unshare", "--map-root-user", "--mount", "bash", "-c", shell, sys.executable, str(read_only), *command],
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+    finally:
+        record.remove()
+    if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("this process may not mount a file system of its own")
-    trouble = "cannot be written: Read-only file system; nothing was started"
-    assert done.stdout.strip() == f"{read_only}/.preflight {trouble}"
+    (said,) = done.stderr.splitlines()
+    name = f"im{domain}_preflight" if folder == "/dev/shm" else ".preflight"
+    assert said == f"start: {read_only}/{name} cannot be written: Read-only file system; nothing was started"
+    assert (done.returncode, done.stdout) == (1, "")
 
 
 @pytest.fixture
@@ -104,17 +123,17 @@ def limits(monkeypatch):
     return now
 
 
-def test_too_few_open_files(default, limits):
+def test_too_few_open_files(limits):
     limits["limits"] = (64, 64)
     with pytest.raises(ImError, match=r"may open 64 files here \(ulimit -n\), and up to 128 are needed; nothing"):
-        preflight.check(default)
+        preflight.check_host()
 
 
-def test_a_soft_limit_of_open_files_is_raised(default, limits, monkeypatch):
+def test_a_soft_limit_of_open_files_is_raised(limits, monkeypatch):
     with_free(monkeypatch)
     limits["limits"] = (64, 4096)
-    preflight.check(default)
+    preflight.check_host()
     assert limits["limits"] == (128, 4096)
     limits["limits"] = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
-    preflight.check(default)
+    preflight.check_host()
     assert limits["limits"][0] == resource.RLIM_INFINITY

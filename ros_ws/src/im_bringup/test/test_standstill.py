@@ -3,11 +3,13 @@
 import math
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
 from im_bringup.tasks import standstill
-from im_bringup.tasks.agent import Agent, Died, TaskCommand
+from im_bringup.tasks.agent import Agent, Died, ProcessCommand
 from im_bringup.tasks.standstill import Standstill, cpu_of
 from im_core.loop_watch import TICK_S, LoopWatch, waits_of_threads
 from im_core.pulse import Beat, Pulse
@@ -118,7 +120,7 @@ def test_the_agent_treats_a_hang_as_a_death(tmp_path, deaf):
         pulses.append(pulse)
         return Hanging(deaf)
 
-    agent = Agent([TaskCommand("x", ["x"], tmp_path / "x.log")], {}, spawn)
+    agent = Agent([ProcessCommand("x", ("x",), ["x"], tmp_path / "x.log")], {}, spawn)
     agent.respawn = True
     agent.start()
     assert agent.poll(0.0) == []
@@ -130,3 +132,24 @@ def test_the_agent_treats_a_hang_as_a_death(tmp_path, deaf):
     assert len(events) == 2
     assert len(pulses) == 2  # the new process has a pulse of its own, and none of the old one's past
     assert pulses[1].last() == Beat(0, 0.0, 0.0)
+
+
+BEATS = """
+import sys
+from im_core.pulse import Beat, Pulse
+pulse = Pulse(int(sys.argv[1]))
+print("begun", flush=True)
+for number in range(1, 500_000):
+    pulse.beat(Beat(number, 0.0, 5.0))
+"""
+
+
+def test_who_reads_while_a_beat_is_told_sees_no_hang():
+    pulse = Pulse.create()
+    watched = Standstill(os.getpid(), pulse)
+    command = [sys.executable, "-c", BEATS, str(pulse.descriptor)]
+    with subprocess.Popen(command, pass_fds=[pulse.descriptor], stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        while process.poll() is None:
+            assert watched.found(-1.0) == ""
+    assert pulse.last() == Beat(499_999, 0.0, 5.0)

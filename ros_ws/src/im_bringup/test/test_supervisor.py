@@ -9,9 +9,13 @@ import textwrap
 import pytest
 
 from im_bringup.machine import record as machine
+from im_bringup.machine import supervisor
 from im_bringup.machine.bootstrap import SILENCE_S, SilentTasks
 from im_bringup.tasks.registry import Progress
 from im_core import clock
+from im_core import silence as silence_module
+from im_core.procfs import Scheduled
+from im_core.pulse import Beat, Pulse
 
 #: Writes the record of a machine, tells its life, and does what it is told for that life.
 BOOTSTRAP = textwrap.dedent(
@@ -19,6 +23,7 @@ BOOTSTRAP = textwrap.dedent(
     import os, signal, sys, time
     from pathlib import Path
     from im_bringup.machine import record as machine
+    from im_core.pulse import Beat, Pulse
     from im_core.shm import ProcessId
 
     lives, state, *deeds = Path(sys.argv[1]), *sys.argv[2:]
@@ -32,6 +37,8 @@ BOOTSTRAP = textwrap.dedent(
         os.kill(me.pid, signal.SIGKILL)
     if deeds[life] == "end":
         sys.exit(7)
+    if deeds[life] == "hang":
+        Pulse.inherited().beat(Beat(3, 6.0, 5.0))
     time.sleep(600)
     """
 )
@@ -82,20 +89,73 @@ def test_what_never_was_ready_or_ended_by_itself_stays_dead(supervise, state, de
     assert len(lives()) == 1
 
 
-def test_a_ready_task_that_falls_silent_is_told_once():
-    silence, now = SilentTasks(), 100.0
-    silence.found(now)
-    silence.heard("dom", 7, Progress.READY)
-    silence.heard("mcs", 8, Progress.CONFIGURED)  # its work may take long
-    told = []
-    while now < 100.0 + SILENCE_S + 2.0:
-        now += 0.05
-        told += silence.found(now)
-    assert told == [("dom", 7)]
+def test_a_bootstrap_whose_loop_stands_still_gets_another_life(supervise):
+    process, lives = supervise(machine.READY, "hang", "live")
+    until(lambda: len(lives()) == 2)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(lives()[0]), 0)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60.0) == 0
 
 
-def test_who_did_not_listen_blames_nobody():
+def test_a_bootstrap_that_is_stopped_counts_as_hung_and_one_that_tells_of_its_loop_does_not(monkeypatch):
+    monkeypatch.setattr(supervisor, "SILENCE_S", 0.3)
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    try:
+        pulse = Pulse.create()
+        hang = supervisor.Hang(child.pid, pulse)
+        for _ in range(50):  # it has not come to telling
+            clock.sleep(0.02)
+            assert hang.found() == ""
+        for ticks in range(1, 50):
+            pulse.beat(Beat(ticks, 0.0, 5.0))
+            clock.sleep(0.02)
+            assert hang.found() == ""
+        os.kill(child.pid, signal.SIGSTOP)
+        assert until(hang.found).startswith("nothing was heard of it for")
+    finally:
+        child.kill()
+        child.wait()
+
+
+NOBODY = 2**22 + 1
+"""No process has that number."""
+
+
+@pytest.fixture
+def time(monkeypatch):
+    """What monotonic clocks say, in a list of one."""
+    now = [100.0]
+    monkeypatch.setattr(clock, "monotonic", lambda: now[0])
+    return now
+
+
+def test_a_ready_task_that_falls_silent_is_told_once(time):
     silence = SilentTasks()
-    silence.heard("dom", 7, Progress.READY)
-    assert silence.found(100.0) == []
-    assert silence.found(100.0 + 10.0 * SILENCE_S) == []  # it was stopped meanwhile
+    silence.found(time[0])
+    silence.heard("dom", NOBODY, Progress.READY)
+    silence.heard("mcs", NOBODY + 1, Progress.CONFIGURED)  # its work may take long
+    told = []
+    while time[0] < 100.0 + SILENCE_S + 2.0:
+        time[0] += 0.05
+        told += silence.found(time[0])
+    assert told == [("dom", NOBODY)]
+
+
+def test_who_did_not_listen_blames_nobody(time):
+    silence = SilentTasks()
+    silence.heard("dom", NOBODY, Progress.READY)
+    assert silence.found(time[0]) == []
+    time[0] += 10.0 * SILENCE_S  # it was stopped meanwhile
+    assert silence.found(time[0]) == []
+
+
+def test_a_task_that_waits_for_a_processor_is_not_silent(time, monkeypatch):
+    told = [Scheduled(0.0, 0.0)]
+    monkeypatch.setattr(silence_module, "scheduled", lambda _: told[0])
+    silence = SilentTasks()
+    silence.heard("dom", NOBODY, Progress.READY)
+    for _ in range(1000):
+        time[0] += 0.5
+        told[0] = Scheduled(told[0].ran_s + 0.01, told[0].queued_s + 0.49)
+        assert silence.found(time[0]) == []

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
-from scipy.spatial.transform import Rotation
 
 from im_calibration.estimation.projection import image
 from im_calibration.estimation.residuals import linearise
@@ -215,7 +215,7 @@ def load_candidates(path: Path, problem: CalibrationProblem) -> Candidates:
         DataError: The problem has joint offsets, and a pose does not say what they do.
     """
     poses = load_model(path, PoseFile).poses
-    rotations = Rotation.from_quat([pose.orientation_xyzw for pose in poses]).as_matrix()
+    rotations = scipy.spatial.transform.Rotation.from_quat([pose.orientation_xyzw for pose in poses]).as_matrix()
     positions = np.array([pose.position_m for pose in poses]) + rotations @ np.array(problem.led_offset_nominal)
     jacobians = None
     if problem.joint_jacobians is not None:

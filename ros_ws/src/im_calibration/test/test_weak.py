@@ -55,7 +55,7 @@ def test_a_lens_far_from_the_priors_is_found_all_the_same():
     assert np.all(np.abs(deviations(calibration, moved)) < 4.5 * calibration.standard_deviations)
 
 
-@pytest.mark.parametrize("seed", [1032, 1057, 1076, 6009, 6042, 6075])
+@pytest.mark.parametrize("seed", [1032, 1057, 6009])
 def test_a_set_that_the_first_start_misses_is_found(seed):
     scene = make_scene(CROWDED, seed)
     calibration = calibrate(scene.problem)

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from im_cell.camera_model import PARAMETERS
 
@@ -41,7 +41,7 @@ class CameraCovariance:
         changed = set(cameras)
         kept = self.only(set(self.cameras) - changed)
         given = anew.only(changed)
-        return CameraCovariance(kept.parameters + given.parameters, block_diag(kept.matrix, given.matrix))
+        return CameraCovariance(kept.parameters + given.parameters, scipy.linalg.block_diag(kept.matrix, given.matrix))
 
     def of(self, cameras: Iterable[str]) -> Array:
         """Covariance of all parameters of c cameras, one after the other; 0 of those that are not known.

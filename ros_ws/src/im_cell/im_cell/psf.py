@@ -1,8 +1,8 @@
 """Image of a small light: a Gaussian integrated over square pixels."""
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import erf
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ def pixel_integrals(centre: float, sigma: float, pixels: Array) -> Array:
     """
     edges = (pixels - centre) / (_SQRT2 * sigma)
     half = 0.5 / (_SQRT2 * sigma)
-    return np.asarray(0.5 * (erf(edges + half) - erf(edges - half)))
+    return np.asarray(0.5 * (scipy.special.erf(edges + half) - scipy.special.erf(edges - half)))
 
 
 def pixel_derivatives(centre: float, sigma: float, pixels: Array) -> tuple[Array, Array]:

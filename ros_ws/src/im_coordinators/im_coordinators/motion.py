@@ -1,34 +1,68 @@
-"""What the Motion Coordinator decides: which arm is meant, and whether MCS has to be powered for it."""
+"""What the Motion Coordinator decides: what an arm is to do, in what state it is, and whether a position counts."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
+from typing import Protocol
 
-from im_core.errors import StateError
+from im_core.errors import DataError, StateError
 
-#: MCS states with power on (paper, section 4).
+#: States of a group in which it has its slots, and power (paper, section 4).
+HOLDING_STATES = frozenset({"reserved", "active", "motion"})
 POWERED_STATES = frozenset({"active", "motion"})
 
-#: MCS states in which a group is held.
-HOLDING_STATES = frozenset({"reserved", "active", "motion"})
-
-#: The arm that moves where nobody says which.
-DEFAULT_GROUP = "left"
+#: Arguments that say to where a path is planned.
+DESTINATIONS = ("destination", "position", "joints")
 
 
-def carrier_of(light: str) -> str:
-    """Name of the group that carries a light."""
-    return light.removesuffix("_led")
+class ToldGroup(Protocol):
+    """What ``/mcs/state`` says of a group: ``im_msgs/GroupStatus``."""
+
+    group: str
+    state: str
+    reserved: bool
+    owner: str
 
 
-def group_held(reserved: Sequence[str]) -> str:
-    """The group that moves, of those that MCS has reserved."""
-    return DEFAULT_GROUP if DEFAULT_GROUP in reserved or not reserved else reserved[0]
+def state_for(groups: Iterable[ToldGroup], group: str, owner: str) -> str:
+    """State of a group in the eyes of an owner: cold unless it is reserved for him, or for anyone.
+
+    Args:
+        groups: As MCS told them last.
+        group: Name of the group.
+        owner: Who wants to move it.
+    """
+    held = (told.state for told in groups if told.group == group and told.reserved and told.owner in ("", owner))
+    return next(held, "cold")
 
 
-def require_rest(group: str, at_rest: bool) -> None:
+def way_asked(arguments: Mapping[str, object], ways: tuple[str, ...], what: str) -> str:
+    """Returns which of some arguments says where to move; the others are empty.
+
+    Args:
+        arguments: Of the request.
+        ways: Which may say so.
+        what: What is asked for, for the message.
+
+    Raises:
+        DataError: None says so, or several do.
+    """
+    given = [name for name in ways if arguments.get(name)]
+    if len(given) != 1:
+        told = " and ".join(given) or "none"
+        raise DataError(f"{what} needs one of the arguments {', '.join(ways)}; it was given {told}", given=given)
+    return given[0]
+
+
+def require_rest(group: str, at_rest: bool, reason: str = "") -> None:
     """A position counts only at rest.
+
+    Args:
+        group: Name of the group.
+        at_rest: Whether it rests.
+        reason: Why MCS is in its state, if it says so: what stopped the group may have set it swinging.
 
     Raises:
         StateError: The group moves.
     """
     if not at_rest:
-        raise StateError(f"{group} is not at rest; a position measured in motion is of no use")
+        because = f" (MCS: {reason})" if reason else ""
+        raise StateError(f"{group} is not at rest; a position measured in motion is of no use{because}")

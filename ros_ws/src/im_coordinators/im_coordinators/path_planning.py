@@ -2,13 +2,46 @@
 
 from collections.abc import Mapping, Sequence
 
-from im_core.errors import ImError
+from im_core.errors import DataError, ImError
 
 #: Joints of a group that belong to the cart; those of the arm follow.
 CART_JOINTS = 3
 
 #: A blocked straight joint path may be circumvented; an unreachable goal may not.
 DETOUR_FAILURES = frozenset({"collision"})
+
+
+def configuration(positions: object, joints: Sequence[str], group: str) -> list[float]:
+    """Returns joint positions that a request asks for.
+
+    Args:
+        positions: Of each joint of the group, in its order [rad or m].
+        joints: Names of the joints of the group.
+        group: Its name, for the message.
+
+    Raises:
+        DataError: They are not as many as the joints.
+    """
+    wanted = _numbers(positions)
+    if len(wanted) != len(joints):
+        text = f"argument joints has {len(wanted)} positions; {group} has {len(joints)} joints: {', '.join(joints)}"
+        raise DataError(text, argument="joints", value=len(wanted), allowed=len(joints))
+    return wanted
+
+
+def require_joints(named: Sequence[str], joints: Sequence[str], group: str) -> None:
+    """A given path must be for the joints of the group that follows it, in their order.
+
+    Raises:
+        DataError: It is for others.
+    """
+    if list(named) != list(joints):
+        told = ", ".join(named) or "joints without names"
+        raise DataError(f"the given path is for {told}; {group} has the joints {', '.join(joints)}", group=group)
+
+
+def _numbers(values: object) -> list[float]:
+    return [float(value) for value in values] if isinstance(values, list | tuple) else []
 
 
 def detour_may_help(failure: ImError | None) -> bool:

@@ -2,24 +2,10 @@
 
 from collections.abc import Mapping
 
-from im_core.arrivals import read_json
 from im_core.errors import DataError, ImError
 
 #: Spots that were too faint, or too near to something else, may show in a longer exposure.
 LOOK_AGAIN_CAUSES = ("too faint", "candidates")
-
-
-def is_lit(lights: str, name: str) -> bool:
-    """Whether a light is on, by what the testbed says of all of them; one that it does not have is not.
-
-    Args:
-        lights: JSON object, on or off by the name of the light.
-        name: Name of the light.
-
-    Raises:
-        DataError: It is no such object.
-    """
-    return read_json(dict[str, bool], lights, "the state of the lights").get(name, False)
 
 
 def another_look_may_help(failure: ImError | None) -> bool:

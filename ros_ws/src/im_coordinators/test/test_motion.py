@@ -1,23 +1,50 @@
 """What the Motion Coordinator decides."""
 
+from dataclasses import dataclass
+
 import pytest
 
-from im_coordinators.motion import carrier_of, group_held, require_rest
-from im_core.errors import StateError
+from im_coordinators.motion import DESTINATIONS, require_rest, state_for, way_asked
+from im_core.errors import DataError, StateError
+
+NOTHING = {"destination": "", "position": [], "joints": [], "path": ""}
 
 
 @pytest.mark.parametrize(
-    ("reserved", "group"), [([], "left"), (["right"], "right"), (["right", "left"], "left"), (["testbed"], "testbed")]
+    "asked", [{"destination": "goal"}, {"position": [0, 0, 0]}, {"joints": [0.0]}, {"path": "given"}]
 )
-def test_the_left_arm_moves_unless_only_others_are_held(reserved: list[str], group: str) -> None:
-    assert group_held(reserved) == group
+def test_a_move_is_asked_for_in_one_way(asked: dict[str, object]) -> None:
+    assert [way_asked({**NOTHING, **asked}, tuple(NOTHING), "move_robot")] == list(asked)
 
 
-def test_a_light_is_carried_by_the_arm_of_its_name() -> None:
-    assert carrier_of("right_led") == "right"
+@pytest.mark.parametrize(
+    ("asked", "told"), [({}, "none"), ({"destination": "goal", "joints": [0.0]}, "destination and joints")]
+)
+def test_a_move_that_is_asked_for_in_no_way_or_in_several_is_refused(asked: dict[str, object], told: str) -> None:
+    text = f"plan_path needs one of the arguments destination, position, joints; it was given {told}"
+    with pytest.raises(DataError, match=text):
+        way_asked({**NOTHING, **asked}, DESTINATIONS, "plan_path")
 
 
 def test_a_position_measured_in_motion_is_refused() -> None:
     require_rest("left", True)
     with pytest.raises(StateError, match="left is not at rest"):
         require_rest("left", False)
+    with pytest.raises(StateError, match=r"of no use \(MCS: emergency stop by hand\)$"):
+        require_rest("left", False, "emergency stop by hand")
+
+
+@dataclass
+class Told:
+    group: str
+    state: str
+    reserved: bool = True
+    owner: str = ""
+
+
+def test_an_arm_is_in_a_state_for_him_alone_who_may_move_it() -> None:
+    groups = [Told("left", "motion", owner="/me"), Told("right", "active", owner="/you"), Told("third", "reserved")]
+    assert [state_for(groups, group, "/me") for group in ("left", "right", "third")] == ["motion", "cold", "reserved"]
+    assert [state_for(groups, group, "/you") for group in ("left", "right", "third")] == ["cold", "active", "reserved"]
+    assert state_for([Told("left", "cold", reserved=False)], "left", "/me") == "cold"
+    assert state_for([], "left", "/me") == "cold"

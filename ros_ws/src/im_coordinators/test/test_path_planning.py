@@ -2,8 +2,18 @@
 
 import itertools
 
-from im_coordinators.path_planning import CART_JOINTS, another_may_help, detour, detour_may_help, tucked_seed
-from im_core.errors import ImError
+import pytest
+
+from im_coordinators.path_planning import (
+    CART_JOINTS,
+    another_may_help,
+    configuration,
+    detour,
+    detour_may_help,
+    require_joints,
+    tucked_seed,
+)
+from im_core.errors import DataError, ImError
 
 START, GOAL, TUCKED = [0.0, 1.0, 2.0, 3.0, 3.5], [4.0, 5.0, 6.0, 7.0, 7.5], [9.0, 9.0, 9.0, 8.0, 8.5]
 
@@ -25,3 +35,16 @@ def test_only_what_is_in_the_way_can_be_circumvented_and_only_once_by_another_co
     assert [detour_may_help(failure) for failure in (blocked, unreachable, None)] == [True, False, False]
     assert another_may_help(blocked, {})
     assert not another_may_help(blocked, {"another": True})
+
+
+def test_a_configuration_has_a_position_for_each_joint() -> None:
+    assert configuration([1, 2.5], ["a", "b"], "left") == [1.0, 2.5]
+    with pytest.raises(DataError, match="argument joints has 1 positions; left has 2 joints: a, b"):
+        configuration([1], ["a", "b"], "left")
+
+
+def test_a_given_path_is_for_the_joints_of_its_group() -> None:
+    require_joints(["a", "b"], ["a", "b"], "left")
+    for wrong, told in ((["b", "a"], "b, a"), ([], "joints without names")):
+        with pytest.raises(DataError, match=f"the given path is for {told}; left has the joints a, b"):
+            require_joints(wrong, ["a", "b"], "left")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from im_coordinators.vision import another_look_may_help, is_lit, require_spot
+from im_coordinators.vision import another_look_may_help, require_spot
 from im_core.errors import DataError, ImError
 
 
@@ -19,11 +19,6 @@ from im_core.errors import DataError, ImError
 )
 def test_only_what_exposure_can_mend_is_looked_at_again(causes: object, expected: bool) -> None:
     assert another_look_may_help(ImError("", code="spot_not_found", causes=causes)) is expected
-
-
-def test_a_light_is_as_the_testbed_says() -> None:
-    told = '{"left_led": true, "right_led": false}'
-    assert [is_lit(told, name) for name in ("left_led", "right_led", "lamp")] == [True, False, False]
 
 
 def test_without_causes_nothing_is_looked_at_again() -> None:

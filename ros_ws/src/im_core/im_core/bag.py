@@ -11,13 +11,14 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from im_core import unpacking
+from im_core.bag_files import complete_bag
 from im_core.errors import DataError, printable
-from im_core.files import MEBIBYTE, FileError, check_regular, read_text
-from im_core.yamltext import YamlError, read_yaml
+from im_core.files import FileError, check_regular
 
-METADATA = "metadata.yaml"
+_PACKED = "*.zstd"
 
-_LARGEST_METADATA = 16 * MEBIBYTE
+unpacking.install()
 
 
 @dataclass(frozen=True)
@@ -38,22 +39,25 @@ class BagMessage:
 
 
 def open_bag(bag: Path) -> Reader:
-    """A bag, looked at before it is opened; how long it is has no limit, its messages are read one by one.
+    """A bag, looked at before it is opened, and completed where its recorder was killed.
+
+    How long it is has no limit: its messages are read one by one.
 
     Args:
         bag: Folder of the bag, or a file of it.
 
     Raises:
         DataError: It cannot be read: a file of it is a FIFO or a device, its metadata are larger or deeper than such
-            are, or it is damaged; the last may show only while messages are read.
+            are, its files unpack to too much, or it is damaged; the last may show only while messages are read.
     """
     try:
         folder = bag if bag.is_dir() else None
         for path in folder.iterdir() if folder else (bag,):
-            if not path.is_dir():  # one that is being written has a folder
+            if not path.is_dir():
                 check_regular(path, path.stat())
+        complete_bag(bag)
         if folder:
-            _check_metadata(folder / METADATA)
+            unpacking.check_files(bag, sorted(folder.glob(_PACKED)))
         reader = Reader(bag)
         reader.open()
     except FileError:
@@ -61,14 +65,6 @@ def open_bag(bag: Path) -> Reader:
     except Exception as error:
         raise unreadable_bag(bag, error) from error
     return reader
-
-
-def _check_metadata(path: Path) -> None:
-    text = read_text(path, _LARGEST_METADATA)
-    try:
-        read_yaml(text, str(path))
-    except YamlError as error:
-        raise FileError(path, error.sentence, error.place.line) from error
 
 
 def topics_of(bag: Path) -> dict[str, str]:
@@ -128,7 +124,10 @@ def _types(connections: Sequence[Connection]) -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
     for connection in connections:
         if connection.msgdef.format == MessageDefinitionFormat.MSG:
-            types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+            package, _, own = connection.msgtype.split("/")
+            message = f"{package}/msg/{own}"  # the library knows no events of services and actions by their name
+            types = get_types_from_msg(connection.msgdef.data, message)
+            types[connection.msgtype] = types.pop(message)
             store.register({name: spec for name, spec in types.items() if name not in store.types})
     return store
 

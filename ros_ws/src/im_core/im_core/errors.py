@@ -43,6 +43,12 @@ class DataError(ImError):
     default_code = "data"
 
 
+class ArgumentError(DataError):
+    """Arguments that a schema does not allow: one is unknown, missing, or not what it may be."""
+
+    default_code = "argument"
+
+
 class StateError(ImError):
     """A request that the present state does not allow."""
 

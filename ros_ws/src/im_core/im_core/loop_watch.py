@@ -4,8 +4,8 @@ import math
 import os
 import threading
 from collections.abc import Callable
-from pathlib import Path
 
+from im_core.procfs import scheduled
 from im_core.pulse import Beat, Pulse
 
 TICK_S = 0.5
@@ -74,9 +74,7 @@ def waits_of_threads() -> dict[str, float]:
     """How long each thread of this process has waited for a processor so far [s]; empty if the kernel does not say."""
     waits = {}
     for thread in os.listdir("/proc/self/task"):
-        try:
-            words = Path(f"/proc/self/task/{thread}/schedstat").read_text(encoding="ascii").split()
-        except OSError:  # it has ended, or the kernel does not count
-            continue
-        waits[thread] = int(words[1]) * 1e-9
+        told = scheduled(os.getpid(), int(thread))
+        if told is not None:
+            waits[thread] = told.queued_s
     return waits

@@ -44,5 +44,16 @@ def results_dir() -> Path:
     return _folder("IM_RESULTS_DIR", Path.cwd() / "results")
 
 
+def cache_dir() -> Path:
+    """Folder of the user for what can be found out again, ``$XDG_CACHE_HOME/im``; made if missing.
+
+    Raises:
+        StoreError: It cannot be made.
+        DataError: No message can carry its name.
+    """
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return _folder("IM_CACHE_DIR", Path(home) / "im")
+
+
 def _folder(variable: str, default: Path) -> Path:
     return make_folder(Path(require_text(os.environ.get(variable) or str(default), f"the folder {variable}")))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 VARIABLE = "IM_PULSE"
 
 _FIELDS = struct.Struct("<Qdd")
+_TICKS = struct.Struct("<Q")
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,13 @@ class Pulse:
         return pulse
 
     def beat(self, beat: Beat) -> None:
-        """Tell how the loop is."""
-        _FIELDS.pack_into(self._memory, 0, beat.ticks, beat.standing_s, beat.allowed_s)
+        """Tell how the loop is; who reads meanwhile sees each number as it was or as it is, and no beat half made.
+
+        ``pack_into`` writes zeros first: a loop that may stand still for 0 s would be read, and count as hung.
+        """
+        told = _FIELDS.pack(beat.ticks, beat.standing_s, beat.allowed_s)
+        self._memory[_TICKS.size :] = told[_TICKS.size :]
+        self._memory[: _TICKS.size] = told[: _TICKS.size]
 
     def last(self) -> Beat:
         """What was told last."""

@@ -1,11 +1,9 @@
 """Silence of a process that is waited for, without the time in which a busy computer gave it no processor."""
 
 import math
-from pathlib import Path
 
 from im_core import clock
-
-_NS = 1e-9
+from im_core.procfs import Scheduled, scheduled, stat_fields
 
 
 class Silence:
@@ -25,40 +23,24 @@ class Silence:
 
     def __init__(self, pid: int, seconds: float = 0.0, longest_look_s: float = math.inf) -> None:
         self.seconds = seconds
-        self._proc, self._longest = Path("/proc") / str(pid), longest_look_s
-        self._looked, self._times = clock.monotonic(), self._read_times()
+        self._pid, self._longest = pid, longest_look_s
+        self._looked, self._scheduled = clock.monotonic(), scheduled(pid)
 
-    def look(self, counts: bool = True) -> float:
-        """Count the time since the last look, and return the silence in all [s].
-
-        Args:
-            counts: Whether an answer was due in this time.
-        """
-        now, times = clock.monotonic(), self._read_times()
+    def look(self) -> float:
+        """Count the time since the last look, and return the silence in all [s]."""
+        now, told = clock.monotonic(), scheduled(self._pid)
         passed = min(now - self._looked, self._longest)
-        if counts:
-            self.seconds += max(0.0, passed - self._starved(passed, times))
-        self._looked, self._times = now, times
+        self.seconds += max(0.0, passed - self._starved(passed, told))
+        self._looked, self._scheduled = now, told
         return self.seconds
 
-    def _starved(self, passed: float, times: tuple[int, int] | None) -> float:
+    def _starved(self, passed: float, told: Scheduled | None) -> float:
         """For how much of the time since the last look the process wanted a processor and had none [s]."""
-        if times is None or self._times is None:
+        before = self._scheduled
+        if told is None or before is None:
             return 0.0
-        (ran, queued), (ran_before, queued_before) = times, self._times
-        return passed if ran == ran_before and self._wants_processor() else _NS * (queued - queued_before)
-
-    def _read_times(self) -> tuple[int, int] | None:
-        """Time on a processor and time in the queue for one [ns]; None where the kernel does not tell."""
-        try:
-            ran, queued, _ = (self._proc / "schedstat").read_text(encoding="ascii").split()
-        except (OSError, ValueError):
-            return None
-        return int(ran), int(queued)
+        return passed if told.ran_s == before.ran_s and self._wants_processor() else told.queued_s - before.queued_s
 
     def _wants_processor(self) -> bool:
-        try:
-            stat = (self._proc / "stat").read_text(encoding="ascii", errors="replace")
-        except OSError:
-            return False
-        return stat[stat.rindex(")") + 2] == "R"
+        fields = stat_fields(self._pid)
+        return fields is not None and fields[0] == "R"

@@ -1,15 +1,22 @@
 """Synchronised start-up (paper, section 3): its phases, and the topics by which bootstrap and tasks speak of them."""
 
 import os
+import re
+from collections.abc import Iterable
 from enum import IntEnum
 
 PHASE_TOPIC = "/im/phase"
+TIMEOUT_TOPIC = "/im/start_timeout"
 STATUS_TOPIC = "/im/task_status"
 
-#: Longest wait for the machine to be ready unless ``start`` is told another [s], and where its processes find it.
+#: Longest wait for the machine to be ready unless ``start`` is told another [s]; where that is said once for all starts
+#: of a slow computer, and where the processes of a machine find it.
 START_TIMEOUT_S = 60.0
 START_TIMEOUT = "IM_START_TIMEOUT_S"
 _SHARE = 0.8
+
+#: Where the processes of a machine find that it is started with nets that are not proved, see ``start --unproved``.
+UNPROVED = "IM_UNPROVED"
 
 
 def patience_s() -> float:
@@ -19,7 +26,33 @@ def patience_s() -> float:
     before the start is given up. Every wait of the start-up takes it; a busy computer then makes the start late, and
     needs one number to be changed.
     """
-    return _SHARE * float(os.environ.get(START_TIMEOUT) or START_TIMEOUT_S)
+    return _SHARE * start_timeout_s()
+
+
+def start_timeout_s() -> float:
+    """How long the start of the machine may take that this process is part of [s]."""
+    return float(os.environ.get(START_TIMEOUT) or START_TIMEOUT_S)
+
+
+def unproved_allowed() -> bool:
+    """Whether nets may run of which it could not be decided in time whether they may; none that is refused may."""
+    return os.environ.get(UNPROVED) == "1"
+
+
+_NETS = "nets: "
+_NET = re.compile("[A-Za-z_][A-Za-z0-9_]{0,199}")
+
+
+def nets_sentence(nets: Iterable[str]) -> str:
+    """What a task that is configured tells of the nets that it runs, so that START waits for their descriptions."""
+    names = ", ".join(nets)
+    return f"{_NETS}{names}" if names else ""
+
+
+def nets_told(detail: str) -> tuple[str, ...]:
+    """The nets that a task runs, as :func:`nets_sentence` told; none where something else is told."""
+    names = detail.removeprefix(_NETS).split(", ") if detail.startswith(_NETS) else []
+    return tuple(name for name in names if _NET.fullmatch(name))
 
 
 class StartupPhase(IntEnum):

@@ -31,7 +31,7 @@ def create_and_wait(name):
 
 
 def write_snapshots(name):
-    snapshot = Snapshot.attach(name, RECORD, timeout_s=5.0)
+    snapshot = Snapshot.attach(name, RECORD, timeout_s=60.0)
     record = snapshot.record()
     for count in range(1, 20_000):
         record["count"] = count
@@ -45,7 +45,7 @@ def other_process_with_block():
     name = PREFIX + "block"
     process = SPAWN.Process(target=create_and_wait, args=(name,), daemon=True)
     process.start()
-    SharedBlock.attach(name, timeout_s=10.0).close()
+    SharedBlock.attach(name, timeout_s=60.0).close()
     yield name, process
     process.kill()
     process.join()

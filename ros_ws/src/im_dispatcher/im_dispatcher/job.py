@@ -7,12 +7,7 @@ first or the thousandth.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
-from pydantic import Field
-
-from im_core.arrivals import read_data
-from im_core.config import Model
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dispatcher.poses_file import PosesFile, load_poses
 
@@ -24,18 +19,6 @@ FEWEST_POSES = 12
 
 #: Failures that concern one pose only; everything else concerns the machine.
 POSE_FAILURES = frozenset({"unreachable", "collision", "limit", "not_settled", "spot_not_found", "unusable"})
-
-
-class CalibrationArguments(Model):
-    """The arguments of the command.
-
-    Attributes:
-        cameras: Names of the cameras; none: the ceiling's.
-        poses_file: File of the poses; empty: the cell's own.
-    """
-
-    cameras: list[Annotated[str, Field(max_length=64)]] = Field(default=[], max_length=64)
-    poses_file: Annotated[str, Field(max_length=4096)] = ""
 
 
 @dataclass(frozen=True)
@@ -60,20 +43,26 @@ def order_of(arguments: Mapping[str, object], known_cameras: Sequence[str]) -> C
     """Reads and checks what a command asks for.
 
     Args:
-        arguments: Of the command, as :class:`CalibrationArguments` describes them.
+        arguments: Of the command, as its net declares them: ``cameras``, ``poses_file``, ``group``.
         known_cameras: Names of the cameras that exist.
 
     Raises:
         NotFoundError: An unknown camera.
-        DataError: A camera named twice, fewer poses than :data:`FEWEST_POSES`, or arguments of another kind.
+        DataError: A camera named twice, fewer poses than :data:`FEWEST_POSES`, poses of the other arm, or arguments
+            that no net has checked.
         ConfigError: The poses file is missing, empty, or malformed.
     """
-    given = read_data(CalibrationArguments, dict(arguments), "the arguments of calibrate_camera")
-    cameras, file = given.cameras or CEILING, load_poses(given.poses_file)
+    match arguments:
+        case {"cameras": list(named), "poses_file": str(path), "group": str(group)}:
+            cameras, file = tuple(map(str, named)) or CEILING, load_poses(path)
+        case _:
+            raise DataError(f"calibrate_camera is to have cameras, poses_file and group, not {str(arguments)[:80]}")
+    if file.group != group:
+        raise DataError(f"the poses are those of the {file.group} arm, and the command has taken the {group} arm")
     for name in cameras:
         if name not in known_cameras:
             raise NotFoundError(kind="camera", name=name, known=known_cameras)
-        if list(cameras).count(name) > 1:
+        if cameras.count(name) > 1:
             raise DataError(f"camera '{name}' is named twice", camera=name)
     if len(file.poses) < FEWEST_POSES:
         raise DataError(
@@ -81,7 +70,7 @@ def order_of(arguments: Mapping[str, object], known_cameras: Sequence[str]) -> C
             poses=len(file.poses),
             limit=FEWEST_POSES,
         )
-    return CalibrationOrder(tuple(cameras), file)
+    return CalibrationOrder(cameras, file)
 
 
 @dataclass

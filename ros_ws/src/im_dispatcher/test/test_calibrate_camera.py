@@ -10,7 +10,6 @@ import pytest
 
 from im_core.errors import DataError, ImError, LinkError
 from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL, CalibrateCamera
-from im_dispatcher.job import CalibrationOrder
 from im_dispatcher.poses_file import WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
 from im_pnt.errors import NetError
@@ -65,7 +64,7 @@ class Play:
     def __init__(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
         self.host = Host()
-        self.job = Job(Command(1, SYMBOL, {}), {})
+        self.job = Job(Command(1, SYMBOL, {"cameras": [], "poses_file": "", "group": "left"}), {})
         self.restart()
 
     def restart(self) -> None:
@@ -73,13 +72,13 @@ class Play:
         self._functions = CalibrateCamera(self.host).functions.actions
 
     def __call__(self, name: str, failure: ImError | None = None) -> object:
-        outcome = self._functions[name](ActionContext(SYMBOL, name, Lineage(self.job, failure)))
+        outcome = self._functions[name](ActionContext(SYMBOL, name, Lineage(self.job, failure), shared={"calibration"}))
         return asyncio.run(outcome) if asyncio.iscoroutine(outcome) else outcome
 
     def pose(self) -> str:
         """Takes the next pose; returns where it leads."""
         self("read_next_pos")
-        destination = self.host.objects["destination"]
+        destination = self.host.objects[f"{SYMBOL}/1/destination"]
         assert isinstance(destination, WristPose)
         return destination.name
 
@@ -92,11 +91,7 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
 
 
 def test_a_command_begins_with_its_poses_and_its_light(play: Play) -> None:
-    order = play.host.objects["calibration_cameras"]
-    assert isinstance(order, CalibrationOrder)
-    assert (order.light, order.cameras) == ("left_led", ("ceiling_left", "ceiling_right"))
-    assert play("mover") == {"group": "left"}
-    assert play("watchers") == {"cameras": ["ceiling_left", "ceiling_right"]}
+    assert play("watchers") == {"cameras": ["ceiling_left", "ceiling_right"], "light": "left_led"}
 
 
 def test_a_pose_costs_one_call_and_no_more_memory_than_the_one_before(play: Play) -> None:
@@ -105,7 +100,7 @@ def test_a_pose_costs_one_call_and_no_more_memory_than_the_one_before(play: Play
         before = len(play.host.calls)
         name = play.pose()
         assert play("present_pose") == {"number": number, "pose": name}
-        assert play.host.calls[before:] == ["destination"]
+        assert play.host.calls[before:] == [f"{SYMBOL}/1/destination"]
         sizes.append(len(json.dumps(play.job.memory)))
     assert max(sizes[9:]) == min(sizes[9:])
     assert COMMAND.standing[SYMBOL](play.job) == "pose 40 of 40"
@@ -142,7 +137,7 @@ def test_a_command_fails_with_a_report_even_if_the_data_objects_are_what_failed(
     assert play.job.results == {"message": "the arm is gone"}
     report = json.loads((Path(str(play.job.memory["directory"])) / "report.json").read_text())
     assert (report["success"], report["message"]) == (False, "the arm is gone")
-    assert isinstance(play.host.objects["skipped/1"], SkippedPose)
+    assert isinstance(play.host.objects[f"{SYMBOL}/1/skipped/1"], SkippedPose)
 
 
 def test_a_command_whose_report_cannot_be_written_ends_and_says_both(play: Play) -> None:

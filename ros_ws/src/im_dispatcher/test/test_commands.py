@@ -6,11 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from im_core.errors import ConfigError
+from im_cell.robot import load_cell
+from im_core.clock import thread_cpu
+from im_core.config import package_file
+from im_core.errors import ConfigError, ImError
 from im_dispatcher import commands
+from im_dispatcher.cell.needs import Needs
+from im_dispatcher.cell.net import cell_net
+from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
 from im_pnt.execution.functions import Functions
-from im_pnt.netfile import load_net
+from im_pnt.netfile import load_net, parse_net
+from im_pnt_analysis import verify_to_load
+from im_pnt_analysis.composition.holding import unheld
 
 NET = """
 net: wave
@@ -56,12 +64,81 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         sys.modules.pop(f"{commands.__name__}.{name}", None)
 
 
-def test_every_net_that_is_shipped_belongs_to_a_command_whose_functions_it_names() -> None:
-    found = commands.installed()
-    nets = {command.net.resolve() for command in found}
-    assert nets == {path.resolve() for path in (Path(commands.__file__).parent.parent / "nets").glob("*.yaml")}
-    for command in found:
-        command.functions(Host()).check(load_net(command.net))
+def test_every_net_that_is_shipped_can_be_loaded_and_names_functions_that_there_are() -> None:
+    host = Host()
+    functions = joined(command.functions(host) for command in commands.installed())
+    nets = [load_net(file) for file in commands.net_files(commands.shipped())]
+    for net in nets:
+        functions.check(net)
+    described = {command.net.resolve() for command in commands.installed()}
+    assert described <= {Path(net.source).resolve() for net in nets}
+
+
+def test_every_command_that_is_shipped_says_what_it_takes_and_needs_what_the_cell_has() -> None:
+    nets = [load_net(file) for file in commands.net_files(commands.shipped())]
+    needs = Needs(nets, resources_of(load_cell()))
+    for net in nets:
+        assert set(net.commands) == set(net.symbols())
+        assert all(symbol in needs and declared.description for symbol, declared in net.commands.items())
+
+
+def test_home_is_where_the_cell_says() -> None:
+    home = {}
+    for net in map(load_net, commands.net_files(["home", "demo"])):
+        for transition in net.transitions.values():
+            if transition.name in ("go_left", "go_right", "home_left", "home_right"):
+                fields = transition.action.fields
+                home.setdefault(fields["group"], []).append(fields["joints"])
+    assert home == {name: [list(side.home)] * 2 for name, side in load_cell().sides.items()}
+
+
+def test_all_that_is_shipped_is_verified_together_in_few_markings() -> None:
+    """The Dispatcher's nets, that of the cell, and those of the Coordinators: composed they have 10 to the 10."""
+    nets = [load_net(file) for file in commands.net_files(commands.shipped())]
+    cell = cell_net(Needs(nets, resources_of(load_cell())))
+    coordinators = package_file("im_coordinators", "nets/motion_coordinator.yaml").parent.glob("*.yaml")
+    report = verify_to_load([cell, *nets, *map(load_net, sorted(coordinators))])
+    report.require_ok()
+    assert report.states < 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("command", "need", "sentence"),
+    [
+        ("move", ', "${arguments.group}_cart"', "go of net move acts on left_cart, which command move with group=left"),
+        ("look", '"${arguments.camera}", ', "find_spot of net look acts on ceiling_left, ceiling_right, table, wall"),
+        ("demo", ", right_cart", "turn_right of net demo acts on right_cart, which command demo does not hold"),
+        ("close_gripper", '"${arguments.group}_gripper", ', "close of net close_gripper acts on left_gripper, which"),
+        ("calibrate_camera", ", wrist_left", "find_spot of net calibrate_camera acts on wrist_left, which command"),
+    ],
+)
+def test_a_shipped_command_that_needs_less_than_it_acts_on_is_refused(command: str, need: str, sentence: str) -> None:
+    text = (commands.NETS / f"{command}.yaml").read_text()
+    before, needs, after = text.partition("needs:")
+    net = parse_net(before + needs + after.replace(need, "", 1), f"{command}.yaml")
+    coordinators = package_file("im_coordinators", "nets/motion_coordinator.yaml").parent.glob("*.yaml")
+    cases = unheld([net, *map(load_net, sorted(coordinators))], thread_cpu() + 60.0)
+    assert any(f"{command}.yaml:" in case.reason and sentence in case.reason and case.sequence for case in cases or ())
+
+
+def test_commands_are_named_by_name_file_or_folder(folder: Path) -> None:
+    for name in ("b", "a"):
+        (folder / f"nets/{name}.yaml").write_text(NET)
+    files = commands.net_files(["move", str(folder / "nets"), str(folder / "nets/b.yaml")])
+    assert [file.name for file in files] == ["move.yaml", "a.yaml", "b.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("mve", "did you mean 'move'"),
+        ("./nothing.yaml", "nothing.yaml: there is no such net file"),
+        ("/proc/self/fd", "there is no net file"),
+    ],
+)
+def test_a_command_that_there_is_not_is_named(name: str, message: str) -> None:
+    with pytest.raises(ImError, match=message):
+        commands.net_files([name])
 
 
 def test_a_command_is_added_by_a_module_and_a_net(folder: Path) -> None:

@@ -1,5 +1,7 @@
 """The object store without ROS."""
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -7,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_core.errors import DataError, NotFoundError, StateError
-from im_dom.store import ObjectStore
+from im_dom import store as objects
+from im_dom.store import KEPT_VERSIONS, LARGEST, ObjectStore
 
 KIND = "std_msgs/msg/String"
 
@@ -47,7 +50,7 @@ def test_wrong_type_and_wrong_name_are_named() -> None:
         store.get("paht")
 
 
-@pytest.mark.parametrize("name", ["", "1a", "a b", "x" * 200, "a;drop table objects"])
+@pytest.mark.parametrize("name", ["", "1a", "a b", "x" * 200, "a;drop table objects", "a/"])
 def test_malformed_names_are_refused(name: str) -> None:
     with pytest.raises(DataError, match="name of a data object"):
         put(ObjectStore(), name=name)
@@ -67,7 +70,147 @@ def test_prefix_lists_only_what_begins_with_it() -> None:
     assert [record.name for record in store.records("calib/")] == ["calib/a", "calib/b"]
 
 
-def test_a_file_that_is_no_database_is_named(tmp_path: Path) -> None:
-    (tmp_path / "dom.sqlite").write_bytes(b"no database at all, but long enough to be read as one" * 40)
+def test_what_is_below_a_name_is_forgotten_and_nothing_else() -> None:
+    store = ObjectStore()
+    for name in ("boss/1/a", "boss/1/b", "boss/10/a", "boss/1", "other/boss/1/a"):
+        put(store, name=name)
+    store.invalidate("boss/1/b", "someone", 9)
+    gone = store.forget("boss/1/")
+    assert [(record.name, record.valid) for record in gone] == [("boss/1/a", False)]
+    assert [record.name for record in store.records()] == ["boss/1", "boss/10/a", "other/boss/1/a"]
+    assert store.forget("boss/1/") == []
+
+
+GARBAGE = b"no database at all, but long enough to be read as one" * 400
+
+
+def torn(file: Path) -> bytes:
+    """A data base of which pages in the middle are lost."""
+    store = ObjectStore(file)
+    for number in range(40):
+        put(store, name=f"object/{number}", data=bytes([number]) * 3000)
+    store.close()
+    content = bytearray(file.read_bytes())
+    content[4096:40960] = bytes(36864)
+    return bytes(content)
+
+
+@pytest.mark.parametrize("damage", [lambda _: GARBAGE, torn, lambda file: torn(file)[:50_000]])
+def test_a_damaged_file_is_kept_as_it_is_and_named_and_a_new_one_begun(tmp_path: Path, damage) -> None:
+    file = tmp_path / "dom.sqlite"
+    content = damage(file)
+    file.write_bytes(content)
+    store = ObjectStore(file)
+    (aside,) = tmp_path.glob("dom-damaged-*")
+    assert (aside / "dom.sqlite").read_bytes() == content
+    assert store.aside.startswith(f"the object store {file} is damaged (")
+    assert f"it is kept in {aside}" in store.aside
+    assert store.records() == []
+    put(store, data=b"new")
+    store.close()
+    again = ObjectStore(file)
+    assert again.get("path")[1] == b"new"
+    assert again.aside == ""
+
+
+def test_a_file_of_another_version_is_set_aside_too(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "dom.sqlite")) as db:
+        db.execute("CREATE TABLE objects (name TEXT PRIMARY KEY)")
+    store = ObjectStore(tmp_path / "dom.sqlite")
+    assert "is of another version of this software (0, not 2)" in store.aside
+
+
+def test_a_file_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"dom\.sqlite cannot be opened"):
-        ObjectStore(tmp_path / "dom.sqlite")
+        ObjectStore(tmp_path / "nowhere" / "dom.sqlite")
+
+
+@given(st.lists(st.integers(0, 60), min_size=1, max_size=30))
+def test_older_versions_are_kept_while_they_are_few_and_small(sizes: list[int]) -> None:
+    """Against a list that is cut from its front."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(objects, "KEPT_BYTES", 100)
+        store, model = ObjectStore(), []
+        for version, size in enumerate(sizes, start=1):
+            put(store, data=bytes([version]) * size)
+            model.append((version, bytes([version]) * size))
+            while len(model) > KEPT_VERSIONS or sum(len(data) for _, data in model[:-1]) > 100:
+                del model[0]
+        for version, data in model:
+            assert store.get("path", version=version)[1] == data
+        with pytest.raises(NotFoundError, match="version of data object 'path'"):
+            store.get("path", version=model[0][0] - 1 or 99)
+        assert store.forget("path") != []
+        with pytest.raises(NotFoundError):
+            store.get("path", version=model[0][0])
+
+
+def test_an_older_version_is_given_out_though_the_object_is_not_valid() -> None:
+    store = ObjectStore()
+    put(store, data=b"one")
+    put(store, data=b"two")
+    store.invalidate("path", "someone", 9)
+    assert store.get("path", version=1)[1] == b"one"
+
+
+def test_where_an_object_comes_from_is_kept() -> None:
+    store = ObjectStore()
+    name = "dispatcher/20260131-142501-7/goal"
+    store.put(name, KIND, b"", "net.place", "planner", 7, kind_hash="RIHS01_aa")
+    store.put("calibration", KIND, b"", "", "planner", 8, command="dispatcher/20260131-142501-7")
+    found = store.record(name)
+    assert (found.source, found.command, found.place, found.stamp_ns, found.hash) == (
+        "planner",
+        "dispatcher/20260131-142501-7",
+        "net.place",
+        7,
+        "RIHS01_aa",
+    )
+    assert store.record("calibration").command == found.command
+
+
+def test_a_large_object_is_kept_and_a_larger_one_refused_by_its_length() -> None:
+    store = ObjectStore()
+    put(store, data=bytes(LARGEST))
+    with pytest.raises(DataError, match=f"'path' has {LARGEST + 1} bytes; at most {LARGEST} \\(64 MiB\\) are kept"):
+        put(store, data=bytes(LARGEST + 1))
+    assert store.get("path")[0].size == LARGEST
+
+
+def test_what_is_done_together_is_answered_one_by_one() -> None:
+    store = ObjectStore()
+    put(store, "kept")
+
+    def breaks() -> None:
+        put(store, "kept", b"half")
+        raise ZeroDivisionError
+
+    first, wrong, broken, read, last = store.together(
+        [
+            lambda: store.put("a", KIND, b"1", "", "t", 1),
+            lambda: store.put("1", KIND, b"2", "", "t", 1),
+            breaks,
+            lambda: store.get("kept"),
+            lambda: store.get("a"),
+        ]
+    )
+    assert (first.name, first.version) == ("a", 1)
+    assert isinstance(wrong, DataError)
+    assert isinstance(broken, ZeroDivisionError)
+    assert read[1] == b"abc"
+    assert last[1] == b"1"
+
+
+def test_what_is_done_together_is_on_the_disk_as_one_when_it_is_answered(tmp_path: Path) -> None:
+    store = ObjectStore(tmp_path / "dom.sqlite")
+    with closing(sqlite3.connect(tmp_path / "dom.sqlite")) as other:
+        seen = []
+
+        def look() -> None:
+            seen.append(other.execute("SELECT count(*) FROM objects").fetchone()[0])
+
+        store.together([lambda: put(store, "a"), look, lambda: put(store, "b"), look])
+        look()
+    assert seen == [0, 0, 2]
+    assert store._db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: each commit waits for the disk
+    assert store._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)

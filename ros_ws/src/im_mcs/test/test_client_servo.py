@@ -19,7 +19,7 @@ HANGS = LinkError("the servo process hangs")
 def ends(config):
     """The owner's client, and the servo's end of the channel."""
     channel = ServoChannel.create(INSTANCE, config)
-    servo = ServoChannel.attach(INSTANCE, config, 1.0)
+    servo = ServoChannel.attach(INSTANCE, config, 60.0)
     client = ServoClient(channel, FlowingTime())
     yield client, servo
     client.close()
@@ -37,11 +37,11 @@ def test_the_client_s_thread_gives_no_signs_of_life(ends):
     clock.sleep(0.1)
     assert servo.heartbeat.silence_s() == 0.0  # there was none yet: nobody is missed
     client.beat()
-    assert servo.heartbeat.silence_s() < 0.05
+    assert servo.heartbeat.silence_s() == 0.0
     clock.sleep(0.1)
     assert servo.heartbeat.silence_s() >= 0.1
     client.beat()
-    assert servo.heartbeat.silence_s() < 0.05
+    assert servo.heartbeat.silence_s() == 0.0
 
 
 def test_while_the_servo_hangs_nobody_waits_and_only_an_estop_is_passed_on(ends):

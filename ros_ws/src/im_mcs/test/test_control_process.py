@@ -25,7 +25,7 @@ COMPUTED_TORQUE = "im_mcs.control.computed_torque:ComputedTorque"
 MOODY = f"{Path(__file__).stem}:Moody"
 TORQUE_LIMIT = CELL.per_joint("limits.torque")
 LEFT = np.arange(3, 9)
-PACED_S = 0.5  # so long that a computer at work elsewhere does not make the law late
+PACED_S = 1.0  # so long that a computer at work elsewhere does not make the law late
 
 
 class Moody:

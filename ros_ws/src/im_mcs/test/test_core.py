@@ -187,7 +187,8 @@ def test_wrong_moves_are_refused_and_nothing_moves(bench, cell, target, change, 
 def test_unknown_requests_and_arguments_are_refused(bench):
     refused(bench.ask("dance"), "no request 'dance'")
     refused(bench.ask("reserve"), "reserve takes group, [owner], [lease_s], [sender], not none")
-    refused(bench.ask("power_on", loud=True), "power_on takes no arguments, not loud")
+    refused(bench.ask("power_on", loud=True), "power_on takes [group], [sender], not loud")
+    refused(bench.ask("reset", loud=True), "reset takes no arguments, not loud")
 
 
 def test_a_jammed_joint_stops_the_motion_and_is_named(bench, cell, target):

@@ -89,7 +89,7 @@ class Run:
                 for name in ("left", "right"):
                     self.ask("reserve", group=name, owner=OWNER[name], lease_s=0.4)
             else:
-                self.ask("power_on" if state is State.RESERVED else "enable_motion")
+                self.ask("power_on" if state is State.RESERVED else "enable_motion", sender=ALL)
         raise AssertionError(f"stuck in {self.mcs.manager.state}")
 
     def path(self, group):
@@ -119,7 +119,7 @@ class Run:
                 assert self.mcs.manager.reservations.of("left").lapsed
             case "repartition":
                 self.ask_until_rest("disable_motion")
-                self.ask("power_off")
+                self.ask("power_off", sender=ALL)
                 for name in self.mcs.manager.reservations.groups:
                     self.ask("release", group=name, sender=ALL)
                 preset = "3x6" if self.mcs.config.preset == "2x9" else "2x9"
@@ -140,13 +140,27 @@ class Run:
                 given = {"group": group, "kind": "torque", "torques": tau, "owner": OWNER[group]}
                 self.ticks(1, "stream", **given, lease_s=0.05)
 
+    def leave_and_join(self, group):
+        """One group is braked, switched off, released and taken again, whatever the other does meanwhile."""
+        given = {"group": group, "sender": ALL}
+        for goal in self.mcs.groups[group].goals[:1]:
+            self.ticks(1, "cancel", goal=goal.id)
+        while self.mcs.moving((group,)) is not None:
+            self.ticks(1)
+        for request in ("disable_motion", "power_off", "release"):
+            assert self.ask(request, **given)["success"]
+        self.ticks(int(self.random.integers(0, 20)))
+        assert self.ask("reserve", group=group, owner=OWNER[group], lease_s=0.4)["success"]
+        for request in ("power_on", "enable_motion"):
+            assert self.ask(request, **given)["success"]
+
     def ask_until_rest(self, request):
         for goal in self.goals:
             if self.bench.reply(goal) is None:
                 self.ticks(1, "cancel", goal=goal)
-        while self.mcs.moving() is not None:
+        while self.mcs.moving(("left", "right")) is not None:
             self.ticks(1)
-        assert self.ask(request)["success"]
+        assert self.ask(request, sender=ALL)["success"]
 
 
 @pytest.mark.parametrize("seed", [11])
@@ -177,3 +191,51 @@ def test_two_hundred_interruptions(bench, seed):
         if event["event"] == "reply" and not event["success"]:
             assert event["error"]["code"] in ("state", "cancelled", "replaced", "lease", "protective_stop", "collision")
     assert bench.mcs.saturations.counts[:4].sum() == 0
+
+
+def test_groups_that_leave_and_join_while_others_move(bench):
+    random = np.random.default_rng(11)
+    run = Run(bench, random)
+    run.to_motion()
+    moving = 0
+    for _ in range(5):
+        for group in ("left", "right"):
+            run.move(group, "append")
+        run.ticks(int(random.integers(5, 60)))
+        leaves, stays = random.permutation(["left", "right"])
+        run.leave_and_join(str(leaves))
+        moving += bench.mcs.moving((str(stays),)) is not None
+    assert moving > 1
+    for goal in run.goals:
+        error = (bench.reply(goal) or {}).get("error")
+        assert error is None or error["code"] in ("cancelled", "collision"), error
+    assert bench.mcs.saturations.counts[:4].sum() == 0
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_what_replaces_a_motion_that_stands_still_is_planned_anew_when_that_goes_on(bench, waits):
+    """While a long path is prepared, a motion that waited begins, or one that was paused is resumed."""
+    run = Run(bench, np.random.default_rng(5))
+    run.to_motion()
+    index = bench.mcs.groups["left"].index
+    home = bench.mcs.model.cell.home[index]
+    near, far = {"kind": "joint", "points": [(home + 0.05).tolist()]}, [home + 0.1, home] * 40
+    long = {"kind": "joint", "points": [point.tolist() for point in far], "blend": 0.0}
+    given = {"group": "left", "sender": ALL}
+    first = run.ticks(1, "move", path=near, **given)
+    if waits:
+        back = run.ticks(1, "move", path={"kind": "joint", "points": [home.tolist()]}, policy="append", **given)
+        while not bench.mcs.groups["left"].planner.finished:
+            run.ticks(1)
+    else:
+        run.ticks(60)
+        run.ticks(1, "pause", group="left")
+        while not bench.mcs.groups["left"].still:
+            run.ticks(1)
+    last = run.ticks(1, "move", path=long, policy="replace", **given)
+    run.ticks(1, "resume", **given)
+    while bench.reply(first) is None or (waits and bench.reply(back) is None):
+        run.ticks(1)
+    run.ticks(50)
+    assert bench.mcs.saturations.counts[:4].sum() == 0
+    assert bench.reply(last) is None  # it is followed

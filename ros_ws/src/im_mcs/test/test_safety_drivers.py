@@ -65,7 +65,7 @@ ANN = {"names": ["ann"]}
 def owned(bench):
     bench.ask("reserve", group="left", owner="ann")
     for request in ("power_on", "enable_motion"):
-        assert bench.ask(request)["success"]
+        assert bench.ask(request, sender=ANN)["success"]
     return bench
 
 
@@ -111,7 +111,7 @@ def path(cell):
 def test_wrong_torques_are_refused(owned, change, words):
     reply = owned.reply(drive(owned, [0.0] * 9, **change))
     assert words in reply["error"]["message"]
-    assert owned.mcs.moving() is None
+    assert owned.mcs.moving(("left", "right")) is None
 
 
 def test_torques_end_before_the_joint_leaves_its_range_or_is_too_fast(owned, model):

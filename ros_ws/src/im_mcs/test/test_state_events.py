@@ -5,7 +5,7 @@ import math
 import pytest
 
 from im_mcs.state import TABLE, Event, State
-from im_mcs.state.table import allowed_in
+from im_mcs.state.table import TRANSITIONS, allowed_in
 from im_mcs.testbed.driver import ReportedFault
 
 LAW = "im_mcs.control.computed_torque:ComputedTorque"
@@ -16,7 +16,7 @@ WAYS = {
     State.MOTION: ["reserve", "power_on", "enable_motion"],
     State.ESTOPPED: ["reserve", "estop"],
 }
-EVENTS = [event for event in Event if event not in (Event.CONFIGURE, Event.CLEANUP, Event.RELEASE_LAST)]
+EVENTS = [event for event in Event if event not in (Event.CONFIGURE, Event.CLEANUP)]
 ROWS = {(row.source, row.event): row.target for row in TABLE}
 
 
@@ -25,7 +25,8 @@ BY = {"sender": {"names": ["tester"]}}
 
 def arguments(event, q, state=None):
     return {
-        Event.RESERVE: {"group": "right" if state is State.RESERVED else "left", "owner": "tester"},
+        **dict.fromkeys(TRANSITIONS, BY),
+        Event.RESERVE: {"group": "left", "owner": "tester"},
         Event.RELEASE: {"group": "left", **BY},
         Event.TAKE_OVER: {"group": "left", "owner": "other"},
         Event.RESUME: BY,
@@ -73,10 +74,16 @@ def test_a_request_without_a_row_is_refused_and_changes_nothing(bench, cell, sta
         if (state, event) in ROWS:
             continue
         before = seen(bench.mcs)
-        reply = bench.reply(bench.send(event.value, **arguments(event, q, state)))
+        given = arguments(event, q, state)
+        reply = bench.reply(bench.send(event.value, **given))
         assert not reply["success"], event
         message = reply["error"]["message"]
-        assert message.startswith(f"{event.value} is refused in state {state.value}; allowed here: "), message
+        if event is Event.RESERVE and state is not State.ESTOPPED:
+            assert message == "group 'left' is reserved already by owner 'tester'"
+            continue
+        named = "group" in given and state not in (State.COLD, State.ESTOPPED)
+        whose = " of group 'left'" if named else ""
+        assert message.startswith(f"{event.value}{whose} is refused in state {state.value}; allowed here: "), message
         for allowed in allowed_in(state):
             assert allowed.value in message
         assert reply["error"]["facts"]["state"] == state.value
@@ -91,8 +98,6 @@ def test_a_request_with_a_row_leads_where_it_says(bench, cell, state, event):
     if event is Event.CANCEL:
         under_way = Event.MOVE if state is State.MOTION else Event.SET_GRIPPER
         given = {"goal": bench.send(under_way.value, **arguments(under_way, q))}
-    if event is Event.RELEASE:  # of one of two groups; the last one has a row of its own
-        assert bench.ask("reserve", group="right")["success"]
     reply = bench.ask(event.value, **given)
     ended_by_lease = event is Event.STREAM  # nobody sends a second setpoint
     assert reply["success"] != ended_by_lease, reply
@@ -101,17 +106,20 @@ def test_a_request_with_a_row_leads_where_it_says(bench, cell, state, event):
     assert bench.mcs.manager.power == (bench.mcs.manager.state in (State.ACTIVE, State.MOTION))
 
 
-def test_releasing_the_last_group_is_cold(bench):
-    bench.ask("reserve", group="left")
+def test_the_machine_is_cold_when_the_last_group_is_released(bench):
+    for group in ("left", "right"):
+        bench.ask("reserve", group=group)
     assert bench.ask("release", group="left")["success"]
-    assert bench.mcs.manager.state is ROWS[State.RESERVED, Event.RELEASE_LAST] is State.COLD
+    assert bench.mcs.manager.state is State.RESERVED
+    assert bench.ask("release", group="right")["success"]
+    assert bench.mcs.manager.state is State.COLD
 
 
 @pytest.mark.parametrize("event", [e for e in EVENTS if e not in (Event.ESTOP, Event.RENEW)])
 def test_while_a_transition_is_under_way_only_estop_and_renew_are_heard(bench, cell, event):
     bench.ask("reserve", group="left", owner="tester")
-    bench.ask("power_on")
-    bench.send("enable_motion")
+    bench.ask("power_on", **BY)
+    bench.send("enable_motion", **BY)
     assert bench.mcs.manager.busy
     before = seen(bench.mcs)
     reply = bench.reply(bench.send(event.value, **arguments(event, cell.home[:9])))

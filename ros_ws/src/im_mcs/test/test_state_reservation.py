@@ -56,7 +56,17 @@ def test_a_lease_runs_from_receipt_and_is_renewed():
         groups.require_driver("left", Sender(names=["bob"]))
 
 
+def test_leases_of_two_owners_that_lapse_together_are_both_told():
+    groups = Reservations({"left": ["a"], "right": ["b"], "third": ["c"]})
+    for group, owner in (("left", "ann"), ("right", "bob"), ("third", "ann")):
+        groups.reserve(group, owner, lease_s=1.0)
+    assert [r.group for r in groups.lapse(2 * 10**9)] == ["left", "third"]
+    assert [r.group for r in groups.lapse(2 * 10**9)] == ["right"]
+    assert groups.lapse(2 * 10**9) == []
+
+
 LAW = "im_mcs.control.computed_torque:ComputedTorque"
+BY_ANN = {"names": ["ann"]}
 CHANGES = {
     "move": {"path": None},
     "stream": {"kind": "setpoint", "positions": None, "lease_s": 0.1},
@@ -64,8 +74,14 @@ CHANGES = {
     "set_speed": {"scale": 0.5},
     "set_controller": {"controller": LAW},
     "set_payload": {"mass": 1.0, "center": [0.0, 0.0, 0.1], "inertia": [0.0] * 6},
+    "disable_motion": {},
+    "power_off": {},
+    "power_on": {},
+    "enable_motion": {},
     "release": {},
 }
+BEFORE = {"release": 0, "power_on": 0, "enable_motion": 1, "power_off": 1}
+"""How much of power and motion there must be before a request; else both."""
 """What only the owner of a group may ask, and how."""
 
 
@@ -83,9 +99,8 @@ def asked_by(request, names, client, cell):
 @pytest.mark.parametrize(("names", "client"), [(["bob", "/bob"], "0b"), ([], "0b"), ([], ""), (["an"], "")])
 def test_a_stranger_neither_moves_nor_changes_nor_releases_a_group(bench, cell, request_name, names, client):
     bench.ask("reserve", group="left", owner="ann", sender={"client": "0a"})
-    if request_name != "release":
-        bench.ask("power_on")
-        bench.ask("enable_motion")
+    for request in ("power_on", "enable_motion")[: BEFORE.get(request_name, 2)]:
+        assert bench.ask(request, sender=BY_ANN)["success"]
     before = bench.mcs.setpoint.copy()
     asked = asked_by(request_name, names, client, cell)
     refused(bench.ask(request_name, **asked), "group 'left' is driven by its owner 'ann' only", "/mcs/take_over")
@@ -97,17 +112,16 @@ def test_a_stranger_neither_moves_nor_changes_nor_releases_a_group(bench, cell, 
 @pytest.mark.parametrize(("names", "client"), [(["ann"], ""), ([], "0a"), (["/x/y", "/ann"], "0b")])
 def test_the_owner_is_known_by_name_and_by_the_process_that_reserved(bench, cell, request_name, names, client):
     bench.ask("reserve", group="left", owner="ann", sender={"client": "0a"})
-    if request_name != "release":
-        bench.ask("power_on")
-        bench.ask("enable_motion")
+    for request in ("power_on", "enable_motion")[: BEFORE.get(request_name, 2)]:
+        assert bench.ask(request, sender=BY_ANN)["success"]
     reply = bench.ask(request_name, **asked_by(request_name, names, client, cell))
     assert reply["success"], reply
 
 
 def test_anyone_may_stop_what_another_moves(bench, cell):
     bench.ask("reserve", group="left", owner="ann", sender={"client": "0a"})
-    bench.ask("power_on")
-    bench.ask("enable_motion")
+    bench.ask("power_on", sender=BY_ANN)
+    bench.ask("enable_motion", sender=BY_ANN)
     for stop in ("pause", "protective_stop", "estop"):
         given = {"group": "left"} if stop == "pause" else {"reason": "a hand"}
         assert bench.reply(bench.send(stop, **given))["success"]
@@ -115,8 +129,8 @@ def test_anyone_may_stop_what_another_moves(bench, cell):
 
 def test_an_operator_takes_a_group_over_and_gives_it_back(bench, cell):
     bench.ask("reserve", group="left", owner="ann", lease_s=5.0, sender={"client": "0a"})
-    bench.ask("power_on")
-    bench.ask("enable_motion")
+    bench.ask("power_on", sender=BY_ANN)
+    bench.ask("enable_motion", sender=BY_ANN)
     far = joint_path(cell.home[LEFT] + 0.3)
     mine = bench.send("move", group="left", path=far, sender={"names": ["ann"]})
     for _ in range(200):
@@ -149,8 +163,9 @@ def test_a_lease_or_a_name_beyond_all_bounds_is_refused_in_short(bench, request_
 def test_a_dead_client_s_groups_stop_on_the_path_and_hold(bench, cell):
     bench.ask("reserve", group="left", owner="planner", lease_s=0.4)
     bench.ask("reserve", group="right", owner="other")
-    bench.ask("power_on")
-    bench.ask("enable_motion")
+    for owner in ("planner", "other"):
+        for request in ("power_on", "enable_motion"):
+            assert bench.ask(request, sender={"names": [owner]})["success"]
     bench.ask("renew", owner="planner")
     far, home = cell.home[LEFT] + 0.3, cell.home[9:] + 0.1
     planner, other = {"names": ["planner"]}, {"names": ["other"]}

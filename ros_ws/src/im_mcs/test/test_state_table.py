@@ -32,7 +32,7 @@ def test_the_architecture_s_rows_are_there():
         (State.ACTIVE, Event.ENABLE_MOTION): State.MOTION,
         (State.MOTION, Event.DISABLE_MOTION): State.ACTIVE,
         (State.ACTIVE, Event.POWER_OFF): State.RESERVED,
-        (State.RESERVED, Event.RELEASE_LAST): State.COLD,
+        (State.RESERVED, Event.RELEASE): State.COLD,
         (State.ESTOPPED, Event.RESET): State.COLD,
         **{(s, Event.ESTOP): State.ESTOPPED for s in (State.RESERVED, State.ACTIVE, State.MOTION)},
     }

@@ -5,8 +5,8 @@ runs it, whose :class:`FunctionRunner` does its actions; an :class:`Exchange` jo
 other and those of others, an :class:`Observer` is told of firings, and a :class:`Journal` brings them back.
 The ROS node that has all this is :class:`im_pnt.ros.node.PntNode`; it is not imported here, for it needs ROS.
 
-Knows ``im_core`` only. Inside, lower knows nothing of higher: ``model``, then ``netfile`` and ``pnml``, then
-``execution``, ``distributed``, ``journal``, ``ros``.
+Knows ``im_core`` only. Inside, lower knows nothing of higher: ``model``, ``expression``, then ``netfile`` and
+``pnml``, then ``execution``, ``distributed``, ``journal``, ``ros``.
 """
 
 from importlib import import_module

@@ -21,14 +21,25 @@ class NetFileError(ImError):
         super().__init__(f"{where}: {message}", code="net_file", file=file, line=line, column=column, **facts)
 
 
-class VerificationError(ImError):
-    """A net that was read but must not run; carries the firing sequence that shows why."""
+_UNPROVED_HINT = "; 'pnt prove --timeout S' takes more time to prove it, 'start --unproved' starts it all the same"
 
-    def __init__(self, net: str, reason: str, sequence: Iterable[str] = ()) -> None:
+
+class VerificationError(ImError):
+    """A net that was read but must not run.
+
+    Args:
+        net: Its name, or those of several nets.
+        reason: Why, or what is not known of it.
+        sequence: The firings that show why; empty where there are none.
+        proved: Whether it was found that it must not run; else it could not be decided.
+    """
+
+    def __init__(self, net: str, reason: str, sequence: Iterable[str] = (), *, proved: bool = True) -> None:
         self.sequence = tuple(sequence)
         way = f"; shown by firing {' -> '.join(self.sequence)}" if self.sequence else ""
+        verdict, hint = ("refused", "") if proved else ("not proved", _UNPROVED_HINT)
         super().__init__(
-            f"net {net} is refused: {reason}{way}", code="net_refused", net=net, sequence=list(self.sequence)
+            f"net {net} is {verdict}: {reason}{way}{hint}", code="net_refused", net=net, sequence=list(self.sequence)
         )
 
 
@@ -46,6 +57,10 @@ class JournalError(ImError):
     def __init__(self, message: str, *, file: str, **facts: object) -> None:
         super().__init__(message)
         self.facts.update(file=file, **facts)
+
+
+class DamagedJournalError(JournalError):
+    """A journal whose content is not what was written."""
 
 
 def encode_error(error: ImError | None) -> list[object] | None:

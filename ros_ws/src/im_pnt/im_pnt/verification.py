@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from im_core.startup import unproved_allowed
 from im_pnt.model.net import Net
 
-KINDS = ("growth", "overflow", "deadlock", "lost_command", "held_resource")
+KINDS = ("growth", "overflow", "deadlock", "lost_command", "held_resource", "assumption", "unheld")
 """Kinds of refusals."""
 
 
@@ -45,6 +46,18 @@ class Verification(Protocol):
         """How long the verification took [s]."""
 
     @property
+    def sentence(self) -> str:
+        """The verdict in one sentence: verified, and how; refused, and why; or not proved, and why not."""
+
+    @property
+    def unproved(self) -> str:
+        """Why it could not be decided in time whether the nets may run; empty where it was."""
+
+    @property
+    def composed(self) -> Sequence[Net]:
+        """The nets that were put together where it is refused: those of its sequence."""
+
+    @property
     def refusals(self) -> Sequence[Counterexample]:
         """What forbids to run the nets."""
 
@@ -52,8 +65,19 @@ class Verification(Protocol):
         """Accepts or refuses.
 
         Raises:
-            VerificationError: The nets must not run; carries the shortest firing sequence that shows why.
+            VerificationError: The nets must not run, and it carries the shortest firing sequence that shows why; or it
+                is not proved that they may.
         """
+
+
+def accept(report: Verification) -> None:
+    """Accepts or refuses; what is not proved is accepted where the machine was started so.
+
+    Raises:
+        VerificationError: As of :meth:`Verification.require_ok`.
+    """
+    if not (report.unproved and unproved_allowed()):
+        report.require_ok()
 
 
 Verifier = Callable[[Sequence[Net]], Verification]

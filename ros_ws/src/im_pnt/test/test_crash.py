@@ -227,6 +227,6 @@ def test_killed_at_every_single_point(tmp_path, compact_bytes):
 def test_killed_again_and_again(tmp_path):
     whole = run(tmp_path / "whole", [], 2000)
     dice = random.Random(0)
-    for trial in range(40):
+    for trial in range(20):
         points = [dice.randrange(whole["points"]) for _ in range(dice.randrange(2, 6))]
         check(run(tmp_path / str(trial), points, 2000), whole, points)

@@ -312,7 +312,7 @@ def test_an_object_that_loses_its_validity_moves_its_token():
     net = parse_net(
         """
 net: n
-places: {valid: {tokens: 1, data_object: path, on_invalid: [stale]}, stale: , go: , moved: }
+places: {valid: {tokens: 1, data_object: {name: path, scope: global}, on_invalid: [stale]}, stale: , go: , moved: }
 transitions: {move: {in: [valid, go], out: moved}}
 """
     )
@@ -406,3 +406,52 @@ def test_a_command_that_its_net_forgets_is_ended_when_the_net_comes_to_rest():
     process = Process([net])
     process.command("n", "s")
     assert "emitted neither s_done nor s_failed" in str(process.results[0].error)
+
+
+def serving(at_once: int) -> Process:
+    """Three callers of a net that serves some of their requests at once."""
+    server = parse_net(
+        f"""
+net: server
+at_once: {at_once}
+places: {{asked: , told: , refused: }}
+services: {{work: {{entry: asked, done: told, failed: refused}}}}
+transitions: {{work: {{in: asked, out: told, action: work, on_failure: refused}}}}
+"""
+    )
+    boss = parse_net(
+        """
+net: boss
+places: {idle: 3, asked: , bad: }
+transitions:
+  ask: {symbol: go, in: idle, out: asked, request: {to: server.work, arguments: {}}, on_failure: bad}
+  done: {in: asked, out: idle, emit: go_done}
+  failed: {in: bad, out: idle, emit: go_failed}
+"""
+    )
+    process = Process([server, boss], {"work": hold})
+    for _ in range(3):
+        process.command("boss", "go")
+    return process
+
+
+@pytest.mark.parametrize("at_once", [1, 2, 3])
+def test_a_net_serves_as_many_requests_at_once_as_it_says(at_once):
+    process = serving(at_once)
+    assert [context.command.id for _, _, context in process.held] == list(range(1, at_once + 1))
+    while process.held:
+        process.end("work")
+    assert [result.success for result in process.results] == [True] * 3
+    assert process.marking("server") == {"SI": at_once, "SO": 1}
+
+
+def test_of_requests_served_at_once_each_gets_its_own_answer():
+    process = serving(2)
+    owner, activity, _ = process.held.pop(1)
+    owner.ended(activity, ImError("no", code="no"))
+    process.pump()
+    assert [str(result.error) for result in process.results] == ["no"]
+    assert [context.command.id for _, _, context in process.held] == [1, 3]
+    while process.held:
+        process.end("work")
+    assert [result.success for result in process.results] == [False, True, True]

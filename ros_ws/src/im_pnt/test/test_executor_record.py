@@ -105,7 +105,7 @@ def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
             case "cancel":
                 executor.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
             case "invalid":
-                executor.post(ObjectInvalidated("path"))
+                executor.post(ObjectInvalidated(f"node/{numbers[-1]}/path"))
             case "toggle":
                 again[0] = not again[0]
             case "token":

@@ -74,7 +74,7 @@ def test_invariants_hold_at_every_instant(steps, seed):
             case "cancel":
                 executor.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
             case "invalid":
-                executor.post(ObjectInvalidated("path"))
+                executor.post(ObjectInvalidated(f"node/{numbers[-1]}/path"))
             case "toggle":
                 again[0] = not again[0]
             case "wait":

@@ -11,11 +11,13 @@ import pytest
 
 from im_core.errors import ImError
 from im_pnt.distributed import link
+from im_pnt.distributed.exchange import request_message, request_of
 from im_pnt.execution.events import CommandCancelled, ModeSet, PauseSet, TokenArrived
 from im_pnt.execution.functions import ActionContext
-from im_pnt.execution.jobs import Command
+from im_pnt.execution.jobs import Command, Request
 from im_pnt.execution.operator import Mode
 from im_pnt.journal import journal
+from im_pnt.journal.codec import decode_command, decode_request, encode_command, encode_request
 from im_pnt.journal.log import encode_json
 from im_pnt.netfile import parse_net
 from support.journalled import JournalledProcess
@@ -82,6 +84,7 @@ class Mission:
             nodes={"far": "b", "main": "a"},
             transmit=lambda node, packet: self.flying.append((node, packet)),
             clock=lambda: self.now,
+            return_timeout_s=30.0,  # as when the entries were written
         )
         return process
 
@@ -234,3 +237,12 @@ def brought_back(name: str, content: bytes) -> bytes:
 @pytest.mark.parametrize("name", sorted(sample()))
 def test_what_was_written_is_brought_back_as_it_was(name):
     assert brought_back(name, sample()[name]) == (SAMPLE / name).with_suffix(".back").read_bytes()
+
+
+def test_the_scope_of_a_command_is_written_with_it_and_with_its_requests():
+    command = Command(7, "go", {"x": 1}, scope="dispatcher/20260131-142501-7")
+    assert decode_command(encode_command(command)) == command
+    request = Request("r", "n", "s", "dispatcher", "m", "ask", command, {})
+    assert decode_request(encode_request(request)) == request
+    assert request_of("dispatcher", request_message(request)) == request
+    assert decode_command([7, "go", {"x": 1}]) == Command(7, "go", {"x": 1})

@@ -9,10 +9,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_pnt.errors import NetFileError
-from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.action import (
+    AwaitAction,
+    FunctionAction,
+    GoalAction,
+    RequestAction,
+    ServiceAction,
+    TopicAction,
+    ValuesAction,
+)
+from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType, Busy, CommandDeclaration
 from im_pnt.model.delay import Delay
-from im_pnt.model.net import Guard, Net, Place, ReadFor, RemotePlace, Service, Strategy, Transition
+from im_pnt.model.net import (
+    Assumption,
+    Guard,
+    Net,
+    ObjectScope,
+    Place,
+    ReadFor,
+    RemotePlace,
+    Service,
+    Strategy,
+    Transition,
+)
 from im_pnt.netfile import describe, load_net, parse_net, schema_text, yaml_text
+from im_pnt.netfile.assume import faults
 from im_pnt.pnml import pnml_text
 
 NAMESPACE = "http://www.pnml.org/version-2009/grammar/pnml"
@@ -30,6 +51,7 @@ data = st.recursive(
 )
 fields = st.dictionaries(shown, data, max_size=3)
 optional = st.none() | names
+functions = optional | st.just("mine.arms:reach")
 positive = st.floats(0.01, 1e6)
 
 
@@ -52,12 +74,53 @@ def delays(draw_):
 
 
 actions = st.one_of(
-    st.builds(FunctionAction, names),
-    st.builds(ServiceAction, shown, st.just("p/srv/Do"), fields, optional, optional, optional),
-    st.builds(GoalAction, shown, st.just("p/action/Move"), fields, optional, optional, optional),
-    st.builds(TopicAction, shown, st.just("p/msg/Word"), fields, optional),
-    st.builds(RequestAction, names, names, fields, optional),
+    st.builds(FunctionAction, names | st.just("mine:act")),
+    st.builds(ServiceAction, shown, st.just("p/srv/Do"), fields, functions, functions, optional),
+    st.builds(GoalAction, shown, st.just("p/action/Move"), fields, functions, functions, optional),
+    st.builds(TopicAction, shown, st.just("p/msg/Word"), fields, functions),
+    st.builds(AwaitAction, shown, st.just("p/msg/Word"), st.booleans(), functions, st.none() | st.just("${1 < 2}")),
+    st.builds(RequestAction, names, names, fields, functions),
+    st.builds(ValuesAction),
 )
+EXPRESSIONS = ["${command.id > 3}", "${failure.code in ['a', '}']}", "${not (1 mod 2 == 0)}"]
+
+
+@st.composite
+def arguments(draw_, name):
+    """Arguments of every kind that an author could write."""
+    kind = draw_(st.sampled_from(list(ArgumentType)))
+    low, high = sorted(draw_(st.tuples(st.integers(-5, 5), st.integers(-5, 5))))
+    limits = draw_(st.sampled_from([(None, None), (low, None), (None, high), (low, high)])) if kind.is_numeric else ()
+    sized = kind.is_list or kind is ArgumentType.STRING
+    length = draw_(st.none() | st.sampled_from([(0, 3), (2, 2), (1, 4)])) if sized else None
+    one = {"boolean": st.booleans(), "string": shown, "object": data}.get(kind.element, st.integers(low, high))
+    choices = tuple(draw_(st.lists(one, max_size=3)))
+    required, default = draw_(st.booleans()), None
+    unit = draw_(st.sampled_from(["", "m", "rad/s"])) if kind.is_numeric else ""
+    if not required:
+        least, most = length or (0, 3)
+        element = st.sampled_from(choices) if choices else one
+        if kind.is_list:
+            default = draw_(st.lists(element, min_size=least, max_size=most))
+        elif kind is ArgumentType.STRING and length is not None:
+            default, choices = "x" * least, ()
+        else:
+            default = draw_(element)
+    return Argument(name, kind, unit, *(limits or (None, None)), choices, length, required, default, draw_(shown))
+
+
+@st.composite
+def schemas(draw_):
+    some = draw_(st.lists(names, max_size=2, unique=True))
+    return ArgumentSchema({name: draw_(arguments(name)) for name in some})
+
+
+def returned(action):
+    """What a transition may return."""
+    if action is None:
+        return st.just({})
+    least = 1 if action == ValuesAction() else 0
+    return st.dictionaries(shown, data | st.sampled_from(EXPRESSIONS), min_size=least, max_size=2)
 
 
 @st.composite
@@ -73,7 +136,10 @@ def nets(draw_):
         on_invalid = tuple(draw_(place_names)) if data_object is not None else ()
         capacity = None if room is None else tokens + room
         remote, resource = draw_(st.booleans()), draw_(st.none() | st.booleans())
-        places[name] = Place(name, tokens, capacity, data_object, on_invalid, remote, resource)
+        kind, scope = (None, ObjectScope.COMMAND)
+        if data_object is not None:
+            kind, scope = draw_(st.sampled_from([None, "p/msg/Word"])), draw_(st.sampled_from(ObjectScope))
+        places[name] = Place(name, tokens, capacity, data_object, on_invalid, remote, resource, kind, scope)
     escalate = draw_(st.none() | place)
     readings = [(None, None), (ReadFor.COMMAND, None), (ReadFor.NOBODY, 0.0), (None, 2.5)]
     said_of = {symbol: draw_(st.sampled_from(readings)) for symbol in WORDS} | {None: (None, None)}
@@ -94,7 +160,7 @@ def nets(draw_):
             draw_(arcs),
             draw_(st.dictionaries(remote, st.integers(1, 2), max_size=2)),
             {key: weight for key, weight in inhibitors.items() if weight > inputs.get(key, 0)},
-            draw_(st.none() | st.builds(Guard, names, st.booleans())),
+            draw_(st.none() | st.builds(Guard, names | st.sampled_from(EXPRESSIONS), st.booleans())),
             symbol,
             tuple(draw_(st.lists(names, max_size=2))),
             action,
@@ -108,13 +174,25 @@ def nets(draw_):
             draw_(st.integers(-5, 5)),
             *said,
             origin=name,
+            result=draw_(returned(action)),
         )
     services = {}
     if draw_(st.booleans()):
-        services["serve"] = Service("serve", *some[:3])
+        services["serve"] = Service("serve", *some[:3], draw_(st.none() | schemas()))
+    begun = sorted({t.symbol for t in transitions.values() if t.symbol is not None and t.symbol_of is None})
+    said = draw_(st.lists(st.sampled_from(begun), unique=True)) if begun else []
+    needs = st.lists(shown, max_size=3).map(tuple)
+    more = needs, st.sampled_from(Busy), st.integers(-10, 10)
+    commands = {symbol: CommandDeclaration(draw_(shown), draw_(schemas()), *map(draw_, more)) for symbol in said}
     rest = draw_(st.none() | place_names.map(tuple))
     name = draw_(st.sampled_from(["n", "Net_2", "yes"]))
-    return Net(name, places, transitions, services, escalate, rest, draw_(shown))
+    at_once = draw_(st.integers(1, 3)) if services else 1
+    net = Net(name, places, transitions, services, escalate, rest, draw_(shown), commands=commands, at_once=at_once)
+    sent = sorted({target for t in transitions.values() for target in t.remote_outputs})
+    limits = st.integers(1, 5).map(lambda most: Assumption(at_most=most))
+    assumed = limits | st.sampled_from(sent).map(lambda target: Assumption(returns=target)) if sent else limits
+    wanted = {name: draw_(assumed) for name in [*places, *services] if draw_(st.booleans())}
+    return replace(net, assume={n: a for n, a in wanted.items() if not list(faults(replace(net, assume={n: a})))})
 
 
 def bare(net):
@@ -123,13 +201,13 @@ def bare(net):
     return replace(net, source="", transitions=lines)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(nets())
 def test_a_net_written_as_yaml_is_read_back_the_same(net):
     assert bare(parse_net(yaml_text(net))) == net
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(nets())
 def test_a_net_written_as_pnml_is_read_back_the_same(tmp_path_factory, net):
     file = tmp_path_factory.getbasetemp() / "net.pnml"
@@ -177,6 +255,12 @@ CONSISTENCY = (
     "must be three different places",
     "can fail: say where",
     "goes from",
+    "no transition begins a command",
+    "is for numbers; the argument",
+    "is for lists and texts; the argument",
+    "is less than the minimum",
+    "argument ",
+    "no place says of what type",
     "something else than transition",
     "is not between low and high",
     "has no finite mean",
@@ -217,7 +301,7 @@ def as_yaml(data):
     return re.sub("[\x7f-\x9f\ud800-\udfff\ufeff\ufffe\uffff]", "?", json.dumps(data, ensure_ascii=False))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(nets(), st.integers(0, 2), st.data())
 def test_what_the_reader_takes_the_schema_takes_and_the_reverse(net, damages, data):
     written = json.loads(json.dumps(describe(net)))

@@ -14,18 +14,24 @@ VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 FILE = Path(im_pnt.__file__).parent / "schema" / "net.schema.json"
 
 KEYS = {
-    "NetFile": "net description escalate include templates use places services rest transitions",
-    "TemplateFile": "parameters places services rest transitions",
+    "AssumptionFile": "at_most returns",
+    "NetFile": "net description escalate include templates use places services at_once commands rest "
+    "transitions assume",
+    "TemplateFile": "parameters places services commands rest transitions",
     "UseFile": "template for with",
     "PlaceFile": "tokens capacity data_object on_invalid remote resource",
-    "ServiceFile": "entry done failed",
-    "TransitionFile": "in out inhibitors guard symbol emit action service goal topic request on_failure on_doubt "
-    "timeout delay success weight strategy priority",
+    "ObjectFile": "name type scope",
+    "ServiceFile": "entry done failed arguments acts_on",
+    "CommandFile": "description arguments needs busy priority",
+    "ArgumentFile": "type unit minimum maximum choices length default help",
+    "TransitionFile": "in out inhibitors guard symbol emit action service goal topic await request result store "
+    "acts_on on_failure on_doubt timeout tries retry_of delay success weight strategy priority",
     "SymbolFile": "name of expires",
     "StrategyFile": "successes failures decay",
     "ServiceCallFile": "name type request build handle task",
     "GoalFile": "name type goal build handle task",
     "TopicFile": "name type message build",
+    "AwaitFile": "name type latched until handle",
     "RequestFile": "to arguments build",
     "ConstantFile": "value",
     "ExponentialFile": "rate mean",
@@ -78,6 +84,7 @@ def test_everything_that_an_author_can_write_is_explained():
 
 @pytest.mark.parametrize(
     "data", [{"net": "n", "odd": 1}, {"net": "9"}, {"places": {}}, {"net": "n", "places": {"SI": 1}}]
+    + [{"net": "n", "assume": {"a": assumed}} for assumed in (None, {}, {"at_most": 1, "returns": "other.a"})],
 )
 def test_the_schema_refuses(data):
     assert list(VALIDATOR.iter_errors(data))

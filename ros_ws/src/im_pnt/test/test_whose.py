@@ -25,16 +25,20 @@ from im_pnt.model.resources import resource_places
 from im_pnt.netfile import parse_net
 from support.process import Clock, Process, hold
 
-SERVER = parse_net(
-    """
+SERVERS = [
+    parse_net(
+        f"""
 net: server
-places: {asked: , busy: , done: , failed: , tool: 1}
-services: {work: {entry: asked, done: done, failed: failed}}
+at_once: {at_once}
+places: {{asked: , busy: , done: , failed: , tool: {tools}}}
+services: {{work: {{entry: asked, done: done, failed: failed}}}}
 transitions:
-  take: {in: [asked, tool], out: [busy, tool]}
-  serve: {in: busy, out: done, action: serve, on_failure: failed}
+  take: {{in: [asked, tool], out: [busy, tool]}}
+  serve: {{in: busy, out: done, action: serve, on_failure: failed}}
 """
-)
+    )
+    for at_once, tools in ((1, 1), (2, 1), (3, 2))
+]
 TOOLS = ("zone", "camera")
 CANCELLED = Guard("cancelled")
 
@@ -127,7 +131,7 @@ class Run:
         self.heard: set[Activity] = set()
         actions = {each.__name__: each for each in (self.act, self.mend, self.serve, self.goes_on, self.is_off)}
         actions["hold"] = hold
-        self.process = Process([net, SERVER], actions, seed=seed)
+        self.process = Process([net, SERVERS[seed % len(SERVERS)]], actions, seed=seed)
         self.entries: dict[str, list[str]] = {"n": [], "server": []}
         for name, executor in self.process.exchange.nets.items():
             encode, entries = net_encoder(name), self.entries[name]

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from im_pnt_analysis.timed.durations import CommandDuration, expected_command
     from im_pnt_analysis.timed.measurement import compare
     from im_pnt_analysis.timed.steady import steady_state
+    from im_pnt_analysis.verify.load import verify_to_load
     from im_pnt_analysis.verify.report import Report
-    from im_pnt_analysis.verify.verdict import verify_to_load
 
 __all__ = ["CommandDuration", "FiringSequence", "Report", "SearchLimits", "compare", "compose", "expected_command"]
 __all__ += ["replay", "simulate", "steady_state", "summarise", "verify_to_load"]
@@ -33,7 +33,7 @@ _FACE = {
     "timed.measurement": ("compare",),
     "timed.steady": ("steady_state",),
     "verify.report": ("Report",),
-    "verify.verdict": ("verify_to_load",),
+    "verify.load": ("verify_to_load",),
 }
 
 

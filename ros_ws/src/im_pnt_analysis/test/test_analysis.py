@@ -86,7 +86,7 @@ def test_what_was_not_decided_is_not_accepted_and_said():
     report = verify(rings, SearchLimits(states=1, seconds=0.0))
     assert not report.ok
     assert not report.refusals
-    with pytest.raises(VerificationError, match=r"n1\+n2 is refused: .*resources_return is unknown \(.+\)"):
+    with pytest.raises(VerificationError, match=r"n1\+n2 is not proved: .*resources always come back: .+--unproved"):
         report.require_ok()
 
 

@@ -36,6 +36,46 @@ def test_bad_input_is_one_sentence_with_file_and_line(tmp_path, capsys):
     assert main(["draw", str(file), "-o", "x.png"]) == BAD_INPUT
 
 
+TYPED = """
+net: typed
+places: {a: 1}
+transitions:
+  say:
+    symbol: s
+    in: a
+    out: a
+    topic: {name: /t, type: std_msgs/msg/TYPE, message: {data: VALUE}}
+    on_failure: a
+"""
+
+
+@pytest.mark.parametrize(
+    ("of", "value", "sentence"),
+    [
+        ("Int32", "word", "typed.yaml:9:65: transitions.say.topic.message.data: "),
+        ("Strin", "1", "transitions.say.topic.type: "),
+    ],
+)
+def test_verify_checks_values_against_the_types_of_messages(tmp_path, capsys, of, value, sentence):
+    file = tmp_path / "typed.yaml"
+    file.write_text(TYPED.replace("TYPE", of).replace("VALUE", value))
+    assert main(["verify", str(file)]) == BAD_INPUT
+    assert sentence in capsys.readouterr().err
+    file.write_text(TYPED.replace("TYPE", "String").replace("VALUE", "word"))
+    assert main(["verify", str(file)]) == OK
+    assert "types         values fit the types of the messages" in capsys.readouterr().out
+
+
+def test_verify_says_where_it_cannot_check_types(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("im_pnt_analysis.cli.types._ROS", "no_such_ros")
+    file = tmp_path / "typed.yaml"
+    file.write_text(TYPED.replace("TYPE", "Int32").replace("VALUE", "word"))
+    assert main(["verify", str(file)]) == OK
+    assert "types         not checked: there is no ROS here" in capsys.readouterr().out
+    assert main(["verify", str(file), "--json"]) == OK
+    assert json.loads(capsys.readouterr().out)["types"].startswith("not checked")
+
+
 def test_simulation_is_repeatable(data, capsys):
     runs = []
     for _ in range(2):

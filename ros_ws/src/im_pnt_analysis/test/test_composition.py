@@ -140,7 +140,7 @@ def test_waiting_and_being_stuck_are_told_apart_in_diagrams_too(data):
     for nets in (loaded, [caller, asking("one", "two"), asking("two", "one")], [away], [ends]):
         problem = problem_of(nets)
         listed, counted = verify(nets), Report([])
-        answer_from_diagrams(counted, problem, "", thread_cpu() + 10.0)
+        answer_from_diagrams(counted, problem, "", thread_cpu() + 600.0)
         for answer in ("states", "labelled_arcs", "has_deadlock", "deadlock_states", "place_bounds", "reversible"):
             assert getattr(counted, answer) == getattr(listed, answer), answer
         found = [(r.kind, len(r.sequence), r.marking.keys() <= set(problem.compiled.places)) for r in counted.refusals]
@@ -180,7 +180,7 @@ def searched_markings(server: str) -> set[frozenset[tuple[str, int]]]:
     nets = [parse_net(CALLER), parse_net(server)]
     problem = problem_of(nets)
     search = Search(problem.compiled, problem.initial)
-    assert search.run(SearchLimits(states=1_000_000), thread_cpu() + 60.0) == ""
+    assert search.run(SearchLimits(states=1_000_000), thread_cpu() + 600.0) == ""
     own = {
         f"{name}.{place}"
         for name, executor in Process(nets, {"prepare": hold, "serve": hold}).exchange.nets.items()
@@ -230,3 +230,43 @@ def test_a_command_on_the_tape_of_another_net_is_acknowledged():
     assert "server.confess" in report.refusals[0].sequence
     with pytest.raises(NetError, match=r"which net server does not offer \(did you mean 'serve'"):
         verify([parse_net(CALLER.replace("server.serve", "server.served")), server])
+
+
+SERVER = (
+    "net: server\nplaces: {asked: , done: , failed: }\n"
+    "services: {look: {entry: asked, done: done, failed: failed, arguments: {camera: {type: string}, "
+    "tries: {type: integer, default: 1}}}}\ntransitions: {look: {in: asked, out: done}}"
+)
+
+
+@pytest.mark.parametrize(
+    ("request_text", "complaint"),
+    [
+        ("{to: server.look, arguments: {camera: wall}}", ""),
+        ("server.look", r"server.look, to which the arguments of go are passed on, has no argument 'eye'"),
+        ("{to: server.look, arguments: {tries: 2}, build: rest}", ""),
+        ("{to: server.look, arguments: {camra: wall}}", r"server.look has no argument 'camra' \(did you mean 'camera'"),
+        ("{to: server.look, arguments: {camra: wall}, build: rest}", "has no argument 'camra'"),
+        ("{to: server.look, arguments: {tries: 2}}", "server.look: argument camera is missing, a text"),
+        ("{to: server.look, arguments: {camera: 3}}", "argument camera is 3, not a text"),
+        ('{to: server.look, arguments: {camera: "${arguments.eye}", tries: "${arguments.n + 1}"}}', ""),
+        (
+            '{to: server.look, arguments: {camera: "${arguments.n}"}}',
+            "argument camera: .* is a whole number, not a text",
+        ),
+        ('{to: server.look, arguments: {tries: "${arguments.n}"}}', "argument camera is missing"),
+        ("{to: server.look, arguments: {tries: x}, build: rest}", "argument tries is 'x', not a whole number"),
+    ],
+)
+def test_a_request_that_does_not_fit_is_refused_before_it_runs(request_text, complaint):
+    caller = parse_net(
+        "net: caller\ncommands: {go: {arguments: {eye: {type: string}, n: {type: integer}}}}\n"
+        "places: {idle: 1}\ntransitions:\n"
+        f"  ask: {{symbol: go, in: idle, out: idle, on_failure: idle, request: {request_text}}}",
+        "caller.yaml",
+    )
+    if not complaint:
+        assert verify([caller, parse_net(SERVER)]).ok
+        return
+    with pytest.raises(NetError, match=rf"caller.yaml:5: transition ask of net caller asks .*{complaint}"):
+        compose([caller, parse_net(SERVER)])

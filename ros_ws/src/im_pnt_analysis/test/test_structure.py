@@ -62,7 +62,7 @@ def is_dead(compiled: Compiled, vector: Vector) -> bool:
     return not any(compiled.enabled(vector, t) for t in range(len(compiled.transitions)))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(nets())
 def test_bounds_hold_in_every_marking(compiled):
     bounds = place_bounds(compiled, initial(compiled))
@@ -73,7 +73,7 @@ def test_bounds_hold_in_every_marking(compiled):
         assert None not in bounds.values()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(nets(inhibited=False))
 def test_structural_boundedness_is_decided_on_small_nets(compiled):
     answer = structurally_bounded(compiled)
@@ -107,7 +107,7 @@ def is_siphon(compiled: Compiled, places: set[int], forward: bool) -> bool:
     return True
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(nets(), st.booleans())
 def test_siphons_and_traps_are_the_minimal_ones_of_all_sets(compiled, forward):
     everything = range(len(compiled.places))
@@ -120,7 +120,7 @@ def test_siphons_and_traps_are_the_minimal_ones_of_all_sets(compiled, forward):
     assert len(found.sets) == len(smallest)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(nets())
 def test_the_siphon_trap_property_is_that_of_all_siphons_and_proves_what_it_says(compiled):
     first = initial(compiled)
@@ -138,7 +138,7 @@ def test_the_siphon_trap_property_is_that_of_all_siphons_and_proves_what_it_says
         assert not any(is_dead(compiled, vector) for vector in listed(compiled)[0])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(nets(inhibited=False))
 def test_an_unmarked_siphon_is_empty_and_a_dead_ordinary_net_has_one(compiled):
     for vector in listed(compiled)[0]:
@@ -162,7 +162,7 @@ def test_siphons_stop_at_their_limit_and_in_time():
     assert (none.complete, none.reason) == (False, "the time is up")
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(nets())
 def test_what_can_be_covered_agrees_with_the_listed_markings(compiled):
     markings, finite = listed(compiled)
@@ -192,7 +192,7 @@ def test_what_can_be_covered_agrees_with_the_listed_markings(compiled):
         assert is_dead(compiled, fired(compiled, initial(compiled), found.dead_sequence))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(nets(inhibited=False))
 def test_coverability_without_inhibitors_always_ends(compiled):
     found = coverability(compiled, initial(compiled), max_nodes=20_000)
@@ -217,7 +217,7 @@ def test_coverability_stops_at_its_limits():
     assert "time is up" in coverability(compiled, initial(compiled), deadline=thread_cpu() - 1.0).reason
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(nets(growing=False), st.booleans())
 def test_deadlocks_are_found_if_and_only_if_there_are_some(compiled, reduced):
     markings, finite = listed(compiled)
@@ -231,7 +231,7 @@ def test_deadlocks_are_found_if_and_only_if_there_are_some(compiled, reduced):
     assert found.reason == ""
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(nets())
 def test_the_reduced_net_can_die_if_and_only_if_the_original_can(compiled):
     markings, finite = listed(compiled)

@@ -105,7 +105,7 @@ def test_numbers_stay_exact_beyond_a_word():
         2 * big + 1,
     )
     huge = net_of("huge", {"a": 10**30, "b": 0}, {"t": ({"a": 10**30}, {"b": 1})})
-    report = verify([huge], SearchLimits(seconds=5.0))
+    report = verify([huge], SearchLimits(seconds=600.0))
     assert report.states == 2
     assert report.max_token_in_place == 10**30
 
@@ -253,12 +253,13 @@ def replayed(net: Net, report: Report, times: int = 1) -> tuple[int, ...]:
     return marking
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(specs)
 def test_every_answer_agrees_with_the_definition(spec):
     net = built(spec)
     reference = Reference(net, 150)
-    report = verify([net], SearchLimits(states=1_000, seconds=0.2))
+    # a search that the computer's speed may end decides nothing below; one of 150 markings ends by itself
+    report = verify([net], SearchLimits(states=1_000, seconds=0.2 if reference.over else 60.0))
     if report.refusals:
         replayed(net, report)
     if reference.over:

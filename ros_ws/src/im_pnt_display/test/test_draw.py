@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import combinations, pairwise
 from xml.etree import ElementTree
 
@@ -5,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_pnt.model.action import FunctionAction
+from im_pnt.model.action import FunctionAction, ValuesAction
 from im_pnt.model.delay import Delay
-from im_pnt.model.net import Net, Place, Transition
+from im_pnt.model.net import Guard, Net, Place, Transition
 from im_pnt.netfile import load_net
 from im_pnt_display import dot, draw, svg
 from im_pnt_display.drawing.layout import NodeBox, layered
@@ -150,3 +151,15 @@ def test_any_name_makes_a_sound_drawing(name):
     assert title.text == name
     quoted = name.replace("\\", "\\\\").replace('"', '\\"')
     assert f'"{quoted}" -> "t"' in dot(drawing)
+
+
+def test_expressions_are_shown_as_they_are_written():
+    guard = Guard("${answers.look.x < 3 and arguments.n in [1, 2]}", negated=True)
+    tells = Transition("tells", {"a": 1}, {"a": 1}, guard=guard, action=ValuesAction(), on_failure={"a": 1})
+    tells = replace(tells, result={"x": "${answers.look.x}", "all": {"y": [1, "${" + "1 + " * 40 + "1}"]}})
+    drawing = draw(Net("n", {"a": Place("a", tokens=1)}, {"tells": replace(tells, store={"spot": {"x": 1}})}))
+    root = ElementTree.fromstring(svg(drawing))
+    shown = {text.text for text in root.iter("{http://www.w3.org/2000/svg}text")}
+    assert {f"[{guard}]", "x = ${answers.look.x}", 'spot := {"x": 1}'} <= shown
+    assert any(text.startswith('all = {"y": [1, "${1 + 1') and text.endswith("...") for text in shown)
+    assert str(guard) in dot(drawing)

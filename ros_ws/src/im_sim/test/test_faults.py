@@ -105,7 +105,7 @@ def test_an_open_brake_lets_its_joint_fall_and_says_so(plant, power):
 def test_faults_and_objects_travel_over_the_link(plant):
     with HostEnd.create(INSTANCE, factor=0.0) as host:
         loop = TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
-        client, end = ServoEnd.attach(INSTANCE, 1.0), PanelEnd.attach(INSTANCE, 1.0)
+        client, end = ServoEnd.attach(INSTANCE, 60.0), PanelEnd.attach(INSTANCE, 60.0)
         panel = FaultPanel(CELL, end)
         assert panel.inject("encoder_nan", "left_j3", True, 0.0) == "broken: encoder_nan of left_j3"
         panel.inject("brake_stuck", "right_j1", True, 0.0)
@@ -136,16 +136,16 @@ def test_faults_and_objects_travel_over_the_link(plant):
 def test_the_stop_circuit_takes_the_power_whatever_the_servo_wants(plant):
     with HostEnd.create(INSTANCE, factor=0.0) as host:
         loop = TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
-        servo, stop = ServoEnd.attach(INSTANCE, 1.0), StopEnd.attach(INSTANCE, 1.0)
+        servo, stop = ServoEnd.attach(INSTANCE, 60.0), StopEnd.attach(INSTANCE, 60.0)
         servo.attach_servo(os.getpid())
-        insisting = Thread(target=lambda: [servo.wait_state(5.0) and insist(servo) for _ in range(4)])
+        insisting = Thread(target=lambda: [servo.wait_state(60.0) and insist(servo) for _ in range(4)])
         insisting.start()
         loop.run_tick()
         assert servo.read_state().power
         assert not stop.is_cut
         stop.cut()
         assert host.demand()
-        with StopEnd.attach(INSTANCE, 1.0) as later:
+        with StopEnd.attach(INSTANCE, 60.0) as later:
             assert later.is_cut
         loop.run_tick()
         assert not servo.read_state().power
@@ -169,7 +169,7 @@ def insist(servo):
 def test_faults_that_cannot_be_are_refused_and_change_nothing(plant):
     with HostEnd.create(INSTANCE, factor=0.0) as host:
         TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
-        end = PanelEnd.attach(INSTANCE, 1.0)
+        end = PanelEnd.attach(INSTANCE, 60.0)
         panel = FaultPanel(CELL, end)
         with pytest.raises(NotFoundError, match=r"there is no fault 'encoder_nann'; did you mean 'encoder_nan'"):
             panel.inject("encoder_nann", "left_j3", True, 0.0)

@@ -78,7 +78,7 @@ def test_commands_and_readings_travel_over_the_link():
     instance, two = f"imlaser{os.getpid()}", np.zeros(2)
     with HostEnd.create(instance, n_joints=2, factor=0.0) as host:
         host.publish_state(0, Sensors(two, False, two > 0.0, two, two, np.zeros((2, 6)), two), two, two)
-        with LaserEnd.attach(instance, 1.0) as laser:
+        with LaserEnd.attach(instance, 60.0) as laser:
             beam = LaserBeam(0.1, 0.2, 0.05, 0.5)
             laser.set_laser(beam)
             assert host.laser_command() == beam

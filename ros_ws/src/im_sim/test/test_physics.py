@@ -49,7 +49,7 @@ def drive(servo, time, ticks, tau):
     time.request_time(1)
     seen = []
     for count in range(ticks):
-        assert servo.wait_state(2.0)
+        assert servo.wait_state(60.0)
         state = servo.read_state()
         seen.append((state.tick, state.q.tobytes(), state.gripper.tobytes()))
         servo.write_command(TickCommand(tau * np.sin(0.1 * count), True, FREE, CLOSED, count < ticks - 1, CLOSED))
@@ -102,16 +102,16 @@ def test_real_time_keeps_pace_alone_and_outlives_its_servo():
     with physics("--factor", "1"), attached(PanelEnd, ServoEnd) as (panel, servo):
         panel.wait_tick(20, timeout_s=60.0)  # the loop runs
         start, begin = panel.tick, clock.monotonic()
-        panel.wait_tick(start + 60, timeout_s=30.0)  # it goes on, how evenly the bench tells, ...
+        panel.wait_tick(start + 60, timeout_s=60.0)  # it goes on, how evenly the bench tells, ...
         passed, wall = (panel.tick - start) * panel.period_s, clock.monotonic() - begin
         assert passed < wall + 0.05  # ... and not ahead of time
 
         servo.attach_servo(os.getpid())
-        assert servo.wait_state(1.0)
+        assert servo.wait_state(60.0)
         servo.write_command(TickCommand(np.zeros(N), True, HELD, CLOSED, True, CLOSED))
-        assert servo.wait_state(1.0)
+        assert servo.wait_state(60.0)
         assert servo.read_state().power
-        panel.wait_tick(panel.tick + 10, timeout_s=3.0)  # no further command: declared gone after 0.5 s
+        panel.wait_tick(panel.tick + 10, timeout_s=60.0)  # no further command: declared gone after 0.5 s
         assert panel.servo_losses == 1
         with pytest.raises(LinkError, match="the testbed declared the servo gone"):
             servo.read_state()

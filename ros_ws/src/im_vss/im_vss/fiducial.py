@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from im_cell.camera_model import CameraModel
 from im_cell.fiducial import CELLS
@@ -121,7 +121,7 @@ def _refined(rotation: Array, translation: Array, plate: Array, corners: Corners
         residual, jacobian = _linearised(rotation, translation, plate, corners.uv, K)
         step = np.linalg.solve(jacobian.T @ weight @ jacobian, jacobian.T @ weight @ residual)
         translation = translation + step[:3]
-        rotation = np.asarray(Rotation.from_rotvec(step[3:]).as_matrix()) @ rotation
+        rotation = np.asarray(scipy.spatial.transform.Rotation.from_rotvec(step[3:]).as_matrix()) @ rotation
         if np.abs(step).max() < _TOLERANCE:
             break
     residual, jacobian = _linearised(rotation, translation, plate, corners.uv, K)

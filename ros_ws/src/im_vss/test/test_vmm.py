@@ -39,7 +39,7 @@ def module():
     made.close()
 
 
-def manager(wait_s=5.0, hold_s=5.0):
+def manager(wait_s=60.0, hold_s=60.0):
     return VisionModuleManager("image_processing", ["vm_counter"], wait_s, hold_s)
 
 

@@ -3,18 +3,21 @@
 No task enters a phase before all tasks have finished the one before.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 
 from im_bringup.machine import record as machine
+from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.agent import Agent, Died, Started
 from im_bringup.tasks.deployment import PlacedTask
 from im_bringup.tasks.registry import Progress, Registry, TaskRecord
+from im_core.silence import Silence
 from im_core.startup import StartupPhase
 
 #: A task of this host that was ready and is silent for longer is started again [s].
 SILENCE_S = 30.0
-#: A pause between two looks counts as silence for no more than this [s].
-_LONGEST_PAUSE_S = 0.5
+#: How often the silence of tasks is looked at, and for how much of it a pause between two looks counts at most [s].
+_LOOK_S, _LONGEST_PAUSE_S = 0.25, 0.5
 
 #: How far a task must be for its part of a phase to be done.
 _DONE = {
@@ -66,20 +69,20 @@ def _finished(phase: StartupPhase, record: TaskRecord) -> bool:
 class SilentTasks:
     """Which tasks have fallen silent, though they may run: their messages no longer come through.
 
-    Silence is counted only while this process listens itself: a pause between two looks counts for the little that it
-    should have been, so that whoever was stopped or had no processor blames nobody.
+    Silence counts as in :class:`im_core.silence.Silence`: neither while this process does not listen itself, nor while
+    a task of this host waits for a processor.
     """
 
     def __init__(self) -> None:
-        self._silent_s: dict[tuple[str, int], float] = {}
-        self._looked: float | None = None
+        self._silences: dict[tuple[str, int], Silence] = {}
+        self._look_at = -math.inf
 
     def heard(self, name: str, pid: int, progress: Progress) -> None:
         """A heartbeat of a task came; once it is ready it may fall silent. What it does before may take long."""
-        for other in [known for known in self._silent_s if known[0] == name]:
-            del self._silent_s[other]
+        for other in [known for known in self._silences if known[0] == name]:
+            del self._silences[other]
         if progress is Progress.READY:
-            self._silent_s[name, pid] = 0.0
+            self._silences[name, pid] = Silence(pid, longest_look_s=_LONGEST_PAUSE_S)
 
     def found(self, now: float) -> list[tuple[str, int]]:
         """Task and process of those that have become silent since the last look; each is told once.
@@ -87,13 +90,12 @@ class SilentTasks:
         Args:
             now: Monotonic time [s].
         """
-        passed = 0.0 if self._looked is None else min(now - self._looked, _LONGEST_PAUSE_S)
-        self._looked = now
-        for task in self._silent_s:
-            self._silent_s[task] += passed
-        silent = [task for task, seconds in self._silent_s.items() if seconds > SILENCE_S]
+        if now < self._look_at:
+            return []
+        self._look_at = now + _LOOK_S
+        silent = [task for task, silence in self._silences.items() if silence.look() > SILENCE_S]
         for task in silent:
-            del self._silent_s[task]
+            del self._silences[task]
         return silent
 
 
@@ -107,13 +109,14 @@ class Bootstrap:
         tasks: All tasks of the deployment.
         agent: Agent of this host.
         host: Name of this host in the deployment.
+        nets: Finds out whether the nets of the tasks may run together, before START.
     """
 
-    def __init__(self, tasks: Sequence[PlacedTask], agent: Agent, host: str) -> None:
+    def __init__(self, tasks: Sequence[PlacedTask], agent: Agent, host: str, nets: MachineNets) -> None:
         self.registry = Registry(tasks, host)
         self.phase = StartupPhase.LOAD
         self.state = machine.STARTING
-        self._agent = agent
+        self._agent, self._nets = agent, nets
         self._silence = SilentTasks()
         self._changed = True
 
@@ -156,13 +159,19 @@ class Bootstrap:
         return changed
 
     def missing(self) -> list[str]:
-        """One sentence for each task that keeps the machine from being ready; if some are broken, only these."""
+        """One sentence for each task that keeps the machine from being ready; if some are broken, only these.
+
+        Where none is to blame, what is known of the nets.
+        """
         records = self.registry.records()
+        if not broken(records) and self.phase is StartupPhase.CONFIGURE and done(self.phase, records):
+            return self._nets.failure.splitlines() or self._nets.waits(records)
         return missing(StartupPhase.START, broken(records) or records)
 
     def shut_down(self) -> list[str]:
-        """Stop the processes of this host; returns the names of the tasks that had to be killed."""
+        """Stop the processes of this host; returns the names of those that had to be killed."""
         self.state, self.phase = machine.STOPPING, StartupPhase.SHUTDOWN
+        self._nets.stop()
         return self._agent.shut_down()
 
     def _advance(self) -> None:
@@ -172,14 +181,27 @@ class Bootstrap:
             return
         following = next_phase(self.phase, records)
         if following is not self.phase:
+            if following is StartupPhase.START and not self._may_start(records):
+                return
             self.phase, self._changed = following, True
         elif self.phase is StartupPhase.START and done(StartupPhase.START, records):
             self.state, self._changed = machine.READY, True
             self._agent.respawn = True
 
+    def _may_start(self, records: Sequence[TaskRecord]) -> bool:
+        """Whether the nets of all tasks may run together; the start fails where they may not."""
+        waited = self._nets.waits(records)
+        settled = self._nets.settled(records)
+        if self._nets.failure:
+            self.state, self._changed = machine.FAILED, True
+            return False
+        self._changed |= settled or waited != self._nets.waits(records)
+        return settled
+
     def _note(self, event: Started | Died) -> None:
         self._changed = True
-        if isinstance(event, Died):
-            self.registry.died(event.name, event.sentence)
-        else:
-            self.registry.started(event.name, event.pid, event.restarts)
+        for task in event.tasks:
+            if isinstance(event, Died):
+                self.registry.died(task, event.sentence)
+            else:
+                self.registry.started(task, event.pid, event.restarts)

@@ -41,6 +41,22 @@ def kill(found: list[ProcessId], timeout_s: float) -> list[ProcessId]:
     return [process for process in found if process.alive()]
 
 
+def end_all(timeout_s: float) -> tuple[list[ProcessId], list[ProcessId]]:
+    """Kill the processes of the machine, and what they have started meanwhile, as a supervisor does.
+
+    Args:
+        timeout_s: Longest wait for the end of those that are found at once [s].
+
+    Returns:
+        Those that were there, and those that still are.
+    """
+    found: list[ProcessId] = []
+    while more := [process for process in processes() if process not in found]:
+        kill(more, timeout_s)
+        found += more
+    return found, [process for process in found if process.alive()]
+
+
 def remove_shared_memory() -> list[str]:
     """Remove the blocks and semaphores of this machine, and what dead processes left of Fast DDS.
 

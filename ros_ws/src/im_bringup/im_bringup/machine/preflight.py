@@ -4,6 +4,7 @@ import os
 import re
 import resource
 import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,24 +27,44 @@ _SHM = Path("/dev/shm")
 _MIB = 2**20
 
 
-def check(deployment: Deployment) -> None:
-    """Make sure that the tasks of this host can run.
-
-    Args:
-        deployment: What is to be started.
+def check_host() -> None:
+    """Make sure that processes of this host can open and write what the machine needs.
 
     Raises:
         ImError: Something is missing; one sentence that says what, how much is there and how much is needed.
     """
     _check_open_files()
-    for find in (names.run_dir, names.results_dir):
-        _check_folder(find)
-    _check_shared_memory(shared_memory_bytes(len(deployment.on_host(deployment.local_host()))))
+    for find in (names.run_dir, names.results_dir, _ros_logs):
+        folder = _check_writable(find, ".preflight")
+        _check_room(folder)
+    _check_writable(_temporary, ".preflight")
+    _check_writable(lambda: _SHM, f"{names.instance()}_preflight")
 
 
-def shared_memory_bytes(tasks: int) -> int:
-    """What the tasks of a host, and the bootstrap or agent, take of ``/dev/shm`` [bytes]."""
-    return int((tasks + 1) * (_SEGMENT_SHARE * _segment_bytes() + _PORT_BYTES)) + BLOCKS_BYTES
+def check_shared_memory(deployment: Deployment) -> None:
+    """Make sure that the processes of this host find room in shared memory; what is left of others is gone by then.
+
+    Args:
+        deployment: What is to be started.
+
+    Raises:
+        ImError: There is too little.
+    """
+    needed = shared_memory_bytes(len(deployment.on_host(deployment.local_host())))
+    free = shutil.disk_usage(_SHM).free
+    if free < needed:
+        raise ImError(
+            f"{_SHM} has {free / _MIB:.0f} MiB free, and the machine needs {needed / _MIB:.0f} MiB there "
+            "(in a container: --shm-size); nothing was started",
+            code="resources",
+            free=free,
+            needed=needed,
+        )
+
+
+def shared_memory_bytes(processes: int) -> int:
+    """What the processes of a host that have tasks, and the bootstrap or agent, take of ``/dev/shm`` [bytes]."""
+    return int((processes + 1) * (_SEGMENT_SHARE * _segment_bytes() + _PORT_BYTES)) + BLOCKS_BYTES
 
 
 def _check_open_files() -> None:
@@ -61,13 +82,36 @@ def _check_open_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, most))
 
 
-def _check_folder(find: Callable[[], Path]) -> None:
+def _ros_logs() -> Path:
+    """Folder into which ROS writes a log of each process, or none of them begins."""
+    home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
+    return files.make_folder(Path(os.environ.get("ROS_LOG_DIR") or home / "log"))
+
+
+def _temporary() -> Path:
+    """Folder for files that are read at once by what reads files only, as pybullet.
+
+    Raises:
+        StoreError: There is none that can be written.
+    """
+    try:
+        return Path(tempfile.gettempdir())
+    except FileNotFoundError as error:
+        raise StoreError("no folder for temporary files can be written", file="/tmp", reason=str(error)) from error
+
+
+def _check_writable(find: Callable[[], Path], name: str) -> Path:
+    """Write a file of that name into a folder, and remove it; the folder."""
     try:
         folder = find()  # which makes it
-        free = shutil.disk_usage(folder).free
-        write_whole(folder / ".preflight", bytes(4096)).unlink(missing_ok=True)
+        write_whole(folder / name, bytes(4096)).unlink(missing_ok=True)
     except StoreError as error:
         raise ImError(f"{error.message}; nothing was started", code="resources", **error.facts) from error
+    return folder
+
+
+def _check_room(folder: Path) -> None:
+    free = shutil.disk_usage(folder).free
     if free < DISK_BYTES:
         raise ImError(
             f"the disk of {folder} has {free / _MIB:.0f} MiB free, and {DISK_BYTES / _MIB:.0f} MiB are needed; "
@@ -75,18 +119,6 @@ def _check_folder(find: Callable[[], Path]) -> None:
             code="resources",
             free=free,
             needed=DISK_BYTES,
-        )
-
-
-def _check_shared_memory(needed: int) -> None:
-    free = shutil.disk_usage(_SHM).free
-    if free < needed:
-        raise ImError(
-            f"{_SHM} has {free / _MIB:.0f} MiB free, and the machine needs {needed / _MIB:.0f} MiB there "
-            "(in a container: --shm-size); nothing was started",
-            code="resources",
-            free=free,
-            needed=needed,
         )
 
 

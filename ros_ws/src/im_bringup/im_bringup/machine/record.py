@@ -32,6 +32,8 @@ class MachineRecord:
         phase: Start-up phase it is in.
         tasks: Number of tasks.
         missing: One sentence for each task that has not finished the phase.
+        nets: The verdict on its nets; empty before, and where it has none.
+        refused: Whether it is its nets for which it could not be started.
         run_dir: Folder of its logs.
         deployment: File it was started from.
         clock_factor: Simulated seconds a second.
@@ -50,6 +52,8 @@ class MachineRecord:
     seed: int
     port: int
     missing: list[str] = field(default_factory=list)
+    nets: str = ""
+    refused: bool = False
 
     @property
     def process(self) -> ProcessId:

@@ -6,7 +6,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from im_bringup.machine import leftovers, preflight, stop
+from im_bringup.machine import leftovers, mission, preflight, stop
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import interrupt_once
 from im_bringup.machine.record import MachineRecord
@@ -21,7 +21,7 @@ from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
 from im_core.files import make_folder, read_text
 from im_core.process import ChildProcess
-from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
+from im_core.startup import START_TIMEOUT, start_timeout_s
 
 CALIBRATION = "${calibration}"
 _POLL_S = 0.05
@@ -44,6 +44,12 @@ def parser() -> argparse.ArgumentParser:
         "--control", action="store_true", default=None, help="let the display operate nets; else it only shows them"
     )
     parser.add_argument(
+        "--unproved",
+        action="store_true",
+        default=None,
+        help="start even where it cannot be decided in time whether the nets may run together; never if they may not",
+    )
+    parser.add_argument(
         "--calibration",
         metavar="FOLDER",
         type=_folder,
@@ -51,9 +57,15 @@ def parser() -> argparse.ArgumentParser:
         "results/vss (default: cameras and laser scanner as drawn)",
     )
     parser.add_argument(
+        "--fresh",
+        action="store_true",
+        help="begin a new mission even where commands of the one before have not ended; that is kept in "
+        ".run/im<domain>/missions",
+    )
+    parser.add_argument(
         "--timeout",
         type=_seconds,
-        default=START_TIMEOUT_S,
+        default=start_timeout_s(),
         help="longest wait in s, of the command and of the machine's parts for each other (default: %(default)g)",
     )
     return parser
@@ -65,20 +77,13 @@ def main() -> int:
     interrupt_once()
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     try:
-        deployment = deployments.load(path).with_values(
-            arguments.factor,
-            arguments.seed,
-            arguments.port,
-            arguments.period,
-            arguments.calibration,
-            arguments.control,
-        )
+        deployment = deployments.with_options(deployments.load(path), arguments)
         check_calibration(deployment, path)
     except ImError as error:
         print(f"start: {error.message}", file=sys.stderr)
         return 2
     try:
-        return start(deployment, path, arguments.timeout)
+        return start(deployment, path, arguments.timeout, arguments.fresh)
     except KeyboardInterrupt:
         print("\nstart: interrupted; stopping what was started", file=sys.stderr)
         stop.stop(say=lambda _: None)
@@ -117,13 +122,14 @@ def check_calibration(deployment: Deployment, path: Path) -> None:
             )
 
 
-def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
+def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = True) -> int:
     """Start the machine.
 
     Args:
         deployment: What to start.
         path: The file it came from.
         timeout_s: Longest wait for all tasks to be ready [s].
+        fresh: Begin a new mission even where commands of the one before have not ended.
 
     Returns:
         0 if all tasks are ready, else 1; the machine is down again then.
@@ -133,8 +139,11 @@ def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
         ImError: This host has not what the machine needs; nothing was started.
     """
     began = clock.monotonic()
-    clear_the_way()
-    preflight.check(deployment)
+    require_none_runs()
+    preflight.check_host()
+    several = len(deployment.hosts) > 1  # their journals would have to be of the same mission
+    goes_on = clear_the_way(fresh or several)
+    preflight.check_shared_memory(deployment)
     tidy(deployment)
     if said := reach(os.environ, deployment):
         print(f"start: {said}", flush=True)
@@ -154,17 +163,17 @@ def start(deployment: Deployment, path: Path, timeout_s: float) -> int:
                 print_ready(record, clock.monotonic() - began)
                 return 0
             if record.state == machine.FAILED:
-                return give_up("not every task could be started", record)
+                why = "its nets may not run together" if record.refused else "not every task could be started"
+                return give_up(why, record, goes_on)
         clock.sleep(_POLL_S)
-    return give_up(f"not every task was ready after {timeout_s:g} s", machine.read())
+    return give_up(f"not every task was ready after {timeout_s:g} s", machine.read(), goes_on)
 
 
-def clear_the_way() -> None:
-    """Make sure that nothing of this ROS domain runs or is left.
+def require_none_runs() -> None:
+    """Make sure that no machine of this ROS domain runs.
 
     Raises:
-        StateError: A machine runs.
-        StoreError: The folder of its logs cannot be made.
+        StateError: One does.
     """
     record = machine.read()
     if record is not None and record.alive:
@@ -172,14 +181,30 @@ def clear_the_way() -> None:
             f"a machine of ROS domain {machine.domain()} runs already ({record.state}, process {record.pid}); "
             "stop it with scripts/stop.sh, or set another ROS_DOMAIN_ID"
         )
-    leftovers.kill(leftovers.processes(), timeout_s=2.0)
+
+
+def clear_the_way(fresh: bool) -> bool:
+    """Remove what is left of a machine of this ROS domain, but for a mission that goes on.
+
+    Args:
+        fresh: Begin a new mission even where commands of the one before have not ended.
+
+    Returns:
+        Whether one goes on.
+
+    Raises:
+        StoreError: The folder of its logs cannot be made, or what its mission has left not be moved.
+    """
+    leftovers.end_all(timeout_s=2.0)
     leftovers.remove_shared_memory()
     machine.remove()
     run_dir = names.run_dir()
-    for folder in ("log", "parameters", "journal"):  # a new machine is a new mission
+    goes_on = mission.prepare(run_dir, fresh, lambda sentence: print(f"start: {sentence}", flush=True))
+    for folder in ("log", "parameters"):
         shutil.rmtree(run_dir / folder, ignore_errors=True)
     names.display_file().unlink(missing_ok=True)
     make_folder(run_dir / "log")
+    return goes_on
 
 
 def tidy(deployment: Deployment) -> None:
@@ -204,6 +229,7 @@ def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> Chi
         *("--seed", str(deployment.seed)),
         *("--port", str(deployment.port)),
         *(("--control",) if deployment.control else ()),
+        *(("--unproved",) if deployment.unproved else ()),
         *(("--calibration", deployment.calibration) if deployment.calibration else ()),
     ]
     return ChildProcess(
@@ -230,11 +256,13 @@ def _folder(text: str) -> str:
     return str(Path(text).resolve())
 
 
-def give_up(sentence: str, record: MachineRecord | None) -> int:
-    """Say what is missing, and take everything down."""
+def give_up(sentence: str, record: MachineRecord | None, goes_on: bool) -> int:
+    """Say what is missing, and take everything down; and how to begin anew if it is what goes on that failed."""
     print(f"start: {sentence}:", file=sys.stderr)
     for missing in record.missing if record is not None else ["the bootstrap has not reported"]:
         print(f"  {missing}", file=sys.stderr)
+    if goes_on:
+        print("start: scripts/start.sh --fresh begins a new mission and keeps the one before", file=sys.stderr)
     stop.stop(say=lambda _: None)
     return 1
 
@@ -243,6 +271,8 @@ def print_ready(record: MachineRecord, seconds: float) -> None:
     """Say that the machine is up, and what to do with it."""
     speed = "as fast as it goes" if record.clock_factor == 0 else f"clock factor {record.clock_factor:g}"
     print(f"start: ready after {seconds:.1f} s: {record.tasks} tasks, ROS domain {machine.domain()}, {speed}")
+    if record.nets:
+        print(f"start: {record.nets}")
     shown = names.display_file()
     nets = f"nets at {read_text(shown).strip()}, " if shown.exists() else ""
     print(f"start: {nets}logs in {record.run_dir}/log")

@@ -15,7 +15,6 @@ from im_core.process import last_words
 from im_core.shm import ProcessId
 
 #: The bootstrap's own ordered shutdown takes less than this [s].
-_LOOKS = 5
 _ORDERLY_S = 4.3
 #: How long the supervisor may take to notice that its bootstrap has ended [s].
 _SUPERVISOR_S = 0.5
@@ -53,15 +52,7 @@ def stop(say: Callable[[str], None]) -> int:
         _await_supervisor(clock.monotonic() + _SUPERVISOR_S)
     elif record is not None and record.alive:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
-    found: list[ProcessId] = []
-    remaining: list[ProcessId] = []
-    for _ in range(_LOOKS):  # a supervisor may have started a bootstrap while others were being ended
-        more = leftovers.processes()
-        if not more:
-            remaining = []
-            break
-        remaining = leftovers.kill(more, timeout_s=0.5)
-        found += more
+    found, remaining = leftovers.end_all(timeout_s=0.5)
     removed = leftovers.remove_shared_memory()
     machine.remove()
     if remaining:

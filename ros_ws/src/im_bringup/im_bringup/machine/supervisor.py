@@ -1,10 +1,11 @@
-"""``supervisor``: the parent of the bootstrap. Where that is killed, the whole machine is started again.
+"""``supervisor``: the parent of the bootstrap. Where that is killed or hangs, the whole machine is started again.
 
 The tasks of a host end with the bootstrap that started them. A new bootstrap starts them all anew; their journals are
 kept, so that the nets go on where they were. What ends with an exit code has ended on purpose, or would end so again;
 it is not started again.
 """
 
+import os
 import signal
 import sys
 from dataclasses import replace
@@ -12,13 +13,21 @@ from types import FrameType
 
 from im_bringup.machine import leftovers
 from im_bringup.machine import record as machine
+from im_bringup.tasks.standstill import Standstill
 from im_core import clock
+from im_core import pulse as pulse_memory
 from im_core.process import ChildProcess
+from im_core.pulse import Pulse
 from im_core.shm import ProcessId
+from im_core.silence import Silence
 
 #: How long the tasks of a dead bootstrap may take to end by themselves [s].
 _ORDERLY_S = 4.0
 _POLL_S = 0.05
+#: A bootstrap that tells nothing of its loop for longer, though it could, was stopped or is stuck [s].
+SILENCE_S = 30.0
+#: How long a bootstrap that hangs may take to write its stacks before it is killed [s].
+_ABORT_S = 2.0
 
 
 class BootstrapKeeper:
@@ -42,17 +51,22 @@ class BootstrapKeeper:
     def run(self) -> int:
         """Run until a bootstrap ends by itself; its exit code, 1 if it was killed and is not started again."""
         while self._stopped is None:
-            self._child = ChildProcess(self._argv, death_signal=None)
+            self._child, hang = self._spawn()
             if self._stopped is not None:  # while it was being started
                 self._child.send_signal(self._stopped)
+            failure = ""
             while (code := self._child.poll()) is None:
                 clock.sleep(_POLL_S)
+                if self._stopped is None and (failure := hang.found()):
+                    code = self._end(self._child)
+                    break
             if code >= 0:
                 return code
             record = machine.read()
             if record is None or record.state != machine.READY:
                 return 1
-            sentence = f"the bootstrap was killed by {signal.Signals(-code).name}; the machine is started again"
+            how = f"hung ({failure})" if failure else f"was killed by {signal.Signals(-code).name}"
+            sentence = f"the bootstrap {how}; the machine is started again"
             print(f"[supervisor]: {sentence}", flush=True)
             me = ProcessId.current()
             record = replace(record, pid=me.pid, start=me.start, state=machine.STARTING, missing=[sentence])
@@ -61,13 +75,57 @@ class BootstrapKeeper:
             machine.write(record)
         return 1
 
+    def _spawn(self) -> "tuple[ChildProcess, Hang]":
+        pulse = Pulse.create()
+        try:
+            environment = {**os.environ, pulse_memory.VARIABLE: str(pulse.descriptor)}
+            child = ChildProcess(self._argv, environment=environment, death_signal=None, inherit=[pulse.descriptor])
+        finally:
+            pulse.keep()
+        return child, Hang(child.pid, pulse)
+
+    @staticmethod
+    def _end(child: ChildProcess) -> int:
+        """End a bootstrap that hangs; what it was killed by, as a negative number."""
+        child.send_signal(signal.SIGABRT)  # writes the stacks of its threads; one that is stopped writes nothing
+        child.await_end(_ABORT_S)
+        child.send_signal(signal.SIGKILL)
+        while (code := child.poll()) is None:
+            clock.sleep(_POLL_S)
+        return min(code, -1)
+
     def _clear(self) -> None:
         """Let the tasks of a dead bootstrap end, and remove what they leave in shared memory, the record too."""
         deadline = clock.monotonic() + _ORDERLY_S
-        while (left := leftovers.processes()) and clock.monotonic() < deadline and self._stopped is None:
+        while leftovers.processes() and clock.monotonic() < deadline and self._stopped is None:
             clock.sleep(_POLL_S)
-        leftovers.kill(left, timeout_s=2.0)
+        leftovers.end_all(timeout_s=2.0)
         leftovers.remove_shared_memory()
+
+
+class Hang:
+    """Whether a bootstrap hangs: as tasks do, or because it is stopped, which only its supervisor can see.
+
+    Args:
+        pid: The bootstrap.
+        pulse: What it tells of its loop.
+    """
+
+    def __init__(self, pid: int, pulse: Pulse) -> None:
+        self._pid, self._pulse = pid, pulse
+        self._standstill = Standstill(pid, pulse)
+        self._ticks, self._silence = 0, Silence(pid)
+
+    def found(self) -> str:
+        """Why it counts as hung, a clause; empty if it does not."""
+        if standing := self._standstill.found(clock.monotonic()):
+            return standing
+        ticks = self._pulse.last().ticks
+        if ticks == 0 or ticks != self._ticks:  # it has not come to telling, or it has just told
+            self._ticks, self._silence = ticks, Silence(self._pid, longest_look_s=10.0 * _POLL_S)
+            return ""
+        silent_s = self._silence.look()
+        return f"nothing was heard of it for {silent_s:.0f} s" if silent_s > SILENCE_S else ""
 
 
 def main() -> int:

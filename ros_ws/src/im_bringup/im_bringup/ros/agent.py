@@ -1,6 +1,7 @@
 """Node ``/agent_<host>``: the agent of a host other than the bootstrap's; it follows the phases of the bootstrap."""
 
 import argparse
+import math
 import os
 import re
 import shutil
@@ -10,7 +11,7 @@ from pathlib import Path
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
-from std_msgs.msg import UInt8
+from std_msgs.msg import Float64, UInt8
 
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
@@ -19,10 +20,11 @@ from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.arrivals import member
+from im_core.errors import DataError
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
-from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
+from im_core.startup import PHASE_TOPIC, START_TIMEOUT, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
 POLL_PERIOD_S = 0.05
@@ -46,8 +48,11 @@ class AgentNode(GuardedNode):
         spared = [Path(deployment.calibration)] if deployment.calibration else []
         self._upkeep = Upkeep(run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
         self._upkeep.start()
+        self._phase: StartupPhase | None = None
+        self._timeout_s: float | None = None
         self._started = False
         self.finished = False
+        self.create_subscription(Float64, TIMEOUT_TOPIC, self._take_timeout, qos.LATCHED)
         self.create_subscription(UInt8, PHASE_TOPIC, self._follow, qos.LATCHED)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
         self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -57,17 +62,28 @@ class AgentNode(GuardedNode):
         """Stop all tasks of this host, the last started first."""
         self._upkeep.stop()
         for name in self._agent.shut_down():
-            self.log.warning(f"task {name} did not end and was killed")
+            self.log.warning(f"process {name} did not end and was killed")
+
+    def _take_timeout(self, message: Float64) -> None:
+        if not 0.0 < message.data < math.inf:
+            raise DataError(f"{message.data} s on {TIMEOUT_TOPIC} is no time to start in", seconds=message.data)
+        self._timeout_s = message.data
+        self._advance()
 
     def _follow(self, message: UInt8) -> None:
-        phase = member(StartupPhase, message.data, f"on {PHASE_TOPIC} phase")
-        if phase is StartupPhase.SHUTDOWN:
+        self._phase = member(StartupPhase, message.data, f"on {PHASE_TOPIC} phase")
+        self._advance()
+
+    def _advance(self) -> None:
+        """Do what the bootstrap asks for; nothing starts before it has told how long a start may take."""
+        if self._phase is StartupPhase.SHUTDOWN:
             self.finished = self._started
-        elif not self._started:
+        elif not self._started and self._phase is not None and self._timeout_s is not None:
             self._started = True
+            self._agent.environment[START_TIMEOUT] = repr(self._timeout_s)
             for event in self._agent.start():
-                self.log.info(f"task {event.name} started, process {event.pid}")
-        if phase is StartupPhase.START:
+                self.log.info(str(event))
+        if self._phase is StartupPhase.START:
             self._agent.respawn = True
 
     def _status(self, message: TaskStatus) -> None:
@@ -77,7 +93,7 @@ class AgentNode(GuardedNode):
     def _poll(self) -> None:
         for event in self._agent.poll(clock.monotonic()):
             if isinstance(event, Died):
-                self.log.error(f"task {event.name}: {event.sentence}")
+                self.log.error(str(event))
         if self.finished:
             rclpy.try_shutdown()
 

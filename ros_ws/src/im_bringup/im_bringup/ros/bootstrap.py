@@ -8,11 +8,12 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.impl.rcutils_logger import RcutilsLogger
-from std_msgs.msg import UInt8
+from std_msgs.msg import Float64, UInt8
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.bootstrap import Bootstrap
 from im_bringup.machine.members import is_member
+from im_bringup.machine.nets import MachineNets
 from im_bringup.machine.record import MachineRecord
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import MARKER, Agent, Died, commands, environment
@@ -26,10 +27,11 @@ from im_core.errors import ImError, StoreError
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
+from im_core.ros.reminders import Reminders
 from im_core.shm import ProcessId
-from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
+from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase, start_timeout_s
+from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
 from im_msgs.msg import TaskRecord as TaskRecordMessage
-from im_msgs.msg import TaskRegistry, TaskStatus
 from im_msgs.srv import QueryTask
 
 POLL_PERIOD_S = 0.05
@@ -52,7 +54,11 @@ class BootstrapNode(GuardedNode):
         self._deployment, self._path = deployment, path
         self._run_dir = names.run_dir().resolve()
         agent = Agent(commands(deployment, host, self._run_dir), environment(os.environ, self._run_dir, deployment))
-        self._bootstrap = Bootstrap(list(deployment.tasks()), agent, host)
+        tasks = list(deployment.tasks())
+        nodes = {placed.task.node for placed in tasks}
+        self._nets = MachineNets(self._run_dir, nodes, unproved=deployment.unproved)
+        self._bootstrap = Bootstrap(tasks, agent, host, self._nets)
+        self._reminders = Reminders(self)
         spared = [Path(deployment.calibration)] if deployment.calibration else []
         self._upkeep = Upkeep(self._run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
         self._process = ProcessId.current()
@@ -61,7 +67,10 @@ class BootstrapNode(GuardedNode):
         self._phase_publisher = self.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
         self._tasks_publisher = self.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
+        self.create_subscription(NetDescription, "/pnt/nets", self._described, qos.LATCHED_MANY)
         self.create_service(QueryTask, "/bootstrap/query_task", self._query)
+        self._timeout_publisher = self.create_publisher(Float64, TIMEOUT_TOPIC, qos.LATCHED)
+        self._timeout_publisher.publish(Float64(data=start_timeout_s()))
         self._announce(StartupPhase.LOAD)
         self._bootstrap.start()
         self._upkeep.start()
@@ -73,7 +82,7 @@ class BootstrapNode(GuardedNode):
         self._upkeep.stop()
         self._write_record(machine.STOPPING)
         for name in self._bootstrap.shut_down():
-            self.log.warning(f"task {name} did not end and was killed")
+            self.log.warning(f"process {name} did not end and was killed")
         self._announce(StartupPhase.SHUTDOWN)
         if not self._phase_publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S)):
             self.log.warning(f"not everybody has heard within {ACKNOWLEDGED_S:g} s that the machine ends")
@@ -84,13 +93,18 @@ class BootstrapNode(GuardedNode):
         events = self._bootstrap.poll(clock.monotonic())
         for event in events:
             if isinstance(event, Died):
-                self.log.error(f"task {event.name}: {event.sentence}")
+                self.log.error(str(event))
             else:
-                self.log.info(f"task {event.name} started again, process {event.pid}")
+                self.log.info(str(event))
         if self._bootstrap.phase is not before:
+            if self._bootstrap.phase is StartupPhase.START:
+                self._say_verdict()
             self._announce(self._bootstrap.phase)
         if self._bootstrap.changed() or events or self._trouble:
             self._show()
+
+    def _described(self, message: NetDescription) -> None:
+        self._nets.described(message.node, message.net, message.json)
 
     def _status(self, message: TaskStatus) -> None:
         progress = member(Progress, message.phase, f"on {STATUS_TOPIC} phase")
@@ -106,6 +120,12 @@ class BootstrapNode(GuardedNode):
             return response
         response.success = True
         return response
+
+    def _say_verdict(self) -> None:
+        if not self._nets.proved:
+            self._reminders.add("nets", self._nets.verdict)
+        elif self._nets.verdict:
+            self.log.info(self._nets.verdict)
 
     def _announce(self, phase: StartupPhase) -> None:
         self._phase_publisher.publish(UInt8(data=int(phase)))
@@ -131,6 +151,8 @@ class BootstrapNode(GuardedNode):
             seed=self._deployment.seed,
             port=self._deployment.port,
             missing=self._bootstrap.missing(),
+            nets=self._nets.verdict,
+            refused=bool(self._nets.failure),
         )
         if record == self._written:
             return
@@ -172,6 +194,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int)
     parser.add_argument("--port", type=int)
     parser.add_argument("--control", action="store_true", default=None)
+    parser.add_argument("--unproved", action="store_true", default=None)
     parser.add_argument("--calibration")
     arguments = parser.parse_args()
     if not is_member(ProcessId.current()):  # started by hand; the mark must be there from the start of a process
@@ -180,14 +203,7 @@ def main() -> int:
     def make_node() -> BootstrapNode:
         deployment = deployments.load(arguments.deployment)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
-        deployment = deployment.with_values(
-            arguments.factor,
-            arguments.seed,
-            arguments.port,
-            arguments.period,
-            arguments.calibration,
-            arguments.control,
-        )
+        deployment = deployments.with_options(deployment, arguments)
         return BootstrapNode(deployment, Path(arguments.deployment).resolve(), deployment.local_host())
 
     return run.main(make_node, args=[], at_end=BootstrapNode.shut_down)

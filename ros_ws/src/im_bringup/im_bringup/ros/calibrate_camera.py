@@ -7,48 +7,37 @@ its bootstrap was killed, a silent dispatcher is waited for: only what is gone, 
 
 import argparse
 import json
-import math
-import os
-import signal
 import sys
-import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
-import rclpy
 from rclpy.action import ActionClient
-from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.calibration.progress import FiringPhase, ProgressLines
 from im_bringup.calibration.summary import summary
-from im_bringup.machine import record as machine
-from im_bringup.machine.record import MachineRecord
+from im_bringup.ros.dispatcher import (
+    ACCEPT_S,
+    ACTION,
+    DONE,
+    FAILED,
+    SILENCE_S,
+    DispatcherClient,
+    talk,
+)
 from im_core import clock
-from im_core.errors import ImError, LinkError, WaitTimeoutError, require_text
+from im_core.errors import ImError, require_text
 from im_core.ros import qos
-from im_core.ros.guard import GuardedActionClient, GuardedNode
-from im_core.ros.run import Spinner
-from im_core.startup import STATUS_TOPIC
+from im_core.ros.guard import GuardedActionClient
 from im_msgs.action import ExecuteCommand
-from im_msgs.msg import Firing, TaskStatus
+from im_msgs.msg import Firing
 from im_msgs.srv import CalibrateCamera
 
 SERVICE = "/dispatcher/calibrate_camera"
-ACTION = "/dispatcher/execute"
 NET = "calibrate_camera"
-#: Longest wait for the service to be found, and longest silence of the dispatcher [s] of wall time: a dispatcher that
-#: died is started again within a few seconds, on a busy computer later; one without a machine is not.
-DISCOVERY_S = 10.0
-SILENCE_S = 60.0
-ALONE_S = 6.0
-#: Time after which a goal that met the server of a former life is sent again [s].
-ACCEPT_S = 2.0
-
-DONE, FAILED, NOT_RUNNING, INTERRUPTED = 0, 1, 3, 130
+_PHASES = {int(phase): phase for phase in FiringPhase}
 
 
-class CalibrateCameraClient(GuardedNode):
+class CalibrateCameraClient(DispatcherClient):
     """Calls the service and prints the progress of the command.
 
     Args:
@@ -56,20 +45,12 @@ class CalibrateCameraClient(GuardedNode):
     """
 
     def __init__(self, progress: TextIO | None) -> None:
-        super().__init__(f"calibrate_camera_{os.getpid()}")
+        super().__init__("calibrate_camera")
         self._progress = progress
         self._lines = ProgressLines()
-        self._heard = clock.monotonic()
-        self._incarnation = 0
-        self._interrupted = threading.Event()
         self._client = self.create_client(CalibrateCamera, SERVICE)
         self._attach: ActionClient = GuardedActionClient(self, ExecuteCommand, ACTION)
         self.create_subscription(Firing, "/pnt/firings", self._show, qos.EVENTS)
-        self.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
-
-    def interrupt(self) -> None:
-        """Stop waiting; from a signal handler."""
-        self._interrupted.set()
 
     def calibrate(self, cameras: list[str], poses_file: str) -> Any:
         """Call the service and wait for its answer, or for the end of the command if its dispatcher died meanwhile.
@@ -90,12 +71,12 @@ class CalibrateCameraClient(GuardedNode):
         return response
 
     def _dispatcher_there(self) -> bool:
-        """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""
-        return bool(self._incarnation) and self._client.service_is_ready() and not _starting(machine.read())
+        """Whether the service can be called."""
+        return super()._dispatcher_there() and self._client.service_is_ready()
 
     def _attached(self) -> Any | None:
         """The answer to the command that is running or ended last, None if the dispatcher died again."""
-        self._until(self._attach.server_is_ready, f"the action {ACTION}")
+        self._until(self._attach.server_is_ready, f"the action {ACTION}", SILENCE_S)
         goal = ExecuteCommand.Goal(symbol=NET, attach=True)
         handle = self._answer(self._attach.send_goal_async(goal), ACCEPT_S)
         answer = None if handle is None else self._answer(handle.get_result_async())
@@ -109,57 +90,13 @@ class CalibrateCameraClient(GuardedNode):
             response.report.json, response.report.directory = json.dumps(results["report"]), results["directory"]
         return response
 
-    def _answer(self, future: Any, limit_s: float = math.inf) -> Any | None:
-        """The result of a future that the dispatcher completes, None if it was started again or does not in time."""
-        begun, known = clock.monotonic(), self._incarnation
-        self._heard = begun
-        while not future.done():
-            self._pause()
-            if clock.monotonic() - begun > limit_s:
-                return None
-            silent = clock.monotonic() - self._heard
-            if silent > ALONE_S and (why := _why_lost(silent)):
-                raise LinkError(f"the dispatcher is missing (last heard {silent:.1f} s ago){why}")
-            if self._incarnation != known:
-                return None
-        return future.result()
-
-    def _until(self, ready: Callable[[], bool], what: str) -> None:
-        deadline = clock.monotonic() + DISCOVERY_S
-        while not ready():
-            self._pause()
-            if clock.monotonic() > deadline and not _starting(machine.read()):
-                raise WaitTimeoutError(what=what, seconds=DISCOVERY_S)
-
-    def _pause(self) -> None:
-        if self._interrupted.wait(0.02):
-            raise KeyboardInterrupt
-
-    def _hear(self, message: TaskStatus) -> None:
-        if message.name == "dispatcher":
-            self._heard, self._incarnation = clock.monotonic(), message.incarnation
-
     def _show(self, message: Firing) -> None:
-        if message.net != NET or self._progress is None:
+        phase = _PHASES.get(message.phase)  # of a stranger's message the user need not hear
+        if message.net != NET or self._progress is None or phase is None:
             return
-        line = self._lines.line(
-            message.transition, FiringPhase(message.phase), message.message, message.progress, message.duration
-        )
+        line = self._lines.line(message.transition, phase, message.message, message.progress, message.duration)
         if line is not None:
             print(line, file=self._progress, flush=True)
-
-
-def _starting(record: MachineRecord | None) -> bool:
-    """Whether the machine is being started, perhaps again."""
-    return record is not None and record.alive and record.state == machine.STARTING
-
-
-def _why_lost(silent_s: float) -> str:
-    """Why a dispatcher that has been silent for so long will not answer, a clause; empty if it may yet."""
-    record = machine.read()
-    if record is None or not record.alive:
-        return ": the machine has ended, its bootstrap is gone"
-    return "" if silent_s <= SILENCE_S or _starting(record) else f"; the machine is {record.state}"
 
 
 def main() -> int:
@@ -176,28 +113,14 @@ def main() -> int:
         cameras = [require_text(name, "--cameras") for name in arguments.cameras]
     except ImError as error:
         parser.error(error.message)
-    try:
-        machine.read_running()
-    except ImError as error:
-        print(f"calibrate_camera: {error.message}", file=sys.stderr)
-        return NOT_RUNNING
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    client = CalibrateCameraClient(sys.stderr if arguments.json else sys.stdout)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: client.interrupt())
-    began = clock.monotonic()
-    try:
-        with Spinner([client]):
-            response = client.calibrate(cameras, poses)
-    except KeyboardInterrupt:
-        print("calibrate_camera: no longer waiting; the machine goes on with the command", file=sys.stderr)
-        return INTERRUPTED
-    except ImError as error:
-        print(f"calibrate_camera: {error.message}", file=sys.stderr)
-        return NOT_RUNNING if isinstance(error, WaitTimeoutError) else FAILED
-    finally:
-        rclpy.try_shutdown()
-    return show(response, arguments.json, clock.monotonic() - began)
+    progress = sys.stderr if arguments.json else sys.stdout
+
+    def calibrate(client: CalibrateCameraClient) -> int:
+        began = clock.monotonic()
+        response = client.calibrate(cameras, poses)
+        return show(response, arguments.json, clock.monotonic() - began)
+
+    return talk(lambda: CalibrateCameraClient(progress), calibrate, "calibrate_camera")
 
 
 def show(response: Any, as_json: bool, seconds: float) -> int:

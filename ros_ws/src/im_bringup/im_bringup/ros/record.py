@@ -3,82 +3,124 @@
 import argparse
 import signal
 import sys
-from collections.abc import Callable
+import threading
 from pathlib import Path
 from typing import Any
 
 import rclpy
-from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 
 from im_bringup.bag import BagWriter, Delivery, default_folder
 from im_core import clock
 from im_core.errors import ImError, StoreError
+from im_core.ros.graph import GraphWatch
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
-from im_core.ros.run import Spinner
 
-DISCOVERY_PERIOD_S = 0.5
 QUEUE_DEPTH = 1000
+#: How long messages wait in the queues of the middleware, which notes when they came [s].
+DRAIN_PERIOD_S = 0.02
+#: After how long what was taken is on the disk [s].
+FLUSH_PERIOD_S = 0.5
+#: Topics of service events, which are hidden.
+SERVICE_EVENTS = "/_service_event"
 
 
-class BagRecorder(GuardedNode):
+class BagRecorder:
     """Subscribes to what is published and writes the bytes as they come.
 
+    No executor: it empties the queues of all subscriptions at a low rate. The time of arrival is the middleware's.
+
     Args:
+        node: Its node, which nobody spins.
         bag: Where to.
-        only: Topics to record; empty: all that are not hidden.
+        only: Topics to record; empty: all that are not hidden, and the events of services.
     """
 
-    def __init__(self, bag: BagWriter, only: list[str]) -> None:
-        super().__init__("recorder")
-        self._bag = bag
+    def __init__(self, node: Node, bag: BagWriter, only: list[str]) -> None:
+        self._node, self._bag = node, bag
         self._only = set(only)
         self._refused: set[str] = set()
-        #: Why the recording ended before it was asked to, if it did.
-        self.trouble: StoreError | None = None
-        self.on_trouble: Callable[[], None] = lambda: None
-        self.create_timer(DISCOVERY_PERIOD_S, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._subscriptions: dict[str, Subscription] = {}
+        self._wake, self._end = threading.Event(), threading.Event()
+
+    def record(self) -> None:
+        """Record until :meth:`request_stop`.
+
+        Raises:
+            StoreError: The disk is full, or nearly so.
+        """
+        graph = GraphWatch(self._node, self._wake.set)
+        try:
+            flushed = clock.monotonic()
+            while not self._end.is_set():
+                if self._wake.wait(DRAIN_PERIOD_S):
+                    self._wake.clear()
+                    self.discover()
+                self.drain()
+                if clock.monotonic() - flushed >= FLUSH_PERIOD_S:
+                    flushed = clock.monotonic()
+                    self._bag.flush()
+            self.drain()
+        finally:
+            graph.stop()
+
+    def request_stop(self) -> None:
+        """End :meth:`record` soon; from signal handlers, too."""
+        self._end.set()
+        self._wake.set()
 
     def discover(self) -> None:
         """Subscribe to topics that were not there before."""
-        for topic, types in self.get_topic_names_and_types():
-            if topic in self._bag.counts or topic in self._refused or not self._wanted(topic):
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic in self._subscriptions or topic in self._refused or not self._wanted(topic):
                 continue
-            publishers = self.get_publishers_info_by_topic(topic)
+            publishers = self._node.get_publishers_info_by_topic(topic)
             if publishers:
-                self._subscribe(topic, types[0], delivery_of(publishers))
+                self._subscribe(topic, types[0], publishers)
 
-    def take_rest(self) -> None:
-        """Write what has arrived and was not handed out before the spinning ended."""
-        for subscription in self.subscriptions:
-            with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-                    subscription.callback(taken[0])
+    def drain(self) -> None:
+        """Write what has come.
+
+        Raises:
+            StoreError: The disk is full, or nearly so.
+        """
+        taken = []
+        for topic, subscription in self._subscriptions.items():
+            handle = subscription.handle
+            with handle:
+                while (message := handle.take_message(subscription.msg_type, True)) is not None:
+                    taken.append((message[1]["received_timestamp"], topic, message))
+        taken.sort(key=lambda each: each[0])
+        for received_ns, topic, (data, told) in taken:
+            self._bag.write(topic, received_ns, data, told["source_timestamp"], told["publication_sequence_number"])
 
     def _wanted(self, topic: str) -> bool:
-        return topic in self._only if self._only else "/_" not in topic
+        if self._only:
+            return topic in self._only
+        return "/_" not in topic or topic.endswith(SERVICE_EVENTS)
 
-    def _subscribe(self, topic: str, type_name: str, delivery: Delivery) -> None:
+    def _subscribe(self, topic: str, type_name: str, publishers: list[Any]) -> None:
+        delivery = delivery_of(publishers)
         try:
             message_class = interface_class(type_name)
-            self._bag.add_topic(topic, type_name, delivery)
+            self._bag.add_topic(topic, type_name, delivery, str(publishers[0].topic_type_hash))
+        except StoreError:
+            raise
         except ImError as error:
             self._refused.add(topic)
             print(f"record: {topic} is left out: {error.message}", file=sys.stderr)
             return
+        self._subscriptions[topic] = self._node.create_subscription(
+            message_class, topic, _never_called, to_profile(delivery), raw=True
+        )
 
-        def write(data: bytes) -> None:
-            if self.trouble is not None:
-                return
-            try:
-                self._bag.write(topic, int(clock.wall() * 1e9), data)
-            except StoreError as error:
-                self.trouble = error
-                self.on_trouble()
 
-        self.create_subscription(message_class, topic, write, to_profile(delivery), raw=True)
+def _never_called(data: bytes) -> None:
+    """Stands where rclpy wants a callback; no executor has the node."""
 
 
 def delivery_of(publishers: Any) -> Delivery:
@@ -114,21 +156,21 @@ def main() -> int:
         print(f"record: {error.message}", file=sys.stderr)
         return 2
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    recorder = BagRecorder(bag, arguments.topics)
-    spinner = Spinner([recorder])
+    node: Any = GuardedNode("recorder", enable_rosout=False, start_parameter_services=False)
+    recorder = BagRecorder(node, bag, arguments.topics)
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: spinner.request_stop())
-    recorder.on_trouble = spinner.request_stop
+        signal.signal(number, lambda *_: recorder.request_stop())
     print(f"record: into {path}; Ctrl-C ends it", flush=True)
+    trouble: StoreError | None = None
     try:
-        spinner.spin()
-        recorder.take_rest()
+        recorder.record()
+    except StoreError as error:
+        trouble = error
     finally:
-        spinner.stop()
+        node.destroy_node()
         rclpy.try_shutdown()
         unfinished = closed(bag)
-    trouble = recorder.trouble or unfinished
-    if trouble is not None:
+    if (trouble := trouble or unfinished) is not None:
         print(f"record: {trouble.message}", file=sys.stderr)
         return 1
     print(f"record: {sum(bag.counts.values())} messages of {len(bag.counts)} topics in {path}")

@@ -6,28 +6,22 @@ Nothing moves, and no power is switched on.
 """
 
 import argparse
-import os
-import signal
 import sys
-import threading
 from collections.abc import Callable
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.recovery import McsCondition, Step, next_step
+from im_bringup.ros.interruptible import InterruptibleNode, spun
 from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
-from im_core.ros.guard import GuardedNode
 from im_core.ros.latest import Latest
-from im_core.ros.run import Spinner
 from im_msgs.msg import McsState, TaskRegistry
 
 TIMEOUT_S = 60.0
@@ -41,7 +35,7 @@ _SERVO = "mcs: servo"
 DONE, FAILED, NOT_RUNNING, INTERRUPTED = 0, 1, 3, 130
 
 
-class RecoverClient(GuardedNode):
+class RecoverClient(InterruptibleNode):
     """Looks at the machine and takes the steps of :func:`im_bringup.machine.recovery.next_step` until it is ready.
 
     Args:
@@ -49,7 +43,7 @@ class RecoverClient(GuardedNode):
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
-        super().__init__(f"recover_{os.getpid()}")
+        super().__init__("recover")
         self._registry: TaskRegistry | None = None
         self.create_subscription(TaskRegistry, "/bootstrap/tasks", self._register, qos.LATCHED)
         self._mcs = Latest(self, McsState, "/mcs/state", qos.LATCHED, SILENCE_S)
@@ -58,14 +52,9 @@ class RecoverClient(GuardedNode):
         self.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, qos.EVENTS)
         self._lifecycle = self.create_client(ChangeState, "/mcs/change_state")
         self._reset = self.create_client(Trigger, "/mcs/reset")
-        self._interrupted = threading.Event()
         self._mcs_pid = 0
         self._failure = ""
         self._tell, self._said = say, ""
-
-    def interrupt(self) -> None:
-        """Stop; from a signal handler."""
-        self._interrupted.set()
 
     def recover(self, timeout_s: float) -> str:
         """Bring the machine back.
@@ -96,8 +85,7 @@ class RecoverClient(GuardedNode):
             if step is Step.RESTART:
                 settled = now
             self._take_step(step)
-            if self._interrupted.wait(_POLL_S):
-                raise KeyboardInterrupt
+            self._pause(_POLL_S)
 
     def _tasks(self) -> dict[str, str]:
         """How far each task is.
@@ -190,20 +178,14 @@ def main() -> int:
     except ImError as error:
         print(f"recover: {error.message}", file=sys.stderr)
         return NOT_RUNNING
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    client = RecoverClient(lambda sentence: print(f"recover: {sentence}", flush=True))
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: client.interrupt())
     try:
-        with Spinner([client]):
+        with spun(lambda: RecoverClient(lambda sentence: print(f"recover: {sentence}", flush=True))) as client:
             print(f"recover: {client.recover(arguments.timeout)}")
     except KeyboardInterrupt:
         return INTERRUPTED
     except ImError as error:
         print(f"recover: {error.message}", file=sys.stderr)
         return FAILED
-    finally:
-        rclpy.try_shutdown()
     return DONE
 
 

@@ -1,9 +1,14 @@
 """``replay``: publish the messages of a bag on their topics, at their pace."""
 
 import argparse
+import contextlib
+import select
 import signal
 import sys
+import termios
 import threading
+import tty
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import rclpy
@@ -11,11 +16,14 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 
 from im_bringup.bag import BagReader, chosen_topics
+from im_bringup.bag.playback import KEYS, Controls, Playback
 from im_bringup.ros.record import to_profile
 from im_core import clock
-from im_core.errors import ImError
+from im_core.errors import DataError, ImError, NotFoundError
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
 
@@ -26,6 +34,8 @@ DISCOVERY_AT_MOST_S = 4.0
 DRAIN_S = 0.5
 DRAIN_AT_MOST_S = 5.0
 _LONGEST_SLEEP_S = 0.2
+_CLOCK = "/clock"
+_ARROWS = {"\x1b[D": "left", "\x1b[C": "right"}
 
 
 class Replay:
@@ -34,50 +44,61 @@ class Replay:
     Args:
         node: Node that publishes.
         bag: The bag.
-        topics: Topics to play.
+        topics: Topics to play; none has a type that is not known here.
+        names: Other names for some of them.
+
+    Raises:
+        DataError: A type has another definition here than when it was recorded.
     """
 
-    def __init__(self, node: Node, bag: BagReader, topics: list[str]) -> None:
-        self._node, self._bag = node, bag
-        self._stop = threading.Event()
-        self._publishers: dict[str, Publisher] = {
-            topic: node.create_publisher(interface_class(bag.types[topic]), topic, to_profile(bag.deliveries[topic]))
-            for topic in topics
-        }
+    def __init__(self, node: Node, bag: BagReader, topics: Sequence[str], names: Mapping[str, str]) -> None:
+        self._node = node
+        self.controls = Controls()
+        self._publishers: dict[str, Publisher] = {}
+        for topic in topics:
+            message_class, name = interface_class(bag.types[topic]), names.get(topic, topic)
+            self._publishers[topic] = node.create_publisher(message_class, name, to_profile(bag.deliveries[topic]))
+            self._check_definition(bag, topic, name)
+        self._clock: Publisher | None = None
 
-    def request_stop(self) -> None:
-        """End :meth:`play` soon."""
-        self._stop.set()
+    def tell_time(self) -> None:
+        """Publish the time of the bag on /clock from now on."""
+        self._clock = self._node.create_publisher(Clock, _CLOCK, 10)
 
-    def play(self, rate: float) -> int:
-        """Publish all messages.
-
-        Args:
-            rate: Speed; 2 plays twice as fast.
-
-        Returns:
-            Number of messages published.
-        """
+    def play(self, playback: Playback) -> int:
+        """Publish all messages of a playback; returns their number."""
         self._await_subscribers()
-        count, first_ns, began = 0, None, clock.monotonic()
-        for topic, stamp_ns, data in self._bag.messages(self._publishers):
-            first_ns = stamp_ns if first_ns is None else first_ns
-            self._sleep_until(began + (stamp_ns - first_ns) * 1e-9 / rate)
-            if self._stop.is_set():
-                break
+        count = 0
+        for topic, stamp_ns, data in playback.messages():
+            if self._clock is not None:
+                self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
             self._publishers[topic].publish(data)
             count += 1
         self._sleep_until(clock.monotonic() + DRAIN_S)
         deadline = clock.monotonic() + DRAIN_AT_MOST_S
         for publisher in self._publishers.values():
-            if not self._stop.is_set():
+            if not self.controls.ended:
                 publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - clock.monotonic())))
         return count
+
+    def _check_definition(self, bag: BagReader, topic: str, name: str) -> None:
+        recorded = bag.hashes[topic]
+        here = {
+            str(end.topic_type_hash)
+            for end in self._node.get_publishers_info_by_topic(name)
+            if end.node_name == self._node.get_name() and end.topic_type == bag.types[topic]
+        }
+        if recorded and here and recorded not in here:
+            raise DataError(
+                f"{topic}: {bag.types[topic]} has another definition here than when it was recorded; leave the topic "
+                "out (--topics), or replay with the workspace of the recording",
+                topic=topic,
+            )
 
     def _await_subscribers(self) -> None:
         began = clock.monotonic()
         self._sleep_until(began + DISCOVERY_S)
-        while not self._found() and not self._stop.is_set() and clock.monotonic() < began + DISCOVERY_AT_MOST_S:
+        while not self._found() and not self.controls.ended and clock.monotonic() < began + DISCOVERY_AT_MOST_S:
             self._sleep_until(clock.monotonic() + 0.05)
 
     def _found(self) -> bool:
@@ -87,30 +108,107 @@ class Replay:
         return any(known.values()) and all(connected)
 
     def _sleep_until(self, deadline: float) -> None:
-        while not self._stop.is_set() and (left := deadline - clock.monotonic()) > 0.0:
+        while not self.controls.ended and (left := deadline - clock.monotonic()) > 0.0:
             clock.sleep(min(left, _LONGEST_SLEEP_S))
+
+
+def known_topics(bag: BagReader, topics: Sequence[str], named: bool) -> list[str]:
+    """Those whose types are known here; others are left out with a sentence.
+
+    Raises:
+        NotFoundError: A topic that the user named has a type that is not known here.
+    """
+    known = []
+    for topic in topics:
+        try:
+            interface_class(bag.types[topic])
+        except NotFoundError as error:
+            if named:
+                raise
+            print(f"replay: {topic} is left out: {error.message}", file=sys.stderr)
+        else:
+            known.append(topic)
+    return known
+
+
+@contextlib.contextmanager
+def keys_pressed(controls: Controls) -> Iterator[None]:
+    """Hand the keys of a terminal to controls; without a terminal there are none."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    before, done = termios.tcgetattr(sys.stdin), threading.Event()
+
+    def read() -> None:
+        while not done.is_set():
+            if select.select([sys.stdin], [], [], _LONGEST_SLEEP_S)[0]:
+                key = sys.stdin.read(1)
+                key += sys.stdin.read(2) if key == "\x1b" else ""
+                controls.press(_ARROWS.get(key, key))
+
+    tty.setcbreak(sys.stdin)
+    reader = threading.Thread(target=read, name="keys", daemon=True)
+    reader.start()
+    try:
+        yield
+    finally:
+        done.set()
+        reader.join()
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def _renamed(texts: Sequence[str], parser: argparse.ArgumentParser) -> dict[str, str]:
+    names = {}
+    for text in texts:
+        old, sign, new = text.partition(":=")
+        if not (old.startswith("/") and sign and new.startswith("/")):
+            parser.error(f"--remap {text} is not of the form /old:=/new")
+        names[old] = new
+    return names
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="replay", description="Publish the messages of a bag on their topics.", epilog=f"Keys: {KEYS}."
+    )
+    parser.add_argument("bag", type=Path, help="folder of the bag, or a file of it")
+    parser.add_argument("--rate", type=float, default=1.0, help="speed; 2 plays twice as fast (default: 1)")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="where to begin [s] (default: 0)")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end")
+    parser.add_argument("--paused", action="store_true", help="begin paused")
+    parser.add_argument("--clock", action="store_true", help="publish the time of the bag on /clock")
+    parser.add_argument("--remap", nargs="+", default=[], metavar="/OLD:=/NEW", help="other names for topics")
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all but control)"
+    )
+    return parser
 
 
 def main() -> int:
     """Run the command."""
-    parser = argparse.ArgumentParser(prog="replay", description="Publish the messages of a bag on their topics.")
-    parser.add_argument("bag", type=Path, help="folder of the bag")
-    parser.add_argument("--rate", type=float, default=1.0, help="speed; 2 plays twice as fast (default: 1)")
-    parser.add_argument(
-        "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all but control)"
-    )
+    parser = _parser()
     arguments = parser.parse_args()
     if not 0.0 < arguments.rate <= 1000.0:
         parser.error(f"--rate {arguments.rate:g} is not in 0 ... 1000, above 0")
+    names = _renamed(arguments.remap, parser)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         with BagReader(arguments.bag) as bag:
-            topics = chosen_topics(bag.types, arguments.topics)
-            replay = Replay(GuardedNode("replay"), bag, topics)
+            chosen = known_topics(bag, chosen_topics(bag.types, arguments.topics), bool(arguments.topics))
+            topics = [topic for topic in chosen if not (arguments.clock and topic == _CLOCK)]
+            chosen_topics(bag.types, names)
+            replay = Replay(GuardedNode("replay"), bag, topics, names)
+            if arguments.clock:
+                replay.tell_time()
+            controls = replay.controls
+            controls.paused = arguments.paused
+            playback = Playback(bag, topics, controls, arguments.rate, arguments.start, arguments.loop)
             for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, lambda *_: replay.request_stop())
-            print(f"replay: {len(topics)} topics, {bag.duration_s / arguments.rate:.1f} s", flush=True)
-            count = replay.play(arguments.rate)
+                signal.signal(number, lambda *_: controls.end())
+            seconds = (bag.duration_s - arguments.start) / arguments.rate
+            print(f"replay: {len(topics)} topics, {seconds:.1f} s", flush=True)
+            with keys_pressed(controls):
+                count = replay.play(playback)
     except ImError as error:
         print(f"replay: {error.message}", file=sys.stderr)
         return 2

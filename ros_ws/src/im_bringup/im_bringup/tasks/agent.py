@@ -19,6 +19,7 @@ from im_core.errors import LinkError
 from im_core.files import make_folder, write_whole
 from im_core.process import ChildProcess, await_ends, last_words
 from im_core.pulse import Pulse
+from im_core.startup import UNPROVED
 
 #: Every process of a machine has this in its environment, with the machine's instance as value.
 MARKER = "IM_MACHINE"
@@ -37,45 +38,57 @@ _END_S = 4.0
 
 
 @dataclass(frozen=True)
-class TaskCommand:
-    """How the process of a task is started.
+class ProcessCommand:
+    """How a process of the deployment is started.
 
     Attributes:
-        name: Symbolic name of the task.
+        name: Name of the process.
+        tasks: Symbolic names of its tasks.
         argv: Program and arguments.
         log: File that takes what it prints.
     """
 
     name: str
+    tasks: tuple[str, ...]
     argv: Sequence[str]
     log: Path
 
 
 @dataclass(frozen=True)
 class Started:
-    """A process was started."""
+    """A process was started, with its tasks."""
 
-    name: str
+    tasks: tuple[str, ...]
     pid: int
     restarts: int
+
+    def __str__(self) -> str:
+        return f"{_named(self.tasks)} started{' again' if self.restarts else ''}, process {self.pid}"
 
 
 @dataclass(frozen=True)
 class Died:
-    """A process ended by itself.
+    """A process ended by itself, and its tasks with it.
 
     Attributes:
-        name: Task.
+        tasks: Names of its tasks.
         sentence: How it ended, its last words, and what follows.
     """
 
-    name: str
+    tasks: tuple[str, ...]
     sentence: str
+
+    def __str__(self) -> str:
+        return f"{_named(self.tasks)}: {self.sentence}"
+
+
+def _named(tasks: tuple[str, ...]) -> str:
+    return f"task{'s' if len(tasks) > 1 else ''} {', '.join(tasks)}"
 
 
 @dataclass
 class _Slot:
-    command: TaskCommand
+    command: ProcessCommand
     child: ChildProcess | None = None
     standstill: Standstill | None = None
     log_begin: int = 0
@@ -86,11 +99,11 @@ class _Slot:
     respawned: deque[float] = field(default_factory=deque)
 
 
-Spawn = Callable[[TaskCommand, Mapping[str, str], Pulse], ChildProcess]
+Spawn = Callable[[ProcessCommand, Mapping[str, str], Pulse], ChildProcess]
 
 
-def spawn_process(command: TaskCommand, environment: Mapping[str, str], pulse: Pulse) -> ChildProcess:
-    """Start the process of a task, which tells how its loop is; it is asked to end if this thread dies."""
+def spawn_process(command: ProcessCommand, environment: Mapping[str, str], pulse: Pulse) -> ChildProcess:
+    """Start a process, which tells how its loop is; it is asked to end if this thread dies."""
     return ChildProcess(
         command.argv,
         name=command.name,
@@ -105,18 +118,19 @@ class Agent:
     """Processes of one host. Call :meth:`poll` often, from the thread that called :meth:`start`.
 
     Args:
-        commands: One for each task, in starting order.
+        commands: One for each process, in starting order.
         environment: Environment of the processes.
         spawn: Starts a process.
     """
 
     def __init__(
-        self, commands: Sequence[TaskCommand], environment: Mapping[str, str], spawn: Spawn = spawn_process
+        self, commands: Sequence[ProcessCommand], environment: Mapping[str, str], spawn: Spawn = spawn_process
     ) -> None:
-        self._slots = {command.name: _Slot(command) for command in commands}
-        self._environment = dict(environment)
+        self._slots = [_Slot(command) for command in commands]
+        #: Environment of the processes that are started from now on.
+        self.environment = dict(environment)
         self._spawn = spawn
-        #: Whether a task that died is started again.
+        #: Whether a process that died is started again.
         self.respawn = False
 
     def start(self) -> list[Started]:
@@ -125,7 +139,7 @@ class Agent:
         Raises:
             LinkError: One cannot be started.
         """
-        return [self._start(slot) for slot in self._slots.values()]
+        return [self._start(slot) for slot in self._slots]
 
     def poll(self, now: float) -> list[Started | Died]:
         """Notice processes that ended, end those that hang, and start again those whose time has come.
@@ -134,10 +148,10 @@ class Agent:
             now: Monotonic time [s].
         """
         events: list[Started | Died] = []
-        for slot in self._slots.values():
+        for slot in self._slots:
             if slot.child is not None and (code := slot.child.poll()) is not None:
                 slot.child = None
-                events.append(Died(slot.command.name, self._plan(slot, code, now)))
+                events.append(Died(slot.command.tasks, self._plan(slot, code, now)))
                 slot.failure, slot.kill_at = "", math.inf
             elif slot.child is not None and now >= slot.kill_at:
                 slot.child.send_signal(signal.SIGKILL)
@@ -152,13 +166,14 @@ class Agent:
                     events.append(self._start(slot))
                 except LinkError as error:  # no room for its log, no process left: that may pass
                     slot.respawn_at = now + RESPAWN_DELAY_S
-                    events.append(Died(slot.command.name, f"{error.message}; tried again in {RESPAWN_DELAY_S:g} s"))
+                    events.append(Died(slot.command.tasks, f"{error.message}; tried again in {RESPAWN_DELAY_S:g} s"))
         return events
 
     def replace(self, name: str, pid: int, failure: str, now: float) -> None:
-        """End a task that says it cannot go on, if this host runs it, so that it is started again as if it had died.
+        """End the process of a task that says it cannot go on, if this host runs it.
 
-        Before the machine was ready (:attr:`respawn`) nothing is ended: the start fails, and says why.
+        It is started again as if it had died. Before the machine was ready (:attr:`respawn`) nothing is ended: the
+        start fails, and says why.
 
         Args:
             name: Task.
@@ -166,7 +181,7 @@ class Agent:
             failure: Why it cannot go on.
             now: Monotonic time [s].
         """
-        slot = self._slots.get(name)
+        slot = next((slot for slot in self._slots if name in slot.command.tasks), None)
         if slot is None or slot.child is None or slot.child.pid != pid or slot.failure or not self.respawn:
             return
         slot.failure, slot.kill_at = failure or "it gave no reason", now + _END_S
@@ -174,7 +189,8 @@ class Agent:
 
     def running(self) -> list[str]:
         """Names of the tasks whose process runs, in starting order."""
-        return [name for name, slot in self._slots.items() if slot.child is not None and slot.child.poll() is None]
+        up = [slot.command.tasks for slot in self._slots if slot.child is not None and slot.child.poll() is None]
+        return [task for tasks in up for task in tasks]
 
     def shut_down(self) -> list[str]:
         """Stop all processes, the last started first; takes less than 4 s.
@@ -183,13 +199,13 @@ class Agent:
         Who has not ended after 2.6 s gets SIGTERM, after 3.5 s SIGKILL.
 
         Returns:
-            Names of the tasks that had to be killed.
+            Names of the processes that had to be killed.
         """
         self.respawn = False
-        for slot in self._slots.values():
+        for slot in self._slots:
             slot.respawn_at = None
         began = clock.monotonic()
-        children = [(name, slot.child) for name, slot in self._slots.items() if slot.child is not None]
+        children = [(slot.command.name, slot.child) for slot in self._slots if slot.child is not None]
         turn = min(_TURN_S, _ALL_TURNS_S / max(1, len(children)))
         for _, child in reversed(children):
             child.send_signal(signal.SIGINT)
@@ -210,13 +226,13 @@ class Agent:
         try:
             pulse = Pulse.create()
             try:
-                slot.child = self._spawn(slot.command, self._environment, pulse)
+                slot.child = self._spawn(slot.command, self.environment, pulse)
             finally:
                 pulse.keep()
         except OSError as error:
-            raise LinkError(f"task {slot.command.name} cannot be started: {error}") from error
+            raise LinkError(f"{_named(slot.command.tasks)} cannot be started: {error}") from error
         slot.standstill = Standstill(slot.child.pid, pulse)
-        return Started(slot.command.name, slot.child.pid, slot.restarts)
+        return Started(slot.command.tasks, slot.child.pid, slot.restarts)
 
     def _plan(self, slot: _Slot, code: int, now: float) -> str:
         sentence = f"it {_ending(slot, code)} (log: {slot.command.log})"
@@ -249,8 +265,8 @@ def _size(log: Path) -> int:
     return log.stat().st_size if log.exists() else 0
 
 
-def commands(deployment: Deployment, host: str, run_dir: Path) -> list[TaskCommand]:
-    """Commands for the tasks of one host, in starting order; their parameter files are written.
+def commands(deployment: Deployment, host: str, run_dir: Path) -> list[ProcessCommand]:
+    """Commands for the processes of one host, in starting order; the parameter files of their tasks are written.
 
     Args:
         deployment: The deployment.
@@ -262,28 +278,39 @@ def commands(deployment: Deployment, host: str, run_dir: Path) -> list[TaskComma
         StoreError: A parameter file cannot be written.
     """
     result = []
-    for placed in deployment.on_host(host):
-        program = path_of(placed.task.package, placed.task.executable)
-        parameters = write_parameters(run_dir, placed.name, deployment.parameters_of(placed.task))
-        argv = [str(program), "--ros-args", "--disable-external-lib-logs", "--params-file", str(parameters)]
-        result.append(TaskCommand(placed.name, argv, run_dir / "log" / f"{placed.name}.log"))
+    for process, placed in deployment.on_host(host).items():
+        programs = [path_of(each.task.package, each.task.executable) for each in placed]
+        argv = [str(programs[0])]
+        if len(placed) > 1:
+            shared = [f"{each.task.package}/{each.task.executable}" for each in placed]
+            argv = [str(path_of("im_bringup", "shared_process")), *shared]
+        parameters = {each.task.node: deployment.parameters_of(each.task) for each in placed}
+        file = write_parameters(run_dir, process, parameters)
+        argv += ["--ros-args", "--disable-external-lib-logs", "--params-file", str(file)]
+        tasks = tuple(each.name for each in placed)
+        result.append(ProcessCommand(process, tasks, argv, run_dir / "log" / f"{process}.log"))
     return result
 
 
-def write_parameters(run_dir: Path, task: str, parameters: Mapping[str, ParameterValue]) -> Path:
-    """Write a ROS parameter file that holds for every node of the task's process.
+def write_parameters(run_dir: Path, process: str, parameters: Mapping[str, Mapping[str, ParameterValue]]) -> Path:
+    """Write the ROS parameter file of a process.
+
+    Args:
+        run_dir: Folder of the machine.
+        process: Name of the process.
+        parameters: Those of each of its nodes, by its fully qualified name.
 
     Raises:
         StoreError: It cannot be written.
     """
-    path = run_dir / "parameters" / f"{task}.yaml"
+    path = run_dir / "parameters" / f"{process}.yaml"
     make_folder(path.parent)
-    content = {"/**": {"ros__parameters": dict(parameters)}}
+    content = {node: {"ros__parameters": dict(values)} for node, values in parameters.items()}
     return write_whole(path, yaml.safe_dump(content, sort_keys=True))
 
 
 def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:
-    """Environment of the machine's processes: its mark, its folder, its DDS, and the core of its servo."""
+    """Environment of the machine's processes: its mark, folder, DDS, core of its servo, and whether nets need proof."""
     core = scheduling.reserve() if deployment.clock_factor > 0.0 else {}
-    dds = middleware(base, deployment)
-    return {**base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir)}
+    dds, unproved = middleware(base, deployment), str(int(deployment.unproved))
+    return {**base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}

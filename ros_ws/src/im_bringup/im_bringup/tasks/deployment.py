@@ -1,5 +1,6 @@
 """The deployment file: which task runs in which process on which host."""
 
+import argparse
 import re
 import socket
 from collections.abc import Iterator
@@ -21,9 +22,9 @@ HostName = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za
 NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]*$", max_length=200)]
 
 MOST_TASKS = 100
-"""Of a machine; each is a process."""
+"""Of a machine."""
 
-_VALUES = ("clock_factor", "period", "seed", "port", "control", "calibration")
+_VALUES = ("clock_factor", "period", "seed", "port", "control", "calibration", "commands")
 _REFERENCE = re.compile(r"\$\{(\w+)\}")
 
 
@@ -34,8 +35,8 @@ class Task(Model):
         package: ROS package of the executable.
         executable: Its console script.
         node: Fully qualified name of the node.
-        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}``, ``${control}`` and
-            ``${calibration}`` stand for those of the deployment.
+        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}``, ``${control}``,
+            ``${calibration}`` and ``${commands}`` stand for those of the deployment.
     """
 
     package: Name
@@ -66,8 +67,12 @@ class Deployment(Model):
         control: Whether the display may operate nets; if not, it only shows them.
         calibration: Folder of the calibrations to start with, as read from a file relative to it; empty: none, cameras
             and laser scanner are as drawn.
+        unproved: Whether it may start where it cannot be decided in time whether its nets may run.
+        commands: The commands of the Dispatcher: names of those shipped, net files and folders of them, as read from a
+            file relative to it.
         keep: What is kept of logs and results.
-        hosts: Host name -> process name -> task name -> task, in starting order.
+        hosts: Host name -> process name -> task name -> task, in starting order. The tasks of one process share its
+            interpreter, its DDS participant and its loop, and die and start together.
     """
 
     clock_factor: Annotated[float, pydantic.Field(ge=0.0, le=100.0)] = 1.0
@@ -76,20 +81,22 @@ class Deployment(Model):
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
     control: bool = False
     calibration: str = ""
+    commands: tuple[Annotated[str, pydantic.StringConstraints(pattern=r"^[^,]+$", max_length=4096)], ...] = ()
+    unproved: bool = False
     keep: Keep = Keep()
     hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
 
     @pydantic.model_validator(mode="after")
     def _check_tasks(self) -> Self:
-        count = sum(len(processes) for processes in self.hosts.values())
+        count = sum(len(tasks) for processes in self.hosts.values() for tasks in processes.values())
         if count > MOST_TASKS:
             raise ValueError(f"there are {count} tasks; {MOST_TASKS} are allowed")
         names: dict[str, str] = {}
         nodes: dict[str, str] = {}
         for host, processes in self.hosts.items():
             for process, tasks in processes.items():
-                if len(tasks) != 1:
-                    raise ValueError(f"process '{process}' of host '{host}' has {len(tasks)} tasks, it must have 1")
+                if not tasks:
+                    raise ValueError(f"process '{process}' of host '{host}' has no task")
                 for name, task in tasks.items():
                     place = f"process '{process}' of host '{host}'"
                     if name in names:
@@ -113,7 +120,8 @@ class Deployment(Model):
                     )
 
     def _variables(self) -> dict[str, Scalar]:
-        return {name: getattr(self, name) for name in _VALUES}
+        values = {name: getattr(self, name) for name in _VALUES}
+        return {**values, "commands": ",".join(self.commands)}
 
     def tasks(self) -> Iterator[PlacedTask]:
         """All tasks with their places, in starting order; ids count from 1."""
@@ -124,15 +132,19 @@ class Deployment(Model):
                     number += 1
                     yield PlacedTask(number, name, host, process, task)
 
-    def on_host(self, host: str) -> list[PlacedTask]:
-        """The tasks of one host, in starting order.
+    def on_host(self, host: str) -> dict[str, list[PlacedTask]]:
+        """The tasks of each process of one host, in starting order.
 
         Raises:
             NotFoundError: The deployment has no such host.
         """
         if host not in self.hosts:
             raise NotFoundError(kind="host of the deployment", name=host, known=self.hosts)
-        return [placed for placed in self.tasks() if placed.host == host]
+        processes: dict[str, list[PlacedTask]] = {process: [] for process in self.hosts[host]}
+        for placed in self.tasks():
+            if placed.host == host:
+                processes[placed.process].append(placed)
+        return processes
 
     def local_host(self) -> str:
         """The host that this process runs on: this computer's name if it is there, else ``localhost``."""
@@ -140,8 +152,8 @@ class Deployment(Model):
         return name if name in self.hosts else "localhost"
 
     def parameters_of(self, task: Task) -> dict[str, ParameterValue]:
-        """ROS parameters of a task: references replaced, ``use_sim_time`` true unless the file says otherwise."""
-        values: dict[str, ParameterValue] = {"use_sim_time": True}
+        """ROS parameters of a task: references replaced, what the file does not say is as below."""
+        values: dict[str, ParameterValue] = {"use_sim_time": True, "introspection": "contents"}
         for name, value in task.parameters.items():
             values[name] = self._resolved(value) if isinstance(value, str) else value
         return values
@@ -161,6 +173,7 @@ class Deployment(Model):
         period: float | None = None,
         calibration: str | None = None,
         control: bool | None = None,
+        unproved: bool | None = None,
     ) -> "Deployment":
         """The same deployment with some of its values replaced; None leaves a value as it is.
 
@@ -168,7 +181,7 @@ class Deployment(Model):
             ConfigError: A value is out of range.
         """
         given: dict[str, object] = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
-        given |= {"calibration": calibration, "control": control}
+        given |= {"calibration": calibration, "control": control, "unproved": unproved}
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})
@@ -178,19 +191,28 @@ class Deployment(Model):
             raise ConfigError(f"{fault.field}: {shown}: {fault.words}", field=fault.field) from error
 
 
+def with_options(deployment: Deployment, options: argparse.Namespace) -> Deployment:
+    """The deployment with the values that a command line gives; arguments and errors as of ``with_values``."""
+    names = ("factor", "seed", "port", "period", "calibration", "control", "unproved")
+    return deployment.with_values(**{name: getattr(options, name) for name in names})
+
+
 def default_path() -> Path:
     """The deployment that ``scripts/start.sh`` takes when none is named."""
     return config.package_file("im_bringup", "deployments/default.yaml")
 
 
 def load(path: str | Path) -> Deployment:
-    """Read a deployment file; its folder of calibrations is relative to it.
+    """Read a deployment file; its folder of calibrations and its net files are relative to it.
 
     Raises:
         ConfigError: It cannot be read or is not a deployment; names file, line and field.
     """
     deployment = config.load_model(path, Deployment)
+    here = Path(path).resolve().parent
+    named = [str((here / name).resolve()) if "/" in name or "." in name else name for name in deployment.commands]
+    deployment = deployment.model_copy(update={"commands": tuple(named)})
     if not deployment.calibration:
         return deployment
-    folder = (Path(path).resolve().parent / deployment.calibration).resolve()
+    folder = (here / deployment.calibration).resolve()
     return deployment.model_copy(update={"calibration": str(folder)})

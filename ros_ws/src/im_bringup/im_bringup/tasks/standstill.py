@@ -1,8 +1,8 @@
 """Whether a process hangs, by what it tells of its loop and by what the kernel tells of it."""
 
 import os
-from pathlib import Path
 
+from im_core.procfs import stat_fields
 from im_core.pulse import Pulse
 
 #: How often the CPU time of a process that does not tick is looked at [s].
@@ -48,8 +48,5 @@ class Standstill:
 
 def cpu_of(pid: int) -> float:
     """CPU time that a process has used, in all its threads [s]; 0 if there is none."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
+    fields = stat_fields(pid)
+    return 0.0 if fields is None else (int(fields[11]) + int(fields[12])) / _TICKS_PER_S

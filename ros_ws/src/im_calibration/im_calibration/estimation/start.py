@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _SAMPLES = 400
 _SAMPLE_SIZE = 7
 _SEED = 1989
-_REFITS = 6
+_REFITS, _REFITTED = 6, 20
 _REWEIGHTINGS = 15
 _FOCAL_LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)
 FLAT = 0.02
@@ -176,11 +176,12 @@ def _ransac(points: Array, pixels: Array, tolerance: float, width: float) -> tup
     candidates = _dlt(points[samples], pixels[samples], np.ones(samples.shape))
     squared = _squared_errors(candidates, points, pixels)
     costs = (squared / (squared + tolerance**2)).sum(axis=1)
-    for best in np.argsort(costs, kind="stable")[:20]:
-        matrix = candidates[best]
-        for _ in range(_REFITS):
-            weights = (1.0 + _squared_errors(matrix[None], points, pixels)[0] / tolerance**2) ** -2
-            matrix = _dlt(points[None], pixels[None], weights[None])[0]
+    matrices = candidates[np.argsort(costs, kind="stable")[:_REFITTED]]
+    each = (len(matrices), len(points))
+    for _ in range(_REFITS):
+        weights = (1.0 + _squared_errors(matrices, points, pixels) / tolerance**2) ** -2
+        matrices = _dlt(np.broadcast_to(points, (*each, 3)), np.broadcast_to(pixels, (*each, 2)), weights)
+    for matrix in matrices:
         camera = _decompose(matrix, points)
         if camera is not None and 0.2 * width < min(camera[0][:2]) and max(camera[0][:2]) < 20.0 * width:
             return camera

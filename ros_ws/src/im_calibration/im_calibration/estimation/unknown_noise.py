@@ -8,7 +8,7 @@ components go on in turns.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.typing import NDArray
 
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated, fit_with_gates

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.typing import NDArray
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError

@@ -18,7 +18,7 @@ from im_calibration.estimation.covariance import covariance_of
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated, predict_from_others
 from im_calibration.estimation.projection import image
 from im_calibration.estimation.residuals import camera_blocks
-from im_calibration.estimation.search import best_explanation
+from im_calibration.estimation.search import best_explanation, first_explanation, unexplained
 from im_calibration.estimation.unknowns import ParameterLayout
 from im_calibration.problem.problem import CalibrationProblem
 from im_cell.lens import LENSES
@@ -118,13 +118,16 @@ def _with_better(
     cameras = [fault.camera for fault in suspects]
     before = [_losses(gated, problem, layout, c) for c in cameras]
     best, least = list[LensFault](), -_GAIN
+    before_unexplained = unexplained(gated, problem)
     for name in LENSES:
         models = tuple(name if c in cameras else model for c, model in enumerate(problem.lens_models))
         if models == problem.lens_models:
             continue
         other = replace(problem, lens_models=models)
         try:
-            anew = best_explanation(other, ParameterLayout.of(other))
+            anew = first_explanation(other, ParameterLayout.of(other))
+            if unexplained(anew, other) < before_unexplained:  # else no search makes it the better one
+                anew = best_explanation(other, ParameterLayout.of(other), anew)
         except (DegenerateDataError, InconsistentDataError, np.linalg.LinAlgError):
             continue
         if not np.isfinite(anew.fit.chi2):

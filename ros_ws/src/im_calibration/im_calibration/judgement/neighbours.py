@@ -6,9 +6,8 @@ Chi-square compares residuals with a noise that is stated. Where none is, their 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from im_calibration.estimation.residuals import Linearisation, camera_blocks
 
@@ -69,7 +68,7 @@ def compare_neighbours(line: Linearisation, used: Mask, positions: NDArray[np.fl
     for c, counts in enumerate(used):
         if counts.sum() < _FEWEST_SPOTS:
             continue
-        nearest = cKDTree(positions[counts]).query(positions[counts], _NEIGHBOURS + 1)[1][:, 1:]
+        nearest = scipy.spatial.cKDTree(positions[counts]).query(positions[counts], _NEIGHBOURS + 1)[1][:, 1:]
         near = np.zeros((len(nearest), len(nearest)))
         np.put_along_axis(near, nearest, 1.0, axis=1)
         white = np.linalg.solve(np.linalg.cholesky(spread[c][counts]), residuals[c][counts][..., None])[..., 0]

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 import pydantic
+import scipy
 import yaml
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from im_cell.camera_model import CameraModel
 from im_core.config import Model, load_model
@@ -91,7 +91,7 @@ class TransformStamped(Model):
     def pose(self) -> CameraPose:
         """The same, from the camera's side."""
         place, turn = self.transform.translation, self.transform.rotation
-        R = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix().T
+        R = scipy.spatial.transform.Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix().T
         return CameraPose(self.header.frame_id, R, -R @ np.array([place.x, place.y, place.z]))
 
 
@@ -122,7 +122,7 @@ def extrinsics_yaml(poses: Mapping[str, CameraPose]) -> str:
 
 
 def _transform(camera: str, pose: CameraPose) -> dict[str, Any]:
-    rotation = Rotation.from_matrix(pose.R_cam_base.T).as_quat()
+    rotation = scipy.spatial.transform.Rotation.from_matrix(pose.R_cam_base.T).as_quat()
     translation = -pose.R_cam_base.T @ pose.t_cam_base
     return {
         "header": {"frame_id": pose.parent},

@@ -53,6 +53,7 @@ from im_cell.link.host import HostEnd
 from im_cell.link.panel import PanelEnd
 from im_cell.link.servo import ServoEnd
 from im_cell.link.values import (
+    ControlState,
     Exposure,
     ExposureRequest,
     Faults,
@@ -68,6 +69,7 @@ from im_cell.link.vision import CameraEnd, LaserEnd
 __all__ = [
     "CameraEnd",
     "ClockEnd",
+    "ControlState",
     "Exposure",
     "ExposureRequest",
     "Faults",

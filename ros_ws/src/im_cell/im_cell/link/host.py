@@ -7,7 +7,16 @@ from numpy.typing import NDArray
 
 from im_cell.link.block import MAX_LIGHTS, LinkBlock
 from im_cell.link.end import LinkEnd
-from im_cell.link.values import ExposureRequest, Faults, JawObject, LaserBeam, Sensors, TickCommand, TrueState
+from im_cell.link.values import (
+    ControlState,
+    ExposureRequest,
+    Faults,
+    JawObject,
+    LaserBeam,
+    Sensors,
+    TickCommand,
+    TrueState,
+)
 from im_core.errors import DataError
 from im_core.shm import ProcessId
 from im_core.silence import Silence
@@ -78,6 +87,17 @@ class HostEnd(LinkEnd):
     def servo_attached(self) -> bool:
         """Whether a servo takes part in the handshake."""
         return bool(int(self._shared.view["servo_pid"]))
+
+    def read_control(self) -> ControlState:
+        """Who controls the motors, and whether they can move."""
+        view = self._shared.view
+        return ControlState(
+            tick=self.tick,
+            servo=int(view["servo_pid"]),
+            losses=int(view["servo_losses"]),
+            power=bool(view["power"]),
+            braked=bool(view["brakes"].all()),
+        )
 
     def await_command(self, timeout_s: float) -> TickCommand | None:
         """Post the tick to the servo and wait for its command.

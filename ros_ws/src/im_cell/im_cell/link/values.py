@@ -51,6 +51,24 @@ class TickState(NamedTuple):
     gripper_force: NDArray[np.float64]
 
 
+class ControlState(NamedTuple):
+    """Who controls the motors.
+
+    Attributes:
+        tick: Number of the tick.
+        servo: Process of the servo that takes part, 0 if none does.
+        losses: How many servos were declared gone so far.
+        power: Whether the motors have power.
+        braked: Whether every brake is engaged.
+    """
+
+    tick: int
+    servo: int
+    losses: int
+    power: bool
+    braked: bool
+
+
 class TickCommand(NamedTuple):
     """What the servo wants during a tick.
 

@@ -9,7 +9,7 @@ from im_pnt_analysis import verify_to_load
 
 
 class GripperCoordinator(PntNode):
-    """Runs ``nets/gripper_coordinator.yaml``, whose actions are services of MCS."""
+    """Runs ``nets/gripper_coordinator.yaml``, whose actions are goals of MCS."""
 
     def __init__(self) -> None:
         nets = [package_file("im_coordinators", "nets/gripper_coordinator.yaml")]

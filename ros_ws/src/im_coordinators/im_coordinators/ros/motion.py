@@ -4,8 +4,8 @@ import sys
 
 from trajectory_msgs.msg import JointTrajectory
 
-from im_coordinators.motion import HOLDING_STATES, POWERED_STATES, group_held, require_rest
-from im_coordinators.ros.calibration import group_of
+from im_coordinators.motion import DESTINATIONS, HOLDING_STATES, POWERED_STATES, require_rest, state_for, way_asked
+from im_coordinators.tool import DETAILS
 from im_core.config import package_file
 from im_core.ros import qos, run
 from im_msgs.msg import McsState
@@ -26,53 +26,64 @@ class MotionCoordinator(PntNode):
             "motion_coordinator",
             [package_file("im_coordinators", "nets/motion_coordinator.yaml")],
             functions={
-                "group_to_reserve": self.group_to_reserve,
-                "group_held": self.group_held,
+                "group_and_owner": self.group_and_owner,
+                "destination_asked": destination_asked,
+                "path_asked": path_asked,
                 "path_to_follow": self.path_to_follow,
                 "store_position": self.store_position,
             },
             guards={
-                "mcs_powered": of_mcs(lambda _: self._mcs_state in POWERED_STATES),
-                "mcs_in_motion": of_mcs(lambda _: self._mcs_state == "motion"),
-                "right_held": of_mcs(lambda _: self._held == "right"),
-                "mcs_holds_group": of_mcs(lambda _: self._mcs_state in HOLDING_STATES),
-                "path_given": woken_by("data:given_path")(lambda _: self.sources.valid("given_path")),
+                "group_held": of_mcs(lambda ctx: self._state(ctx) in HOLDING_STATES),
+                "group_powered": of_mcs(lambda ctx: self._state(ctx) in POWERED_STATES),
+                "group_in_motion": of_mcs(lambda ctx: self._state(ctx) == "motion"),
             },
             verifier=verify_to_load,
         )
         self.sources.follow(MCS_STATE, McsState, qos.LATCHED)
 
-    async def group_to_reserve(self, ctx: ActionContext) -> dict[str, object]:
+    def group_and_owner(self, ctx: ActionContext) -> dict[str, object]:
         """The arm that is to move, for this node alone."""
-        return {"group": await group_of(ctx, self.dom), "owner": self.get_fully_qualified_name()}
-
-    async def group_held(self, ctx: ActionContext) -> dict[str, object]:
-        """The arm that MCS holds."""
-        return {"group": self._held}
+        return {"group": _group(ctx), "owner": self.get_fully_qualified_name()}
 
     async def path_to_follow(self, ctx: ActionContext) -> dict[str, object]:
-        """The goal of a move: the path in the DOM."""
-        return {"path": await self.dom.get("path", JointTrajectory)}
+        """The goal of a move: the path of the command."""
+        return {"path": await self.dom.get(ctx.object(_path(ctx)), JointTrajectory)}
 
     async def store_position(self, ctx: ActionContext, answer: GetGroupState.Response) -> None:
         """Stores the position that MCS measured at rest."""
-        require_rest(answer.state.group, answer.state.at_rest)
-        await self.dom.put("current_position", answer.state, place="motion_coordinator.pos_found")
+        told: McsState | None = self.sources.last(MCS_STATE)
+        require_rest(answer.state.group, answer.state.at_rest, told.reason if told else "")
+        name = ctx.object(str(ctx.request_arguments["position"]))
+        await self.dom.put(name, answer.state, place="motion_coordinator.pos_found")
 
-    @property
-    def _held(self) -> str:
-        message = self._mcs
-        return group_held([] if message is None else list(message.reserved_groups))
+    def _state(self, ctx: ActionContext) -> str:
+        """State of the arm that is to move, as far as this node may move it."""
+        told: McsState | None = self.sources.last(MCS_STATE)
+        return state_for([] if told is None else told.groups, _group(ctx), self.get_fully_qualified_name())
 
-    @property
-    def _mcs_state(self) -> str:
-        message = self._mcs
-        return "unconfigured" if message is None else str(message.state)
 
-    @property
-    def _mcs(self) -> McsState | None:
-        message: McsState | None = self.sources.last(MCS_STATE)
-        return message
+def destination_asked(ctx: ActionContext) -> dict[str, object]:
+    """Where the arm is to move: whatever way the request says it."""
+    asked = ctx.request_arguments
+    way = way_asked(asked, (*DESTINATIONS, "path"), "move_robot")
+    details = {name: asked[name] for name in DETAILS}
+    return {"group": asked["group"], way: asked[way], "leaves": _path(ctx), **details}
+
+
+def path_asked(ctx: ActionContext) -> dict[str, object]:
+    """Along which path the arm is to move."""
+    asked = ctx.request_arguments
+    way_asked(asked, (*DESTINATIONS, "path"), "move_robot")
+    return {"group": asked["group"], "path": asked["path"], "leaves": _path(ctx)}
+
+
+def _group(ctx: ActionContext) -> str:
+    return str(ctx.request_arguments["group"])
+
+
+def _path(ctx: ActionContext) -> str:
+    """Name of the path that is followed: two arms of one command move along two."""
+    return f"path/{_group(ctx)}"
 
 
 def main() -> None:

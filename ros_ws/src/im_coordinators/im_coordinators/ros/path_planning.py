@@ -1,27 +1,37 @@
 """Node ``/path_planning_coordinator``."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.client import Client
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_cell.robot import load_cell
-from im_coordinators.path_planning import another_may_help, detour, detour_may_help, tucked_seed
-from im_coordinators.ros.calibration import group_of
+from im_coordinators.motion import DESTINATIONS, way_asked
+from im_coordinators.path_planning import (
+    another_may_help,
+    configuration,
+    detour,
+    detour_may_help,
+    require_joints,
+    tucked_seed,
+)
+from im_coordinators.tool import ToolTarget, WristPlacement, require_position
 from im_core.config import package_file
+from im_core.errors import ImError
 from im_core.ros import run
+from im_core.ros.calls import ask_again
 from im_core.ros.status import status_to_error
 from im_msgs.msg import GroupState
 from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
-from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext, idempotent, woken_by
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 
-ANSWER_S = 30.0
+#: What is asked of MCS has no effect: it is asked again where an answer was lost, as of a node that has just begun [s].
+ANSWER_S, AGAIN_S = 40.0, 10.0
 
 
 class PathPlanningCoordinator(PntNode):
@@ -41,85 +51,116 @@ class PathPlanningCoordinator(PntNode):
             functions=functions,
             guards={
                 "detour_may_help": woken_by()(lambda ctx: detour_may_help(ctx.failure)),
-                "another_may_help": woken_by()(lambda ctx: another_may_help(ctx.failure, ctx.memory)),
+                "another_may_help": woken_by()(
+                    lambda ctx: not ctx.request_arguments["joints"] and another_may_help(ctx.failure, ctx.memory)
+                ),
             },
-            asks={
-                **{name: idempotent(function) for name, function in functions.items()},
-                "check_given": self.given_checked,
-            },
+            asks={name: idempotent(function) for name, function in functions.items()},
             verifier=verify_to_load,
         )
-        self._tucked = {name: list(side.home) for name, side in load_cell().sides.items()}
+        cell = load_cell()
+        self._tucked = {name: list(side.home) for name, side in cell.sides.items()}
+        self._reach = cell.gripper.reach
         self._state = self.create_client(GetGroupState, "/mcs/get_group_state")
         self._kinematics = self.create_client(InverseKinematics, "/mcs/inverse_kinematics")
         self._check = self.create_client(CheckPath, "/mcs/check_path")
 
     async def find_configuration(self, ctx: ActionContext) -> None:
-        """Finds joint positions for the destination in the DOM, near to where the group is."""
+        """Finds joint positions for what was asked for, near to where the group is."""
         here = await self._here(ctx)
-        await self._find(here, _position(here))
+        await self._find(ctx, here, _position(here))
 
     async def find_another(self, ctx: ActionContext) -> None:
         """Finds other joint positions for the destination, near to where the arm is out of the way."""
         here = await self._here(ctx)
         ctx.memory["another"] = True
-        await self._find(here, tucked_seed(_position(here), self._tucked[here.group]))
+        await self._find(ctx, here, tucked_seed(_position(here), self._tucked[here.group]))
 
     async def plan_direct(self, ctx: ActionContext) -> None:
         """Stores the joint-interpolated path to the goal if it is free."""
-        here, goal = await self._here(ctx), await self._goal()
-        await self._store(here, [goal])
+        here, goal = await self._here(ctx), await self._goal(ctx)
+        await self._store(ctx, here, [goal])
 
     async def plan_detour(self, ctx: ActionContext) -> None:
         """Stores the path with the arm tucked on the way if it is free."""
-        here, goal = await self._here(ctx), await self._goal()
-        await self._store(here, detour(_position(here), goal, self._tucked[here.group]))
+        here, goal = await self._here(ctx), await self._goal(ctx)
+        await self._store(ctx, here, detour(_position(here), goal, self._tucked[here.group]))
 
     async def check_given(self, ctx: ActionContext) -> None:
         """Stores the path that was given if it is free."""
-        given = await self.dom.get("given_path", JointTrajectory)
+        given = await self.dom.get(ctx.object(str(ctx.request_arguments["path"])), JointTrajectory)
         here = await self._here(ctx)
-        await self._store(here, [list(point.positions) for point in given.points])
-        await self.dom.invalidate("given_path")
-
-    async def given_checked(self, ctx: ActionContext) -> Answer:
-        """What became of :meth:`check_given`: the given path is taken back when it has been stored as the path."""
-        if not await self.dom.is_valid("given_path"):
-            return Answer(Outcome.DONE, asked="/dom: the given path was used")
-        asked = idempotent(self.check_given)(ctx)
-        return asked if isinstance(asked, Answer) else await asked
+        require_joints(given.joint_names, here.joints, here.group)
+        await self._store(ctx, here, [list(point.positions) for point in given.points])
 
     async def _here(self, ctx: ActionContext) -> GroupState:
-        group = await group_of(ctx, self.dom)
+        group = str(ctx.request_arguments["group"])
         answer = await self._ask(self._state, GetGroupState.Request(group=group), f"the position of {group}")
         here: GroupState = answer.state
         return here
 
-    async def _find(self, here: GroupState, seed: Sequence[float]) -> None:
-        destination = await self.dom.get("destination", PoseStamped)
-        request = InverseKinematics.Request(group=here.group, wrist=destination.pose, seed=seed, avoid_collisions=True)
-        answer = await self._ask(self._kinematics, request, "inverse kinematics")
-        goal = _trajectory(here.joints, [answer.q])
-        await self.dom.put("goal_configuration", goal, place="path_planning_coordinator.goal_valid")
+    async def _find(self, ctx: ActionContext, here: GroupState, seed: Sequence[float]) -> None:
+        asked = ctx.request_arguments
+        way = way_asked(asked, DESTINATIONS, "plan_path")
+        require_position(asked, way)
+        match way:
+            case "joints":
+                q = configuration(asked["joints"], here.joints, here.group)
+            case "position":
+                q = await self._for_tool(here, ToolTarget.asked(asked), seed)
+            case _:
+                destination = await self.dom.get(ctx.object(str(asked["destination"])), PoseStamped)
+                q = await self._configuration(here, destination.pose, seed)
+        goal, place = _trajectory(here.joints, [q]), "path_planning_coordinator.goal_valid"
+        await self.dom.put(ctx.object(_goal_name(ctx)), goal, place=place)
 
-    async def _goal(self) -> list[float]:
-        goal = await self.dom.get("goal_configuration", JointTrajectory)
+    async def _for_tool(self, here: GroupState, target: ToolTarget, seed: Sequence[float]) -> list[float]:
+        p, o = here.wrist.position, here.wrist.orientation
+        wrist = target.wrist(WristPlacement.of((p.x, p.y, p.z), (o.x, o.y, o.z, o.w)), self._reach)
+        try:
+            return await self._configuration(here, _pose(wrist), seed)
+        except ImError as error:
+            raise target.refusal(error) from error
+
+    async def _configuration(self, here: GroupState, wrist: Pose, seed: Sequence[float]) -> list[float]:
+        request = InverseKinematics.Request(group=here.group, wrist=wrist, seed=seed, avoid_collisions=True)
+        return list((await self._ask(self._kinematics, request, "inverse kinematics")).q)
+
+    async def _goal(self, ctx: ActionContext) -> list[float]:
+        goal = await self.dom.get(ctx.object(_goal_name(ctx)), JointTrajectory)
         return list(goal.points[-1].positions)
 
-    async def _store(self, here: GroupState, points: Sequence[Sequence[float]]) -> None:
+    async def _store(self, ctx: ActionContext, here: GroupState, points: Sequence[Sequence[float]]) -> None:
         whole = _trajectory(here.joints, [_position(here), *points])
         await self._ask(self._check, CheckPath.Request(group=here.group, path=whole), "a path to be checked")
-        await self.dom.put("path", _trajectory(here.joints, points), place="motion_coordinator.path_valid")
+        name, path = ctx.object(str(ctx.request_arguments["leaves"])), _trajectory(here.joints, points)
+        await self.dom.put(name, path, place="motion_coordinator.path_valid")
 
     async def _ask(self, client: Client, request: object, what: str) -> Any:
-        answer = await self.heartbeats.wait(client.call_async(request), "mcs", ANSWER_S, what)
+        def ask() -> Coroutine[object, object, Any]:
+            return self.heartbeats.wait(client.call_async(request), "mcs", AGAIN_S, what)
+
+        answer = await ask_again(ask, ANSWER_S, what)
         if not answer.success:
             raise status_to_error(answer.status)
         return answer
 
 
+def _goal_name(ctx: ActionContext) -> str:
+    """Name of the configuration that a path leads to: two arms of one command have two."""
+    return f"goal_configuration/{ctx.request_arguments['group']}"
+
+
 def _position(state: GroupState) -> list[float]:
     return list(state.q_rest or state.q)
+
+
+def _pose(wrist: WristPlacement) -> Pose:
+    message = Pose()
+    position, orientation = message.position, message.orientation
+    position.x, position.y, position.z = map(float, wrist.position)
+    orientation.x, orientation.y, orientation.z, orientation.w = wrist.quaternion
+    return message
 
 
 def _trajectory(joints: Sequence[str], points: Sequence[Sequence[float]]) -> JointTrajectory:

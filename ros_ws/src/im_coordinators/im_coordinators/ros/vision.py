@@ -3,19 +3,19 @@
 import sys
 
 import numpy as np
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 from im_calibration.light import MeasuredRest, rotation_of
+from im_cell.lights import lights_told
 from im_cell.robot import load_cell
-from im_coordinators.requests import collected_poses, kept_pose
-from im_coordinators.ros.calibration import CAMERAS, cameras_of
-from im_coordinators.vision import another_look_may_help, is_lit, require_spot
+from im_coordinators.vision import another_look_may_help, require_spot
 from im_core import clock
+from im_core.arrivals import read_data
 from im_core.config import package_file
-from im_core.errors import WaitTimeoutError
+from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos, run
 from im_core.ros.calls import pause
-from im_msgs.msg import CameraNames, GroupState, Observation, ObservationSet, Rejection, SpotSet
+from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
 from im_msgs.srv import Calibrate, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, idempotent, woken_by
 from im_pnt.ros.node import PntNode
@@ -23,8 +23,8 @@ from im_pnt_analysis import verify_to_load
 
 LIGHTS = "/testbed/lights"
 LIGHTS_S, PAUSE_S = 5.0, 0.02
-LIGHTS_FOUND = "lights_found"
-"""Data object: the lights as they were before the calibration under way."""
+LIGHT_FOUND = "light_found/"
+"""Begins the name of a data object: whether a light was on before the command switched it on."""
 
 
 class VisionCoordinator(PntNode):
@@ -37,7 +37,7 @@ class VisionCoordinator(PntNode):
             functions={
                 "light_on": self.light_on,
                 "light_as_found": self.light_as_found,
-                "forget_cameras": self.forget_cameras,
+                "forget_light": self.forget_light,
                 "nominal_exposure": self.nominal_exposure,
                 "longer_exposure": self.longer_exposure,
                 "store_spots": self.store_spots,
@@ -49,33 +49,34 @@ class VisionCoordinator(PntNode):
             asks={"keep_observation": idempotent(self.keep_observation)},
             verifier=verify_to_load,
         )
-        self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: is_lit(message.data, ""))
+        self._cell = load_cell()
+        self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: lights_told(message.data, self._cell))
         self._long_exposure = self.fixed_parameters.declare(
             "long_exposure", 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
         )
-        self._led_offset = np.array(load_cell().led.offset)
+        self._led_offset = np.array(self._cell.led.offset)
 
     async def light_on(self, ctx: ActionContext) -> dict[str, object]:
-        """Has the light on that the cameras are to look for.
+        """Has a light on.
 
-        What the lights were is kept first, and once: this is done again where it is in doubt whether it was done.
+        How it was is kept first, and once: this is done again where it is in doubt whether it was done.
         """
-        if not await self.dom.is_valid(LIGHTS_FOUND):
-            await self.dom.put(LIGHTS_FOUND, await self._lights())
-        return {"name": (await self.dom.get(CAMERAS, CameraNames)).light, "on": True}
+        name = _light(ctx)
+        if not await self.dom.is_valid(found := ctx.object(LIGHT_FOUND + name)):
+            await self.dom.put(found, Bool(data=await self._is_lit(name)))
+        return {"name": name, "on": True}
 
     async def light_as_found(self, ctx: ActionContext) -> dict[str, object]:
-        """Has that light as it was before; where it was not touched, as it is."""
-        name = (await self.dom.get(CAMERAS, CameraNames)).light
-        kept = await self.dom.is_valid(LIGHTS_FOUND)
-        lights = await self.dom.get(LIGHTS_FOUND, String) if kept else await self._lights()
-        return {"name": name, "on": is_lit(lights.data, name)}
+        """Has a light as it was before; where the command has not touched it, as it is."""
+        name = _light(ctx)
+        if await self.dom.is_valid(found := ctx.object(LIGHT_FOUND + name)):
+            return {"name": name, "on": bool((await self.dom.get(found, Bool)).data)}
+        return {"name": name, "on": await self._is_lit(name)}
 
-    async def forget_cameras(self, ctx: ActionContext, answer: SetLight.Response) -> None:
-        """Ends the calibration: what moves next is no longer to carry its light."""
-        if await self.dom.is_valid(LIGHTS_FOUND):
-            await self.dom.invalidate(LIGHTS_FOUND)
-        await self.dom.invalidate(CAMERAS)
+    async def forget_light(self, ctx: ActionContext, answer: SetLight.Response) -> None:
+        """It is as it was: what comes next finds it so."""
+        if await self.dom.is_valid(found := ctx.object(LIGHT_FOUND + _light(ctx))):
+            await self.dom.invalidate(found)
 
     async def _lights(self) -> String:
         """What the testbed last said of its lights; a coordinator that has just begun waits until it hears it."""
@@ -87,60 +88,74 @@ class VisionCoordinator(PntNode):
         found: String = message
         return found
 
-    async def nominal_exposure(self, ctx: ActionContext) -> dict[str, object]:
-        """The request for a spot at the exposure of the cameras' configuration."""
-        return {"cameras": await cameras_of(ctx, self.dom), "exposure": 0.0}
+    async def _is_lit(self, name: str) -> bool:
+        """Whether a light is on; one that the cell does not have is not."""
+        return lights_told((await self._lights()).data, self._cell).get(name, False)
 
-    async def longer_exposure(self, ctx: ActionContext) -> dict[str, object]:
+    async def nominal_exposure(self, ctx: ActionContext) -> dict[str, object]:
+        """The request for a spot as it was asked for."""
+        await self._require_lit(_light(ctx))
+        return {"cameras": ctx.request_arguments["cameras"], "exposure": ctx.request_arguments["exposure"]}
+
+    def longer_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """The request for another look with more light."""
-        return {"cameras": await cameras_of(ctx, self.dom), "exposure": self._long_exposure}
+        return {"cameras": ctx.request_arguments["cameras"], "exposure": self._long_exposure}
+
+    async def _require_lit(self, name: str) -> None:
+        """Waits until the testbed says that a light is on; it may have been switched just now.
+
+        Raises:
+            StateError: It says that it is off.
+        """
+        deadline = clock.monotonic() + LIGHTS_S
+        while not await self._is_lit(name):
+            if clock.monotonic() > deadline:
+                raise StateError(f"light {name} is off; no camera can find it before light_on", light=name)
+            await pause(self, PAUSE_S)
 
     async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
         """Stores the spots that were found, if any was."""
         require_spot({spot.camera: spot.cause for spot in answer.spots if not spot.found}, len(answer.spots))
         found = SpotSet(spots=answer.spots, timing_json=answer.timing_json)
-        await self.dom.put("spots", found, place="vision_coordinator.spot_stored")
+        await self.dom.put(ctx.object("spots"), found, place="vision_coordinator.spot_stored")
 
     async def keep_observation(self, ctx: ActionContext) -> None:
         """Keeps spots and position of a pose as an observation, under the number of the pose."""
-        kept = kept_pose(ctx.request_arguments)
-        spots = await self.dom.get("spots", SpotSet)
-        position = await self.dom.get("current_position", GroupState)
+        asked = ctx.request_arguments
+        pose = str(asked["pose"])
+        spots = await self.dom.get(ctx.object("spots"), SpotSet)
+        position = await self.dom.get(ctx.object("current_position"), GroupState)
         rest = _rest(position)
         for spot in spots.spots:
-            rest.require_shown(spot.stamp.sec * 10**9 + spot.stamp.nanosec, kept.pose)
+            rest.require_shown(spot.stamp.sec * 10**9 + spot.stamp.nanosec, pose)
         observation = Observation(
-            pose=kept.pose,
+            pose=pose,
             wrist=position.wrist,
             position_covariance=rest.light_covariance(self._led_offset).ravel(),
             spots=spots.spots,
             rest_since=position.rest_since,
         )
-        await self.dom.put(f"observation/{kept.number}", observation)
+        await self.dom.put(ctx.object(f"observation/{asked['number']}"), observation)
 
     async def calibration_problem(self, ctx: ActionContext) -> dict[str, object]:
-        """The request for a calibration: from the observations that are named, or else from those in the DOM."""
-        named = collected_poses(ctx.request_arguments)
-        if named is None:
-            collected = await self.dom.get("observations", ObservationSet)
-        else:
-            collected = ObservationSet(
-                cameras=named.cameras,
-                observations=[await self.dom.get(f"observation/{n}", Observation) for n in named.observations],
-                rejected=[Rejection(pose=pose, reason=reason) for pose, reason in named.rejected.items()],
-                directory=named.directory,
-            )
-            await self.dom.put("observations", collected)
-        return {
-            "cameras": list(collected.cameras),
-            "observations": list(collected.observations),
-            "directory": collected.directory,
-            "apply": True,
-        }
+        """The request for a calibration from observations that were kept."""
+        asked = ctx.request_arguments
+        numbers = read_data(list[int], asked["observations"], "argument observations")
+        reasons = read_data(dict[str, str], asked["rejected"], "argument rejected")
+        kept = [await self.dom.get(ctx.object(f"observation/{number}"), Observation) for number in numbers]
+        rejected = [Rejection(pose=pose, reason=reason) for pose, reason in reasons.items()]
+        cameras, directory = read_data(list[str], asked["cameras"], "argument cameras"), str(asked["directory"])
+        collected = ObservationSet(cameras=cameras, observations=kept, rejected=rejected, directory=directory)
+        await self.dom.put(ctx.object("/observations"), collected)
+        return {"cameras": cameras, "observations": kept, "directory": directory, "apply": True}
 
     async def store_calibration(self, ctx: ActionContext, answer: Calibrate.Response) -> None:
         """Stores the calibration."""
-        await self.dom.put("calibration", answer.report, place="vision_coordinator.calibration_stored")
+        await self.dom.put(ctx.object("calibration"), answer.report, place="vision_coordinator.calibration_stored")
+
+
+def _light(ctx: ActionContext) -> str:
+    return str(ctx.request_arguments["light"])
 
 
 def _rest(position: GroupState) -> MeasuredRest:

@@ -1,7 +1,7 @@
 """Waiting for services, threads and futures with a time-out that says what it waited for."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -87,6 +87,28 @@ async def call(node: ManagedNode, client: Client, request: Any, timeout_s: float
         raise LinkError(f"the call of {client.srv_name} ({what}) failed: {error}") from error
 
 
+async def ask_again(ask: Callable[[], Awaitable[ResultT]], patience_s: float, what: str) -> ResultT:
+    """Ask again where an answer does not come in time, of what has the same effect however often it is asked.
+
+    A server that has not discovered its client yet, or that dies, loses answers.
+
+    Args:
+        ask: Asks once, and waits for as long as an answer may take.
+        patience_s: Longest time after which it is asked once more [s].
+        what: What is waited for, for the message of the error.
+
+    Raises:
+        WaitTimeoutError: No answer has come.
+    """
+    deadline = clock.monotonic() + patience_s
+    while True:
+        try:
+            return await ask()
+        except WaitTimeoutError as error:
+            if clock.monotonic() > deadline:
+                raise WaitTimeoutError(what=what, seconds=patience_s) from error
+
+
 def call_blocking(client: Client, request: Any, timeout_s: float, what: str) -> Any:
     """Call a service from a thread that does not spin (scripts and tests).
 
@@ -103,6 +125,16 @@ def call_blocking(client: Client, request: Any, timeout_s: float, what: str) -> 
         client.remove_pending_request(future)
         raise WaitTimeoutError(what=f"an answer of {client.srv_name} ({what})", seconds=timeout_s)
     return future.result()
+
+
+def carry(function: Callable[[], object], ended: Future) -> None:
+    """Call a function, and bring what it returns or raises to whoever awaits that."""
+    try:
+        result = function()
+    except Exception as error:  # it is raised where it is awaited
+        ended.set_exception(error)
+    else:
+        ended.set_result(result)
 
 
 async def run_in_thread(
@@ -130,12 +162,7 @@ async def run_in_thread(
     ended = Future()
 
     def run() -> None:
-        try:
-            result = function(*args)
-        except Exception as error:  # carried to whoever awaits
-            ended.set_exception(error)
-        else:
-            ended.set_result(result)
+        carry(lambda: function(*args), ended)
         left.discard(threading.current_thread())
 
     thread = threading.Thread(target=run, name=name, daemon=True)

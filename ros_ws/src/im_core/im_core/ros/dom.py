@@ -1,22 +1,38 @@
 """Client of the Data Object Manager."""
 
+from array import array
 from dataclasses import dataclass
+from itertools import count
 from typing import Any, TypeVar
 
 from rclpy.client import Client
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 
-from im_core.errors import WaitTimeoutError
-from im_core.ros.calls import call
-from im_core.ros.interfaces import type_name
+from im_core import clock
+from im_core.errors import DataError, WaitTimeoutError
+from im_core.files import LARGEST, MEBIBYTE
+from im_core.ros import qos
+from im_core.ros.calls import ask_again, call
+from im_core.ros.interfaces import decoded, type_name
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import status_to_error
 from im_msgs.msg import ObjectInfo
-from im_msgs.srv import GetObject, InvalidateObject, PutObject
+from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
 
-#: Every request has the same effect however often it is made; one that met a server of a former life is made again.
+#: Objects of which a client remembers whether they are valid; more are asked for again.
+MOST_KNOWN = 1000
+
+#: Every request has the same effect however often it is made; one that met a server of a former life is made again [s],
+#: each time after twice as long, for an object may be large. A /dom that hangs is missed and started again within the
+#: longer of these times.
 TIMEOUT_S = 2.0
-ATTEMPTS = 6
+PATIENCE_S = 60.0
+
+#: How long a MiB of an object may be on its way [s].
+MEBIBYTE_S = 0.5
+
+#: A request that waits for an object to be valid is made again after so long [s].
+WAIT_S = 1.0
 
 MessageT = TypeVar("MessageT")
 
@@ -43,9 +59,10 @@ class DomClient:
     def __init__(self, node: ManagedNode) -> None:
         self._node = node
         self._known: dict[str, _Known] = {}
-        self._put = node.create_client(PutObject, "/dom/put")
-        self._get = node.create_client(GetObject, "/dom/get")
-        self._invalidate = node.create_client(InvalidateObject, "/dom/invalidate")
+        self._put = node.create_client(PutObject, "/dom/put", qos_profile=qos.QUEUED_SERVICE)
+        self._get = node.create_client(GetObject, "/dom/get", qos_profile=qos.QUEUED_SERVICE)
+        self._invalidate = node.create_client(InvalidateObject, "/dom/invalidate", qos_profile=qos.QUEUED_SERVICE)
+        self._list = node.create_client(ListObjects, "/dom/list", qos_profile=qos.QUEUED_SERVICE)
 
     def heard(self, info: ObjectInfo, own: tuple[type, bytes] | None = None) -> None:
         """Takes what ``/dom`` says of an object; whoever has a client hands on what arrives on ``/dom/changes``.
@@ -57,24 +74,53 @@ class DomClient:
         known = self._known.get(info.name, _Known(0, True))
         newer, same = info.version > known.version, info.version == known.version
         if newer or (same and known.valid and (own is not None or not info.valid)):
+            self._known.pop(info.name, None)
             self._known[info.name] = _Known(info.version, info.valid, own)
+            if len(self._known) > MOST_KNOWN:
+                del self._known[next(iter(self._known))]
 
-    async def put(self, name: str, message: object, place: str = "") -> int:
-        """Store an object and make it valid; returns its version.
+    def forget_known(self) -> None:
+        """Has everything be asked for again: ``/dom`` has died, and what it has told meanwhile was not heard."""
+        self._known.clear()
+
+    async def put(self, name: str, message: object, place: str = "", command: str = "") -> int:
+        """Store an object and make it valid; it outlives the loss of power when this returns.
+
+        Args:
+            name: Its name.
+            message: A ROS message; at most 64 MiB of CDR.
+            place: ``net.place`` that stands for it, or empty.
+            command: Scope of the command that it is put for; empty: the one that its name begins with, if it does.
+
+        Returns:
+            Its version.
 
         Raises:
             ImError: It was refused.
         """
         data = serialize_message(message)
+        if len(data) > LARGEST:
+            text = f"data object '{name}' has {len(data)} bytes; at most {LARGEST} ({LARGEST // MEBIBYTE} MiB) are kept"
+            raise DataError(text, object=name, size=len(data), allowed=LARGEST)
         request = PutObject.Request(
-            name=name, type=type_name(type(message)), data=data, place=place, source=self._node.task_name
+            name=name,
+            type=type_name(type(message)),
+            data=array("B", data),  # of bytes rclpy looks at each
+            place=place,
+            source=self._node.task_name,
+            command=command,
         )
-        answer = await self._ask(self._put, request, f"to store '{name}'")
+        answer = await self._ask(self._put, request, f"to store '{name}'", len(data))
         self.heard(answer.object, (type(message), data))
         return int(answer.object.version)
 
-    async def get(self, name: str, message_type: type[MessageT]) -> MessageT:
+    async def get(self, name: str, message_type: type[MessageT], timeout_s: float = 0.0) -> MessageT:
         """The object.
+
+        Args:
+            name: Its name.
+            message_type: Its type.
+            timeout_s: Longest wait until it is valid, wall time [s].
 
         Raises:
             ImError: There is none, it is not valid, or it is of another type.
@@ -83,12 +129,34 @@ class DomClient:
         if known is not None and known.valid and known.own is not None and known.own[0] is message_type:
             data = known.own[1]
         else:
-            request = GetObject.Request(name=name, type=type_name(message_type))
-            answer = await self._ask(self._get, request, f"to read '{name}'")
+            answer = await self._when_valid(name, type_name(message_type), timeout_s)
             self.heard(answer.object)
             data = bytes(answer.data)
-        message: MessageT = deserialize_message(data, message_type)
+        message: MessageT = decoded(data, message_type)
         return message
+
+    async def version(self, name: str, message_type: type[MessageT], version: int) -> MessageT:
+        """A version of an object, which may be older than the newest, while it is kept.
+
+        Raises:
+            ImError: It is not kept, or is of another type.
+        """
+        request = GetObject.Request(name=name, type=type_name(message_type), version=version)
+        answer = await self._ask(self._get, request, f"to read version {version} of '{name}'")
+        message: MessageT = decoded(bytes(answer.data), message_type)
+        return message
+
+    async def _when_valid(self, name: str, kind: str, timeout_s: float) -> Any:
+        """The answer that has an object, as soon as that is valid; asked for anew now and then, for /dom may die."""
+        deadline = clock.monotonic() + timeout_s
+        while True:
+            left = max(0.0, deadline - clock.monotonic())
+            request = GetObject.Request(name=name, type=kind, timeout=min(left, WAIT_S))
+            answer = await self._call(self._get, request, f"to read '{name}'")
+            if answer.success:
+                return answer
+            if answer.status.code not in ("not_found", "state") or left <= WAIT_S:
+                raise status_to_error(answer.status)
 
     async def is_valid(self, name: str) -> bool:
         """Whether there is a valid object of that name."""
@@ -111,16 +179,42 @@ class DomClient:
         answer = await self._ask(self._invalidate, request, f"to invalidate '{name}'")
         self.heard(answer.object)
 
-    async def _ask(self, client: Client, request: object, what: str) -> Any:
-        answer = await self._call(client, request, what)
+    def is_there(self) -> bool:
+        """Whether ``/dom`` has been discovered."""
+        return bool(self._list.service_is_ready() and self._invalidate.service_is_ready())
+
+    async def names(self, prefix: str) -> list[str]:
+        """Names of all objects that begin with ``prefix``, also of those that are not valid."""
+        answer = await self._call(self._list, ListObjects.Request(prefix=prefix), f"to list '{prefix}'")
+        return [str(info.name) for info in answer.objects]
+
+    async def forget(self, prefix: str) -> None:
+        """Deletes all objects below a name.
+
+        Args:
+            prefix: The name, and ``/``.
+
+        Raises:
+            ImError: It was refused.
+        """
+        request = InvalidateObject.Request(name=prefix, source=self._node.task_name)
+        await self._ask(self._invalidate, request, f"to forget '{prefix}'")
+
+    async def _ask(self, client: Client, request: object, what: str, size: int = 0) -> Any:
+        answer = await self._call(client, request, what, size)
         if not answer.success:
             raise status_to_error(answer.status)
         return answer
 
-    async def _call(self, client: Client, request: object, what: str) -> Any:
-        for _ in range(ATTEMPTS - 1):
+    async def _call(self, client: Client, request: object, what: str, size: int = 0) -> Any:
+        """Calls a service, with a request of some size [bytes]."""
+        extra_s, tries = size // MEBIBYTE * MEBIBYTE_S, count()
+
+        async def ask() -> Any:
             try:
-                return await call(self._node, client, request, TIMEOUT_S, what)
+                return await call(self._node, client, request, TIMEOUT_S * 2 ** next(tries) + extra_s, what)
             except WaitTimeoutError:
                 self._known.clear()  # /dom may have died, and what it said while it came back is lost
-        return await call(self._node, client, request, TIMEOUT_S, what)
+                raise
+
+        return await ask_again(ask, PATIENCE_S + extra_s, f"/dom {what}")

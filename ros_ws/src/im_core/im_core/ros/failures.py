@@ -1,6 +1,7 @@
 """What callbacks of a node raised: said in the log, counted on ``/diagnostics``."""
 
 import traceback
+from collections.abc import Callable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -14,6 +15,8 @@ from im_core.ros import qos
 #: What fails again and again is said so often [s]; the counts are published so often, from the first failure on [s].
 REPEAT_S = 10.0
 DIAGNOSTICS_PERIOD_S = 1.0
+#: Nodes that are named as those who may have sent something.
+MOST_NAMES = 5
 
 
 class Failures:
@@ -34,19 +37,22 @@ class Failures:
         self._said: dict[str, tuple[float, int]] = {}
         self._publisher: Publisher | None = None
 
-    def add(self, what: str, error: BaseException, detail: str = "") -> None:
+    def add(self, what: str, error: BaseException, told: Callable[[], str] = str) -> None:
         """Note a failure.
 
         Args:
             what: Kind of callback and name of what it serves, e.g. ``service /dom/put``.
             error: What was raised.
-            detail: Type of what came, and who sent it, as far as that is known.
+            told: Says the type of what came, and who sent it, as far as that is known. It looks through the graph, and
+                is asked only when the failure is said: whoever floods a node costs it no more than the call.
         """
         count = self.counts[what] = self.counts.get(what, 0) + 1
-        self.last = f"{what}{f' ({detail})' if detail else ''}: {sentence(error)}"
         said_at, said = self._said.get(what, (-REPEAT_S, 0))
         now = clock.monotonic()
-        if now - said_at >= REPEAT_S:
+        due = now - said_at >= REPEAT_S
+        detail = told() if due else ""
+        self.last = f"{what}{f' ({detail})' if detail else ''}: {sentence(error)}"
+        if due:
             self._said[what] = now, count
             expected = said or isinstance(error, ImError)  # which says what is wrong; of others it matters where
             words = self.last if expected else f"{self.last}\n{_trace(error)}"
@@ -80,6 +86,12 @@ def sentence(error: BaseException) -> str:
     """What an error says, as text that every message can carry: half a pair of surrogates has no UTF-8."""
     words = error.message if isinstance(error, ImError) else f"{type(error).__name__}: {error}"
     return words.encode("utf-8", "backslashreplace").decode()
+
+
+def few(names: Sequence[str]) -> str:
+    """The first names of many, and how many more there are."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _trace(error: BaseException) -> str:

@@ -5,6 +5,7 @@ the client waiting for ever.
 """
 
 import inspect
+import threading
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -18,12 +19,14 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from rclpy.timer import Timer
 
 from im_core.errors import ImError
 from im_core.ros import qos
+from im_core.ros.action_events import ActionEvents
 from im_core.ros.callers import client_of, nodes_of
-from im_core.ros.failures import Failures, sentence
+from im_core.ros.failures import Failures, few, sentence
 from im_core.ros.interfaces import type_name
 from im_core.ros.parameter_bounds import bounded
 from im_core.ros.status import to_status
@@ -32,6 +35,9 @@ INTERNAL = "internal"
 
 #: How long the loop of a node may stand still [s]; longer is a hang, and the agent ends the process.
 STANDSTILL_S = 5.0
+
+#: How long the result of a goal that has ended can be asked for [s].
+RESULT_KEPT_S = 60
 
 
 class GuardedNode(Node):
@@ -48,6 +54,11 @@ class GuardedNode(Node):
         self.turns = 0
         self.standstill_s = STANDSTILL_S
         super().__init__(name, **options)
+
+    @property
+    def tells_contents(self) -> bool:
+        """Whether services and actions publish all that they carry."""
+        return False
 
     def turn(self) -> None:
         """Turn once more."""
@@ -85,7 +96,7 @@ class GuardedNode(Node):
         """
         if not self.context.ok():
             raise error
-        self.failures.add(what, error, told())
+        self.failures.add(what, error, told)
 
     def create_subscription(
         self,
@@ -100,7 +111,7 @@ class GuardedNode(Node):
         def told() -> str:
             ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
             names = sorted({f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends})
-            return f"{type_name(msg_type)}, published by {', '.join(names) or 'nobody any more'}"
+            return f"{type_name(msg_type)}, published by {few(names) or 'nobody any more'}"
 
         guarded = self.guarded(f"subscription {topic}", callback, told)
         return super().create_subscription(msg_type, topic, lambda message: guarded(message), qos_profile, **options)
@@ -147,6 +158,9 @@ class GuardedNode(Node):
 class GuardedActionServer(ActionServer):
     """An action server whose callbacks may raise: a goal is rejected then, or aborted with a result that says why.
 
+    What a goal asked is forgotten with its end, and its result a minute later, so that goals by the thousand, or of a
+    hundred thousand points each, do not add up.
+
     Args:
         node: Its node.
         action_type: Type of the action.
@@ -165,7 +179,10 @@ class GuardedActionServer(ActionServer):
     ) -> None:
         self._guard, self._what = node, f"action {action_name}"
         self._told = partial(type_name, action_type)
-        ActionServer.__init__(self, node, action_type, action_name, execute_callback, **options)
+        self._events = ActionEvents(node, action_type, action_name) if node.tells_contents else None
+        ActionServer.__init__(
+            self, node, action_type, action_name, execute_callback, result_timeout=RESULT_KEPT_S, **options
+        )
 
     def register_goal_callback(self, goal_callback: Callable[[Any], Any] | None) -> None:
         """As in rclpy; a goal whose callback raises is rejected."""
@@ -181,14 +198,20 @@ class GuardedActionServer(ActionServer):
         """As in rclpy; a goal whose callback raises is aborted, and its result says why."""
 
         async def execute(handle: ServerGoalHandle) -> Any:
+            if self._events is not None:
+                self._events.tell_goal(handle)
             try:
                 result = execute_callback(handle)
-                return await result if inspect.iscoroutine(result) else result
+                result = await result if inspect.iscoroutine(result) else result
             except Exception as error:  # every goal is answered
                 self._guard.note_failure(self._what, error, self._told)
                 if handle.is_active:
                     handle.abort()
-                return with_fault(self._action_type.Result(), self._what, error)
+                result = with_fault(self._action_type.Result(), self._what, error)
+            if self._events is not None:
+                self._events.tell_result(handle, result)
+            handle._goal_request = None  # rclpy keeps it with the result
+            return result
 
         ActionServer.register_execute_callback(self, execute)
 
@@ -220,7 +243,9 @@ class GuardedActionServer(ActionServer):
 
 
 class GuardedActionClient(ActionClient):
-    """An action client whose callback for feedback may raise.
+    """An action client whose callback for feedback may raise, and which any thread may ask.
+
+    rclpy notes what was asked only after it was sent: an answer that comes before that is dropped.
 
     Args:
         node: Its node.
@@ -230,11 +255,30 @@ class GuardedActionClient(ActionClient):
 
     def __init__(self, node: GuardedNode, action_type: Any, action_name: str) -> None:
         self._guard, self._what = node, f"action client {action_name}"
+        self._asking = threading.Lock()
         ActionClient.__init__(self, node, action_type, action_name)
+
+    def send_goal_async(self, *arguments: Any, **options: Any) -> Future:
+        """As in rclpy."""
+        with self._asking:
+            future: Future = ActionClient.send_goal_async(self, *arguments, **options)
+        return future
+
+    def _get_result_async(self, goal_handle: Any) -> Future:
+        with self._asking:
+            future: Future = ActionClient._get_result_async(self, goal_handle)
+        return future
+
+    def _cancel_goal_async(self, goal_handle: Any) -> Future:
+        with self._asking:
+            future: Future = ActionClient._cancel_goal_async(self, goal_handle)
+        return future
 
     async def execute(self, taken_data: Any) -> None:
         """As in rclpy, which calls it for every answer and feedback."""
         self._guard.turns += 1
+        with self._asking:
+            pass  # whoever has sent has noted it
         try:
             await ActionClient.execute(self, taken_data)
         except Exception as error:  # the other goals go on
@@ -297,7 +341,7 @@ class _Answers:
 
         def told() -> str:
             client = client_of(header)
-            callers = ", ".join(nodes_of(self._node, client)) or client or "nobody known"
+            callers = few(nodes_of(self._node, client)) or client or "nobody known"
             return f"{type_name(srv_type)}, called by {callers}"
 
         what = f"service {self._service.srv_name}"

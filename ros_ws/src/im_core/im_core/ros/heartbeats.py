@@ -1,17 +1,20 @@
 """Who is alive: follows the heartbeats of all tasks, and waits for answers only while the answerer lives."""
 
+import socket
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
+from im_core.procfs import stat_fields
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
+from im_core.silence import Silence
 from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import TaskStatus
 
-#: A task that has not been heard for this long is missing [s] of wall time.
+#: A task that has not been heard for this long is missing [s], as :class:`im_core.silence.Silence` counts.
 SILENCE_S = 6.0
 CHECK_PERIOD_S = 0.25
 
@@ -21,11 +24,15 @@ MOST_TASKS = 1000
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Last sign of life of a task: its incarnation, when that was heard first, and when it was heard last [s]."""
+    """Last sign of life of a task: its incarnation, when that was heard first, and when it was heard last [s].
+
+    ``pid`` is its process where that is one of this host, else 0.
+    """
 
     incarnation: int
     since: float
     heard: float
+    pid: int
 
 
 @dataclass(eq=False)
@@ -44,6 +51,9 @@ class TaskWatch:
 class Heartbeats:
     """Follows ``/im/task_status``. However many wait, a silent task is looked for once, and only while somebody waits.
 
+    Neither counts the time in which this node came to hear nobody, for its loop was busy, nor that in which a task of
+    this host waited for a processor.
+
     Args:
         node: The node that listens.
     """
@@ -51,8 +61,11 @@ class Heartbeats:
     def __init__(self, node: ManagedNode) -> None:
         self._node = node
         self._born = clock.monotonic()
+        self._host = socket.gethostname()
         self._last: dict[str, Heartbeat] = {}
+        self._silences: dict[str, tuple[float, Silence]] = {}
         self._watches: dict[str, dict[TaskWatch, None]] = {}
+        self._returned: dict[str, list[Callable[[], None]]] = {}
         self._check_timer = node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady_clock)
         self._check_timer.cancel()
         node.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
@@ -75,12 +88,20 @@ class Heartbeats:
             since: Incarnation that was asked; another one does not know of it.
         """
         last = self._last.get(task)
-        silence = clock.monotonic() - (last.heard if last else self._born)
-        if silence > SILENCE_S:
-            return f"{task} is missing (last heard {silence:.1f} s ago)" if last else f"{task} is missing (never heard)"
+        if self._silence_s(task, last) > SILENCE_S:
+            ago = f"last heard {clock.monotonic() - last.heard:.1f} s ago" if last else "never heard"
+            return f"{task} is missing ({ago})"
         if since is not None and last is not None and last.incarnation != since:
             return f"{task} is missing (it died and was started again meanwhile)"
         return ""
+
+    def _silence_s(self, task: str, last: Heartbeat | None) -> float:
+        heard, pid = (last.heard, last.pid) if last else (self._born, 0)
+        known = self._silences.get(task)
+        if known is None or known[0] != heard:
+            so_far = 0.0 if stat_fields(pid) else clock.monotonic() - heard
+            known = self._silences[task] = heard, Silence(pid, so_far, longest_look_s=2.0 * CHECK_PERIOD_S)
+        return known[1].look()
 
     def watch(self, task: str, since: int | None, lost: Callable[[str], None]) -> Callable[[], None]:
         """Has a function called when a task goes missing, until that is called which is returned."""
@@ -96,6 +117,10 @@ class Heartbeats:
                 self._watches.pop(task, None)
 
         return unwatch
+
+    def on_return(self, task: str, returned: Callable[[], None]) -> None:
+        """Has a function called whenever a task is heard that has died and was started again."""
+        self._returned.setdefault(task, []).append(returned)
 
     async def wait(self, future: Any, task: str, timeout_s: float, what: str) -> Any:
         """Await a future that ``task`` will complete.
@@ -137,11 +162,15 @@ class Heartbeats:
             return
         if known is None and len(self._last) >= MOST_TASKS:
             self._last = {name: last for name, last in self._last.items() if now - last.heard <= SILENCE_S}
+            self._silences.clear()
             if len(self._last) >= MOST_TASKS:
                 raise DataError(f"task {message.name[:100]} is not followed: {MOST_TASKS} others are")
-        self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now)
+        pid = message.pid if message.host == self._host else 0
+        self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now, pid=pid)
         if known is not None:
             self._tell(message.name)
+            for returned in self._returned.get(message.name, ()):
+                returned()
 
     def _check(self) -> None:
         if not self._watches:

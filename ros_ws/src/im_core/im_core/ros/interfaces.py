@@ -3,11 +3,14 @@
 from importlib import import_module
 from typing import Any
 
-from im_core.errors import NotFoundError
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import deserialize_message
+
+from im_core.errors import DataError, NotFoundError
 
 
 def interface_class(name: str) -> Any:
-    """The class of ``package/msg/Type``, ``package/srv/Type`` or ``package/action/Type``.
+    """The class of ``package/msg/Type``, ``package/srv/Type`` or ``package/action/Type``, or of a service's events.
 
     Raises:
         NotFoundError: No such package or type is installed.
@@ -18,9 +21,21 @@ def interface_class(name: str) -> Any:
     except (ImportError, ValueError):
         raise NotFoundError(kind=f"package with {kind} types", name=package) from None
     known = [entry for entry in vars(module) if entry[:1].isupper() and "_" not in entry]
-    if type_name not in known:
+    if type_name not in known and not (type_name.endswith("_Event") and hasattr(module, type_name)):
         raise NotFoundError(kind=f"{kind} type of {package}", name=type_name, known=known)
     return getattr(module, type_name)
+
+
+def decoded(data: bytes, interface: type) -> Any:
+    """The message that CDR bytes are.
+
+    Raises:
+        DataError: They are none of this type.
+    """
+    try:
+        return deserialize_message(data, interface)
+    except (rclpy_implementation.RMWError, UnicodeError, MemoryError):
+        raise DataError(f"{len(data)} bytes are no {type_name(interface)}") from None
 
 
 def type_name(interface: type) -> str:

@@ -7,11 +7,8 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import rclpy
-from rclpy.callback_groups import CallbackGroup
-from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, qos_profile_services_default
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Task
@@ -46,12 +43,13 @@ class ManagedNode(GuardedNode):
 
     The bootstrap announces the phases LOAD, CONFIGURE, START and SHUTDOWN on ``/im/phase``; the node follows,
     and tells where it is on ``/im/task_status``. With the parameter ``standalone:=true`` it passes through
-    the phases alone; with ``introspection:=metadata`` or ``contents`` all its services and clients publish what
-    they carry on ``<service>/_service_event``. Subclasses override :meth:`phase_configure`,
-    :meth:`phase_start` and :meth:`phase_shutdown`.
+    the phases alone; with ``introspection:=metadata`` or ``contents`` all its services publish what they are asked
+    and answer on ``<service>/_service_event``, and with ``contents`` its actions their goals and results. Subclasses
+    override :meth:`phase_configure`, :meth:`phase_start` and :meth:`phase_shutdown`.
 
     Attributes:
         fixed_parameters: Declares parameters that are read once; with a wrong one the node fails to be configured.
+        detail: What is told of the task with the phases that it has passed.
     """
 
     _introspection = ServiceIntrospectionState.OFF
@@ -59,7 +57,7 @@ class ManagedNode(GuardedNode):
     def __init__(self, name: str, *, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__(name, parameter_overrides=parameter_overrides)
         self.fixed_parameters = FixedParameters(self)
-        published = "what services and clients publish of what they carry, on <service>/_service_event"
+        published = "what services and actions publish of what they carry, on <service>/_service_event"
         self._introspection = INTROSPECTION[
             self.fixed_parameters.declare("introspection", "off", published, known=INTROSPECTION)
         ]
@@ -67,7 +65,7 @@ class ManagedNode(GuardedNode):
         self.incarnation = secrets.randbits(63)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._phase = TaskStatus.LOADED
-        self._detail = ""
+        self.detail = self._detail = ""
         self._stopped = False
         self.alarms = Alarms(self)
         self._wake_timer = self.create_timer(WAKE_DELAY_S, self._woken, clock=self.steady_clock)
@@ -77,39 +75,18 @@ class ManagedNode(GuardedNode):
         self.create_timer(HEARTBEAT_PERIOD_S, self._publish_status, clock=self.steady_clock)
         alone = "pass through the start-up phases without a bootstrap"
         if self.fixed_parameters.declare("standalone", False, alone):
-            self._standalone_timer = self.create_timer(0.01, self._start_alone, clock=self.steady_clock)
+            self.alarms.after(0.0, lambda: self._follow(StartupPhase.START))
         else:
             self.create_subscription(UInt8, PHASE_TOPIC, self._hear_phase, qos.LATCHED)
         self._publish_status()
 
     def create_service(
-        self,
-        srv_type: type[Any],
-        srv_name: str,
-        callback: Callable[[Any, Any], Any],
-        *,
-        qos_profile: QoSProfile = qos.SERVICES,
-        callback_group: CallbackGroup | None = None,
+        self, srv_type: type[Any], srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
     ) -> Service:
         """As of :class:`.GuardedNode`, with introspection as the node's parameter says."""
-        service = super().create_service(
-            srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
-        )
-        service.configure_introspection(self.get_clock(), qos.EVENTS, self._introspection)
+        service = super().create_service(srv_type, srv_name, callback, **options)
+        service.configure_introspection(self.get_clock(), qos.SERVICE_EVENTS, self._introspection)
         return service
-
-    def create_client(
-        self,
-        srv_type: type[Any],
-        srv_name: str,
-        *,
-        qos_profile: QoSProfile = qos_profile_services_default,
-        callback_group: CallbackGroup | None = None,
-    ) -> Client:
-        """As in rclpy, with introspection as the node's parameter says."""
-        client = super().create_client(srv_type, srv_name, qos_profile=qos_profile, callback_group=callback_group)
-        client.configure_introspection(self.get_clock(), qos.EVENTS, self._introspection)
-        return client
 
     def phase_configure(self) -> None:
         """Load the configuration, open what is shared, start child processes.
@@ -127,6 +104,11 @@ class ManagedNode(GuardedNode):
 
     def phase_shutdown(self) -> None:
         """Release everything; called once, whatever happened before."""
+
+    @property
+    def tells_contents(self) -> bool:
+        """Whether services and actions publish all that they carry."""
+        return bool(self._introspection == ServiceIntrospectionState.CONTENTS)
 
     @property
     def ready(self) -> bool:
@@ -181,10 +163,6 @@ class ManagedNode(GuardedNode):
     def _broken(self, error: Exception) -> None:
         self.note_failure("coroutine", error)
 
-    def _start_alone(self) -> None:
-        self._standalone_timer.cancel()
-        self._follow(StartupPhase.START)
-
     def _hear_phase(self, message: UInt8) -> None:
         self._follow(member(StartupPhase, message.data, f"on {PHASE_TOPIC} phase"))
 
@@ -210,7 +188,7 @@ class ManagedNode(GuardedNode):
         except ImError as error:
             self.fail(error)
         else:
-            self._set_phase(reached, "")
+            self._set_phase(reached, self.detail)
         finally:
             self.standstill_s = usual
 

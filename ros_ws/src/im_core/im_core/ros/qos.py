@@ -39,3 +39,9 @@ IMAGES = _reliable(5)
 
 #: Services that many clients may call at once: the default queue of 10 loses what comes in a burst.
 SERVICES = _reliable(200)
+
+#: What services and actions tell of what they carry; some of it is large.
+SERVICE_EVENTS = _reliable(50)
+
+#: Services that many ask at once: of more requests than the usual 10 that wait, those before are lost without a word.
+QUEUED_SERVICE = _reliable(500)

@@ -7,10 +7,13 @@ import inspect
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any, TypeVar, cast
 
 import rclpy
+from rclpy.action import ActionClient, ActionServer
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -29,6 +32,17 @@ from im_core.ros.node import ManagedNode
 FOREVER_S = 1e6
 
 NodeT = TypeVar("NodeT", bound=rclpy.node.Node)
+
+
+@dataclass(frozen=True)
+class Program:
+    """What a process does with one node; arguments as of :func:`main`."""
+
+    make_node: Callable[[], rclpy.node.Node]
+    at_end: Callable[[Any], None] | None = None
+
+
+_gathered: ContextVar[list[Program] | None] = ContextVar("gathered", default=None)
 
 
 class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc]  # of C++: it has no types
@@ -58,7 +72,7 @@ class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc
 
 
 class Spinner:
-    """Nodes of one context in one events executor, in this thread or in one of its own."""
+    """Nodes of one context in one events executor, in this thread or in one of its own; the last one ends first."""
 
     def __init__(self, nodes: Sequence[rclpy.node.Node]) -> None:
         self.nodes = list(nodes)
@@ -108,19 +122,30 @@ class Spinner:
         self.request_stop()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
-        for node in self.nodes:
+        for node in reversed(self.nodes):
             if isinstance(node, ManagedNode):
                 node.shut_down_once()
         self.executor.shutdown(1.0)
-        for node in self.nodes:
-            with contextlib.suppress(InvalidHandle, rclpy_implementation.RCLError):
-                node.destroy_node()
+        for node in reversed(self.nodes):
+            _destroy(node)
 
     def __enter__(self) -> "Spinner":
         return self.start()
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def _destroy(node: rclpy.node.Node) -> None:
+    """Destroy a node, its actions first: rclpy leaves them, and with them the participant, in the graph for ever.
+
+    Servers of which a peer hears only a part keep its clients from finding those that are there.
+    """
+    for waitable in tuple(node.waitables):
+        if isinstance(waitable, ActionClient | ActionServer):
+            cast(Any, waitable).destroy()  # rclpy says no types
+    with contextlib.suppress(InvalidHandle, rclpy_implementation.RCLError):
+        node.destroy_node()
 
 
 def spin_in_thread(*nodes: rclpy.node.Node) -> Spinner:
@@ -131,7 +156,7 @@ def spin_in_thread(*nodes: rclpy.node.Node) -> Spinner:
 def main(
     make_node: Callable[[], NodeT], args: Sequence[str] | None = None, at_end: Callable[[NodeT], None] | None = None
 ) -> int:
-    """Run one node as a process until SIGINT, SIGTERM or the SHUTDOWN phase.
+    """Run one node as a process until SIGINT, SIGTERM or the SHUTDOWN phase; within :func:`gathered`, add it only.
 
     Args:
         make_node: Makes the node, after ROS is initialised.
@@ -141,42 +166,76 @@ def main(
     Returns:
         Exit code: 0 after an orderly end, 1 if the node could not be made.
     """
+    program, gathering = Program(make_node, at_end), _gathered.get()
+    if gathering is not None:
+        gathering.append(program)
+        return 0
     if args is None:
         _parser(make_node).parse_args(remove_ros_args(sys.argv)[1:])
+    return run_together([program], args)
+
+
+@contextlib.contextmanager
+def gathered() -> Iterator[list[Program]]:
+    """Within it :func:`main` runs nothing: what it would run is added to a list, for :func:`run_together`."""
+    programs: list[Program] = []
+    token = _gathered.set(programs)
+    try:
+        yield programs
+    finally:
+        _gathered.reset(token)
+
+
+def run_together(programs: Sequence[Program], args: Sequence[str] | None = None) -> int:
+    """Run the nodes of several programs in this process: one interpreter, one DDS participant, one executor.
+
+    They are made in this order and end in the reverse one. A callback that blocks holds up all of them.
+
+    Args:
+        programs: The programs.
+        args: Arguments for ROS; None: those of the process.
+
+    Returns:
+        Exit code, as of :func:`main`.
+    """
     scheduling.keep_off()
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        node = make_node()
+        nodes = [program.make_node() for program in programs]
     except ImError as error:
         print(error.message, file=sys.stderr)
         rclpy.try_shutdown()
         return 1
-    spinner = Spinner([node])
+    spinner = Spinner(nodes)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: spinner.request_stop())
-    watch = _watch(spinner, node, Pulse.inherited())
+    watch = _watch(spinner, Pulse.inherited())
     try:
         spinner.spin()
     finally:
         if watch is not None:
             watch.stop()
-        if at_end is not None:
-            at_end(node)
+        for program, node in reversed(list(zip(programs, nodes, strict=True))):
+            if program.at_end is not None:
+                program.at_end(node)
         spinner.stop()
         rclpy.try_shutdown()
     return 0
 
 
-def _watch(spinner: Spinner, node: rclpy.node.Node, pulse: Pulse | None) -> LoopWatch | None:
-    """Begins to tell the agent that started this process, if there is one, how its loop is."""
-    if pulse is None or not isinstance(node, GuardedNode):
+def _watch(spinner: Spinner, pulse: Pulse | None) -> LoopWatch | None:
+    """Begins to tell the agent that started this process, if there is one, how its loop is.
+
+    The loop may stand still for as long as the most patient of its nodes allows now.
+    """
+    guarded = [node for node in spinner.nodes if isinstance(node, GuardedNode)]
+    if pulse is None or not guarded:
         return None
-    guarded: GuardedNode = node
     watch = LoopWatch(
         pulse,
-        turns=lambda: guarded.turns,
-        nudge=lambda: spinner.executor.create_task(guarded.turn),
-        allowed_s=lambda: guarded.standstill_s,
+        turns=lambda: sum(node.turns for node in guarded),
+        nudge=lambda: spinner.executor.create_task(guarded[0].turn),
+        allowed_s=lambda: max(node.standstill_s for node in guarded),
     )
     watch.start()
     return watch

@@ -1,8 +1,8 @@
-"""A thread that does one thing after another for a node: what may block and must stay in order, such as a data base."""
+"""A thread that does in order what may block, for a node; what waits meanwhile is done together the next time."""
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from rclpy.task import Future
@@ -16,6 +16,9 @@ ResultT = TypeVar("ResultT")
 #: How much may wait to be done.
 MOST_WAITING = 1000
 
+#: How much is done together at most.
+MOST_TOGETHER = 200
+
 
 class Worker:
     """Does things in the order in which they were asked for, while the loop of the node goes on.
@@ -24,10 +27,18 @@ class Worker:
         node: The node.
         name: What it is for, in messages.
         timeout_s: How long each may take, the waiting for those before it included, wall time [s].
+        together: Does several things that were asked for, such as with one wait for the disk; returns what each has
+            returned, or the exception that it has raised.
     """
 
-    def __init__(self, node: ManagedNode, name: str, timeout_s: float) -> None:
-        self._node, self._name, self._timeout_s = node, name, timeout_s
+    def __init__(
+        self,
+        node: ManagedNode,
+        name: str,
+        timeout_s: float,
+        together: Callable[[Sequence[Callable[[], object]]], Sequence[object]],
+    ) -> None:
+        self._node, self._name, self._timeout_s, self._together = node, name, timeout_s, together
         self._work: queue.Queue[tuple[Callable[[], Any], Future] | None] = queue.Queue(MOST_WAITING)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
@@ -58,11 +69,18 @@ class Worker:
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        while (work := self._work.get()) is not None:
-            function, ended = work
-            try:
-                result = function()
-            except Exception as error:  # carried to whoever awaits
-                ended.set_exception(error)
-            else:
-                ended.set_result(result)
+        while (first := self._work.get()) is not None:
+            asked, last = [first], False
+            while len(asked) < MOST_TOGETHER and not last and not self._work.empty():
+                following = self._work.get()
+                if following is None:
+                    last = True
+                else:
+                    asked.append(following)
+            for (_, ended), found in zip(asked, self._together([work for work, _ in asked]), strict=True):
+                if isinstance(found, Exception):
+                    ended.set_exception(found)
+                else:
+                    ended.set_result(found)
+            if last:
+                return

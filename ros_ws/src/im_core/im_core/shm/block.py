@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import LinkError
+from im_core.procfs import stat_fields
 
 _MAGIC = 0x696D5F73686D3032
 _HEADER = np.dtype([("magic", "<u8"), ("pid", "<i8"), ("start", "<i8"), ("size", "<u8")])
@@ -49,12 +50,8 @@ class ProcessId:
 
 def _start_of_running(pid: int) -> int:
     """Start time of a running process, -1 if it does not exist or is a zombie."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-    except OSError:
-        return -1
-    fields = stat[stat.rindex(")") + 2 :].split()  # the command name may hold blanks and parentheses
-    return -1 if fields[0] in "ZX" else int(fields[19])
+    fields = stat_fields(pid)
+    return -1 if fields is None or fields[0] in "ZX" else int(fields[19])
 
 
 class SharedBlock:

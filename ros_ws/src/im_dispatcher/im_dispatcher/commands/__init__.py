@@ -1,18 +1,56 @@
-"""The commands of the Dispatcher, a module each beside its net: ``commands/foo.py`` and ``nets/foo.yaml`` make one.
+"""The commands of the Dispatcher: a net each in ``nets/``, and a module here where one needs functions.
 
-A module describes its command as ``COMMAND``. What decides is plain Python; data objects are translated in
-:mod:`im_dispatcher.ros.host`.
+``commands/foo.py`` describes the functions of ``nets/foo.yaml`` as ``COMMAND``. What decides is plain Python; data
+objects are translated in :mod:`im_dispatcher.ros.host`.
 """
 
 import pkgutil
+from collections.abc import Iterable
+from pathlib import Path
 
 from im_core import plugins
-from im_core.errors import ConfigError
+from im_core.errors import ConfigError, NotFoundError
 from im_dispatcher.command import CommandDescription
+
+NETS = Path(__file__).parent.parent / "nets"
+
+
+def shipped() -> list[str]:
+    """Names of the commands that are shipped: those of their net files."""
+    return sorted(path.stem for path in NETS.glob("*.yaml"))
+
+
+def net_files(named: Iterable[str]) -> list[Path]:
+    """The net files of commands.
+
+    Args:
+        named: Names of shipped commands, paths of net files, and of folders of them.
+
+    Raises:
+        NotFoundError: There is no such command.
+        ConfigError: There is no such file or folder, or no net file in it.
+    """
+    files: list[Path] = []
+    for name in filter(None, (each.strip() for each in named)):
+        path = Path(name)
+        if "/" not in name and not path.suffix:
+            if name not in shipped():
+                raise NotFoundError(kind="command that is shipped", name=name, known=shipped())
+            found = [NETS / f"{name}.yaml"]
+        elif path.is_dir():
+            found = sorted(path.glob("*.yaml"))
+            if not found:
+                raise ConfigError(f"{path}: there is no net file (*.yaml) in this folder", file=str(path))
+        elif path.is_file():
+            found = [path]
+        else:
+            raise ConfigError(f"{path}: there is no such net file or folder", file=str(path))
+        files += [file for file in found if file not in files]
+    return files
 
 
 def installed() -> list[CommandDescription]:
-    """Every command there is, by name.
+    """What is described of commands that need functions, by name.
 
     Raises:
         ConfigError: A module in this folder describes none, or cannot be imported.

@@ -22,6 +22,9 @@ from im_pnt_analysis import CommandDuration
 
 SYMBOL = "calibrate_camera"
 
+#: Data object: the poses of the command.
+POSES = "calibration_poses"
+
 
 class CalibrateCamera:
     """The functions of the command.
@@ -52,7 +55,8 @@ class CalibrateCamera:
                 self.report_failure,
             )
         }
-        builders = {build.__name__: build for build in (self.mover, self.watchers, self.present_pose, self.collected)}
+        requests = (self.watchers, self.present_pose, self.collected)
+        builders = {build.__name__: build for build in requests}
         guards = {"more_poses": woken_by()(_more_poses), "pose_dispensable": woken_by()(_dispensable)}
         asks = {name: idempotent(action) for name, action in actions.items()}
         return Functions({**actions, **builders}, guards, asks)
@@ -67,10 +71,10 @@ class CalibrateCamera:
         order = await self._host.apart(order_of, ctx.command.arguments, self._cameras)
         poses = len(order.file.poses)
         ctx.memory["directory"] = str(make_directory(results_dir(), clock.stamp_name()))
-        ctx.memory["cameras"], ctx.memory["group"] = list(order.cameras), order.file.group
+        ctx.memory["cameras"] = list(order.cameras)
+        ctx.memory["light"] = order.light
         ctx.memory["loop"] = PoseLoop(poses).to_json()
-        await self._host.put_object("calibration_cameras", order)
-        await self._host.put_object("calibration_poses", order.file)
+        await self._host.put_object(ctx.object(POSES), order.file)
         self._file = ctx.command.id, order.file
         ctx.progress(f"{poses} poses for {', '.join(order.cameras)}", 0.0)
 
@@ -81,16 +85,12 @@ class CalibrateCamera:
         pose = (await self._poses(ctx)).poses[number - 1]
         ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), pose.name
         ctx.memory["times"] = self._times_of(ctx).to_dict()
-        await self._host.put_object("destination", pose, place=f"{SYMBOL}.destination_valid")
+        await self._host.put_object(ctx.object("destination"), pose, place=f"{SYMBOL}.destination_valid")
         ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
 
-    def mover(self, ctx: ActionContext) -> dict[str, object]:
-        """Which arm is to move: the one that carries the light."""
-        return {"group": ctx.memory["group"]}
-
     def watchers(self, ctx: ActionContext) -> dict[str, object]:
-        """Which cameras are to look."""
-        return {"cameras": ctx.memory["cameras"]}
+        """Which cameras are to look, and for what."""
+        return {"cameras": ctx.memory["cameras"], "light": ctx.memory["light"]}
 
     def present_pose(self, ctx: ActionContext) -> dict[str, object]:
         """Whose spots and position are to be kept."""
@@ -102,7 +102,7 @@ class CalibrateCamera:
         """Leaves out this pose and says why."""
         loop, reason = _loop(ctx), _reason(ctx)
         skipped = SkippedPose(str(ctx.memory["pose"]), reason)
-        await self._host.put_object(f"skipped/{loop.skip()}", skipped)
+        await self._host.put_object(ctx.object(f"skipped/{loop.skip()}"), skipped)
         ctx.memory["loop"] = loop.to_json()
         ctx.progress(f"pose {skipped.pose} skipped: {reason}", loop.progress)
 
@@ -120,7 +120,7 @@ class CalibrateCamera:
 
     async def write_report(self, ctx: ActionContext) -> None:
         """Writes the report of a calibration that succeeded."""
-        solver = await self._host.get_object("calibration", SolverReport)
+        solver = await self._host.get_object(ctx.object("calibration"), SolverReport)
         poses = _loop(ctx).poses
         report = succeeded(solver, await self._skipped(ctx), poses)
         ctx.result.update(self._finish(ctx, report, await self._expected(poses)))
@@ -149,12 +149,12 @@ class CalibrateCamera:
     async def _poses(self, ctx: ActionContext) -> PosesFile:
         """The poses of a command; a dispatcher that came back reads them again."""
         if self._file is None or self._file[0] != ctx.command.id:
-            self._file = ctx.command.id, await self._host.get_object("calibration_poses", PosesFile)
+            self._file = ctx.command.id, await self._host.get_object(ctx.object(POSES), PosesFile)
         return self._file[1]
 
     async def _skipped(self, ctx: ActionContext) -> list[SkippedPose]:
         counts = range(1, _loop(ctx).skipped + 1)
-        return [await self._host.get_object(f"skipped/{count}", SkippedPose) for count in counts]
+        return [await self._host.get_object(ctx.object(f"skipped/{count}"), SkippedPose) for count in counts]
 
     async def _expected(self, poses: int) -> CommandDuration | None:
         """How long the command should have taken; None where its nets do not say."""

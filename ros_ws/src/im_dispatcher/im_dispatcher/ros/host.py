@@ -10,10 +10,9 @@ from std_msgs.msg import String
 from im_core.arrivals import read_json
 from im_core.ros import qos
 from im_core.ros.calls import run_in_thread
-from im_dispatcher.job import CalibrationOrder
 from im_dispatcher.poses_file import PosesFile, WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
-from im_msgs.msg import CalibrationReport, CameraNames, Firing, Rejection
+from im_msgs.msg import CalibrationReport, Firing, Rejection
 from im_pnt.model.net import Net
 from im_pnt.ros.node import PntNode
 
@@ -85,7 +84,6 @@ MESSAGES: Mapping[type, Callable[[Any], object]] = {
     dict: lambda data: String(data=json.dumps(data)),
     WristPose: _stamped,
     PosesFile: lambda file: String(data=file.model_dump_json()),
-    CalibrationOrder: lambda order: CameraNames(cameras=order.cameras, light=order.light),
     SkippedPose: lambda skipped: Rejection(pose=skipped.pose, reason=skipped.reason),
 }
 

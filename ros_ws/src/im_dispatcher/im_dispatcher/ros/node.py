@@ -2,31 +2,38 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from rclpy.action import CancelResponse
-from rclpy.action.server import ServerGoalHandle
-
-from im_core.arrivals import read_json
+from im_cell.robot import load_cell
 from im_core.errors import ImError, StateError
 from im_core.ros import run
 from im_core.ros.calls import run_in_thread
-from im_core.ros.guard import GuardedActionServer
-from im_core.ros.status import to_status
+from im_dispatcher.cell import net as cell
+from im_dispatcher.cell.line import WaitingLine, reason
+from im_dispatcher.cell.needs import Needs
+from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
-from im_dispatcher.commands import calibrate_camera, installed
+from im_dispatcher.commands import calibrate_camera, installed, net_files, shipped
+from im_dispatcher.poses_file import load_poses
 from im_dispatcher.ros.host import NodeHost
-from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CalibrationReport
-from im_msgs.srv import CalibrateCamera, LoadNet
+from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
+from im_pnt.execution.jobs import Command, Job
+from im_pnt.model.arguments import Busy
+from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
-from im_pnt.ros.node import CommandOutcome, PntNode, ProgressListener
+from im_pnt.ros.node import CommandOutcome, OpenCommand, PntNode, ProgressListener
+from im_pnt.verification import Verification
 from im_pnt_analysis import verify_to_load
-
-CANCEL_CHECK_S = 0.1
 
 #: How long it may take to read a net [s].
 READ_S = 60.0
+
+#: Commands that may wait in the line.
+MOST_WAITING = 100
+
+#: Stands for the number of a command that has none yet: it is the last.
+NO_NUMBER = 2**62
 
 
 class Dispatcher(PntNode):
@@ -35,25 +42,98 @@ class Dispatcher(PntNode):
     def __init__(self) -> None:
         host, commands = NodeHost(), installed()
         functions = joined(command.functions(host) for command in commands)
-        nets = [command.net for command in commands]
-        super().__init__(
-            "dispatcher", nets, functions.actions, functions.guards, functions.asks, verifier=verify_to_load
-        )
+        super().__init__("dispatcher", (), functions.actions, functions.guards, functions.asks, verifier=verify_to_load)
+        named = "the commands to begin with: names of those shipped, net files, folders of them; separated by commas"
+        self._commands_named = self.fixed_parameters.declare("commands", ",".join(shipped()), named)
         host.attach(self)
         self._standing = {symbol: tell for command in commands for symbol, tell in command.standing.items()}
+        self._resources = resources_of(load_cell())
+        self._know(Needs((), self._resources))
+
+    def phase_configure(self) -> None:
+        """Load the nets of the commands, and the net of what they need."""
+        self._library.begin_with(net_files(self._commands_named.split(",")))
+        super().phase_configure()
+
+    def completed(self, nets: list[Net]) -> list[Net]:
+        """The nets, and before them the one of what their commands need, which hands these on."""
+        others = [net for net in nets if net.name != cell.NAME]
+        self._know(Needs(others, self._resources))
+        return [self._library.kept(cell.cell_net(self._needs)), *others]
 
     def phase_start(self) -> None:
         """Start the nets, then take commands."""
         super().phase_start()
         self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._calibrate_camera)
         self.create_service(LoadNet, "/dispatcher/load_net", self._load_net)
-        self._execute_server = GuardedActionServer(
-            self,
-            ExecuteCommand,
-            "/dispatcher/execute",
-            self._execute,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-        )
+        self.create_service(UnloadNet, "/dispatcher/unload_net", self._unload_net)
+        self.offer_commands(self._run)
+
+    async def load_net(self, net: Net, patience_s: float = 0.0, beside: Sequence[Net] = ()) -> Verification:
+        """Take a net into execution, and what its commands need into the net of the cell.
+
+        All nets that will run then are verified together before either comes.
+
+        Raises:
+            StateError: It would be the net of the cell, or commands wait or run that it would need otherwise.
+        """
+        if net.name == cell.NAME:
+            raise StateError(f"net {net.name} is made of what commands need; load the nets of these")
+        others = [each for each in self._command_nets() if each.name != net.name]
+        needs = Needs([*others, net], self._resources)
+        self._line.require_same(needs)
+        changed = cell.cell_net(needs)
+        await self.loader.verified_alone(net)
+        await self.loader.verified(changed, [*beside, net])
+        report = await super().load_net(net, patience_s, [*beside, changed])
+        await self._change_cell(needs)
+        return report
+
+    async def unload_net(self, name: str, patience_s: float = 0.0) -> None:
+        """Take a net out of execution, and its commands out of the net of the cell.
+
+        Raises:
+            StateError: One of its commands waits or runs, or it is the net of the cell.
+        """
+        if name == cell.NAME:
+            raise StateError(f"net {name} is made of what commands need; unload the nets of these")
+        needs = Needs([each for each in self._command_nets() if each.name != name], self._resources)
+        self._line.require_same(needs)
+        before = self._needs
+        await self._change_cell(needs, without=name)
+        try:
+            await super().unload_net(name, patience_s)
+        except ImError:
+            await self._change_cell(before)
+            raise
+
+    def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
+        """What a command needs of the cell, and who keeps it from beginning, if somebody does."""
+        asked = command.job.command
+        if asked.symbol not in self._needs:
+            return (), ""
+        claim = self._line.claim(asked)
+        keepers = self._line.keepers(claim) if command.job.waiting else []
+        return claim.variant.needs, reason(claim, keepers) if keepers else ""
+
+    def _know(self, needs: Needs) -> None:
+        """Has commands wait by what they need."""
+        self._needs = needs
+        self._line = WaitingLine(needs, lambda: self.exchange.nets[cell.NAME])
+        self.functions.guards.update(self._line.guards())
+
+    async def _change_cell(self, needs: Needs, without: str = "") -> None:
+        net = cell.cell_net(needs)
+        if net.transitions == self.exchange.nets[cell.NAME].written.transitions:
+            self._know(needs)
+            return
+        report = await self.loader.verified(net, without=without)
+        self._line.require_same(needs)
+        self._know(needs)
+        self.succeed(net, report)
+
+    def _command_nets(self) -> list[Net]:
+        return [each.written for name, each in self.exchange.nets.items() if name != cell.NAME]
 
     async def _run(
         self,
@@ -61,19 +141,49 @@ class Dispatcher(PntNode):
         arguments: dict[str, object],
         listener: ProgressListener | None = None,
         started: Callable[[int], None] | None = None,
+        priority: int = 0,
     ) -> CommandOutcome:
-        """Runs a command; refuses a second one of the same symbol."""
-        running = self.commands.running(symbol)
-        if running is not None:
-            standing = self._standing[symbol](running) if symbol in self._standing else "begun"
-            raise StateError(f"{symbol} is already running ({standing}); ask again when it has ended", command=symbol)
-        return await self.command(symbol, arguments, listener, started)
+        """Runs a command; one that needs what others hold waits or is refused, by its declaration.
+
+        Of a command that needs nothing, a second one is refused.
+
+        Raises:
+            StateError: It is refused; says who holds what.
+        """
+        if symbol not in self._needs:
+            running = self.commands.running(symbol)
+            if running is not None:
+                raise self._already_running(symbol, running)
+            return await self.command(symbol, arguments, listener, started, priority)
+        declared = self._needs.declared(symbol)
+        taken = declared.arguments.check(arguments, f"command {symbol}")
+        claim = self._line.claim(Command(NO_NUMBER, symbol, taken))
+        keepers = self._line.keepers(claim)
+        if keepers and declared.busy is Busy.REFUSE:
+            first = keepers[0][0].command
+            if first.symbol == symbol:
+                raise self._already_running(symbol, self.commands.get(first.id).job)
+            raise StateError(f"{reason(claim, keepers)}; ask again when it has ended", command=symbol)
+        if len(self._line.waiting()) >= MOST_WAITING:
+            raise StateError(f"{MOST_WAITING} commands wait already; {symbol} is not taken", command=symbol)
+        return await self.command(symbol, taken, listener, started, declared.priority + priority)
+
+    def _already_running(self, symbol: str, running: Job) -> StateError:
+        net = self._needs.declared_by(symbol) if symbol in self._needs else ""
+        work = next((job for job in self._jobs_of(net) if job.command.id == running.command.id), running)
+        standing = self._standing[symbol](work) if symbol in self._standing else "begun"
+        return StateError(f"{symbol} is already running ({standing}); ask again when it has ended", command=symbol)
+
+    def _jobs_of(self, net: str) -> list[Job]:
+        return self.exchange.nets[net].jobs() if net in self.exchange.nets else []
 
     async def _calibrate_camera(
         self, request: CalibrateCamera.Request, response: CalibrateCamera.Response
     ) -> CalibrateCamera.Response:
         try:
+            file = await run_in_thread(self, load_poses, request.poses_file, timeout_s=READ_S)
             arguments: dict[str, object] = {"cameras": list(request.cameras), "poses_file": request.poses_file}
+            arguments["group"] = file.group
             outcome = await self._run(calibrate_camera.SYMBOL, arguments)
             response.success = outcome.success
             response.message = str(outcome.results.get("message", outcome.status.message))
@@ -85,42 +195,6 @@ class Dispatcher(PntNode):
         except ImError as error:
             response.success, response.message = False, error.message
         return response
-
-    async def _execute(self, goal: ServerGoalHandle) -> ExecuteCommand.Result:
-        result, feedback = ExecuteCommand.Result(), ExecuteCommand.Feedback()
-        command_ids: list[int] = []
-
-        def tell(step: str, message: str, progress: float) -> None:
-            feedback.step, feedback.message = step or feedback.step, message
-            feedback.progress = max(feedback.progress, progress)
-            goal.publish_feedback(feedback)
-
-        def check_cancel() -> None:
-            if goal.is_cancel_requested and command_ids:
-                self.cancel(command_ids.pop())
-
-        timer = self.create_timer(CANCEL_CHECK_S, check_cancel, clock=self.steady_clock)
-        try:
-            symbol = goal.request.symbol
-            if goal.request.attach:
-                outcome = await self.commands.attach(symbol, tell, command_ids.append)
-            else:
-                arguments = _arguments(goal.request.arguments)
-                outcome = await self._run(symbol, arguments, listener=tell, started=command_ids.append)
-        except ImError as error:
-            result.status = to_status(error)
-            goal.abort()
-            return result
-        finally:
-            self.destroy_timer(timer)
-        result.success, result.status, result.results = outcome.success, outcome.status, json.dumps(outcome.results)
-        if outcome.success:
-            goal.succeed()
-        elif goal.is_cancel_requested:
-            goal.canceled()
-        else:
-            goal.abort()
-        return result
 
     async def _load_net(self, request: LoadNet.Request, response: LoadNet.Response) -> LoadNet.Response:
         try:
@@ -136,13 +210,14 @@ class Dispatcher(PntNode):
         return response
 
 
-def _arguments(text: str) -> dict[str, object]:
-    """Arguments of a command, a JSON object or nothing.
-
-    Raises:
-        DataError: They are something else.
-    """
-    return read_json(dict[str, object], text or "{}", "the JSON object of the command's arguments")
+    async def _unload_net(self, request: UnloadNet.Request, response: UnloadNet.Response) -> UnloadNet.Response:
+        try:
+            await self.unload_net(request.net, request.wait)
+        except ImError as error:
+            response.success, response.message = False, error.message
+            return response
+        response.success, response.message = True, f"net {request.net} is gone, with its commands"
+        return response
 
 
 def main() -> None:

@@ -1,15 +1,22 @@
 """Node ``/dom``."""
 
 import sys
+from array import array
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
-from im_core.errors import ImError, StateError
+from im_core import clock
+from im_core.errors import DataError, ImError, StateError, WaitTimeoutError
 from im_core.names import run_dir
 from im_core.ros import qos, run
+from im_core.ros.calls import wait
+from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
+from im_core.ros.reminders import Reminders
 from im_core.ros.status import ok_status, to_status
 from im_core.ros.worker import Worker
+from im_dom.ros.types import as_json, check_message
 from im_dom.store import ObjectRecord, ObjectStore
 from im_msgs.msg import ObjectChange, ObjectInfo
 from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
@@ -17,6 +24,11 @@ from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
 #: How long the store may take to answer [s].
 ANSWER_S = 5.0
 
+#: How long a request may wait for an object to be valid [s], and how many may.
+LONGEST_WAIT_S = 3600.0
+MOST_WAITING = 1000
+
+ResultT = TypeVar("ResultT")
 AnswerT = TypeVar("AnswerT", PutObject.Response, GetObject.Response, InvalidateObject.Response)
 
 
@@ -26,20 +38,25 @@ class DomNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("dom")
         self._store: ObjectStore | None = None
-        self._worker = Worker(self, "the objects' store", ANSWER_S)
+        self._worker: Worker | None = None
+        self._reminders = Reminders(self)
+        self._awaited: dict[Promise, str] = {}
 
     def phase_configure(self) -> None:
         """Open the store and offer the services."""
         self._store = ObjectStore(run_dir() / "dom.sqlite")
+        if self._store.aside:
+            self._reminders.add("store", self._store.aside)
+        self._worker = Worker(self, "the objects' store", ANSWER_S, self._store.together)
         self._changes = self.create_publisher(ObjectChange, "/dom/changes", qos.EVENTS)
-        self.create_service(PutObject, "/dom/put", self._put)
-        self.create_service(GetObject, "/dom/get", self._get)
-        self.create_service(ListObjects, "/dom/list", self._list)
-        self.create_service(InvalidateObject, "/dom/invalidate", self._invalidate)
+        self.create_service(PutObject, "/dom/put", self._put, qos_profile=qos.QUEUED_SERVICE)
+        self.create_service(GetObject, "/dom/get", self._get, qos_profile=qos.QUEUED_SERVICE)
+        self.create_service(ListObjects, "/dom/list", self._list, qos_profile=qos.QUEUED_SERVICE)
+        self.create_service(InvalidateObject, "/dom/invalidate", self._invalidate, qos_profile=qos.QUEUED_SERVICE)
 
     def phase_shutdown(self) -> None:
         """Close the store, unless something in it hangs."""
-        if self._worker.close() and self._store is not None:
+        if self._worker is not None and self._worker.close() and self._store is not None:
             self._store.close()
 
     @property
@@ -55,44 +72,113 @@ class DomNode(ManagedNode):
 
     async def _put(self, request: PutObject.Request, response: PutObject.Response) -> PutObject.Response:
         def put() -> ObjectRecord:
+            data = bytes(request.data)
             return self.store.put(
-                request.name, request.type, bytes(request.data), request.place, request.source, self._now_ns()
+                request.name,
+                request.type,
+                data,
+                request.place,
+                request.source,
+                self._now_ns(),
+                kind_hash=check_message(request.name, request.type, data),
+                command=request.command,
             )
 
         return await self._answer(response, put, changed=True)
 
     async def _get(self, request: GetObject.Request, response: GetObject.Response) -> GetObject.Response:
         def get() -> ObjectRecord:
-            record, data = self.store.get(request.name, request.type)
-            if not request.metadata_only:
-                response.data = data
+            if request.metadata_only:
+                return self.store.valid_record(request.name, request.version)
+            record, data = self.store.get(request.name, request.type, request.version)
+            if request.as_json:
+                response.json = as_json(record.name, record.type, data)
+            else:
+                response.data = array("B", data)
             return record
 
-        return await self._answer(response, get, changed=False)
+        if not 0.0 <= request.timeout <= LONGEST_WAIT_S:
+            text = f"the time-out {request.timeout:g} s is not allowed: 0 to {LONGEST_WAIT_S:g} s"
+            response.status = to_status(DataError(text, timeout=request.timeout))
+            return response
+        deadline = clock.monotonic() + request.timeout
+        while True:
+            changed = self._next_change(request.name) if request.timeout else None
+            try:
+                await self._answer(response, get, changed=False)
+                left = deadline - clock.monotonic()
+                if changed is None or response.status.code not in ("not_found", "state") or left <= 0.0:
+                    return response
+                await wait(self, changed, left, f"data object '{request.name}' to be valid")
+            except WaitTimeoutError:
+                return response
+            finally:
+                if changed is not None:
+                    self._awaited.pop(changed, None)
+
+    def _next_change(self, name: str) -> Promise | None:
+        """A promise that is kept when an object is put next; None if too many wait already."""
+        if len(self._awaited) >= MOST_WAITING:
+            return None
+        promise = self.promise()
+        self._awaited[promise] = name
+        return promise
 
     async def _invalidate(
         self, request: InvalidateObject.Request, response: InvalidateObject.Response
     ) -> InvalidateObject.Response:
+        if request.name.endswith("/"):
+            return await self._forget(request, response)
+
         def invalidate() -> ObjectRecord:
             return self.store.invalidate(request.name, request.source, self._now_ns())
 
         return await self._answer(response, invalidate, changed=True)
 
+    async def _forget(
+        self, request: InvalidateObject.Request, response: InvalidateObject.Response
+    ) -> InvalidateObject.Response:
+        """Forgets the objects of a command, or all below another name that ends with ``/``."""
+
+        def forget() -> list[ObjectRecord]:
+            return self.store.forget(request.name)
+
+        try:
+            gone = await self._ask(forget)
+        except ImError as error:
+            response.success, response.status = False, to_status(error)
+            return response
+        for record in gone:
+            self._tell(to_info(replace(record, source=request.source)))
+        response.success, response.status, response.object.name = True, ok_status(), request.name
+        return response
+
     async def _list(self, request: ListObjects.Request, response: ListObjects.Response) -> ListObjects.Response:
-        records = await self._worker.run(lambda: self.store.records(request.prefix))
+        records = await self._ask(lambda: self.store.records(request.prefix))
         response.objects = [to_info(record) for record in records]
         return response
 
     async def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:
         try:
-            response.object = to_info(await self._worker.run(operation))
+            response.object = to_info(await self._ask(operation))
         except ImError as error:
             response.success, response.status = False, to_status(error)
             return response
         response.success, response.status = True, ok_status()
         if changed:
-            self._changes.publish(ObjectChange(object=response.object))
+            self._tell(response.object)
         return response
+
+    async def _ask(self, work: Callable[[], ResultT]) -> ResultT:
+        """Has something done in the store, together with what else waits for it; what is answered is on the disk."""
+        assert self._worker is not None, "the services are offered when the store is open"
+        return await self._worker.run(work)
+
+    def _tell(self, info: ObjectInfo) -> None:
+        self._changes.publish(ObjectChange(object=info))
+        for promise in [promise for promise, name in self._awaited.items() if name == info.name]:
+            if not promise.done():
+                promise.set_result(None)
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -103,10 +189,12 @@ def to_info(record: ObjectRecord) -> ObjectInfo:
     info = ObjectInfo(
         name=record.name,
         type=record.type,
+        type_hash=record.hash,
         version=record.version,
         valid=record.valid,
         place=record.place,
         source=record.source,
+        command=record.command,
         size=record.size,
     )
     info.stamp.sec, info.stamp.nanosec = divmod(record.stamp_ns, 10**9)

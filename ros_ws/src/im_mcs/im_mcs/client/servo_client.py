@@ -52,8 +52,8 @@ class MotionProgress:
 
 
 OnReply = Callable[[ServoReply], None]
-OnState = Callable[[State, str, bool], None]
-"""Told a state, why, and whether that is because the testbed was lost."""
+OnState = Callable[[State, dict[str, str], str, bool], None]
+"""Told the state, those of groups that are not cold, why, and whether that is because the testbed was lost."""
 OnProgress = Callable[[MotionProgress], None]
 
 
@@ -66,11 +66,11 @@ class ServoClient:
     Args:
         channel: Created by the caller, who owns it.
         time: The testbed's clock, asked for time when a request must be heard; closed with the client.
-        on_state: Told of every change of state, why, and whether that is because the testbed was lost.
+        on_state: Told of every change of state, of MCS or of a group.
     """
 
     def __init__(
-        self, channel: ServoChannel, time: TimeSource, on_state: OnState = lambda state, reason, lost: None
+        self, channel: ServoChannel, time: TimeSource, on_state: OnState = lambda state, groups, reason, lost: None
     ) -> None:
         self._channel = channel
         self._time = time
@@ -183,7 +183,8 @@ class ServoClient:
 
     def _hand_out(self, message: dict[str, Any]) -> None:
         if message["event"] == "state":
-            self._on_state(State(message["state"]), str(message["reason"]), bool(message["lost"]))
+            state, groups = State(message["state"]), dict(message["groups"])
+            self._on_state(state, groups, str(message["reason"]), bool(message["lost"]))
             return
         number = int(message["id"])
         with self._lock:

@@ -118,13 +118,15 @@ class CollisionMonitor:
         return Proximity(distance, *self._names[closest], self._ceiling, culprit is not None)
 
     def _refresh(self) -> int:
-        """Measure some pairs in turn, and those that may be the closest; the closest."""
+        """Measure some pairs in turn, and those that may be the closest within the zone; the closest."""
         lower, distance = self._lower, self._bodies.distance
         for pair in next(self._turns):
             lower[pair] = distance(pair)
         closest = int(lower.argmin())
         for _ in range(_LOOKS):
             bound = lower[closest]
+            if bound >= self._settings.slow_down_m:
+                break
             lower[closest] = found = distance(closest)
             if found <= bound:
                 break

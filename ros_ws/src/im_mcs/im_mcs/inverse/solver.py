@@ -16,6 +16,8 @@ from im_mcs.model import CellModel
 _ITERATIONS = 80
 # Solutions keep clear of the limits, so that a measured position is never beyond them [rad or m].
 _LIMIT_MARGIN = 0.02
+# Where nothing is reached, steps end a little before the limit that is in the way [rad or m].
+_AT_LIMIT = 0.01
 _POSITION_TOLERANCE_M = 1e-7
 _ROTATION_TOLERANCE_RAD = 1e-7
 _DAMPING = 1e-3
@@ -62,6 +64,7 @@ class InverseKinematics:
 
     def __init__(self, model: CellModel, limits: JointLimits, index: NDArray[np.intp], frame: str) -> None:
         self._model = model
+        self._limits = limits
         self._index = index
         self._frame = frame
         self._lower = limits.lower[index] + _LIMIT_MARGIN
@@ -94,8 +97,8 @@ class InverseKinematics:
         best: IkAttempt | None = None
         blocked: ImError | None = None
         for start in self._starts(seed):
-            *_, attempt = self.descent(target, q_all, start)
-            if attempt.reached:
+            attempts = list(self.descent(target, q_all, start))
+            if (attempt := attempts[-1]).reached:
                 try:
                     if collision is not None:
                         collision.require_free(self._whole(q_all, attempt.q))
@@ -103,19 +106,28 @@ class InverseKinematics:
                     blocked = blocked or error
                     continue
                 return attempt.q
-            if best is None or attempt.position_error < best.position_error:
-                best = attempt
+            best = min([*attempts, best or attempt], key=lambda each: each.position_error)
         if blocked is not None:
             raise blocked
         assert best is not None
         x, y, z = target.translation
         raise DataError(
             f"{self._frame} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach: the nearest solution is "
-            f"{best.position_error * 1e3:.1f} mm and {np.degrees(best.rotation_error):.2f} deg off",
+            f"{best.position_error * 1e3:.1f} mm and {np.degrees(best.rotation_error):.2f} deg off"
+            f"{self._at_limits(best.q)}",
             code="unreachable",
             frame=self._frame,
             position_m=[float(x), float(y), float(z)],
         )
+
+    def _at_limits(self, q: NDArray[np.float64]) -> str:
+        """Says which joints are against which limit, a clause; empty if none is."""
+        limits, told = self._limits, []
+        for i, value, lower, upper in zip(self._index, q, self._lower, self._upper, strict=True):
+            if min(value - lower, upper - value) < _AT_LIMIT:
+                limit = limits.lower[i] if value - lower < upper - value else limits.upper[i]
+                told.append(f"{limits.names[i]} {limit:.4g} {limits.units[i]}")
+        return f", with joints against their limits: {', '.join(told)}" if told else ""
 
     def _starts(self, seed: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         generator = np.random.Generator(np.random.Philox(key=_SEED_KEY))

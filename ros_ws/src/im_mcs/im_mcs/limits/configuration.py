@@ -33,6 +33,9 @@ class Servo(Model):
     brake_lead_ticks: int = Field(ge=1, description="torque is present this long before brakes release, and after")
     answer_timeout_s: float = Field(gt=0, description="power and brakes must obey within this testbed time [s]")
     rest_window_ticks: int = Field(ge=4, description="readings averaged at rest")
+    owner_patience_s: float = Field(
+        ge=0, le=10, description="at clock factor 0 time stands this long for an owner who was answered, wall time [s]"
+    )
     settle: Settle
 
 

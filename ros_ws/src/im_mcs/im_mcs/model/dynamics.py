@@ -58,6 +58,15 @@ class CellModel:
             raise NotFoundError(kind="frame", name=frame, known=[f.name for f in self.pin.frames])
         return int(self.pin.getFrameId(frame))
 
+    def joints_below(self, frame: str) -> NDArray[np.intp]:
+        """Ranks of the joints that move a frame, and carry what hangs on it, shape (k,).
+
+        Raises:
+            NotFoundError: There is no such frame.
+        """
+        joint = self.pin.frames[self.frame_id(frame)].parentJoint
+        return np.array([below - 1 for below in self.pin.supports[joint] if below > 0], dtype=np.intp)
+
     def gravity(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Torques that hold the arms still at ``q``, shape (18,) [Nm or N]."""
         return np.asarray(pin.computeGeneralizedGravity(self.pin, self._data, q))
@@ -93,6 +102,11 @@ class CellModel:
         return {
             frame.name: self._data.oMf[i] for i, frame in enumerate(self.pin.frames) if frame.type == pin.FrameType.BODY
         }
+
+    def over_joints(self, q: NDArray[np.float64]) -> list[pin.SE3]:
+        """Pose of every joint's child link in its parent link at ``q``, in the order of the joints."""
+        pin.forwardKinematics(self.pin, self._data, q)
+        return list(self._data.liMi)[1:]
 
     def jacobian(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:
         """Velocity of a frame's origin for each joint's, along the axes of ``world``, shape (6, 18): linear, angular.

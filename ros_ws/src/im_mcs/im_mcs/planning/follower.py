@@ -17,6 +17,8 @@ _LEAST = 1e-6
 _JUDGED_S = 3.0
 # While a ramp has longer than this to go [s], one is sought at each knot that takes this share of it.
 _LONG_S, _QUICKER = 0.4, 0.8
+# At a rate that stays, the setpoints before so many knots are evaluated at once: it takes little longer than one.
+_KNOTS = 8
 
 Ahead = Callable[[float], NDArray[np.float64]]
 """Place on a curved path that is reached in some seconds, if nothing changes, shape (n,)."""
@@ -53,6 +55,8 @@ class PathFollower:
         self.between: Setpoint | None = None
         self._rate_before = rate
         self._judged, self._straight = -math.inf, True
+        self._ready_clock: Clock | None = None
+        self._ready: list[Setpoint] = []
 
     @property
     def finished(self) -> bool:
@@ -97,9 +101,8 @@ class PathFollower:
             left = (self.trajectory.duration - self.sigma) / (self.rate * self._tick_s)
             ticks = min(max(math.ceil(left - _LEAST), 1), ticks)
         if ticks > 1 and (not steady or self._clock.rate > 0.0):
-            sigma, rate_then, change = self._clock.span(self._t + self._later(ticks))
-            s = self.trajectory.span(np.minimum(sigma, self.trajectory.duration))
-            self.between = scaled(s, rate_then[:, None], change[:, None])
+            many = steady and ticks == self._divisor
+            self.between = self._next_between() if many else self._between([self._t], ticks)
         self._t += ticks * self._tick_s
         self.sigma, self.rate, self.rate_change = self._clock.at(self._t)
         if self.sigma >= self.trajectory.duration - _LEAST * self._tick_s:
@@ -135,6 +138,24 @@ class PathFollower:
         else:
             self._now = brake.at(self._t)
         return self._now, ticks
+
+    def _next_between(self) -> Setpoint:
+        """The setpoints before the next knot, at a rate that stays: those of many knots are evaluated at once."""
+        if self._ready_clock is not self._clock or not self._ready:
+            knots, rows = [self._t], self._divisor - 1
+            for _ in range(_KNOTS - 1):
+                knots.append(knots[-1] + self._divisor * self._tick_s)
+            s = self._between(knots, self._divisor)
+            self._ready_clock = self._clock
+            self._ready = [Setpoint(s.q[k : k + rows], s.v[k : k + rows], s.a[k : k + rows]) for k in _ranks(rows)]
+        return self._ready.pop()
+
+    def _between(self, knots: list[float], ticks: int) -> Setpoint:
+        """Setpoints of the ticks between each of some knots and the next, shape (len(knots) * (ticks - 1), n)."""
+        t = (np.array(knots)[:, None] + self._later(ticks)).ravel()
+        sigma, rate, change = self._clock.span(t)
+        s = self.trajectory.span(np.minimum(sigma, self.trajectory.duration))
+        return scaled(s, rate[:, None], change[:, None])
 
     def _later(self, ticks: int) -> NDArray[np.float64]:
         """Times of the ticks before the next knot, from now, shape (ticks - 1,) [s]."""
@@ -178,3 +199,8 @@ class Standing:
     def advance(self, rate: float) -> tuple[Setpoint, int]:
         """The same setpoint, whatever the rate."""
         return self.end_setpoint, 1
+
+
+def _ranks(rows: int) -> range:
+    """Where the rows of each knot begin, the last knot first."""
+    return range((_KNOTS - 1) * rows, -1, -rows)

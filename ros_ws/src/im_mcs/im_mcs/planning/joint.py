@@ -165,17 +165,24 @@ class JointPreparation:
     """
 
     def __init__(self, context: PlanContext, move: JointMove, start: Start) -> None:
-        self._context, self._start = context, start
+        self._context, self._move, self._start = context, move, start
         self._limits = context.limits.motion.of(context.index)
-        state = start()
-        self._moving = bool(state.v.any() or state.a.any())
         self._first = move.points[0]
-        synchrony = context.config.planning.synchrony
-        begin, points = (move.points[0], move.points[1:]) if self._moving else (state.q, move.points)
-        self._legs = JointPathPlanner(begin, points, self._limits, synchrony, move.blend)
+        self._begin(start())
+
+    def _begin(self, state: Setpoint) -> None:
+        """Begin to plan from a state; from one of rest it must not be left meanwhile."""
+        self._from, self._moving = state.q, _moves(state)
+        points = self._move.points
+        begin, points = (points[0], points[1:]) if self._moving else (state.q, points)
+        synchrony = self._context.config.planning.synchrony
+        self._legs = JointPathPlanner(begin, points, self._limits, synchrony, self._move.blend)
 
     def step(self) -> Trajectory | None:
         """A few steps; the last slice joins them to the motion under way."""
+        state = self._start()
+        if not self._moving and (_moves(state) or not np.array_equal(state.q, self._from)):
+            self._begin(state)  # what stood still has been resumed, or another motion has begun
         if not self._legs.done:
             for _ in range(_STEPS_A_SLICE):
                 if not self._legs.done:
@@ -185,12 +192,16 @@ class JointPreparation:
             return self._legs.trajectory
         synchrony = self._context.config.planning.synchrony
         limits = replace(self._limits, jerk=self._limits.jerk * _JERK_UNPHASED)
-        first = to_point(self._start(), self._first, limits, synchrony)
+        first = to_point(state, self._first, limits, synchrony)
         # a motion that turns round may swing past the range of a joint
         check_range(self._context, first)
         rest = self._legs.trajectory
         rest.points = [point + 1 for point in rest.points]
         return first.followed_by([rest]) if rest.duration > 0.0 else first
+
+
+def _moves(state: Setpoint) -> bool:
+    return bool(state.v.any() or state.a.any())
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,8 @@ from im_mcs.planning.trajectory import Setpoint
 _RUCKIG = {Synchrony.PHASE: Synchronization.Phase, Synchrony.TIME: Synchronization.Time}
 _SHORTEST_S = 1e-9
 _STILL = 1e-6
+_NOISE = {"position": 1e-9, "velocity": 1e-8, "acceleration": 1e-4}
+"""What a state is off by rounding, or is as good as zero: a setpoint that drops it leaps by less than any limit."""
 
 
 def request(start: Setpoint, limits: MotionLimits, synchrony: Synchrony = Synchrony.PHASE) -> InputParameter:
@@ -177,6 +179,7 @@ def _solve(asked: InputParameter, what: str) -> PiecewisePolynomial:
 
 
 def _trajectory(asked: InputParameter, what: str) -> RuckigTrajectory:
+    _round_noise(asked)
     trajectory = RuckigTrajectory(asked.degrees_of_freedom)
     try:
         result = Ruckig(asked.degrees_of_freedom).calculate(asked, trajectory)
@@ -185,6 +188,18 @@ def _trajectory(asked: InputParameter, what: str) -> RuckigTrajectory:
     if result not in (Result.Working, Result.Finished):
         raise DataError(f"no trajectory {what}: ruckig reports {result.name}")
     return trajectory
+
+
+def _round_noise(asked: InputParameter) -> None:
+    """Make zero what is as good as zero.
+
+    A joint that all but stands still, and waits for others, is else sent up to 0.25 rad away and back by ruckig.
+    """
+    q, target = np.array(asked.current_position), np.array(asked.target_position)
+    asked.current_position = np.where(np.abs(target - q) < _NOISE["position"], target, q).tolist()
+    for name in ("current_velocity", "current_acceleration", "target_velocity"):
+        value = np.array(getattr(asked, name))
+        setattr(asked, name, np.where(np.abs(value) < _NOISE[name.partition("_")[2]], 0.0, value).tolist())
 
 
 def _polynomial(trajectory: RuckigTrajectory) -> PiecewisePolynomial:

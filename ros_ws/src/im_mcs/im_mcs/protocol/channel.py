@@ -22,6 +22,7 @@ def group_type() -> np.dtype[np.void]:
     return np.dtype(
         [
             ("name", _TEXT),
+            ("state", "<i4"),
             ("reserved", "?"),
             ("owner", _TEXT),
             ("lease_left_s", "<f8"),

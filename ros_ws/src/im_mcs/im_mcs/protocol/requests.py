@@ -281,7 +281,14 @@ class RepartitionRequest(ServoRequest):
 
 
 class TransitionRequest(ServoRequest):
-    """Power on or off, enable or disable motion, reset: the name says which."""
+    """Power on or off, enable or disable motion, the name says which: of a group, or of all that are the sender's."""
+
+    group: Text = ""
+    sender: By = NOBODY
+
+
+class ResetRequest(ServoRequest):
+    """End an emergency stop."""
 
 
 class MoveRequest(ServoRequest):
@@ -334,7 +341,7 @@ class PauseRequest(ServoRequest):
 
 
 class ResumeRequest(ServoRequest):
-    """Go on after a pause or a protective stop; all groups if none is named."""
+    """Go on after a pause or a protective stop; all groups that are the sender's if none is named."""
 
     group: Text = ""
     sender: By = NOBODY
@@ -409,7 +416,7 @@ REQUESTS: Mapping[str, type[ServoRequest]] = {
     "set_payload": SetPayloadRequest,
     "protective_stop": ProtectiveStopRequest,
     "estop": EstopRequest,
-    "reset": TransitionRequest,
+    "reset": ResetRequest,
 }
 """The model of every request that the servo knows, by its name."""
 

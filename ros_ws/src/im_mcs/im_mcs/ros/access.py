@@ -26,7 +26,7 @@ from im_mcs.model import CellModel
 from im_mcs.ros.bounds import check_bounds
 from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.ros.servo_keeper import FINALIZED_MESSAGE, ServoKeeper
-from im_mcs.state import Event, State, next_state
+from im_mcs.state import POWERED, Event, State, next_state
 
 Started = Callable[[int], None]
 """Told the number of a request that has been sent."""
@@ -37,7 +37,6 @@ _INTRODUCTIONS, _INTRODUCTION_S = 20, 0.05
 _RECOVERY_S, _AGAIN_S = 20.0, 0.5  # less than the 30 s for which nets wait for an answer
 #: Time for the answer of a last service to leave [s].
 _ANSWERED_S = 0.5
-_LIFECYCLE = {Event.POWER_ON: "activate", Event.POWER_OFF: "deactivate"}
 
 
 class Refusals:
@@ -128,8 +127,8 @@ class McsAccess:
             {
                 "configure": self._configure,
                 "cleanup": self._cleanup,
-                "activate": lambda: self._power(Event.POWER_ON),
-                "deactivate": lambda: self._power(Event.POWER_OFF),
+                "activate": lambda client: self._power(Event.POWER_ON, client),
+                "deactivate": lambda client: self._power(Event.POWER_OFF, client),
                 "shutdown": self._shutdown,
             },
         )
@@ -226,8 +225,26 @@ class McsAccess:
             raise await self._with_evidence(client, reply.error, reply.results)
         return reply.results
 
-    async def transition(self, event: Event) -> str:
-        """Go through a transition of the state table, together with the lifecycle; where that led, as a sentence.
+    async def transition(self, event: Event, client: str, group: str = "", owner: str = "") -> str:
+        """Change power or motion; where that led, as a sentence. The lifecycle follows.
+
+        Args:
+            event: ``power_on``, ``power_off``, ``enable_motion`` or ``disable_motion``.
+            client: Who asks.
+            group: Which group; empty: all that are the client's and in the state from which it leads.
+            owner: Whose they are, as the request says; empty: it does not say.
+
+        Raises:
+            ImError: It is refused, or ended badly.
+        """
+        self.client()
+        if group:
+            self.group(group)
+        await self.request(event, {"group": group, "sender": await self.sender(client, owner)})
+        return f"MCS is {self.state.value}"
+
+    async def stop(self, event: Event) -> str:
+        """Stop by ``estop`` or ``protective_stop``, or ``reset`` an emergency stop; where that led, as a sentence.
 
         Raises:
             ImError: It is refused, or ended badly.
@@ -237,15 +254,7 @@ class McsAccess:
         if event is Event.RESET:
             await self.keeper.reset(self.request)
             return f"MCS is {self.state.value}"
-        self.client()
-        if event in _LIFECYCLE:
-            next_state(self.state, event)
-            await self.lifecycle.change(_LIFECYCLE[event])
-            self.keeper.follow()
-        elif event is Event.PROTECTIVE_STOP:
-            await self.request(event, {"reason": f"request on /mcs/{event.value}"})
-        else:
-            await self.request(event)
+        await self.request(event, {"reason": f"request on /mcs/{event.value}"})
         return f"MCS is {self.state.value}"
 
     async def recover(self) -> None:
@@ -260,7 +269,7 @@ class McsAccess:
         while self.keeper.lost:
             try:
                 if self.keeper.stop_cause:
-                    await self.transition(Event.RESET)
+                    await self.stop(Event.RESET)
                 else:
                     await self.lifecycle.change("configure")
             except ImError:
@@ -280,21 +289,25 @@ class McsAccess:
         self.kinematics = Kinematics(config, CellModel(self.cell))
         self._changed()
 
-    async def _power(self, event: Event) -> None:
-        await self.request(event)
+    async def _power(self, event: Event, client: str) -> None:
+        """Power of all groups that are the client's: lifecycle *active* is power on, whosever it is."""
+        next_state(self.state, event)
+        await self.transition(event, client)
+        if event is Event.POWER_OFF and self.state in POWERED:
+            raise StateError("power stays on: a group of somebody else needs it", state=self.state.value)
 
-    async def _configure(self) -> None:
+    async def _configure(self, _: str) -> None:
         next_state(self.state, Event.CONFIGURE)
         if cause := self.keeper.stop_cause:
             raise StateError(f"configure is refused: an emergency stop is latched ({cause}); reset it (/mcs/reset)")
         await self.keeper.start(self.config)
         self._changed()
 
-    async def _cleanup(self) -> None:
+    async def _cleanup(self, _: str) -> None:
         next_state(self.state, Event.CLEANUP)
         self.keeper.close()
 
-    async def _shutdown(self) -> None:
+    async def _shutdown(self, _: str) -> None:
         """End the servo; from *finalized* no transition leads back, so that the task asks to be started again."""
         self.keeper.close()
         self.node.alarms.after(_ANSWERED_S, lambda: self.node.fail(StateError(FINALIZED_MESSAGE)))

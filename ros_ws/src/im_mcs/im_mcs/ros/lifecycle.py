@@ -15,7 +15,8 @@ from im_core.errors import ImError, StateError
 from im_core.ros.guard import GuardedNode
 from im_mcs.ros.bounds import check_bounds
 
-Work = Callable[[], Awaitable[None]]
+Work = Callable[[str], Awaitable[None]]
+"""What a transition does, given who asks for it: as :func:`im_core.ros.callers.client_of` says; empty: the node."""
 
 
 class Lifecycle:
@@ -52,11 +53,12 @@ class Lifecycle:
         """Label of the present state."""
         return str(self._machine.current_state[1])
 
-    async def change(self, transition: str) -> None:
+    async def change(self, transition: str, client: str = "") -> None:
         """Go through a transition with its work; if that fails, the log and :attr:`failure` say why.
 
         Args:
             transition: ``configure``, ``cleanup``, ``activate``, ``deactivate`` or ``shutdown``.
+            client: Who asks.
 
         Raises:
             StateError: The present state has no such transition.
@@ -64,7 +66,7 @@ class Lifecycle:
         """
         try:
             self._begin(self._id_of(transition))
-            await self._carry_out(transition)
+            await self._carry_out(transition, client)
         except ImError as error:
             self.failure = f"the lifecycle transition {transition} failed: {error.message}"
             self._node.get_logger().error(self.failure)
@@ -75,10 +77,15 @@ class Lifecycle:
         """Go through a transition whose work has happened already."""
         self._begin(self._id_of(transition))
         self._end(TransitionCallbackReturn.SUCCESS)
+        self.failure = ""
 
-    async def _carry_out(self, transition: str) -> None:
+    def destroy(self) -> None:
+        """Let go of the node."""
+        self._machine.destroy_when_not_in_use()
+
+    async def _carry_out(self, transition: str, client: str) -> None:
         try:
-            await self._work[transition]()
+            await self._work[transition](client)
         except ImError:
             self._end(TransitionCallbackReturn.FAILURE)
             raise
@@ -108,16 +115,22 @@ class Lifecycle:
         group.add_entity(service)
         self._node._services.append(service)  # as rclpy's own lifecycle node does: the executor finds it there
 
-    async def _change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+    def _change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> Callable[[str], Awaitable[ChangeState.Response]]:
         labels = {number: label for number, label, *_ in self._machine.available_transitions}
         label = request.transition.label or labels.get(request.transition.id) or _LABELS.get(request.transition.id, "")
-        try:
-            check_bounds(request, 0)
-            await self.change(label)
-            response.success = True
-        except ImError:  # told where the reason has room: in the log and on /diagnostics
-            response.success = False
-        return response
+
+        async def answer(client: str) -> ChangeState.Response:
+            try:
+                check_bounds(request, 0)
+                await self.change(label, client)
+                response.success = True
+            except ImError:  # told where the reason has room: in the log and on /diagnostics
+                response.success = False
+            return response
+
+        return answer
 
     def _get_state(self, _: object, response: GetState.Response) -> GetState.Response:
         response.current_state.id, response.current_state.label = self._machine.current_state

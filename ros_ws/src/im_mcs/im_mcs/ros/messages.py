@@ -16,6 +16,7 @@ from im_mcs.client.groups import GroupState
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS
 from im_mcs.state import State
+from im_mcs.state.table import STATES
 from im_msgs.msg import GroupPath, GroupStatus, McsState
 from im_msgs.msg import GroupState as GroupStateMessage
 
@@ -107,7 +108,12 @@ def mcs_state(
     )
     if snapshot is None or state is State.UNCONFIGURED:
         return message
-    groups = [group_status(config, row, snapshot) for row in snapshot["groups"] if text(row["name"]) in config.groups]
+    stopped = state is State.ESTOPPED
+    groups = [
+        group_status(config, row, snapshot, stopped, measured)
+        for row in snapshot["groups"]
+        if text(row["name"]) in config.groups
+    ]
     held = snapshot["brakes"][snapshot["reserved"]]
     message.stamp = time(int(snapshot["stamp_ns"]))
     if measured:  # else what stands there is old, or only commanded, and the reason says so
@@ -127,13 +133,25 @@ def mcs_state(
     return message
 
 
-def group_status(config: McsConfig, row: np.void, snapshot: NDArray[np.void]) -> GroupStatus:
-    """``im_msgs/GroupStatus`` of a row of the snapshot's groups."""
+def group_status(
+    config: McsConfig, row: np.void, snapshot: NDArray[np.void], stopped: bool, measured: bool
+) -> GroupStatus:
+    """``im_msgs/GroupStatus`` of a row of the snapshot's groups.
+
+    Args:
+        config: Configuration.
+        row: What the servo told last of the group.
+        snapshot: What it told last of everything.
+        stopped: Whether MCS is estopped, which the servo may not have told yet.
+        measured: As of :func:`mcs_state`.
+    """
     name = text(row["name"])
     slots = [slot.name for slot in config.joint_slots]
     index = [slots.index(joint) for joint in config.groups[name].joints]
     return GroupStatus(
         group=name,
+        state=(State.ESTOPPED if stopped else STATES[int(row["state"])]).value,
+        brakes=not measured or bool(snapshot["brakes"][index].all()),
         reserved=bool(row["reserved"]),
         owner=text(row["owner"]),
         lease=float(row["lease_left_s"]),
@@ -218,5 +236,5 @@ def take_overs_status(taken_over: Mapping[str, str]) -> DiagnosticStatus:
 
 def fill_placement(translation: Any, rotation: Any, placement: pin.SE3) -> None:
     """Put a placement into the two parts of a pose or transform."""
-    translation.x, translation.y, translation.z = (float(value) for value in placement.translation)
-    rotation.x, rotation.y, rotation.z, rotation.w = (float(v) for v in pin.Quaternion(placement.rotation).coeffs())
+    values = pin.SE3ToXYZQUAT(placement).tolist()
+    translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w = values

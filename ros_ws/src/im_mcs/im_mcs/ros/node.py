@@ -1,6 +1,7 @@
 """Node ``/mcs``: motion control of all joints; its servo runs in a process of its own."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,12 @@ class McsNode(ManagedNode):
     def phase_shutdown(self) -> None:
         """End the servo process; the testbed brakes by itself."""
         self._mcs.keeper.close()
+
+    def destroy_node(self) -> None:
+        """Leaves the graph, which the state machine of rcl keeps every node in that it was made for."""
+        self._mcs.lifecycle.destroy()
+        destroy: Callable[[], None] = super().destroy_node  # rclpy says no types
+        destroy()
 
     def _look_after(self) -> None:
         self._mcs.keeper.poll()

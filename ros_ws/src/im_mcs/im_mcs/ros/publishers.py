@@ -51,12 +51,10 @@ class Publishers:
         self._state.publish(messages.mcs_state(config, state, reason, snapshot, measured))
 
     def joints(self, samples: list[dict[str, Any]]) -> None:
-        """``/joint_states`` of every sample of the servo, ``/tf`` of the last."""
+        """``/joint_states`` and ``/tf`` of every sample of the servo."""
         for sample in samples:
             self._joints.publish(messages.joint_state(self._names, sample))
-        if samples:
-            last = samples[-1]
-            self._tf.publish(TFMessage(transforms=self._frames.moving(np.array(last["q"]), last["stamp_ns"])))
+            self._tf.publish(self._frames.moving(np.array(sample["q"]), sample["stamp_ns"]))
 
     def diagnostics(self, stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> None:
         """``/diagnostics``."""
@@ -75,33 +73,38 @@ class Frames:
 
     def __init__(self, cell: Cell, model: CellModel) -> None:
         self._model = model
-        self._moving = [(joint.parent, joint.child) for joint in cell.joints]
-        names = {parent for parent, _ in self._moving} | {child for _, child in self._moving}
+        moving = [(joint.parent, joint.child) for joint in cell.joints]
+        names = {parent for parent, _ in moving} | {child for _, child in moving}
         self._fixed = [(_parent_frame(model, name), name) for name in model.poses(cell.home) if name not in names]
         self._home = cell.home
+        self._moving = TFMessage(transforms=[_transform(parent, child) for parent, child in moving])
 
-    def moving(self, q: NDArray[np.float64], stamp_ns: int) -> list[TransformStamped]:
-        """Transforms over the joints at ``q``, shape (18,)."""
-        return self._transforms(self._moving, q, stamp_ns)
+    def moving(self, q: NDArray[np.float64], stamp_ns: int) -> TFMessage:
+        """Transforms over the joints at ``q``, shape (18,); the same message at every call, filled anew."""
+        stamp = messages.time(stamp_ns)
+        for message, placement in zip(self._moving.transforms, self._model.over_joints(q), strict=True):
+            message.header.stamp = stamp
+            messages.fill_placement(message.transform.translation, message.transform.rotation, placement)
+        return self._moving
 
     def fixed(self) -> list[TransformStamped]:
         """Transforms of frames that are fixed to a link."""
-        return self._transforms(self._fixed, self._home, 0)
-
-    def _transforms(
-        self, pairs: list[tuple[str, str]], q: NDArray[np.float64], stamp_ns: int
-    ) -> list[TransformStamped]:
-        poses = self._model.poses(q)
+        poses = self._model.poses(self._home)
         poses.setdefault("world", pin.SE3.Identity())
-        stamp = messages.time(stamp_ns)
         transforms = []
-        for parent, child in pairs:
-            message = TransformStamped(child_frame_id=child)
-            message.header.frame_id, message.header.stamp = parent, stamp
+        for parent, child in self._fixed:
+            message = _transform(parent, child)
             placement = poses[parent].actInv(poses[child])
             messages.fill_placement(message.transform.translation, message.transform.rotation, placement)
             transforms.append(message)
         return transforms
+
+
+def _transform(parent: str, child: str) -> TransformStamped:
+    """With its names, the rest is to be filled in."""
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    return message
 
 
 def _parent_frame(model: CellModel, name: str) -> str:

@@ -31,15 +31,8 @@ from im_msgs.srv import (
     SetSpeed,
 )
 
-_TRIGGERS = (
-    Event.POWER_ON,
-    Event.POWER_OFF,
-    Event.ENABLE_MOTION,
-    Event.DISABLE_MOTION,
-    Event.PROTECTIVE_STOP,
-    Event.ESTOP,
-    Event.RESET,
-)
+_TRANSITIONS = (Event.POWER_ON, Event.POWER_OFF, Event.ENABLE_MOTION, Event.DISABLE_MOTION)
+_STOPS = (Event.PROTECTIVE_STOP, Event.ESTOP, Event.RESET)
 Work = Callable[[Any, Any, str], Awaitable[str]]
 """What a service does: given request, response and client, it returns what to say."""
 
@@ -50,7 +43,9 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 class StateServices:
-    """``/mcs/reserve``, ``take_over``, ``release``, ``renew``, ``set_partition``, and a ``std_srvs/Trigger`` an event.
+    """``/mcs/reserve``, ``take_over``, ``release``, ``renew``, ``set_partition``; a ``std_srvs/Trigger`` an event.
+
+    What changes power and motion is there once more, for one group and with its owner: ``/mcs/group/power_on`` etc.
 
     Args:
         access: MCS.
@@ -63,8 +58,11 @@ class StateServices:
         offer(access, ReserveGroup, "/mcs/release", self._release)
         offer(access, RenewLease, "/mcs/renew", self._renew)
         offer(access, SetPartition, "/mcs/set_partition", self._set_partition)
-        for event in _TRIGGERS:
-            offer(access, Trigger, f"/mcs/{event.value}", self._on_trigger(event))
+        for event in _TRANSITIONS:
+            offer(access, Trigger, f"/mcs/{event.value}", self._of_caller(event))
+            offer(access, GroupCommand, f"/mcs/group/{event.value}", self._of_group(event))
+        for event in _STOPS:
+            offer(access, Trigger, f"/mcs/{event.value}", self._of_all(event))
 
     async def _reserve(self, request: ReserveGroup.Request, _: object, client: str) -> str:
         await self._mcs.recover()  # work begins here: what was lost since the last is looked for
@@ -97,9 +95,21 @@ class StateServices:
         await self._mcs.repartition(request.preset)
         return f"the groups are {', '.join(self._mcs.config.groups)}"
 
-    def _on_trigger(self, event: Event) -> Work:
+    def _of_caller(self, event: Event) -> Work:
+        async def work(_: object, __: object, client: str) -> str:
+            return await self._mcs.transition(event, client)
+
+        return work
+
+    def _of_group(self, event: Event) -> Work:
+        async def work(request: GroupCommand.Request, _: object, client: str) -> str:
+            return await self._mcs.transition(event, client, request.group, request.owner)
+
+        return work
+
+    def _of_all(self, event: Event) -> Work:
         async def work(*_: object) -> str:
-            return await self._mcs.transition(event)
+            return await self._mcs.stop(event)
 
         return work
 
@@ -130,7 +140,7 @@ class MotionServices:
     async def _resume(self, request: GroupCommand.Request, _: object, client: str) -> str:
         if request.group:
             self._mcs.group(request.group)
-        sender = await self._mcs.sender(client)
+        sender = await self._mcs.sender(client, request.owner)
         await self._mcs.request(Event.RESUME, {"group": request.group, "sender": sender})
         return f"{request.group or 'every group'} goes on"
 

@@ -120,7 +120,7 @@ class ServoKeeper:
         self._changed = changed
         self._owner: ServoOwner | None = None
         self._starting: tuple[ServoOwner, Promise] | None = None
-        self._changes: deque[tuple[State, str, bool]] = deque()
+        self._changes: deque[tuple[State, dict[str, str], str, bool]] = deque()
 
     @property
     def running(self) -> bool:
@@ -305,16 +305,21 @@ class ServoKeeper:
         """Let the lifecycle and ``/mcs/state`` follow what has happened in the servo."""
         lifecycle = self._lifecycle
         wanted = lifecycle_of(self.state)
+        if lifecycle.state == "inactive" and wanted == "active":
+            lifecycle.follow("activate")
         if lifecycle.state == "active" and wanted != "active":
             lifecycle.follow("deactivate")
         if lifecycle.state == "inactive" and wanted == "unconfigured":
             lifecycle.follow("cleanup")
         while self._changes:
-            state, self._reason, lost = self._changes.popleft()
+            state, groups, self._reason, lost = self._changes.popleft()
             if state is State.ESTOPPED:
-                self._testbed_lost = lost and not self._stop_cause
+                # told again with each change of a group; a stop that somebody asked for before it is no loss
+                self._testbed_lost = lost and (self._testbed_lost or not self._stop_cause)
                 self._latch(self._reason)
-            text = f"MCS is {state.value}" + (f": {self._reason}" if self._reason else "")
+            each = ", ".join(f"{group} {its}" for group, its in groups.items())
+            text = f"MCS is {state.value}" + (f" ({each})" if each else "")
+            text += f": {self._reason}" if self._reason else ""
             logger = self._node.get_logger()
             logger.warning(text) if self._reason else logger.info(text)
             self._changed()
@@ -339,9 +344,9 @@ class ServoKeeper:
             self._changed()
         client.suspend(self._hang)
 
-    def _take_state(self, state: State, reason: str, lost: bool) -> None:
+    def _take_state(self, state: State, groups: dict[str, str], reason: str, lost: bool) -> None:
         """A change of state, told by the thread that listens to the servo."""
-        self._changes.append((state, reason, lost))
+        self._changes.append((state, groups, reason, lost))
         self._node.wake()
 
     def _await_start(self) -> None:

@@ -1,6 +1,6 @@
-"""From setpoints to torques, for all groups under control: plan, limit, look around, control, limit."""
+"""From setpoints to torques, for all groups under control: plan, limit, control, limit; then look around."""
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,9 +64,10 @@ class ControlLoop:
         """Whether something moves or settles."""
         return bool(self.torque_streams) or any(group.wants_time for group in self.engaged)
 
-    def moving(self) -> str | None:
-        """A group that has a goal."""
-        return next((g.name for g in self.engaged if g.goals or self.torque_streams.goal(g.name) is not None), None)
+    def moving(self, groups: Container[str]) -> str | None:
+        """One of the groups that has a goal."""
+        moving = (g.name for g in self.engaged if g.goals or self.torque_streams.goal(g.name) is not None)
+        return next((name for name in moving if name in groups), None)
 
     def engage(self, groups: Iterable[ControlledGroup], q: NDArray[np.float64]) -> None:
         """Let groups hold where they are measured to be, ``q`` of all joints."""
@@ -76,37 +77,52 @@ class ControlLoop:
             if group not in self.engaged:
                 self.engaged.append(group)
 
-    def disengage(self) -> None:
-        """No setpoints and no torques any more, from this tick on."""
+    def disengage(self, groups: Container[str]) -> None:
+        """No setpoints and no torques of groups any more, from this tick on."""
+        self.tau = self.tau.copy()
         for group in self.engaged:
-            group.disengage()
-            self._limiter.release(group.index)
-        self.engaged = []
-        self.tau = np.zeros_like(self.tau)
-        self.proximity = None
+            if group.name in groups:
+                group.disengage()
+                self._limiter.release(group.index)
+                self.tau[group.place] = 0.0
+        self.engaged = [group for group in self.engaged if group.engaged]
+        if not self.engaged:
+            self.proximity = None
 
-    def run(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[SafetyFinding]:
-        """One tick; what was found on the way.
+    def run(self, m: Measured, v: NDArray[np.float64]) -> list[SafetyFinding]:
+        """One tick, up to the torques; what was found on the way.
 
         Args:
             m: What the slots say.
             v: Estimated velocities, shape (n,).
-            collision: Watches distances.
         """
         self.setpoint = wanted = _standing(m.q)
         self.model.advance()
         if not self.engaged:
             return []
-        findings = []
         try:
             self._plan(wanted, m, v)
-            findings += self._look_around(m, v, wanted, collision)
             self._control(m, v, Setpoint(wanted[0], wanted[1], wanted[2]))
         except ImError as fault:  # of a control law, or of a setpoint that is none
-            told = ImError(f"{fault.message}, at tick {m.tick}", code=fault.code)
-            told.facts.update(fault.facts)
-            findings = [SafetyFinding(Reaction.ESTOP, told)]
-        return findings
+            return [_estop(fault, m.tick)]
+        return []
+
+    def look_around(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[SafetyFinding]:
+        """Whether what this tick's setpoints lead to keeps its distance; it bounds the setpoints of the next tick.
+
+        The slots need not wait for it.
+
+        Args:
+            m: What the slots said.
+            v: Estimated velocities, shape (n,).
+            collision: Watches distances.
+        """
+        if not self.engaged:
+            return []
+        try:
+            return self._look_around(m, v, self.setpoint, collision)
+        except ImError as fault:
+            return [_estop(fault, m.tick)]
 
     def _plan(self, wanted: NDArray[np.float64], m: Measured, v: NDArray[np.float64]) -> None:
         if self.torque_streams:
@@ -170,6 +186,12 @@ class ControlLoop:
         cut = self.tau != tau
         if 1 in cut.tobytes():
             self._saturations.add("torque", cut)
+
+
+def _estop(fault: ImError, tick: int) -> SafetyFinding:
+    told = ImError(f"{fault.message}, at tick {tick}", code=fault.code)
+    told.facts.update(fault.facts)
+    return SafetyFinding(Reaction.ESTOP, told)
 
 
 def _standing(q: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""MCS in one tick: read the slots, obey requests, watch, plan, control, limit, write the slots."""
+"""MCS in one tick: read the slots, obey requests, watch, plan, control, limit, write the slots, look around."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -17,17 +17,16 @@ from im_mcs.protocol.evidence import Recorder
 from im_mcs.protocol.requests import request_id
 from im_mcs.safety import Reaction, SafetyFinding, Situation, Supervisor
 from im_mcs.servo.answers import Answers, Emit
+from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.control_loop import ControlLoop
 from im_mcs.servo.dispatch import Dispatch
 from im_mcs.servo.gripper import Grippers
 from im_mcs.servo.hardware import GuardedTestbed
 from im_mcs.servo.partition import Partitions
 from im_mcs.servo.torque_stream import Ended
-from im_mcs.state import State
+from im_mcs.state import POWERED, State
 from im_mcs.state.manager import StateManager
 from im_mcs.testbed import Drive, TestbedInterface
-
-_POWERED = (State.ACTIVE, State.MOTION)
 
 
 class Mcs:
@@ -45,6 +44,7 @@ class Mcs:
         v: Estimated velocities, shape (n,).
         saturations: How often which limit cut what was wanted.
         wants_time: Whether simulated time must go on.
+        held: Whether it stands all the same, for an owner who is awaited; see :meth:`go_on`.
         situation: What the watches see; the process tells it of overruns and of its owner.
 
     Args:
@@ -53,6 +53,7 @@ class Mcs:
         testbed: The slots.
         emit: Takes replies, results and progress.
         recorder: Keeps the last seconds.
+        awaited: For whom simulated time stands while others want it; None: for nobody.
 
     Raises:
         LinkError: The testbed does not answer.
@@ -60,13 +61,20 @@ class Mcs:
     """
 
     def __init__(
-        self, config: McsConfig, model: CellModel, testbed: TestbedInterface, emit: Emit, recorder: Recorder
+        self,
+        config: McsConfig,
+        model: CellModel,
+        testbed: TestbedInterface,
+        emit: Emit,
+        recorder: Recorder,
+        awaited: AwaitedOwners | None = None,
     ) -> None:
         self.config, self.model, self.recorder = config, model, recorder
         self._testbed = GuardedTestbed(testbed)
         self.measured = self._testbed.read()
         self.v = np.zeros(model.n)
-        self.wants_time = False
+        self.wants_time = self.held = False
+        self._awaited = awaited
         self.limits = JointLimits(model.cell, config.limits, config.slots)
         self.saturations = Saturations(model.n)
         self.control_model = ControlledModel(model.cell, config.model_error)
@@ -115,16 +123,30 @@ class Mcs:
         for message in messages:
             self._dispatch.run(message)
         self.manager.tick()
-        abandoned = self.manager.state in _POWERED and self._watch()
-        for finding in self.loop.run(m, self.v, self._collision):
+        abandoned = self.manager.state in POWERED and self._watch()
+        for finding in self.loop.run(m, self.v):
             self._react(finding)
         self._finish()
         loop, manager, grippers = self.loop, self.manager, self.grippers
         self.wants_time = manager.wants_time or grippers.moving or loop.wants_time or abandoned
-        self.recorder.put_row(m.tick, m.stamp_ns, (m.q, self.v, loop.tau), loop.setpoint, m.wrench)
-        self._testbed.write(
-            Drive(loop.tau, manager.power, manager.brakes, grippers.opening, self.wants_time, grippers.force)
-        )
+        tau, setpoint = loop.tau, loop.setpoint
+        self.held = self._hold(abandoned)
+        try:
+            self._write()
+            for finding in loop.look_around(m, self.v, self._collision):  # while the testbed moves on
+                self._react(finding)
+        finally:
+            self.recorder.put_row(m.tick, m.stamp_ns, (m.q, self.v, tau), setpoint, m.wrench)
+
+    def go_on(self) -> None:
+        """Who was awaited has not come: time goes on without him.
+
+        Raises:
+            LinkError: The testbed no longer listens.
+        """
+        if self.held and self._awaited is not None and not self._awaited.present:
+            self.held = False
+            self._write()
 
     def refuse(self, message: dict[str, Any], error: ImError) -> None:
         """Answer a request that cannot even be looked at."""
@@ -154,7 +176,7 @@ class Mcs:
         self._protect(error)
         self.manager.lost = self.manager.lost or self.manager.state is not before
         self.recorder.keep()
-        self.wants_time = False
+        self.wants_time = self.held = False
         self._velocity.reset()
         for group in self.groups.values():
             group.monitor.restart()
@@ -195,9 +217,9 @@ class Mcs:
         """Let groups hold where they are measured to be."""
         self.loop.engage([self.groups[name] for name in groups], self.measured.q)
 
-    def disengage(self) -> None:
-        """No setpoints and no torques any more."""
-        self.loop.disengage()
+    def disengage(self, groups: Sequence[str]) -> None:
+        """No setpoints and no torques of groups any more."""
+        self.loop.disengage(groups)
 
     def drop_goals(self, reason: ImError) -> None:
         """End every goal with ``reason``, at once."""
@@ -207,15 +229,15 @@ class Mcs:
         for goal in [*goals, *(goal for _, goal, _ in driven)]:
             self.answers.drop_goal(goal, reason, self.measured.tick)
         self.grippers.drop_goals(reason, self.measured.gripper)
-        self.disengage()
+        self.disengage(tuple(self.groups))
 
-    def moving(self) -> str | None:
-        """A group that has a goal."""
-        return self.loop.moving()
+    def moving(self, groups: Sequence[str]) -> str | None:
+        """One of the groups that has a goal."""
+        return self.loop.moving(groups)
 
-    def settled(self) -> bool:
-        """Whether every engaged group is at rest or given up on."""
-        return all(group.settled for group in self.loop.engaged)
+    def settled(self, groups: Sequence[str]) -> bool:
+        """Whether groups are at rest or given up on."""
+        return all(self.groups[name].settled for name in groups)
 
     def broken(self) -> list[str]:
         """What is broken now: readings that are missing or too old, and what hardware reports."""
@@ -241,6 +263,21 @@ class Mcs:
             self.manager.shut_down(f"the process that owns the servo gave no sign of life for {bound_s:g} s")
         return abandoned
 
+    def _hold(self, abandoned: bool) -> bool:
+        """Whether time stands for an owner who is awaited: only motions and transitions of other groups wait."""
+        if self._awaited is None:
+            return False
+        manager, loop = self.manager, self.loop
+        busy = manager.under_way() | {name for name, group in self.groups.items() if group.wants_time}
+        self._awaited.update({name: state for name, state in manager.states.items() if name not in busy})
+        urgent = abandoned or self.grippers.moving or bool(loop.torque_streams) or manager.state is State.ESTOPPED
+        return self.wants_time and not urgent and self._awaited.present
+
+    def _write(self) -> None:
+        loop, manager, grippers = self.loop, self.manager, self.grippers
+        wanted = self.wants_time and not self.held
+        self._testbed.write(Drive(loop.tau, manager.power, manager.brakes, grippers.opening, wanted, grippers.force))
+
     def _react(self, finding: SafetyFinding) -> None:
         match finding.reaction:
             case Reaction.ESTOP:
@@ -255,7 +292,7 @@ class Mcs:
                         group.stop(finding.fault)
 
     def _protect(self, fault: ImError) -> None:
-        if self.manager.state in (State.RESERVED, *_POWERED):
+        if self.manager.state in (State.RESERVED, *POWERED):
             self.estop(fault)
 
     def _finish(self) -> None:

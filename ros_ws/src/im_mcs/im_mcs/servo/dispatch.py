@@ -1,11 +1,14 @@
 """Requests of clients: checked against state and reservations, then done."""
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any, Protocol
+
+import numpy as np
 
 from im_core.errors import ImError, StateError
 from im_mcs.limits.configuration import McsConfig
-from im_mcs.model import ControlledModel, Payload
+from im_mcs.model import CellModel, ControlledModel, Payload
 from im_mcs.planning.goals import Goal
 from im_mcs.protocol.requests import (
     CancelRequest,
@@ -17,6 +20,7 @@ from im_mcs.protocol.requests import (
     RenewRequest,
     RepartitionRequest,
     ReserveRequest,
+    ResetRequest,
     ResumeRequest,
     Sender,
     ServoRequest,
@@ -44,6 +48,7 @@ class Machine(Protocol):
     """What requests act on: :class:`im_mcs.servo.core.Mcs`, attributes and methods as there."""
 
     config: McsConfig
+    model: CellModel
     manager: StateManager
     groups: dict[str, ControlledGroup]
     loop: ControlLoop
@@ -117,9 +122,13 @@ class Dispatch:
                 mcs.estop(StateError(request.reason))
                 return False
             case TransitionRequest():
-                manager.begin(event, lambda error: mcs.answers.reply(number, error))
+                reply = partial(mcs.answers.reply, number)
+                manager.begin(event, reply, request.group, request.sender)
                 return True
-        manager.check(event)
+            case ResetRequest():
+                manager.reset(partial(mcs.answers.reply, number))
+                return True
+        manager.check(event, getattr(request, "group", ""))
         match request:
             case MoveRequest():
                 manager.reservations.require_driver(request.group, request.sender)
@@ -135,13 +144,13 @@ class Dispatch:
             case CancelRequest():
                 self._cancel(request.goal)
             case PauseRequest():
-                groups = self._named(request.group)
+                groups = self._named(event, request.group)
                 for group in groups:
                     mcs.loop.torque_streams.require_free(group.name)
                 for group in groups:
                     group.pause()
             case ResumeRequest():
-                groups = self._named(request.group)
+                groups = self._named(event, request.group, request.sender)
                 for group in groups:
                     manager.reservations.require_driver(group.name, request.sender)
                 for group in groups:
@@ -192,8 +201,10 @@ class Dispatch:
         payload = Payload.checked(request.mass, request.center, request.inertia, limits.rated_kg, limits.reach_m)
         ticks = round(config.switching.handover_s / config.servo.period_s)
         self._mcs.control_model.set_payload(wrist, payload, ticks)
+        below = self._mcs.model.joints_below(wrist)
         for engaged in self._mcs.loop.engaged:  # of the transporter, too: every joint below carries it
-            engaged.monitor.restart()
+            if np.isin(engaged.index, below).any():
+                engaged.monitor.restart()
 
     def _goal(self, number: int) -> Goal:
         return Goal(number, self._mcs.measured.tick)
@@ -211,11 +222,9 @@ class Dispatch:
         self._manager.reservations.require_owner(name, sender)
         return self._mcs.groups[name]
 
-    def _named(self, name: str) -> list[ControlledGroup]:
-        """A reserved group, or all of them for an empty name."""
-        names = [name] if name else self._manager.reservations.groups
-        for each in names:
-            self._manager.reservations.require(each)
+    def _named(self, event: Event, name: str, sender: Sender | None = None) -> list[ControlledGroup]:
+        """A group, or for an empty name all of the sender's, of everybody's without one, that ``event`` may concern."""
+        names = [name] if name else self._manager.allowed(event, sender)
         return [self._mcs.groups[each] for each in names]
 
 

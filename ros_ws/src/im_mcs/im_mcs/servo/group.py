@@ -133,9 +133,7 @@ class ControlledGroup:
             return True
         if self._queue and not self._rates.paused and self._end_known():
             return True
-        return not self.still or (
-            not self.planner.finished and self._rates.of(current) > 0.0 and not self._waits()
-        )
+        return not self.still or (not self.planner.finished and self._rates.of(current) > 0.0 and not self._waits())
 
     # what may be asked of it
 

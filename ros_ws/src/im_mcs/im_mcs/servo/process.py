@@ -13,6 +13,7 @@ from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.protocol.evidence import Recorder
+from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.core import Mcs
 from im_mcs.servo.hardware import GuardedTestbed
 from im_mcs.servo.realtime import Pacer
@@ -49,9 +50,11 @@ class ServoProcess:
             )
         self._channel = ServoChannel.attach(instance, config, patience_s())
         self._pending: list[dict[str, Any]] = []
-        self._told_state = State.COLD
+        self._told: tuple[State, dict[str, State]] = State.COLD, {}
         recorder = Recorder(self._channel.layout, self._channel.evidence)
-        self._mcs = Mcs(config, model, testbed, self._pending.append, recorder)
+        on_demand = self._testbed.wall_period_s == 0.0
+        awaited = AwaitedOwners(config.servo.owner_patience_s) if on_demand else None
+        self._mcs = Mcs(config, model, testbed, self._pending.append, recorder, awaited)
         self._pacer = Pacer(self._testbed.wall_period_s)
         self._reporter = Reporter(self._channel, self._mcs, self._pacer)
         self._powered = False
@@ -94,6 +97,11 @@ class ServoProcess:
             return True  # a tick to see it
         return self._mcs.wants_time and now - self._orphaned < _ORPHAN_S
 
+    @property
+    def _time_passes(self) -> bool:
+        """Whether MCS lets simulated time pass."""
+        return self._mcs.wants_time and not self._mcs.held
+
     def _turn(self) -> None:
         """Wait for a tick and run it; without a tick, look after the link and refuse what cannot be done."""
         self._channel.heartbeat.beat()
@@ -123,7 +131,8 @@ class ServoProcess:
         while not self._testbed.wait(_WAIT_S):
             self._channel.heartbeat.beat()
             asked = not self._channel.requests.empty() and self._testbed.time_asked()
-            due = self._mcs.wants_time or self._pacer.period_s > 0.0 or asked
+            self._mcs.go_on()
+            due = self._time_passes or self._pacer.period_s > 0.0 or asked
             if silence is None or not due:
                 silence = Silence(self._testbed.hardware_pid, longest_look_s=2.0 * _WAIT_S)
             elif silence.look() > self._config.safety.testbed_silence_s:
@@ -165,20 +174,22 @@ class ServoProcess:
         if powered and not self._powered:
             self._pacer.restart()
         self._powered = powered
-        if self._pending and not self._mcs.wants_time:
+        if self._pending and not self._time_passes:
             self._testbed.after_tick(m.tick)
-        if self._pending or not self._mcs.wants_time or m.tick % _SNAPSHOT_TICKS == 0:
+        if self._pending or not self._time_passes or m.tick % _SNAPSHOT_TICKS == 0:
             self._reporter.snapshot()
         self._reporter.sample()
         self._send_events()
 
     def _tell_state(self) -> None:
-        """A change of state is told before the answers that came with it."""
+        """A change of state, of any group, is told before the answers that came with it."""
         manager = self._mcs.manager
-        state = manager.state
-        if state is not self._told_state:
-            self._told_state = state
-            told = {"event": "state", "state": state.value, "reason": manager.cause, "lost": manager.lost}
+        now = manager.state, manager.states
+        if now != self._told:
+            self._told = now
+            groups = {group: state.value for group, state in now[1].items()}
+            told: dict[str, Any] = {"event": "state", "state": now[0].value, "groups": groups}
+            told |= {"reason": manager.cause, "lost": manager.lost}
             self._pending.insert(0, told)
 
     def _send_events(self) -> None:

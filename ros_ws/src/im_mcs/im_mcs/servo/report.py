@@ -105,6 +105,7 @@ class Reporter:
             protective = group.protective
             rows[rank] = (
                 name.encode(),
+                STATES.index(mcs.manager.state_of(name)),
                 reservation is not None,
                 b"" if reservation is None else reservation.owner.encode(),
                 0.0 if reservation is None else reservation.left_s(now_ns),

@@ -1,7 +1,12 @@
-"""State manager (paper, section 4): enforces the table, and orders what a transition does over several ticks."""
+"""State manager (paper, section 4): enforces the table, and orders what a transition does over several ticks.
+
+Transitions of different groups go on beside each other. Brakes are a group's own; power is one for all, and on while
+any group needs it.
+"""
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -11,10 +16,12 @@ from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_mcs.limits.configuration import Servo
 from im_mcs.protocol.requests import NOBODY, Sender
 from im_mcs.state.reservation import Reservations
-from im_mcs.state.table import ANYTIME, Event, State, next_state
+from im_mcs.state.table import ANYTIME, Event, State, allows, highest, next_state
 from im_mcs.testbed.driver import Measured
 
 OnEnd = Callable[[ImError | None], None]
+Enter = Callable[[], None]
+"""The groups of a transition come to the state that it leads to."""
 
 _FRESH_TICKS = 2
 
@@ -26,20 +33,20 @@ class Arms(Protocol):
         """Let the groups hold where they are measured to be."""
         ...
 
-    def disengage(self) -> None:
-        """No setpoints and no torques any more."""
+    def disengage(self, groups: Sequence[str]) -> None:
+        """No setpoints and no torques of the groups any more."""
         ...
 
     def drop_goals(self, reason: ImError) -> None:
-        """End every goal with ``reason`` and :meth:`disengage`."""
+        """End every goal with ``reason`` and :meth:`disengage` all groups."""
         ...
 
-    def moving(self) -> str | None:
-        """A group that has a goal, if there is one."""
+    def moving(self, groups: Sequence[str]) -> str | None:
+        """One of the groups that has a goal, if there is one."""
         ...
 
-    def settled(self) -> bool:
-        """Whether every engaged group is at rest, or has been given up on."""
+    def settled(self, groups: Sequence[str]) -> bool:
+        """Whether the groups, which are engaged, are at rest, or have been given up on."""
         ...
 
     def broken(self) -> Sequence[str]:
@@ -47,22 +54,21 @@ class Arms(Protocol):
         ...
 
 
-@dataclass
+@dataclass(eq=False)
 class _Running:
     event: Event
+    groups: Sequence[str]
     steps: Generator[None, None, None]
     reply: OnEnd
 
 
 class StateManager:
-    """Present state, owners of the slots, and what power and brakes are told.
+    """State and owner of every group, and what power and brakes are told.
 
     Attributes:
         joints: Names of all joints.
-        state: Present state.
         cause: Why MCS is in its state, though nobody asked for it; or empty.
         lost: Whether that is an emergency stop because the testbed was lost: it is over when the testbed is back.
-        power: Power commanded.
         brakes: Brakes commanded, shape (n,).
 
     Args:
@@ -84,24 +90,44 @@ class StateManager:
         arms: Arms,
     ) -> None:
         self.joints = joints
-        self.state = State.COLD
         self.cause = ""
         self.lost = False
-        self.power = False
         self.brakes = np.ones(len(measured.q), dtype=np.bool_)
         self.reservations = Reservations(groups)
         self.measured = measured
         self._index = index
         self._arms = arms
         self._settings = settings
-        self._running: _Running | None = None
+        self._stopped = False
+        self._states: dict[str, State] = {}
+        self._needing: set[str] = set()
+        self._running: list[_Running] = []
         self._answer_ticks = round(settings.answer_timeout_s / settings.period_s)
         self._patience = 0
 
     @property
+    def state(self) -> State:
+        """State of the machine: the highest that any group is in; estopped after an emergency stop."""
+        return State.ESTOPPED if self._stopped else highest(self._states.values())
+
+    def state_of(self, group: str) -> State:
+        """State of a group: cold unless it is reserved; estopped after an emergency stop."""
+        return State.ESTOPPED if self._stopped else self._states.get(group, State.COLD)
+
+    @property
+    def states(self) -> dict[str, State]:
+        """States of the groups that are not cold."""
+        return {group: self.state_of(group) for group in self._states}
+
+    @property
+    def power(self) -> bool:
+        """Power commanded: whether any group needs it."""
+        return bool(self._needing)
+
+    @property
     def busy(self) -> bool:
         """Whether a transition is under way."""
-        return self._running is not None
+        return bool(self._running)
 
     @property
     def wants_time(self) -> bool:
@@ -109,20 +135,71 @@ class StateManager:
         obeyed = not self.measured.power and bool(self.measured.brakes.all())
         return self.busy or (self._patience > 0 and not obeyed)
 
-    def check(self, event: Event) -> State:
+    def check(self, event: Event, group: str = "") -> State:
         """Where ``event`` leads from here.
 
+        Args:
+            event: What is asked for.
+            group: The group that it concerns; empty: the machine.
+
         Raises:
-            StateError: The table does not allow it, or another transition is under way.
+            StateError: The table does not allow it, the group is not reserved, or a transition is under way.
+            NotFoundError: There is no such group.
         """
-        target = next_state(self.state, event)
-        if self._running is not None and event not in ANYTIME:
-            raise StateError(
-                f"{event.value} is refused while {self._running.event.value} is under way; wait for it, or estop",
-                state=self.state.value,
-                request=event.value,
-            )
+        if group and self.state not in (State.COLD, State.ESTOPPED):
+            self.reservations.require(group)
+            target = next_state(self._states[group], event, group)
+        else:
+            target = next_state(self.state, event)
+        self._require_idle(event, (group,) if group else ())
         return target
+
+    def allowed(self, event: Event, sender: Sender | None = None) -> list[str]:
+        """Groups, in the order in which they were reserved, in whose state the table has a row for ``event``.
+
+        Args:
+            event: What is asked for.
+            sender: Whose groups; None: everybody's.
+
+        Raises:
+            StateError: There are none, or none but those of another owner, who is named.
+        """
+        own = [group for group in self._states if sender is None or self._disposes(event, group, sender)]
+        if mine := [group for group in own if allows(self.state_of(group), event)]:
+            return mine
+        if not own and sender is not None:
+            for group in self._states:
+                if allows(self.state_of(group), event):
+                    self.reservations.require_owner(group, sender)
+        next_state(highest(map(self.state_of, own)) if own else self.state, event)
+        return mine
+
+    def _disposes(self, event: Event, group: str, sender: Sender) -> bool:
+        """Whether a group is the sender's to change; who is given up on cannot leave power and brakes as they are."""
+        given_up = event in (Event.DISABLE_MOTION, Event.POWER_OFF) and self.reservations.has_lapsed(
+            group, self.measured.stamp_ns
+        )
+        return given_up or self.reservations.disposes(group, sender)
+
+    def under_way(self) -> set[str]:
+        """Groups of which a transition is under way."""
+        return {group for running in self._running for group in running.groups}
+
+    def _require_idle(self, event: Event, groups: Sequence[str]) -> None:
+        """Check that no transition of the groups is under way; without groups, that another group would allow it."""
+        if event in ANYTIME or not self._running:
+            return
+        under_way = self.under_way()
+        if groups and not under_way & set(groups):
+            return
+        if not groups and any(allows(self._states[g], event) for g in self._states if g not in under_way):
+            return
+        running = next((r for r in self._running if set(r.groups) & set(groups)), self._running[0])
+        raise StateError(
+            f"{event.value} is refused while {running.event.value} is under way; wait for it, or estop",
+            state=self.state.value,
+            request=event.value,
+        )
 
     def reserve(self, group: str, owner: str = "", lease_s: float = 0.0, sender: Sender = NOBODY) -> None:
         """Give a group its slots.
@@ -137,12 +214,12 @@ class StateManager:
             StateError: Not allowed now, a slot is owned by another group, or does not answer.
             NotFoundError: There is no such group.
         """
-        target = self.check(Event.RESERVE)
+        target = next_state(State.ESTOPPED if self._stopped else State.COLD, Event.RESERVE)
         self.reservations.reserve(group, owner, lease_s, self.measured.stamp_ns, sender)
         if not np.isfinite(self.measured.q[self._index[group]]).all():
             self.reservations.release(group)
             raise StateError(f"group '{group}' cannot be reserved: a slot of it gives no reading", group=group)
-        self.state = target
+        self._states[group] = target
 
     def take_over(self, group: str, owner: str, lease_s: float, sender: Sender) -> str:
         """Reserve a group for another owner than it has; arguments as :meth:`reserve`.
@@ -154,7 +231,7 @@ class StateManager:
             StateError: Not allowed now, or the group is not reserved.
             NotFoundError: There is no such group.
         """
-        self.check(Event.TAKE_OVER)
+        self.check(Event.TAKE_OVER, group)
         return self.reservations.take_over(group, owner, lease_s, self.measured.stamp_ns, sender)
 
     def release(self, group: str, sender: Sender) -> None:
@@ -164,13 +241,13 @@ class StateManager:
             StateError: Not allowed now, the group is not reserved, or ``sender`` is not its owner.
             NotFoundError: There is no such group.
         """
-        self.check(Event.RELEASE)
+        self.check(Event.RELEASE, group)
         self.reservations.require_owner(group, sender)
         self._free(group)
 
     def _free(self, group: str) -> None:
         self.reservations.release(group)
-        self.state = next_state(self.state, Event.RELEASE if self.reservations.groups else Event.RELEASE_LAST)
+        del self._states[group]
 
     def renew(self, owner: str) -> None:
         """Let the leases of an owner run anew.
@@ -206,54 +283,86 @@ class StateManager:
 
     def shut_down(self, reason: str) -> None:
         """Go towards power off by the ordinary ways, as soon as nothing moves; to be called tick by tick."""
-        if self._running is None and self._arms.moving() is None:
+        if not self._running and self._arms.moving(self.reservations.groups) is None:
             self.cause = reason
-            if self.state is State.MOTION:
-                self.begin(Event.DISABLE_MOTION, lambda error: None)
-            elif self.state is State.ACTIVE:
-                self.begin(Event.POWER_OFF, lambda error: None)
+            for event in (Event.DISABLE_MOTION, Event.POWER_OFF):
+                if groups := [group for group in self._states if allows(self.state_of(group), event)]:
+                    self._begin(event, groups, lambda error: None)
+                    return
 
-    def begin(self, event: Event, reply: OnEnd) -> None:
+    def begin(self, event: Event, reply: OnEnd, group: str = "", sender: Sender = NOBODY) -> None:
         """Start a transition that goes on in :meth:`tick`; ``reply`` is called at its end.
 
+        Args:
+            event: Of :data:`~im_mcs.state.table.TRANSITIONS`.
+            reply: Told why it failed, or None.
+            group: Which group; empty: all that are the sender's and in the state from which it leads.
+            sender: Who asks.
+
         Raises:
-            StateError: Not allowed now.
+            StateError: Not allowed now, or to somebody else only, who is named.
+            NotFoundError: There is no such group.
         """
-        target = self.check(event)
-        if event is Event.DISABLE_MOTION and (group := self._arms.moving()) is not None:
+        if group:
+            self.check(event, group)
+            if not self._disposes(event, group, sender):
+                self.reservations.require_owner(group, sender)
+            groups = [group]
+        else:
+            groups = self.allowed(event, sender)
+            self._require_idle(event, groups)
+        if event is Event.DISABLE_MOTION and (moving := self._arms.moving(groups)) is not None:
             raise StateError(
-                f"disable_motion is refused while group '{group}' moves; cancel the motion or wait for its end",
-                group=group,
+                f"disable_motion is refused while group '{moving}' moves; cancel the motion or wait for its end",
+                group=moving,
             )
-        if event in (Event.RESET, Event.POWER_ON):
-            self._require_secured(event)
+        if event is Event.POWER_ON:
+            self._require_secured(event, self._joints(groups) if self.power else None)
+            self.cause = ""
+        self._begin(event, groups, reply)
+
+    def reset(self, reply: OnEnd) -> None:
+        """Start to end an emergency stop, as :meth:`begin`; nothing moves.
+
+        Raises:
+            StateError: There is none, a reset is under way, or the testbed has not obeyed the stop.
+        """
+        self.check(Event.RESET)
+        self._require_secured(Event.RESET, None)
+        self._running.append(_Running(Event.RESET, (), self._reset(), reply))
+
+    def _begin(self, event: Event, groups: Sequence[str], reply: OnEnd) -> None:
         steps = {
             Event.POWER_ON: self._power_on,
             Event.POWER_OFF: self._power_off,
             Event.ENABLE_MOTION: self._enable_motion,
             Event.DISABLE_MOTION: self._disable_motion,
-            Event.RESET: self._reset,
         }[event]
-        if event is Event.POWER_ON:
-            self.cause = ""
-        self._running = _Running(event, steps(target), reply)
+        target = next_state(self.state_of(groups[0]), event)
+        enter = partial(self._enter, groups, target)
+        self._running.append(_Running(event, groups, steps(groups, enter), reply))
+
+    def _enter(self, groups: Sequence[str], state: State) -> None:
+        self._states.update(dict.fromkeys(groups, state))
 
     def tick(self) -> None:
-        """Go on with the transition that is under way; free what a dead client has reserved."""
-        running = self._running
+        """Go on with the transitions that are under way; free what a dead client has reserved."""
         self._patience = max(0, self._patience - 1)
-        if running is None:
-            if self.state is State.RESERVED:
-                self._free_lapsed()
-            return
-        try:
-            next(running.steps)
-        except StopIteration:
-            self._running = None
-            running.reply(None)
-        except ImError as error:
-            self._running = None
-            running.reply(error)
+        self._free_lapsed()
+        for running in tuple(self._running):
+            if running not in self._running:
+                continue  # an emergency stop that another one led to has ended it
+            try:
+                next(running.steps)
+            except StopIteration:
+                self._end(running, None)
+            except ImError as error:
+                self._end(running, error)
+
+    def _end(self, running: _Running, error: ImError | None) -> None:
+        if running in self._running:
+            self._running.remove(running)
+        running.reply(error)
 
     def estop(self, reason: str, **facts: object) -> None:
         """Stop at once: setpoints dropped, goals ended, brakes on, power off; latched.
@@ -264,28 +373,34 @@ class StateManager:
             reason: Why.
             **facts: Named values the reason speaks of.
         """
-        target = self.check(Event.ESTOP)
+        self.check(Event.ESTOP)
         error = StateError(f"emergency stop: {reason}", reason=reason)
         error.facts.update(facts)
-        running, self._running = self._running, None
+        ended, self._running = self._running, []
         self.lost = False
-        if self.state is not State.ESTOPPED:
-            self.state = target
+        if not self._stopped:
+            self._stopped = True
             self.cause = reason
             self._patience = self._answer_ticks
-            self.power = False
+            self._needing.clear()
             self.brakes = np.ones_like(self.brakes)
             self._arms.drop_goals(error)
-        if running is not None:
+        for running in ended:
             running.steps.close()
             running.reply(error)
 
-    def _require_secured(self, event: Event) -> None:
-        """Check that power is off and every brake holds; joints with an open brake are named."""
-        if self.measured.power:
+    def _require_secured(self, event: Event, joints: NDArray[np.intp] | None) -> None:
+        """Check that the brakes of ``joints`` hold; of all joints, and that power is off, if there are none given.
+
+        Raises:
+            StateError: Power is on, or a brake open; joints with an open brake are named.
+        """
+        switching_off = any(running.event is Event.POWER_OFF for running in self._running)
+        if joints is None and self.measured.power and not switching_off:
             raise StateError(f"{event.value} is refused: the testbed still reports power on", request=event.value)
-        if not self.measured.brakes.all():
-            which = self._named(np.flatnonzero(~self.measured.brakes))
+        looked_at = np.arange(len(self.joints)) if joints is None else joints
+        if not self.measured.brakes[looked_at].all():
+            which = self._named(looked_at[~self.measured.brakes[looked_at]])
             sentence = f"{event.value} is refused: the testbed reports the brake open of {which}"
             raise StateError(sentence, request=event.value, joints=which)
 
@@ -293,89 +408,95 @@ class StateManager:
         """Names of the joints with these ranks."""
         return ", ".join(self.joints[rank] for rank in ranks)
 
-    def _reserved_joints(self) -> NDArray[np.intp]:
-        """Ranks of all joints of reserved groups."""
-        return np.concatenate([self._index[group] for group in self.reservations.groups])
+    def _joints(self, groups: Sequence[str]) -> NDArray[np.intp]:
+        """Ranks of all joints of groups."""
+        return np.concatenate([self._index[group] for group in groups])
 
     def _free_lapsed(self) -> None:
-        self.reservations.lapse(self.measured.stamp_ns)
-        for group in self.reservations.lapsed():
-            self._free(group)
+        """Free groups that need no power and whose lease has run out."""
+        for group, state in tuple(self._states.items()):
+            idle = state is State.RESERVED and not self._stopped and group not in self.under_way()
+            if idle and self.reservations.has_lapsed(group, self.measured.stamp_ns):
+                self._free(group)
 
     # what a transition does over several ticks: each yields once a tick
 
-    def _fail(self, reason: str) -> None:
-        """An e-stop because of the transition that is under way; its reply says what happened."""
-        self._running = None
+    def _fail(self, groups: Sequence[str], reason: str) -> None:
+        """An e-stop because of the transition of these groups; its reply says what happened."""
+        self._running = [running for running in self._running if running.groups is not groups]
         self.estop(reason)
 
-    def _power_on(self, target: State) -> Generator[None, None, None]:
-        """Power on, brakes on."""
-        self.power = True
+    def _power_on(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
+        """Power on, brakes on; where another group has let it go just now, it must have gone before."""
+        secured = "the testbed to switch power off first"
+        yield from self._until(lambda: self.power or not self.measured.power, lambda: secured)
+        self._needing.update(groups)
         try:
             yield from self._until(lambda: self.measured.power, lambda: "the testbed to switch power on")
         except WaitTimeoutError:
-            self.power = False
+            self._needing.difference_update(groups)
             raise
-        self.state = target
+        enter()
 
-    def _power_off(self, target: State) -> Generator[None, None, None]:
-        """Power off; if it stays on, an e-stop."""
-        self.power = False
+    def _power_off(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
+        """Power off, unless another group needs it; if it stays on, an e-stop."""
+        self._needing.difference_update(groups)
         try:
-            yield from self._until(lambda: not self.measured.power, lambda: "the testbed to switch power off")
+            yield from self._until(
+                lambda: self.power or not self.measured.power, lambda: "the testbed to switch power off"
+            )
         except WaitTimeoutError as error:
-            self._fail(f"power is not obeyed: {error.message}")
+            self._fail(groups, f"power is not obeyed: {error.message}")
             raise
-        self.state = target
+        enter()
 
-    def _enable_motion(self, target: State) -> Generator[None, None, None]:
+    def _enable_motion(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
         """Torque carries the arm before the brakes let go; then until all is at rest."""
-        joints = self._reserved_joints()
-        self._arms.engage(self.reservations.groups)
+        joints = self._joints(groups)
+        self._arms.engage(groups)
         yield from self._ticks(self._settings.brake_lead_ticks)
         self.brakes[joints] = False
         try:
             yield from self._until_moved(joints, engaged=False)
         except WaitTimeoutError as error:
             self.brakes[joints] = True
-            yield from self._until_braked(joints, error)
-            self._arms.disengage()
+            yield from self._until_braked(groups, error)
+            self._arms.disengage(groups)
             raise
-        self.state = target
-        while not self._arms.settled():
+        enter()
+        while not self._arms.settled(groups):
             yield
 
-    def _disable_motion(self, target: State) -> Generator[None, None, None]:
+    def _disable_motion(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
         """Brakes hold before the torque leaves; if they do not, it goes on carrying the arm."""
-        joints = self._reserved_joints()
+        joints = self._joints(groups)
         self.brakes[joints] = True
         try:
-            yield from self._until_braked(joints)
+            yield from self._until_braked(groups)
         except WaitTimeoutError:
             self.brakes[joints] = False
             raise
-        self._arms.disengage()
-        self.state = target
+        self._arms.disengage(groups)
+        enter()
 
     def _until_braked(
-        self, joints: NDArray[np.intp], cause: WaitTimeoutError | None = None
+        self, groups: Sequence[str], cause: WaitTimeoutError | None = None
     ) -> Generator[None, None, None]:
         """Brakes hold before the torque leaves.
 
         Args:
-            joints: Which, as ranks.
+            groups: Whose.
             cause: What failed before; if the brakes fail too, power must go.
         """
         try:
-            yield from self._until_moved(joints, engaged=True)
+            yield from self._until_moved(self._joints(groups), engaged=True)
         except WaitTimeoutError as error:
             if cause is not None:
-                self._fail(f"brakes are not obeyed: {cause.message}; {error.message}")
+                self._fail(groups, f"brakes are not obeyed: {cause.message}; {error.message}")
             raise
         yield from self._ticks(self._settings.brake_lead_ticks)
 
-    def _reset(self, target: State) -> Generator[None, None, None]:
+    def _reset(self) -> Generator[None, None, None]:
         """Forget reservations and cause, if nothing is broken; nothing moves.
 
         What is judged are readings from after the request: of what has just been mended, the present ones are old.
@@ -385,8 +506,9 @@ class StateManager:
             sentence = f"reset is refused while there is {broken}; the cause of the stop: {self.cause}"
             raise StateError(sentence, request=Event.RESET.value, broken=broken)
         self.reservations.release_all()
+        self._states.clear()
         self.cause, self.lost = "", False
-        self.state = target
+        self._stopped = False
 
     @staticmethod
     def _ticks(count: int) -> Generator[None, None, None]:

@@ -124,6 +124,10 @@ class Reservations:
         """Free every slot."""
         self._held.clear()
 
+    def disposes(self, group: str, sender: Sender) -> bool:
+        """Whether a group is reserved, and who asks may change it."""
+        return group in self._held and self._held[group].serves(sender)
+
     def renew(self, owner: str, now_ns: int) -> None:
         """Let every lease of an owner run anew; one that had lapsed holds again.
 
@@ -139,17 +143,19 @@ class Reservations:
             reservation.lapsed = False
 
     def lapse(self, now_ns: int) -> list[Reservation]:
-        """Reservations whose lease has run out since the last call."""
+        """Reservations of one owner whose lease has run out since the last call; ask again for those of another."""
         if not self._held:
             return []
         gone = [r for r in self._held.values() if r.lease_s > 0.0 and not r.lapsed and now_ns > r.until_ns]
+        gone = [reservation for reservation in gone if reservation.owner == gone[0].owner]
         for reservation in gone:
             reservation.lapsed = True
         return gone
 
-    def lapsed(self) -> list[str]:
-        """Groups whose lease has run out."""
-        return [r.group for r in self._held.values() if r.lapsed]
+    def has_lapsed(self, group: str, now_ns: int) -> bool:
+        """Whether the lease of a group that is reserved has run out."""
+        reservation = self._held[group]
+        return reservation.lapsed or (reservation.lease_s > 0.0 and now_ns > reservation.until_ns)
 
     def require(self, group: str) -> None:
         """Check that ``group`` is reserved.

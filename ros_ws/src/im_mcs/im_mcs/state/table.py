@@ -1,5 +1,10 @@
-"""The state table: which request is allowed in which state, and where it leads (paper, Figure 7)."""
+"""The state table: which request is allowed in which state, and where it leads (paper, Figure 7).
 
+Every group is in a state of its own. The machine's is the highest that any group is in, in the order of
+:data:`STATES`; unconfigured and estopped are of all groups together.
+"""
+
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -7,18 +12,18 @@ from im_core.errors import StateError
 
 
 class State(StrEnum):
-    """States of MCS; all but the first are the paper's."""
+    """States of MCS and of each of its groups; all but the first are the paper's."""
 
     UNCONFIGURED = "unconfigured"
     """Nothing is loaded."""
     COLD = "cold"
-    """Power off, no slot reserved."""
+    """No slot allocated; the group needs no power."""
     RESERVED = "reserved"
-    """Power off, the slots of at least one group allocated."""
+    """The slots of the group are allocated; it needs no power, its brakes are on."""
     ACTIVE = "active"
-    """Power on, brakes on."""
+    """Power on, brakes of the group on."""
     MOTION = "motion"
-    """Power on, brakes of the reserved groups off."""
+    """Power on, brakes of the group off."""
     ESTOPPED = "estopped"
     """Power off and brakes on after an emergency stop; latched."""
 
@@ -30,7 +35,6 @@ class Event(StrEnum):
     CLEANUP = "cleanup"
     RESERVE = "reserve"
     RELEASE = "release"
-    RELEASE_LAST = "release the last group"
     RENEW = "renew"
     TAKE_OVER = "take_over"
     REPARTITION = "repartition"
@@ -55,8 +59,28 @@ class Event(StrEnum):
 STATES: tuple[State, ...] = tuple(State)
 """Their numbers where there is room for a number only."""
 
-ANYTIME = frozenset({Event.ESTOP, Event.RENEW})
-"""Requests that are heard while a transition is under way."""
+POWERED = (State.ACTIVE, State.MOTION)
+"""States in which a group needs power: it is on while any group is in one of them."""
+
+TRANSITIONS = frozenset({Event.POWER_ON, Event.POWER_OFF, Event.ENABLE_MOTION, Event.DISABLE_MOTION})
+"""Requests that change power and brakes of groups, over several ticks."""
+
+OF_GROUP = TRANSITIONS | {
+    Event.RESERVE,
+    Event.RELEASE,
+    Event.TAKE_OVER,
+    Event.MOVE,
+    Event.STREAM,
+    Event.PAUSE,
+    Event.RESUME,
+    Event.SET_SPEED,
+    Event.SET_CONTROLLER,
+    Event.SET_PAYLOAD,
+}
+"""Requests that concern groups, and are judged by their states; the others by the machine's."""
+
+ANYTIME = frozenset({Event.ESTOP, Event.PROTECTIVE_STOP, Event.PAUSE, Event.CANCEL, Event.RENEW})
+"""Requests that are heard while a transition is under way: whatever stops, and signs of life."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +106,10 @@ _OWNER = "by the owner of the group"
 _HOLDS = "by the owner of the group, whose lease holds"
 _UNDER_WAY = "the goal is under way or waits"
 _SAME = "the reserved groups have the same joints in it"
-_CARRIED = "gravity torque present before the brakes release"
+_SAFE = "by the owner of the group; every brake holds"
+_CARRIED = "by the owner of the group; gravity torque present before the brakes release"
+_AT_REST = "by the owner of the group, or its lease has lapsed; at rest first"
+_UNUSED = "by the owner of the group, or its lease has lapsed; power stays while another group needs it"
 _LAW = "by the owner of the group, which has such a law"
 
 TABLE: tuple[StateTransition, ...] = (
@@ -91,19 +118,17 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.COLD, Event.RESERVE, State.RESERVED, _FREE),
     StateTransition(State.COLD, Event.REPARTITION, State.COLD, "there is such a preset"),
     StateTransition(State.COLD, Event.ESTOP, State.ESTOPPED),
-    StateTransition(State.RESERVED, Event.RESERVE, State.RESERVED, _FREE),
-    StateTransition(State.RESERVED, Event.RELEASE, State.RESERVED, _OWNER),
-    StateTransition(State.RESERVED, Event.RELEASE_LAST, State.COLD, _OWNER),
+    StateTransition(State.RESERVED, Event.RELEASE, State.COLD, _OWNER),
     StateTransition(State.RESERVED, Event.RENEW, State.RESERVED, "the owner has reserved a group"),
     StateTransition(State.RESERVED, Event.TAKE_OVER, State.RESERVED, _RESERVED),
     StateTransition(State.RESERVED, Event.REPARTITION, State.RESERVED, _SAME),
-    StateTransition(State.RESERVED, Event.POWER_ON, State.ACTIVE, "power on, brakes on; measured state valid"),
+    StateTransition(State.RESERVED, Event.POWER_ON, State.ACTIVE, _SAFE),
     StateTransition(State.RESERVED, Event.SET_CONTROLLER, State.RESERVED, _LAW),
     StateTransition(State.RESERVED, Event.SET_PAYLOAD, State.RESERVED, _OWNER),
     StateTransition(State.RESERVED, Event.SET_SPEED, State.RESERVED, _OWNER),
     StateTransition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, _CARRIED),
-    StateTransition(State.ACTIVE, Event.POWER_OFF, State.RESERVED),
+    StateTransition(State.ACTIVE, Event.POWER_OFF, State.RESERVED, _UNUSED),
     StateTransition(State.ACTIVE, Event.RENEW, State.ACTIVE, "the owner has reserved a group"),
     StateTransition(State.ACTIVE, Event.TAKE_OVER, State.ACTIVE, _RESERVED),
     StateTransition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE),
@@ -112,7 +137,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.ACTIVE, Event.SET_PAYLOAD, State.ACTIVE, _OWNER),
     StateTransition(State.ACTIVE, Event.SET_SPEED, State.ACTIVE, _OWNER),
     StateTransition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
-    StateTransition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, "at rest first"),
+    StateTransition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, _AT_REST),
     StateTransition(State.MOTION, Event.RENEW, State.MOTION, "the owner has reserved a group"),
     StateTransition(State.MOTION, Event.TAKE_OVER, State.MOTION, _RESERVED),
     StateTransition(State.MOTION, Event.MOVE, State.MOTION, _HOLDS),
@@ -151,13 +176,28 @@ def lifecycle_of(state: State) -> str:
     return _LIFECYCLE[state]
 
 
+def highest(states: Iterable[State]) -> State:
+    """The machine's state, given those of its groups: the highest of them; cold if there are none."""
+    return max(states, key=STATES.index, default=State.COLD)
+
+
+def allows(state: State, event: Event) -> bool:
+    """Whether the table has a row for ``event`` in ``state``."""
+    return (state, event) in _ROWS
+
+
 def allowed_in(state: State) -> tuple[Event, ...]:
     """Requests that the table has a row for in ``state``, in the order of the table."""
-    return tuple(row.event for row in TABLE if row.source is state and row.event is not Event.RELEASE_LAST)
+    return tuple(row.event for row in TABLE if row.source is state)
 
 
-def next_state(state: State, event: Event) -> State:
+def next_state(state: State, event: Event, group: str = "") -> State:
     """State that ``event`` leads to.
+
+    Args:
+        state: State of a group, or of the machine.
+        event: What is asked for.
+        group: Whose state it is, for the message; empty: the machine's.
 
     Raises:
         StateError: The table has no such row; the message names state, request and what would be allowed.
@@ -169,8 +209,9 @@ def next_state(state: State, event: Event) -> State:
         raise StateError(UNCONFIGURED_MESSAGE, state=state.value, request=event.value)
     allowed = [e.value for e in allowed_in(state)]
     hint = f" ({RECOVER} does it)" if state is State.ESTOPPED else ""
+    whose = f" of group '{group}'" if group else ""
     raise StateError(
-        f"{event.value} is refused in state {state.value}; allowed here: {', '.join(allowed)}{hint}",
+        f"{event.value}{whose} is refused in state {state.value}; allowed here: {', '.join(allowed)}{hint}",
         state=state.value,
         request=event.value,
         allowed=allowed,

@@ -9,7 +9,7 @@ from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 from im_core.errors import DataError
 from im_mcs.limits.motion_limits import Synchrony
 from im_mcs.planning import JointPath, MotionLimits
-from im_mcs.planning.profile import to_point
+from im_mcs.planning.profile import to_meet, to_point
 from im_mcs.planning.trajectory import Setpoint
 
 LIMITS = MotionLimits(np.array([1.0, 2.0, 0.5]), np.array([2.0, 5.0, 1.0]), np.array([20.0, 30.0, 8.0]))
@@ -140,3 +140,17 @@ def test_a_motion_under_way_is_led_on_without_a_leap(q, speed, force, end):
 def test_what_ruckig_refuses_is_a_sentence():
     with pytest.raises(DataError, match="no trajectory"):
         to_point(Setpoint.at_rest(np.zeros(3)), np.full(3, np.nan), LIMITS)
+
+
+@pytest.mark.parametrize("small", [1e-17, 1e-15, 1e-13, 1e-11, 1e-9, 1e-7, 1e-6])
+def test_a_joint_that_all_but_stands_still_stays_while_others_move(small):
+    """Ruckig sends it away and back where rounding alone tells its state from rest."""
+    random = np.random.default_rng(1)
+    none = np.zeros(3)
+    for _ in range(300):
+        start = Setpoint(*(small * random.normal(size=3) * random.integers(0, 2, 3) for _ in range(3)))
+        start.q[0], start.v[0], start.a[0] = random.uniform(-0.1, 0.1), random.uniform(-0.3, 0.3), random.uniform(-1, 1)
+        end = np.array([random.uniform(-0.1, 0.1), *(small * random.normal(size=2))])
+        for motion in (to_meet(start, end, none, LIMITS, random.uniform(0.0, 0.3)), to_point(start, end, LIMITS)):
+            q = motion.span(np.linspace(0.0, motion.duration, 60)).q
+            assert np.abs(q[:, 1:]).max() < 100.0 * small + 1e-9

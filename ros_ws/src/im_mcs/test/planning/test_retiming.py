@@ -151,7 +151,31 @@ def test_whatever_is_asked_for_is_followed_on_its_path_or_refused(make_rig, conf
     v = random.normal(size=(count, n)) * data.draw(st.sampled_from([0.0, 0.2])) * rig.limits.velocity
     a = random.normal(size=(count, n)) * data.draw(st.sampled_from([0.0, 0.3])) * rig.limits.acceleration
     v[-1], a[-1] = 0.0, 0.0
-    goal, trajectory, begin = follow(rig, times, *(q, v, a)[:many])
+    check_followed_or_refused(rig, config, times, *(q, v, a)[:many])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_path_that_turns_within_a_microsecond_rests_there(make_rig, config, seed):
+    """A point given twice, a millisecond apart, with a velocity the first time: out and back on a line, nearly."""
+    rig = make_rig()
+    random = np.random.default_rng(seed)
+    q = np.tile(rig.home + random.normal(size=len(rig.index)) * 0.05, (2, 1))
+    v = random.normal(size=q.shape) * 0.2 * rig.limits.velocity
+    v[-1] = 0.0
+    check_followed_or_refused(rig, config, np.array([0.6, 0.601]), q, v)
+
+
+def test_a_turn_that_is_found_twice_by_rounding_is_one_rest(make_rig, config):
+    rig = make_rig()
+    aside, _, first = np.random.default_rng(549).normal(size=(3, 2, len(rig.index)))
+    q = np.tile(rig.home + aside[0] * 0.02, (2, 1))
+    v, a = np.zeros_like(q), first * 0.3 * rig.limits.acceleration
+    a[-1] = 0.0
+    check_followed_or_refused(rig, config, np.array([0.6, 0.8]), q, v, a)
+
+
+def check_followed_or_refused(rig, config, times, *states):
+    goal, trajectory, begin = follow(rig, times, *states)
     if rig.code(goal) is not None:
         assert rig.code(goal) == "limit"
         assert "position at" in rig.results[goal][0].message
@@ -159,15 +183,15 @@ def test_whatever_is_asked_for_is_followed_on_its_path_or_refused(make_rig, conf
         return
     check_limits(rig, trajectory)
     check_executed(rig, config)
-    np.testing.assert_allclose(rig.trace[-1].q, q[-1], atol=1e-9)
+    np.testing.assert_allclose(rig.trace[-1].q, states[0][-1], atol=1e-9)
     assert not rig.trace[-1].v.any()
     assert not rig.trace[-1].a.any()
     assert trajectory.duration >= times[-1] - 1e-9
-    if many == 1:
+    if len(states) == 1:
         return  # which spline joins positions alone is looked at in test_spline.py
-    knots, start = np.concatenate([[0.0], times]), np.zeros((1, n))
-    rows = [np.vstack([rig.home[None], q]), np.vstack([start, v]), np.vstack([start, a])]
-    path = CubicHermiteSpline(knots, *rows[:2]) if many == 2 else BPoly.from_derivatives(knots, np.stack(rows, axis=1))
+    knots, starts = np.concatenate([[0.0], times]), (rig.home, np.zeros_like(rig.home), np.zeros_like(rig.home))
+    rows = [np.vstack([start, state]) for start, state in zip(starts, states, strict=False)]
+    path = CubicHermiteSpline(knots, *rows) if len(rows) == 2 else BPoly.from_derivatives(knots, np.stack(rows, axis=1))
     assert off_path(path, knots, rig.q[begin::4], units(rig)) <= 1.0
 
 

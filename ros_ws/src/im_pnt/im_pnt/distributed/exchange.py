@@ -7,23 +7,24 @@ It has three parts: the requests that wait for their reply (:class:`RequestBook`
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 from im_core.clock import monotonic
-from im_core.errors import ImError, LinkError, StateError, nearest
+from im_core.errors import DataError, ImError, LinkError, StateError, nearest
 from im_pnt.distributed.packets import VOID, Message, MessageKind, token_message
 from im_pnt.errors import NetError
 from im_pnt.execution.events import ActionEnded, RequestArrived, RequestCancelled, TokenArrived
 from im_pnt.execution.executor import Executor
-from im_pnt.execution.jobs import Activity, Command, Request
+from im_pnt.execution.jobs import NO_COMMAND, Activity, Command, Request, scope_of
 from im_pnt.execution.notification import Observer
 from im_pnt.execution.record import ActivityEnded, NetEntry, plain_dict
 from im_pnt.model.action import RequestAction
 from im_pnt.model.expand import input_place
 from im_pnt.model.net import RemotePlace
 
-RETURN_TIMEOUT_S = 30.0
+RETURN_TIMEOUT_S = 60.0
+"""One that hangs is noticed, and started again, within half of it [s]."""
 
 
 # What an exchange tells its journal.
@@ -161,6 +162,8 @@ def request_message(request: Request) -> Message:
         "symbol": request.command.symbol,
         "command_arguments": request.command.arguments,
     }
+    if request.command.scope:
+        payload["scope"] = request.command.scope
     return Message(
         MessageKind.REQUEST,
         request.net,
@@ -180,7 +183,11 @@ def request_of(sender: str, message: Message) -> Request:
         value = message.payload.get(key)
         return value if isinstance(value, dict) else {}
 
-    command = Command(message.command_id, str(message.payload.get("symbol", "")), mapping("command_arguments"))
+    def text(key: str) -> str:
+        value = message.payload.get(key)
+        return value if isinstance(value, str) else ""
+
+    command = Command(message.command_id, text("symbol"), mapping("command_arguments"), scope=text("scope"))
     return Request(
         message.request_id,
         message.net,
@@ -330,6 +337,13 @@ class Inboxes:
         offered = [*executor.net.services, *executor.net.symbols()]
         if request.service not in offered:
             return f"net {request.net} offers no service {request.service}{nearest(request.service, offered)}"
+        schema = executor.written.arguments_of(request.service)
+        if schema is not None:
+            try:
+                taken = schema.check(request.arguments, f"{request.net}.{request.service}")
+            except DataError as error:
+                return error.message
+            request = replace(request, arguments=taken)
         self.post(executor, RequestArrived(request))
         self.in_work[request.id] = request
         return ""
@@ -439,6 +453,15 @@ class Exchange:
             )
         self.nets[name] = executor
 
+    def succeed(self, executor: Executor) -> None:
+        """Enters a net that has taken over the state of one of its name: what that has asked for is answered to it."""
+        name = executor.net.name
+        waiting = [(each, asked) for each, asked in self.book.items() if asked.executor is self.nets[name]]
+        self.nets[name] = executor
+        for request_id, asked in waiting:
+            self.book.close(request_id)
+            self.watch(RequestAsked(request_id, name, asked.activity.number, asked.net, asked.node))
+
     # What the nets of this process send.
 
     def send_token(self, net: str, target: RemotePlace, count: int) -> None:
@@ -460,7 +483,7 @@ class Exchange:
         node = "" if local or self._transport is None else self._transport.node_of(action.net)
         request_id = self.book.next_name()
         job = activity.lineage.job
-        command = job.command if job else Command()
+        command = job.command if job else Command(scope=scope_of(activity.net, NO_COMMAND))
         request = Request(
             request_id, action.net, action.service, "", activity.net, activity.transition, command, arguments
         )

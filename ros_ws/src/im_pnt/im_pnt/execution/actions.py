@@ -14,7 +14,8 @@ from im_pnt.execution.functions import ActionContext, ActionFunction, Functions
 from im_pnt.execution.jobs import Activity, ActivityState, Lineage, as_failure
 from im_pnt.execution.record import Record, plain_dict
 from im_pnt.execution.timers import Timers
-from im_pnt.model.action import Action, FunctionAction, RequestAction
+from im_pnt.expression.scope import read_objects
+from im_pnt.model.action import Action, AwaitAction, FunctionAction, RequestAction, ValuesAction
 from im_pnt.model.net import Role
 
 CheckObjects = Callable[[tuple[str, ...], Callable[[ImError | None], None]], None]
@@ -134,7 +135,14 @@ class Actions:
         """Returns what the function of a ``t.start`` is told where there is no command or request."""
         rule = self._rule
         name, progress = rule.transitions[index].origin, rule.notifier.progressed
-        return ActionContext(rule.net.name, name, progress=progress, begun=lambda: rule.called(index))
+        return ActionContext(
+            rule.net.name,
+            name,
+            progress=progress,
+            begun=lambda: rule.called(index),
+            shared=rule.shared_objects,
+            values=rule.values,
+        )
 
     def called(self, context: ActionContext, outcome: object, error: BaseException | None) -> None:
         """Goes on with an action whose function was called, and has raised, or goes on, or was looked at."""
@@ -166,7 +174,12 @@ class Actions:
         self._runner.ask(self._owner, activity, self._context(activity), answered)
 
     def finish(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
-        """Ends an action; before it counts as a success, its data objects are looked at."""
+        """Ends an action; before it counts as a success, it returns and stores, and its data objects are looked at."""
+        self._rule.values.stale()
+        if error is None and not activity.concluded and self._rule.values.has_effects(activity.transition):
+            activity.concluded = True
+            self._conclude(activity, results)
+            return
         if error is None and activity.objects and self._check_objects is not None and not activity.checked:
             activity.checked = True
             self._check_objects(activity.objects, lambda invalid: self._owner.ended(activity, invalid, results))
@@ -179,6 +192,19 @@ class Actions:
         if activity.lineage.job is not None:
             self._conflicts.wake_job(activity.lineage.job)
 
+    def _conclude(self, activity: Activity, results: dict[str, object]) -> None:
+        """Has an action that has ended well return and store what its transition says, and ends it then."""
+        context, at_once = self._context(activity), True
+
+        def done(error: ImError | None) -> None:
+            if at_once:
+                self.finish(activity, error, results)
+            else:
+                self._owner.ended(activity, error, results)
+
+        self._rule.values.conclude(context, context.result, results, done)
+        at_once = False
+
     def resume(self) -> None:
         """Goes on with the actions that ran when the process died."""
         why = ImError("the process that ran it has died and come back", code="restarted")
@@ -186,6 +212,8 @@ class Actions:
             index = self._rule.number[f"{activity.transition}.start"]
             if activity.reply is not None:
                 self.finish(activity, *activity.reply)
+            elif isinstance(activity.action, AwaitAction) and activity.state is not ActivityState.IN_DOUBT:
+                self.begin(index, activity)  # it has no effect, and is awaited again
             elif not isinstance(activity.action, RequestAction) or activity.state is ActivityState.IN_DOUBT:
                 self.inquiry.doubt(activity, why)
             elif self._runner.waits(activity):
@@ -206,16 +234,25 @@ class Actions:
 
     def _context(self, activity: Activity) -> ActionContext:
         lineage: Lineage = activity.lineage
-        return ActionContext(activity.net, activity.transition, lineage, activity, self._rule.notifier.progressed)
+        rule, progress = self._rule, self._rule.notifier.progressed
+        return ActionContext(
+            activity.net,
+            activity.transition,
+            lineage,
+            activity,
+            progress,
+            shared=rule.shared_objects,
+            values=rule.values,
+        )
 
 
 GRACE_S = 1.0
 """Time that an action which cannot be asked has to end by itself, once it is in doubt [s]."""
 
-Perform = Callable[[Activity, ActionContext], Coroutine[object, object, None]]
-"""Carries out an action of one kind; raises where it fails."""
+Perform = Callable[[Activity, ActionContext], Coroutine[object, object, dict[str, object]]]
+"""Carries out an action of one kind, and returns what is kept of its answer; raises where it fails."""
 
-Ask = Callable[[Activity, ActionContext], Awaitable[Answer]]
+Ask = Callable[[Activity, ActionContext], Answer | Awaitable[Answer]]
 """Finds out what became of an action of one kind."""
 
 Spawn = Callable[[Coroutine[object, object, None]], None]
@@ -265,12 +302,15 @@ class FunctionRunner:
                     owner.ended(activity, None)
             elif isinstance(action, RequestAction):
                 outcome = self._functions.actions[action.build](context) if action.build else {}
-                if not inspect.isawaitable(outcome):
-                    self._request(owner, activity, context, outcome)
+                if not inspect.isawaitable(outcome) and not read_objects(action.fields):
+                    self._request(owner, activity, context, context.filled_now(action.fields), outcome)
                     return
                 self._spawn(self._request_later(owner, activity, context, outcome))
+            elif isinstance(action, ValuesAction):
+                owner.ended(activity, None)
             elif type(action) in self._others:
-                self.watch(owner, activity, self._others[type(action)](activity, context))
+                self._running.add(activity)
+                self._spawn(self._perform(owner, activity, self._others[type(action)](activity, context)))
             else:
                 owner.ended(activity, ImError(f"{action} cannot be done here: it needs a ROS node", code="runner"))
         except Exception as error:  # an action is foreign code: whatever it raises is its failure
@@ -340,20 +380,35 @@ class FunctionRunner:
         finally:
             self._running.discard(activity)
 
-    async def _request_later(
-        self, owner: ActionOwner, activity: Activity, context: ActionContext, building: Awaitable[object]
+    async def _perform(
+        self, owner: ActionOwner, activity: Activity, work: Coroutine[object, object, dict[str, object]]
     ) -> None:
         try:
-            self._request(owner, activity, context, await building)
+            owner.ended(activity, None, await work)
+        except Exception as error:  # likewise
+            owner.ended(activity, as_failure(activity, error))
+        finally:
+            self._running.discard(activity)
+
+    async def _request_later(
+        self, owner: ActionOwner, activity: Activity, context: ActionContext, built: object
+    ) -> None:
+        try:
+            assert isinstance(activity.action, RequestAction)
+            fields = await context.filled(activity.action.fields)
+            self._request(owner, activity, context, fields, await built if inspect.isawaitable(built) else built)
         except Exception as error:  # likewise
             owner.ended(activity, as_failure(activity, error))
 
-    def _request(self, owner: ActionOwner, activity: Activity, context: ActionContext, built: object) -> None:
+    def _request(
+        self, owner: ActionOwner, activity: Activity, context: ActionContext, fields: object, built: object
+    ) -> None:
         action = activity.action
         assert isinstance(action, RequestAction)
+        assert isinstance(fields, dict)
         if not isinstance(built, dict):
             raise ImError(f"builder {action.build} returned {built!r}, not a dict of arguments", code="builder")
-        arguments = {**action.fields, **built}
+        arguments = {**fields, **built}
         if not action.build and not action.fields:
             arguments = dict(context.request_arguments)
         if owner.record is not None:

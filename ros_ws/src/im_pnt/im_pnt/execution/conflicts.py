@@ -27,6 +27,7 @@ from im_pnt.execution.functions import ActionContext, Functions, clock_period
 from im_pnt.execution.jobs import NO_LINEAGE, Job, Lineage
 from im_pnt.execution.marking import Enabling
 from im_pnt.execution.timers import Timer, Timers
+from im_pnt.execution.values import ObjectPendingError
 from im_pnt.model.net import Strategy, Transition
 
 
@@ -138,7 +139,7 @@ class ConflictResolution:
         self.barred: frozenset[int] = frozenset()
         self.dice = random.Random()
         self._random = self.dice.random
-        self._rule, self.guards, self._seed = rule, functions.guards, seed
+        self._rule, self.guards, self._seed = rule, functions.guards_of(rule.net), seed
         self._enabling, self._transitions = rule.enabling, rule.transitions
         self.delayed = frozenset(i for i, t in enumerate(self._transitions) if t.delay is not None and t.action is None)
         self._rank = [(i not in self.delayed, t.priority) for i, t in enumerate(self._transitions)]
@@ -162,7 +163,7 @@ class ConflictResolution:
         ]
         self._strategies = any(t.strategy is not None for t in self._transitions)
         self._even = all(t.weight == 1.0 and t.strategy is None for t in self._transitions)
-        self._verdicts: dict[tuple[str, int], bool] = {}
+        self._verdicts: dict[tuple[str, int], bool | None] = {}
         self._stalled_for: dict[int, set[int]] = {}
         self._sources: dict[str, list[int]] = {}
         self._undeclared: set[int] = set()
@@ -257,7 +258,7 @@ class ConflictResolution:
         if symbol is not None and not self._rule.ledger.tape.has(symbol):
             return False
         if not self._tokens.queues and symbol is None:
-            if guard is None or self._verdict(index, guard, NO_LINEAGE, unowned) != negated:
+            if guard is None or self._passes(index, guard, negated, NO_LINEAGE, unowned):
                 return True
         elif self._finds_owner(index, guard, negated):
             return True
@@ -266,12 +267,12 @@ class ConflictResolution:
 
     def _finds_owner(self, index: int, guard: str | None, negated: bool) -> bool:
         """Whether a transition can fire for somebody whom its guard lets; keeps for whom."""
-        if guard is None and index not in self._rule.choosy:
+        if guard is None and index not in self._rule.choosy and not self._rule.held:
             return True
         for owner in self._rule.owners(index):
             if guard is not None:
                 lineage = self._rule.foreseen(index, owner)
-                if self._verdict(index, guard, lineage, (guard, id(lineage.job))) == negated:
+                if not self._passes(index, guard, negated, lineage, (guard, id(lineage.job))):
                     if lineage.job is not None:
                         self._stalled_for.setdefault(lineage.job.number, set()).add(index)
                     continue
@@ -279,22 +280,30 @@ class ConflictResolution:
             return True
         return False
 
-    def _verdict(self, index: int, guard: str, lineage: Lineage, key: tuple[str, int]) -> bool:
-        """Returns what a guard says of a job; it is asked once a decision."""
-        verdict = self._verdicts.get(key)
-        if verdict is None:
-            try:
-                verdict = bool(self.guards[guard](self.context(index, lineage)))
-            except Exception as error:  # a guard is foreign code: whatever it raises must not stop the net
-                verdict = self.guard_broke(index, lineage, error)
-            self._verdicts[key] = verdict
-        return verdict
+    def _passes(self, index: int, guard: str, negated: bool, lineage: Lineage, key: tuple[str, int]) -> bool:
+        """Whether a guard, asserted or negated, lets a job pass; one that does not know yet lets neither."""
+        if key not in self._verdicts:
+            self._verdicts[key] = self._verdict(index, guard, lineage)
+        return self._verdicts[key] is not None and self._verdicts[key] != negated
+
+    def _verdict(self, index: int, guard: str, lineage: Lineage) -> bool | None:
+        """Returns what a guard says of a job; None: it does not know yet."""
+        try:
+            return bool(self.guards[guard](self.context(index, lineage)))
+        except ObjectPendingError:
+            return None
+        except Exception as error:  # a guard is foreign code: whatever it raises must not stop the net
+            return self.guard_broke(index, lineage, error)
 
     def owner(self, index: int) -> Job | None:
         """Returns for whom a transition is to fire that the last decision has chosen."""
-        if not self._tokens.queues:
+        return self._owners[index] if index in self._owners else self.first_owner(index)
+
+    def first_owner(self, index: int) -> Job | None:
+        """Returns for whom an enabled transition fires where no guard is asked: for whom it was enabled first."""
+        if not self._tokens.queues and index not in self._rule.begins:
             return None
-        return self._owners[index] if index in self._owners else self._rule.owners(index)[0]
+        return self._rule.owners(index)[0]
 
     def draw(self, contending: Sequence[int]) -> int:
         """Takes one of several transitions by weight and probability of success."""
@@ -349,7 +358,9 @@ class ConflictResolution:
     def context(self, index: int, lineage: Lineage) -> ActionContext:
         """Returns what the guard of a transition is told."""
         rule = self._rule
-        return ActionContext(rule.net.name, self._transitions[index].origin, lineage, progress=rule.notifier.progressed)
+        name, progress = self._transitions[index].origin, rule.notifier.progressed
+        shared, values = rule.shared_objects, rule.values
+        return ActionContext(rule.net.name, name, lineage, progress=progress, shared=shared, values=values)
 
 
 class Delays:

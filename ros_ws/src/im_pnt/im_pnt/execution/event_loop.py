@@ -12,14 +12,17 @@ from im_pnt.execution.actions import Actions
 from im_pnt.execution.conflicts import ConflictResolution, Delays
 from im_pnt.execution.events import (
     ActionEnded,
+    Answer,
     Answered,
     CommandCancelled,
+    CommandHeld,
     CommandWritten,
     Confirmed,
     Event,
     GuardsChanged,
     ModeSet,
     ObjectInvalidated,
+    Outcome,
     PauseSet,
     RequestArrived,
     RequestCancelled,
@@ -28,11 +31,12 @@ from im_pnt.execution.events import (
 )
 from im_pnt.execution.firing import FiringRule
 from im_pnt.execution.functions import ActionFunction, GuardFunction
-from im_pnt.execution.jobs import NO_LINEAGE, Activity, Job
+from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.execution.operator import Mode, Operator
 from im_pnt.execution.record import ActivityEnded, EndFired, NetEntry, TransitionFired, plain_dict
 from im_pnt.execution.timers import Timers
+from im_pnt.expression.scope import read_objects
 from im_pnt.model.expand import active_place
 from im_pnt.model.net import RemotePlace, Role
 
@@ -234,6 +238,7 @@ class EventLoop:
         rule = self.rule
         match event:
             case TokenArrived() | CommandWritten() | RequestArrived():
+                rule.values.stale()
                 rule.happens(event)
                 if rule.expires:
                     self._watch_symbols()
@@ -241,12 +246,17 @@ class EventLoop:
                 jobs = rule.ledger.of_command(command_id)
                 rule.happens(event)
                 self._cancel(jobs, error, everything=command_id is None)
+            case CommandHeld():
+                rule.happens(event)
+                self.conflicts.wake("")
             case RequestCancelled(request_id, error):
                 jobs = rule.ledger.of_request(request_id)
                 rule.happens(event)
                 self._cancel(jobs, error)
             case ActionEnded(activity, failure, results):
                 self._ended(activity, failure, results)
+            case Answered(activity, Answer(Outcome.DONE, results=results)) if results and self._is_doubtful(activity):
+                self._ended(activity, None, results)
             case Answered(activity, answer):
                 self.actions.inquiry.take_answer(activity, answer)
             case ObjectInvalidated(name):
@@ -264,6 +274,10 @@ class EventLoop:
                 self.release()
             case Confirmed(transition):
                 self.confirm(transition)
+
+    def _is_doubtful(self, activity: Activity) -> bool:
+        runs = self.rule.activities.get(activity.number) is activity
+        return runs and activity.state is ActivityState.IN_DOUBT
 
     def _cancel(self, jobs: list[Job], error: ImError, *, everything: bool = False) -> None:
         wanted = {job.number for job in jobs}
@@ -423,6 +437,8 @@ class EventLoop:
             function = self.actions.functions.get(index)
             if function is None or transition.timeout is not None or transition.strategy is not None:
                 return None
+            if transition.result or transition.store:
+                return None
             ended = rule.notifier.foreseen(transition.origin, Phase.END)
             active = rule.place[active_place(transition.origin)]
             call = active, f"{transition.origin}.end", ended, function
@@ -432,6 +448,7 @@ class EventLoop:
         arcs = (*compiled.inputs[index], *compiled.outputs[last])
         if (
             transition.symbol is not None
+            or (transition.guard is not None and read_objects(transition.guard.name))
             or end.emit
             or not all(weight == 1 and self._is_plain(place) for place, weight in arcs)
             or any(rule.net.places[place].data_object for place in end.outputs if call is not None)
@@ -464,8 +481,8 @@ class EventLoop:
 
     def _decide(self, index: int) -> bool:
         """Decides about a candidate; returns whether a transition fired."""
-        if self.operator.free and index in self.conflicts.certain:
-            self.fire(index, self.conflicts.owner(index))
+        if self.operator.free and index in self.conflicts.certain and not self.rule.held:
+            self.fire(index, self.conflicts.first_owner(index))
             return True
         self.conflicts.barred = _NOTHING if self.operator.free else self.operator.barred
         if index in self.conflicts.delayed and self._delays.waits(index):

@@ -24,7 +24,7 @@ class Answer:
     Attributes:
         outcome: In a word.
         error: Why it failed, where it did.
-        results: Results of a request that is done.
+        results: Results of a request that is done, or what is kept of another answer.
         asked: Who or what gave the answer, or why nobody could, for people.
     """
 
@@ -47,6 +47,14 @@ class CommandCancelled:
 
     command_id: int | None
     error: ImError
+
+
+@dataclass(frozen=True, slots=True)
+class CommandHeld:
+    """Nothing more is begun for a command (what runs ends), or it goes on."""
+
+    command_id: int
+    held: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +91,7 @@ class ActionEnded:
 
 @dataclass(frozen=True, slots=True)
 class ObjectInvalidated:
-    """A data object has lost its validity."""
+    """A data object, by its name in the DOM, has lost its validity."""
 
     name: str
 
@@ -132,6 +140,7 @@ class Confirmed:
 Event = (
     CommandWritten
     | CommandCancelled
+    | CommandHeld
     | RequestArrived
     | RequestCancelled
     | TokenArrived

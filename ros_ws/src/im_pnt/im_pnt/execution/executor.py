@@ -7,7 +7,7 @@ confirm later; :meth:`Executor.next_wakeup` tells when time alone has something 
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, nearest
@@ -23,6 +23,7 @@ from im_pnt.execution.notification import Observer, Outlet
 from im_pnt.execution.operator import Mode, Operator
 from im_pnt.execution.record import NetEntry, Record, plain
 from im_pnt.execution.timers import Timers
+from im_pnt.execution.values import Objects
 from im_pnt.model.net import Net, RemotePlace
 
 
@@ -97,6 +98,7 @@ class Executor:
         strategies: What was learned about strategies; None: begins anew.
         clock: Present time, monotonic [s].
         record: Takes what happens before it does, see :mod:`im_pnt.execution.record`; None: no journal.
+        objects: Data objects that expressions read and store; None: there are none here.
 
     Attributes:
         written: The net as written.
@@ -120,12 +122,13 @@ class Executor:
         strategies: StrategyBook | None = None,
         clock: Callable[[], float] = monotonic,
         record: Record | None = None,
+        objects: Objects | None = None,
     ) -> None:
         functions.check(net)
         self.written = net
         self._wake = wake
         self._inbox: deque[Event] = deque()
-        self.rule = FiringRule(net, outlet, observer or Observer(), clock)
+        self.rule = FiringRule(net, outlet, observer or Observer(), clock, objects)
         self.rule.record = record
         conflicts = ConflictResolution(self.rule, functions, strategies or StrategyBook(), seed)
         self._timers = Timers()
@@ -176,10 +179,11 @@ class Executor:
     # From any thread.
 
     def command(self, command: Command, on_closed: Callable[[CommandResult], None] | None = None) -> Job:
-        """Writes a command to the input tape.
+        """Writes a command to the input tape, with the defaults of arguments that are not given.
 
         Raises:
             NetError: The net never reads that symbol, or a journal cannot keep its arguments.
+            DataError: Its arguments are not what the net declares.
         """
         if command.symbol not in self.rule.readers:
             raise NetError(
@@ -187,6 +191,10 @@ class Executor:
                 f"{nearest(command.symbol, self.rule.readers)}",
                 symbol=command.symbol,
             )
+        declared = self.written.commands.get(command.symbol)
+        if declared is not None:
+            taken = declared.arguments.check(command.arguments, f"command {command.symbol}")
+            command = replace(command, arguments=taken)
         if self.record is not None:
             plain(command.arguments, f"the arguments of command {command.symbol}")
         job = Job(command, command.arguments, on_closed=on_closed)

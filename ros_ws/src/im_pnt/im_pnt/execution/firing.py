@@ -10,6 +10,7 @@ from im_core.errors import ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.events import (
     CommandCancelled,
+    CommandHeld,
     CommandWritten,
     ModeSet,
     PauseSet,
@@ -17,7 +18,21 @@ from im_pnt.execution.events import (
     RequestCancelled,
     TokenArrived,
 )
-from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, Ledger, Lineage, Reply, Request, ends
+from im_pnt.execution.jobs import (
+    NO_COMMAND,
+    NO_LINEAGE,
+    Activity,
+    ActivityState,
+    Job,
+    Ledger,
+    Lineage,
+    Reply,
+    Request,
+    ends,
+    filled_name,
+    object_name,
+    scope_of,
+)
 from im_pnt.execution.marking import Tokens
 from im_pnt.execution.notification import Notifier, Observer, Outlet, Phase, failure_of
 from im_pnt.execution.record import (
@@ -33,10 +48,11 @@ from im_pnt.execution.record import (
     restore_data,
     take_data,
 )
+from im_pnt.execution.values import NetValues, Objects
 from im_pnt.model.action import RequestAction
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place, expand, input_place
-from im_pnt.model.net import Net, ReadFor, Role, Transition
+from im_pnt.model.net import Net, ObjectScope, ReadFor, Role, Transition
 from im_pnt.model.resources import resource_places
 
 ADDRESS = "command"
@@ -59,6 +75,7 @@ class FiringRule:
         outlet: Takes tokens and replies for other nets.
         observer: Is told of firings.
         clock: Present time [s].
+        objects: The data objects that its expressions read and store; None: there are none here.
 
     Attributes:
         net: The expanded net.
@@ -73,16 +90,28 @@ class FiringRule:
         outlet: Takes tokens and replies for other nets.
         clock: Present time [s].
         record: Takes what happens, before it does; None: no journal.
+        values: What its expressions are; not for what is done again when a journal is replayed.
         call: A ``t.start`` whose function is being called, and since when [s]: its token is on ``t.active``, nothing
             belongs to it, and it is made an activity only where one is needed.
         callee: The activity that was made so last.
         expires: For each symbol that does not wait for ever, how long it does [s].
         choosy: Transitions that tokens alone do not enable: it matters whose they are.
+        begins: Transitions that begin a command where they read a symbol with tokens of nobody.
+        held: Numbers of the commands for which nothing is begun.
+        shared_objects: Data objects that places declare to be global.
     """
 
-    def __init__(self, net: Net, outlet: Outlet, observer: Observer, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        net: Net,
+        outlet: Outlet,
+        observer: Observer,
+        clock: Callable[[], float],
+        objects: Objects | None = None,
+    ) -> None:
         self.net = expand(net)
         self.record: Record | None = None
+        self.values = NetValues(net, objects)
         self.outlet, self.clock = outlet, clock
         compiled = compile_net(self.net)
         self.transitions = tuple(self.net.transitions.values())
@@ -104,11 +133,17 @@ class FiringRule:
                 self.readers.setdefault(symbol, []).append(index)
         ends_service = (Role.FINISH, Role.FINISH_FAILED)
         self._finishing = frozenset(i for i, t in enumerate(self.transitions) if t.role in ends_service)
+        self._withdrawing = frozenset(i for i, t in enumerate(self.transitions) if t.role is Role.WITHDRAWN)
         self._to_commands = frozenset(i for i, t in enumerate(self.transitions) if t.symbol_of is ReadFor.COMMAND)
         self.choosy = self.tokens.choosy | self._finishing | self._to_commands
+        beginning = (i for i in free if self.transitions[i].symbol and self.transitions[i].symbol_of is None)
+        self.begins = frozenset(beginning)
+        self.held: set[int] = set()
         reading = [t for t in self.transitions if t.symbol is not None]
         self.expires = {t.symbol: t.symbol_expires for t in reading if t.symbol and t.symbol_expires is not None}
         self._words = frozenset(t.symbol for t in reading if t.symbol_of is ReadFor.COMMAND)
+        shown = [place for place in self.net.places.values() if place.object_scope is ObjectScope.GLOBAL]
+        self.shared_objects = frozenset(place.data_object for place in shown if place.data_object)
         emitted = {each for transition in self.transitions for each in transition.emit}
         self._answered = {s for s in self.readers if any(ends(each, s) is not None for each in emitted)}
         self.call: tuple[int, float] | None = None
@@ -157,6 +192,10 @@ class FiringRule:
                 self.cancel(self.ledger.of_command(command_id), error)
             case RequestCancelled(request_id, error):
                 self.cancel(self.ledger.of_request(request_id), error)
+            case CommandHeld(command_id, True):
+                self.held.add(command_id)
+            case CommandHeld(command_id, False):
+                self.held.discard(command_id)
             case GuardBroke(number, error):
                 self._open_job(number).last_failure = error
             case JobForgotten(number, error):
@@ -174,6 +213,9 @@ class FiringRule:
         owners = self.owners(index)
         if number is None:  # a journal of before may tell of a firing that took what belongs to several
             self.fire(index, owners[0] if owners else max(self.tokens.jobs(index), key=lambda job: job.number))
+            return
+        if number == 0 and index in self.begins:  # a journal of before, when the oldest of a symbol was read
+            self.fire(index, None)
             return
         if number not in [owner.number if owner is not None else 0 for owner in owners]:
             raise ValueError(f"{name} is not enabled for job {number}")
@@ -230,6 +272,8 @@ class FiringRule:
         self.notifier.flush()
         self.ledger.close(job, error)
         self.tokens.disown(job)
+        if job.command.id in self.held and all(each.command.id != job.command.id for each in self.ledger.jobs()):
+            self.held.discard(job.command.id)
         for word in self.ledger.tape.waiting() if self._words else ():
             address = word.arguments.get(ADDRESS)
             if word.symbol in self._words and address is not None and not self._under_way(address):
@@ -307,20 +351,50 @@ class FiringRule:
     # Firing.
 
     def withdraw(self, name: str) -> None:
-        """Moves the tokens of a data object that has lost its validity."""
+        """Moves the tokens of a data object that has lost its validity: those of the command whose object it is.
+
+        Args:
+            name: Its name in the DOM.
+        """
         for place in self.net.places.values():
-            if place.data_object == name and place.on_invalid:
+            if place.data_object is not None and place.on_invalid:
                 index = self.number[f"{place.name}.withdrawn"]
                 while self.enabling.tokens[self.place[place.name]]:
-                    self.fire(index, self.owners(index)[0])
+                    of_it = [job for job in self.owners(index) if self.object_name(place.data_object, job) == name]
+                    if not of_it:
+                        break
+                    self.fire(index, of_it[0])
+
+    def shown_objects(self) -> set[str]:
+        """Returns the data objects whose loss of validity would move a token now, by their names in the DOM."""
+        shown: set[str] = set()
+        for place in self.net.places.values():
+            number = self.place[place.name]
+            if place.data_object is not None and place.on_invalid and self.enabling.tokens[number]:
+                jobs = {lineage.job for lineage in self.tokens.queues.get(number, (NO_LINEAGE,))}
+                shown.update(self.object_name(place.data_object, job) for job in jobs)
+        return shown
+
+    def object_name(self, name: str, job: Job | None) -> str:
+        """Returns the name in the DOM of a data object that a place names, for a token of a job."""
+        command, arguments = (NO_COMMAND, {}) if job is None else (job.command, job.arguments)
+        return object_name(filled_name(name, arguments), scope_of(self.net.name, command), self.shared_objects)
 
     def owners(self, index: int) -> Sequence[Job | None]:
-        """Returns for whom a transition that its arcs enable can fire, oldest token first; None: for nobody."""
+        """Returns for whom a transition that its arcs enable can fire, oldest first; None: for nobody.
+
+        That is a job that has tokens there, or, where tokens of nobody and a symbol begin one, a job on the tape.
+        """
         owners = self.tokens.owners(index)
         if index in self._finishing:
-            return [owner for owner in owners if owner is None or owner is self.ledger.serving]
-        if index in self._to_commands:
-            return [owner for owner in owners if owner is not None and self._symbol_for(index, owner) is not None]
+            owners = [owner for owner in owners if owner is None or owner.number in self.ledger.serving]
+        elif index in self._to_commands:
+            owners = [owner for owner in owners if owner is not None and self._symbol_for(index, owner) is not None]
+        elif index in self.begins:
+            waiting = self.ledger.tape.of_symbol(self.transitions[index].symbol or "")
+            owners = [each for owner in owners for each in (waiting if owner is None else (owner,))]
+        if self.held and index not in self._withdrawing:
+            owners = [owner for owner in owners if owner is None or owner.command.id not in self.held]
         return owners
 
     def _symbol_for(self, index: int, owner: Job | None) -> Job | None:
@@ -333,9 +407,8 @@ class FiringRule:
 
     def foreseen(self, index: int, owner: Job | None) -> Lineage:
         """Returns what a firing for a job would go on with: where the tokens are of nobody, the command it reads."""
-        transition = self.transitions[index]
-        if owner is None and transition.symbol is not None and transition.symbol_of is None:
-            return Lineage(self._symbol_for(index, None), None)
+        if owner is not None and owner.waiting:
+            return Lineage(owner, None)
         return self.tokens.peek_inputs(index, owner)
 
     def fire(self, index: int, owner: Job | None) -> Activity | None:
@@ -343,20 +416,24 @@ class FiringRule:
 
         Args:
             index: Its number.
-            owner: Whose tokens it takes, one of :meth:`owners`.
+            owner: Whose tokens it takes, or whom it reads from the tape with tokens of nobody, one of :meth:`owners`;
+                None: tokens of nobody, and the oldest of its symbol.
 
         Returns:
             The action that is now to begin, for ``t.start``.
         """
         transition = self.transitions[index]
         if self.record is not None:
-            first = not self.tokens.queues or owner is self.owners(index)[0]
+            first = owner is None and not self.tokens.queues
+            first = first or owner is next(iter(self.owners(index)), None)
             number = None if first else owner.number if owner is not None else 0
             self.record(TransitionFired(transition.name, number))
-        lineage = self.tokens.take_inputs(index, owner)
         word: Job | None = None
+        if owner is not None and owner.waiting:
+            word, owner = owner, None
+        lineage = self.tokens.take_inputs(index, owner)
         if transition.symbol is not None:
-            word = self._symbol_for(index, owner)
+            word = word or self._symbol_for(index, owner)
             assert word is not None
             self.ledger.tape.withdraw(word)
             self.consider_readers(transition.symbol)
@@ -375,17 +452,19 @@ class FiringRule:
             case Role.START:
                 return self.begin(index, lineage, transition.symbol or "")
             case Role.ACCEPT:
-                self.ledger.serving = lineage.job
+                if lineage.job is not None:
+                    self.ledger.serving[lineage.job.number] = lineage.job
                 lineage = Lineage(lineage.job, None)
             case Role.FINISH:
-                lineage = Lineage(self.ledger.serving, None)
+                lineage = Lineage(self._served(lineage.job), None)
             case Role.FINISH_FAILED:
-                passed_on = failure_of(self.ledger.serving, transition, lineage.failure)
-                lineage = Lineage(self.ledger.serving, passed_on)
+                served = self._served(lineage.job)
+                passed_on = failure_of(served, transition, lineage.failure)
+                lineage = Lineage(served, passed_on)
             case Role.RETURN if lineage.job is not None:
                 self.close(lineage.job, lineage.failure)
             case Role.WITHDRAWN:
-                name = self.net.places[transition.origin].data_object
+                name = self.object_name(self.net.places[transition.origin].data_object or "", lineage.job)
                 passed_on = ImError(f"data object {name} lost its validity", code="data", object=name)
                 if lineage.job is not None:
                     lineage.job.last_failure = passed_on
@@ -395,6 +474,12 @@ class FiringRule:
         self.notifier.note(transition.name, Phase.END, lineage, symbol=symbol, message=message)
         self.emit(transition, lineage)
         return None
+
+    def _served(self, job: Job | None) -> Job | None:
+        """Takes the request that a firing answers from those in service: the oldest, where its tokens are nobody's."""
+        serving = self.ledger.serving
+        number = job.number if job is not None else next(iter(serving), 0)
+        return serving.pop(number, None)
 
     def begin(self, index: int, lineage: Lineage, symbol: str) -> Activity:
         """Marks ``t.active`` for tokens that were taken; returns the action that is to begin."""
@@ -424,7 +509,8 @@ class FiringRule:
         transition, places = self.transitions[index], self.net.places
         assert transition.action is not None
         end = self.net.transitions[f"{transition.origin}.end"]
-        objects = tuple(found for place in end.outputs if (found := places[place].data_object) is not None)
+        named = [found for place in end.outputs if (found := places[place].data_object) is not None]
+        objects = tuple(self.object_name(found, lineage.job) for found in named)
         name, action = transition.origin, transition.action
         return Activity(number, self.net.name, name, action, lineage, self.clock(), objects=objects)
 
@@ -458,12 +544,14 @@ class FiringRule:
         Args:
             activity: One of :attr:`activities`.
             error: Why it failed, None if it has confirmed; of code ``in_doubt`` where nobody can tell.
-            results: Results of a request.
+            results: Results of a request, or what is kept of another answer.
 
         Returns:
             Why it failed after all.
         """
         job, data = activity.lineage.job, None
+        if job is not None and hands_on(activity):
+            job.results.update(results)
         if job is not None and self.record is not None:
             try:
                 data = changed_data(job)
@@ -487,8 +575,8 @@ class FiringRule:
         job, index = activity.lineage.job, self.number[name]
         if job is not None and error is not None:
             job.last_failure = error
-        elif job is not None and isinstance(activity.action, RequestAction):
-            job.replies[activity.transition] = results
+        elif job is not None and (results or isinstance(activity.action, RequestAction)):
+            job.replies[self.answering(activity)] = results
         self._leave(activity)
         lineage = Lineage(job, error)
         self._give(index, lineage)
@@ -503,6 +591,10 @@ class FiringRule:
         )
         self.emit(transition, lineage)
 
+    def answering(self, activity: Activity) -> str:
+        """Returns the transition as whose answer that of an action counts: of a further try, the first one."""
+        return self.transitions[self.number[f"{activity.transition}.start"]].retry_of or activity.transition
+
     def _leave(self, activity: Activity) -> None:
         self.enabling.take_tokens(self.place[_PHASE_PLACES[activity.state](activity.transition)], 1)
 
@@ -513,3 +605,11 @@ class FiringRule:
         self.tokens.give_outputs(index, lineage)
         for target, count in self.transitions[index].remote_outputs.items():
             self.outlet.send_token(self.net.name, target, count)
+
+
+def hands_on(activity: Activity) -> bool:
+    """Whether an action asks another net for the very command that it works for: what comes back is its result."""
+    job = activity.lineage.job
+    if job is None or job.request is not None or not isinstance(activity.action, RequestAction):
+        return False
+    return activity.action.service == job.command.symbol

@@ -1,17 +1,25 @@
-"""Registered actions and guards, and what they are told when called. A net names them; nothing is evaluated."""
+"""Functions that nets name, by a registered name or as ``module:function``, and what they are told when called."""
 
 import inspect
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Container, Mapping, MutableMapping
+from typing import Any
 
-from im_core.errors import ImError, nearest
+from im_core import plugins
+from im_core.errors import ConfigError, ImError, nearest
 from im_pnt.errors import NetError, NetFileError
 from im_pnt.execution.events import Answer, Outcome
-from im_pnt.execution.jobs import NO_COMMAND, NO_LINEAGE, Activity, Command, Lineage
-from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.execution.jobs import NO_COMMAND, NO_LINEAGE, Activity, Command, Lineage, object_name, scope_of
+from im_pnt.execution.values import NetValues
+from im_pnt.expression.errors import ExpressionError
+from im_pnt.expression.scope import read_objects
+from im_pnt.expression.template import OPENS
 from im_pnt.model.net import Net, Transition
 
 ProgressSink = Callable[[Lineage, str, float], None]
+JsonObject = dict[str, object]
+Plain = object
+"""A value of JSON, perhaps with expressions in it."""
 
 
 class ActionContext:
@@ -25,7 +33,18 @@ class ActionContext:
         used: Whether something is in it that the next call of a function must not find.
     """
 
-    __slots__ = ("_activity", "_begun", "_lineage", "_own", "_progress", "net", "transition", "used")
+    __slots__ = (
+        "_activity",
+        "_begun",
+        "_lineage",
+        "_own",
+        "_progress",
+        "_shared",
+        "_values",
+        "net",
+        "transition",
+        "used",
+    )
 
     def __init__(
         self,
@@ -35,6 +54,8 @@ class ActionContext:
         activity: Activity | None = None,
         progress: ProgressSink | None = None,
         begun: Callable[[], Activity | None] | None = None,
+        shared: Container[str] = (),
+        values: NetValues | None = None,
     ) -> None:
         self.net = net
         self.transition = transition
@@ -43,6 +64,8 @@ class ActionContext:
         self._activity = activity
         self._begun = begun
         self._progress = progress
+        self._shared = shared
+        self._values = values
         self._own: dict[str, dict[str, object]] = {}
 
     @property
@@ -50,6 +73,15 @@ class ActionContext:
         """Command of the tape it is done for; id 0 where there is none."""
         job = self._lineage.job
         return job.command if job is not None else NO_COMMAND
+
+    def object(self, name: str) -> str:
+        """Returns the name in the DOM of a data object of the command it is done for.
+
+        Args:
+            name: Name among the objects of the command, as other nets that work for it call it, too; that of an
+                object of the machine has ``/`` before it, or a place of the net declares it to be global.
+        """
+        return object_name(name, scope_of(self.net, self.command), self._shared)
 
     @property
     def failure(self) -> ImError | None:
@@ -63,25 +95,28 @@ class ActionContext:
         return job.last_failure if job is not None else self._lineage.failure
 
     @property
-    def request_arguments(self) -> dict[str, object]:
+    def request_arguments(self) -> JsonObject:
         """Arguments of the request in work, or of the command."""
         job = self._lineage.job
         return job.arguments if job is not None else self._private("arguments")
 
     @property
-    def result(self) -> dict[str, object]:
+    def result(self) -> JsonObject:
         """What the caller gets in the end; write into it."""
         job = self._lineage.job
         return job.results if job is not None else self._private("results")
 
     @property
-    def replies(self) -> dict[str, dict[str, object]]:
-        """Results of requests made earlier for the same job, by transition."""
+    def replies(self) -> dict[str, JsonObject]:
+        """What actions done earlier for the same job were answered, by transition.
+
+        That is the results of requests, and of other answers the fields that some expression of the net reads.
+        """
         job = self._lineage.job
         return job.replies if job is not None else {}
 
     @property
-    def memory(self) -> dict[str, object]:
+    def memory(self) -> JsonObject:
         """What the actions of a command or request keep for each other; plain JSON data, never sent to the caller."""
         job = self._lineage.job
         return job.memory if job is not None else self._private("memory")
@@ -109,11 +144,58 @@ class ActionContext:
         if self._progress is not None:
             self._progress(self._lineage, text, fraction)
 
+    def value(self, root: str, name: str) -> Plain:
+        """Returns what an expression calls ``arguments.NAME``, ``answers.NAME``, ``failure.NAME`` or ``command.NAME``.
+
+        Raises:
+            ExpressionError: It is not there.
+        """
+        failure, command = self.failure, self.command
+        match root, name:
+            case "arguments", _:
+                known, why = self.request_arguments, "it was not given"
+            case "answers", _:
+                known, why = dict(self.replies), "there is no answer for this command yet"
+            case "failure", "code" | "message":
+                return "" if failure is None else failure.code if name == "code" else failure.message
+            case "command", "id" | "symbol":
+                return command.id if name == "id" else command.symbol
+            case _:
+                known, why = {}, "there is none"
+        if name not in known:
+            raise ExpressionError(f"{root}.{name}: {why}")
+        return known[name]
+
+    @property
+    def answer_ways(self) -> tuple[tuple[str, ...], ...]:
+        """Which fields of the answer to this transition are to be kept, as ways to them."""
+        return () if self._values is None else self._values.ways(self.transition)
+
+    async def filled(self, value: Plain) -> Plain:
+        """Returns a value of the net file with its expressions replaced by their values.
+
+        Raises:
+            ImError: One has no value.
+        """
+        return value if self._values is None else await self._values.fill(value, self)
+
+    def filled_now(self, value: Plain) -> Plain:
+        """Returns the same as :meth:`filled`, for a value that reads no data object."""
+        return value if self._values is None else self._values.fill_now(value, self)
+
+    def holds(self, condition: str, answer: Mapping[str, Plain]) -> bool:
+        """Whether a condition ``${...}`` of the net file holds if this transition is answered so.
+
+        Raises:
+            ImError: It has no value.
+        """
+        return self._values is None or self._values.fill_now(condition, self, answer) is True
+
     def bind(self, activity: Activity | None) -> None:
         """Gives it the action that it speaks of."""
         self.used, self._activity = True, activity
 
-    def _private(self, what: str) -> dict[str, object]:
+    def _private(self, what: str) -> JsonObject:
         self.used = True
         return self._own.setdefault(what, {})
 
@@ -214,39 +296,56 @@ class Functions:
 
     def sources(self, guard: str) -> frozenset[str] | None:
         """Returns what wakes a guard, None where it does not say."""
+        if OPENS in guard:
+            return frozenset(f"data:{name}" for name in read_objects(guard))
         declared: frozenset[str] | None = getattr(self.guards[guard], _WOKEN_BY, None)
         return declared
 
     def wakes(self, net: Net) -> frozenset[str]:
-        """Returns what wakes the guards of a net."""
-        return frozenset(source for guard in net.guards() for source in self.sources(guard) or ())
+        """Returns what wakes the registered guards of a net."""
+        named = (guard for guard in net.guards() if OPENS not in guard)
+        return frozenset(source for guard in named for source in self.sources(guard) or ())
+
+    def guards_of(self, net: Net) -> dict[str, GuardFunction]:
+        """Returns the guards that a net names, registered or expressions."""
+        return {name: self.guards.get(name) or _expression_guard(name) for name in net.guards()}
 
     def check(self, net: Net) -> None:
-        """Checks that every function a net names is registered.
+        """Checks that every function a net names is registered; those named ``module:function`` are imported.
 
         Raises:
-            NetFileError: One is not; names file, line and the nearest right name.
+            NetFileError: One is not there; names file, line and the nearest right name.
         """
         for transition in net.transitions.values():
-            if transition.guard and transition.guard.name not in self.guards:
-                raise _missing(net, transition, "guard", transition.guard.name, self.guards)
-            match transition.action:
-                case FunctionAction(function):
-                    names = [function]
-                case ServiceAction(build=build, handle=handle) | GoalAction(build=build, handle=handle):
-                    names = [name for name in (build, handle) if name]
-                case RequestAction(build=build) | TopicAction(build=build) if build:
-                    names = [build]
-                case _:
-                    names = []
-            for name in names:
-                if name not in self.actions:
-                    raise _missing(net, transition, "action", name, self.actions)
+            if transition.guard and OPENS not in transition.guard.name:
+                _find(net, transition, "guard", transition.guard.name, self.guards)
+            for name in transition.action.functions if transition.action else ():
+                _find(net, transition, "action", name, self.actions)
 
 
-def _missing(net: Net, transition: Transition, kind: str, name: str, known: Mapping[str, object]) -> NetFileError:
-    return NetFileError(
-        net.source,
-        transition.line,
-        f"transitions.{transition.name}: no {kind} function '{name}' is registered{nearest(name, known)}",
-    )
+def _find(
+    net: Net, transition: Transition, kind: str, name: str, known: MutableMapping[str, Callable[..., Any]]
+) -> None:
+    """Sees to it that a function is among those that are known."""
+    if name in known:
+        return
+    if ":" not in name:
+        sentence = f"no {kind} function '{name}' is registered{nearest(name, known)}"
+        raise NetFileError(net.source, transition.line, f"transitions.{transition.name}: {sentence}")
+    try:
+        found = plugins.load(name, None, f"{kind} function")
+        if not callable(found):
+            raise ConfigError(f"{kind} function '{name}' is a {type(found).__name__}, which cannot be called")
+    except ConfigError as error:
+        sentence = f"transitions.{transition.name}: {error.message}"
+        raise NetFileError(net.source, transition.line, sentence) from error
+    known[name] = found
+
+
+def _expression_guard(text: str) -> GuardFunction:
+    """Returns the guard that an expression is."""
+
+    def guard(context: ActionContext) -> bool:
+        return context.filled_now(text) is True
+
+    return guard

@@ -1,8 +1,9 @@
 """What a net works for: commands of the tape and requests of other nets; and the actions it has running for them."""
 
 import enum
+import re
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,14 +20,45 @@ class Command:
         id: Number of the command, 0 where there is none.
         symbol: Its symbol.
         arguments: What it was given.
+        priority: Larger goes first, where commands wait for the same.
+        scope: Begins the names of its data objects, ``<node>/<life of the node>-<id>``: no other command has the same,
+            also after a restart. Empty: :func:`scope_of` gives one.
     """
 
     id: int = 0
     symbol: str = ""
     arguments: dict[str, object] = field(default_factory=dict)
+    priority: int = 0
+    scope: str = ""
 
 
 NO_COMMAND = Command()
+
+
+def scope_of(net: str, command: Command) -> str:
+    """Returns what the names of a command's data objects begin with; ``<net>/0`` for what a net does for nobody."""
+    return command.scope or f"{net}/{command.id}"
+
+
+_ARGUMENT = re.compile(r"\$\{arguments\.(\w+)\}")
+
+
+def filled_name(name: str, arguments: Mapping[str, object]) -> str:
+    """Returns the name of a data object with the values of arguments that it says: ``path/${arguments.group}``."""
+    return _ARGUMENT.sub(lambda match: str(arguments.get(match[1], match[0])), name) if "$" in name else name
+
+
+def object_name(name: str, scope: str, shared: Container[str]) -> str:
+    """Returns the name of a data object in the DOM.
+
+    Args:
+        name: What nets and requests call it; with ``/`` before it, one of the machine: ``/calibration``.
+        scope: Of the command that it belongs to, see :func:`scope_of`.
+        shared: Names that the net has declared to be of the machine.
+    """
+    if name.startswith("/"):
+        return name[1:]
+    return name if name in shared else f"{scope}/{name}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +118,7 @@ class Job:
         arguments: Arguments of the command, or of the request.
         request: The request, for a job that another net asked for.
         results: What is returned in the end; actions write it.
-        replies: Results of the requests made for this job, by transition.
+        replies: What actions done for this job were answered, by transition: results of requests, kept fields.
         memory: What its actions keep for each other; never sent to the caller.
         last_failure: The last failure of an action done for it.
         progress: Progress 0..1, negative where unknown.
@@ -154,7 +186,7 @@ class Reply(NamedTuple):
 
     Attributes:
         error: Why it failed, None if it has not.
-        results: Results of a request.
+        results: Results of a request, or what is kept of another answer.
     """
 
     error: ImError | None
@@ -176,6 +208,7 @@ class Activity:
         objects: Data objects that must be valid when it has succeeded.
         state: How far it is.
         cancelled: Whether it was asked to end early.
+        concluded: Whether what its transition returns and stores has been.
         checked: Whether the data objects have been looked at.
         reply: How it has ended, when that is known and the net has not yet fired.
         doubt: Why it is in doubt, None if it is not.
@@ -194,6 +227,7 @@ class Activity:
     objects: tuple[str, ...] = ()
     state: ActivityState = ActivityState.ACTIVE
     cancelled: bool = False
+    concluded: bool = False
     checked: bool = False
     reply: Reply | None = None
     doubt: ImError | None = None
@@ -263,13 +297,13 @@ class Ledger:
 
     Attributes:
         tape: The input tape.
-        serving: Request that holds the input semaphore SI.
+        serving: Requests that hold the input semaphore SI, by their numbers, the oldest first.
         count: Jobs entered so far; the number of the last one.
     """
 
     def __init__(self) -> None:
         self.tape = InputTape()
-        self.serving: Job | None = None
+        self.serving: dict[int, Job] = {}
         self.count = 0
         self._open: dict[int, Job] = {}
 
@@ -286,8 +320,7 @@ class Ledger:
     def close(self, job: Job, error: ImError | None) -> None:
         """Ends a job and tells whoever waits for it."""
         self._open.pop(job.number, None)
-        if self.serving is job:
-            self.serving = None
+        self.serving.pop(job.number, None)
         job.close(error)
 
     def __len__(self) -> int:

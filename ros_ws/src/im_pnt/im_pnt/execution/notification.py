@@ -244,9 +244,11 @@ class Notifier:
 
 
 def failure_of(job: Job | None, transition: Transition, failure: ImError | None = None) -> ImError:
-    """Why a job failed: the failure at hand, the last one of the job, or only where it ended."""
+    """Why a job failed: the failure at hand, the last one of the job, its ``message``, or only where it ended."""
     if failure is not None:
         return failure
     if job is not None and job.last_failure is not None:
         return job.last_failure
+    if job is not None and (told := str(job.results.get("message", ""))):
+        return ImError(told, code="net", transition=transition.name)
     return ImError(f"the net ended it at transition {transition.name}", code="net", transition=transition.name)

@@ -22,6 +22,7 @@ from im_core.errors import ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.events import (
     CommandCancelled,
+    CommandHeld,
     CommandWritten,
     ModeSet,
     PauseSet,
@@ -104,6 +105,7 @@ NetEntry = (
     | EndFired
     | CommandWritten
     | CommandCancelled
+    | CommandHeld
     | RequestArrived
     | RequestCancelled
     | TokenArrived

@@ -2,10 +2,11 @@
 
 Of a net, ``["net", name, entry]``::
 
-    ["command", id, symbol, arguments]                 a command on the input tape
-    ["request", [id, net, service, caller_node, caller_net, caller_transition, [id, symbol, arguments], arguments]]
+    ["command", id, symbol, arguments, priority, scope]    a command on the input tape; both only where it has them
+    ["request", [id, net, service, caller_node, caller_net, caller_transition, command, arguments]]
     ["token", place, count]                            tokens of another net
     ["cancel", id | null, error]                       a command, or everything, should end early
+    ["hold", id, bool]                                 nothing more is begun for a command, or it goes on
     ["request_cancelled", request, error]              so should a request
     ["ended", number, error | null, results]           an action has ended
     ["mode", name]  ["pause", bool]                    how the net is operated
@@ -64,6 +65,7 @@ from im_pnt.distributed.streams import (
 from im_pnt.errors import NetError, decode_error, encode_error
 from im_pnt.execution.events import (
     CommandCancelled,
+    CommandHeld,
     CommandWritten,
     ModeSet,
     PauseSet,
@@ -146,6 +148,8 @@ def _net_fields(entry: NetEntry) -> list[object]:
             return ["command", *encode_command(job.command)]
         case CommandCancelled(command_id, error):
             return ["cancel", command_id, encode_error(error)]
+        case CommandHeld(command_id, held):
+            return ["hold", command_id, held]
         case ModeSet(mode):
             return ["mode", mode.value]
         case PauseSet(paused):
@@ -179,6 +183,8 @@ def decode_net_entry(content: object) -> NetEntry:
                 return CommandWritten(Job(command, command.arguments))
             case ["cancel", None | int() as number, error]:
                 return CommandCancelled(number, _reason(error))
+            case ["hold", int(number), bool(held)]:
+                return CommandHeld(number, held)
             case ["mode", str(mode)]:
                 return ModeSet(Mode(mode))
             case ["pause", bool(paused)]:
@@ -261,16 +267,24 @@ def encode_command(command: Command) -> list[object]:
     Raises:
         NetError: JSON cannot carry its arguments.
     """
-    return [command.id, command.symbol, plain(command.arguments, f"the arguments of command {command.symbol}")]
+    arguments = plain(command.arguments, f"the arguments of command {command.symbol}")
+    fields: list[object] = [command.id, command.symbol, arguments]
+    return [*fields, *(each for each in (command.priority, command.scope) if each)]
 
 
 def decode_command(content: object) -> Command:
-    """Reads a command.
+    """Reads a command; a journal of before, when data objects had no scopes, says none.
 
     Raises:
         ValueError: It is none.
     """
     match content:
+        case [int(number), str(symbol), dict(arguments), int(priority), str(scope)]:
+            return Command(number, symbol, arguments, priority, scope)
+        case [int(number), str(symbol), dict(arguments), int(priority)]:
+            return Command(number, symbol, arguments, priority)
+        case [int(number), str(symbol), dict(arguments), str(scope)]:
+            return Command(number, symbol, arguments, scope=scope)
         case [int(number), str(symbol), dict(arguments)]:
             return Command(number, symbol, arguments)
     raise ValueError(f"{str(content)[:200]} is no command")

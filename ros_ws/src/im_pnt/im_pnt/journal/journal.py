@@ -12,12 +12,13 @@ import hashlib
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 
+from im_core import clock
 from im_core.errors import ImError
 from im_pnt.distributed.exchange import Exchange, ExchangeEntry
 from im_pnt.distributed.link import Link
 from im_pnt.distributed.packets import new_epoch
 from im_pnt.distributed.streams import LinkEntry
-from im_pnt.errors import JournalError, NetError
+from im_pnt.errors import DamagedJournalError, JournalError, NetError
 from im_pnt.execution.actions import ActionOwner, Runner
 from im_pnt.execution.functions import ActionContext, ActionFunction
 from im_pnt.execution.jobs import Activity
@@ -32,12 +33,15 @@ from im_pnt.journal.codec import (
     net_encoder,
 )
 from im_pnt.journal.folder import Files, Folder
-from im_pnt.journal.log import DISCARD, Log, Recovered, Sync, discard, encode_json
+from im_pnt.journal.log import DISCARD, Log, Recovered, Sync, discard, encode_json, set_aside
 from im_pnt.journal.state import exchange_state, link_state, net_state, restore_exchange, restore_link, restore_net
 from im_pnt.model.action import Action, RequestAction
-from im_pnt.model.net import Net
+from im_pnt.model.net import Net, ObjectScope
 
 COMPACT_BYTES = 8_000_000
+COMPACT_SOON_BYTES, COMPACT_PERIOD_S = 256_000, 60.0
+"""Above so many bytes a file is begun anew when it is so old: what is on the disk stays level soon, and a net that
+fires as fast as it can does not wait for the disk all the time."""
 _FIRINGS = frozenset((TransitionFired, EndFired))
 
 
@@ -48,15 +52,16 @@ class Journal:
         files: The folder, by its path, or what stands for one.
         node: Name of the process.
         sync: When a record counts as written.
-        compact_bytes: Size of the file above which a new one is begun with a snapshot [bytes].
-        observer: Is told of a last record that was not written whole.
+        compact_bytes: Size of the file above which a new one is begun with a snapshot, however young it is [bytes].
+        observer: Is told of a last record that was not written whole, and of a journal that was set aside.
 
     Attributes:
         found: Nets in the journal that was found, with the files they came from; empty if there was none.
         epoch: Incarnation of the process, for its exchange and its link.
+        lost: Why what was journalled is forgotten, a clause; empty if it is not.
 
     Raises:
-        JournalError: Another process uses it, it cannot be read, it is damaged, or it belongs to another node.
+        JournalError: Another process uses it, it cannot be read, or it belongs to another node.
     """
 
     def __init__(
@@ -75,13 +80,15 @@ class Journal:
         self._link: Link | None = None
         self._entries: list[str] = []
         self._described: dict[str, tuple[Net, dict[str, str]]] = {}
-        self._compact_at = compact_bytes
+        self._compact_at = self._compact_soon = compact_bytes
+        self._compacted_at = clock.monotonic()
         self.epoch = new_epoch()
         self.found: dict[str, str] = {}
+        self.lost = ""
         self._files.lock()
         try:
             self._log = Log(self._files, sync)
-            self._recovered = self._log.recover()
+            self._recovered = self._recover()
             if self._recovered is not None:
                 self._look_at(self._recovered)
         except JournalError:
@@ -136,6 +143,22 @@ class Journal:
                 executor.resume()
         self.compact()
         return recovered is not None
+
+    def _recover(self) -> Recovered | None:
+        """What the folder holds. A damaged journal is kept beside, and this process begins as if there had been none.
+
+        The others learn from the new life of this process that it has forgotten what they asked each other.
+        """
+        try:
+            return self._log.recover()
+        except DamagedJournalError as error:
+            aside = set_aside(self._files, "damaged")
+            self.lost = f"the journal of {self._node} was damaged, and what it told is forgotten"
+            self._observer.forgot(
+                f"{error.message}; it is kept in {self._files.name}/{aside}, and {self._node} begins anew: "
+                "its commands are forgotten"
+            )
+            return None
 
     def _look_at(self, recovered: Recovered) -> None:
         """Reads the header, and tells of a last record that was not written whole."""
@@ -208,12 +231,14 @@ class Journal:
         self.write()
         assert self._link is not None
         self._link.flush()
-        if self._log.size > self._compact_at:
+        size = self._log.size
+        old = size > self._compact_soon and clock.monotonic() - self._compacted_at > COMPACT_PERIOD_S
+        if old or size > self._compact_at:
             try:
                 self.compact()
             except (NetError, JournalError) as error:
                 # an action that runs holds what JSON cannot carry, or the disk is full; both may be over later
-                self._compact_at = 2 * self._log.size
+                self._compact_at = self._compact_soon = 2 * size
                 self._observer.troubled("", f"the journal is not compacted now: {error}")
 
     def compact(self) -> None:
@@ -230,6 +255,8 @@ class Journal:
         self._log.replace(self._header(), state)
         self._entries.clear()  # the snapshot has all that has happened
         self._compact_at = max(self._compact_bytes, 4 * self._log.size)
+        self._compact_soon = max(min(COMPACT_SOON_BYTES, self._compact_bytes), 4 * self._log.size)
+        self._compacted_at = clock.monotonic()
 
     def close(self) -> None:
         """Writes what has happened, and gives the folder back."""
@@ -358,9 +385,24 @@ def _replay(entry: object, exchange: Exchange, link: Link) -> None:
 
 # Whether a journal belongs to a net.
 
-_UNIMPORTANT = ("line", "source", "description")
-_ADDED = ("resource", "symbol_of", "symbol_expires")
-"""Fields that nets have not always had: where they say nothing, a net is what it was without them."""
+_UNIMPORTANT = ("line", "source", "description", "marks")
+_ADDED: Mapping[str, object] = {
+    "resource": None,
+    "symbol_of": None,
+    "symbol_expires": None,
+    "retry_of": None,
+    "until": None,
+    "object_type": None,
+    "object_scope": ObjectScope.COMMAND,
+    "arguments": None,
+    "commands": {},
+    "assume": {},
+    "at_once": 1,
+    "result": {},
+    "store": {},
+    "acts_on": (),
+}
+"""Fields that nets have not always had, with what says nothing: then a net is what it was without them."""
 
 
 def fingerprint(net: Net) -> str:
@@ -384,7 +426,10 @@ def _plain(value: object) -> object:
     names = _fields(kind)
     if names:
         fields = {name: getattr(value, name) for name in names}
-        said = {name: _plain(each) for name, each in fields.items() if each is not None or name not in _ADDED}
+        added = dict(_ADDED)
+        if fields.get("data_object") is not None:
+            del added["object_scope"]  # every data object was one of the machine
+        said = {name: _plain(each) for name, each in fields.items() if name not in added or each != added[name]}
         return [kind.__name__, said]
     return repr(value)
 

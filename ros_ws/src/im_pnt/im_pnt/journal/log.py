@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from im_core.clock import stamp_name
-from im_pnt.errors import JournalError
+from im_pnt.errors import DamagedJournalError, JournalError
 from im_pnt.journal.folder import Files, Growing
 
 FORMAT = "im_pnt journal"
@@ -90,7 +90,7 @@ def scan(data: bytes, file: str) -> Scan:
         file: Its name, for messages.
 
     Raises:
-        JournalError: A record is damaged; names file, offset and number of the record.
+        DamagedJournalError: A record is damaged; names file, offset and number of the record.
     """
     records: list[Record] = []
     offset, checksum = 0, 0
@@ -100,12 +100,8 @@ def scan(data: bytes, file: str) -> Scan:
         why = _damage(line, checksum, torn=end < 0)
         if why:
             number = len(records) + 1
-            raise JournalError(
-                f"{file}: record {number} at byte {offset} is damaged: {why}; nothing was started. "
-                f"Restore the file, or {DISCARD}",
-                file=file,
-                offset=offset,
-                record=number,
+            raise DamagedJournalError(
+                f"{file}: record {number} at byte {offset} is damaged: {why}", file=file, offset=offset, record=number
             )
         if end < 0:
             return Scan(tuple(records), offset, checksum, len(line))
@@ -194,7 +190,8 @@ class Log:
             What was found; None if there is no log yet: begin with :meth:`replace`.
 
         Raises:
-            JournalError: It cannot be read, is damaged, or was written by another version.
+            DamagedJournalError: It is damaged.
+            JournalError: It cannot be read, or was written by another version.
         """
         try:
             name = _newest(self._files)
@@ -338,15 +335,33 @@ def discard(files: Files, stamp: Callable[[], str] = stamp_name) -> str | None:
     """
     files.lock()
     try:
+        return set_aside(files, "discarded", stamp)
+    finally:
+        files.unlock()
+
+
+def set_aside(files: Files, why: str, stamp: Callable[[], str] = stamp_name) -> str | None:
+    """Moves a journal aside; nothing is deleted.
+
+    Args:
+        files: Its folder, locked by this process, which has none of its files open.
+        why: A word, with which the name of the folder begins where it is kept.
+        stamp: Names the time.
+
+    Returns:
+        Name of that folder; None if there is no journal.
+
+    Raises:
+        JournalError: It cannot be moved.
+    """
+    try:
         names = [name for name in files.names() if _NAME.fullmatch(name)]
         if not names:
             return None
-        aside = f"discarded-{stamp()}-{names[-1].partition('.')[0]}"
+        aside = f"{why}-{stamp()}-{names[-1].partition('.')[0]}"
         files.move_aside(names, aside)
     except OSError as error:
         raise JournalError(f"{files.name}: the journal cannot be moved aside: {error}", file=files.name) from error
-    finally:
-        files.unlock()
     return aside
 
 
@@ -365,9 +380,9 @@ def _parse(found: Scan, file: str) -> Recovered:
     contents = [_loads(record, file) for record in records]
     header, state = contents[0], contents[1]
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise _bad(file, 1, 0, f"its header is not one of an {FORMAT}")
+        raise _foreign(file, f"its header is not one of an {FORMAT}")
     if header.get("version") != VERSION:
-        raise _bad(file, 1, 0, f"it has version {header.get('version')!r}, and version {VERSION} is read here")
+        raise _foreign(file, f"it has version {header.get('version')!r}, and version {VERSION} is read here")
     if not isinstance(state, dict):
         raise _bad(file, 2, records[1].offset, "the snapshot is not a JSON object")
     batches: list[tuple[Record, list[object]]] = []
@@ -385,11 +400,14 @@ def _loads(record: Record, file: str) -> object:
         raise _bad(file, record.number, record.offset, f"it is not JSON: {error}") from error
 
 
-def _bad(file: str, number: int, offset: int, why: str) -> JournalError:
+def _bad(file: str, number: int, offset: int, why: str) -> DamagedJournalError:
+    return DamagedJournalError(
+        f"{file}: record {number} at byte {offset} cannot be used: {why}", file=file, offset=offset, record=number
+    )
+
+
+def _foreign(file: str, why: str) -> JournalError:
+    """Of a file that is whole, and none that this program wrote: whose it is, only a person knows."""
     return JournalError(
-        f"{file}: record {number} at byte {offset} cannot be used: {why}; nothing was started. "
-        f"Restore the file, or {DISCARD}",
-        file=file,
-        offset=offset,
-        record=number,
+        f"{file}: {why}; nothing was started. Put the right file there, or {DISCARD}", file=file, offset=0, record=1
     )

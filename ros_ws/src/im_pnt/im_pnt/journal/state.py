@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 
+from im_core.errors import StateError
 from im_pnt.distributed.exchange import Exchange, RequestAsked
 from im_pnt.distributed.link import Link
 from im_pnt.distributed.packets import decode_message, is_epoch, is_number, numbered
@@ -21,7 +22,7 @@ from im_pnt.journal.codec import (
     encode_delivery,
     encode_request,
 )
-from im_pnt.model.net import RemotePlace
+from im_pnt.model.net import Net, RemotePlace
 
 # Nets.
 
@@ -43,15 +44,16 @@ def net_state(executor: Executor) -> dict[str, object]:
         queue = rule.tokens.queues.get(rule.place[name])
         lineages = [_lineage(rule, lineage) for lineage in queue or ()]
         places[name] = lineages if any(lineages) else tokens
-    serving = rule.ledger.serving
+    serving = list(rule.ledger.serving)
     return {
         "sequence": rule.notifier.sequence,
         "places": places,
         "entered": rule.ledger.count,
         "jobs": [_job(rule, job) for job in jobs.values()],
         "tape": [job.number for job in rule.ledger.tape.waiting()],
-        "serving": serving.number if serving is not None else None,
+        "serving": serving if len(serving) > 1 else next(iter(serving), None),
         "activities": [_activity(activity) for activity in rule.activities.values()],
+        **({"held": sorted(rule.held)} if rule.held else {}),
         "mode": operator.mode.value,
         "paused": operator.paused,
     }
@@ -103,8 +105,12 @@ def _restore(executor: Executor, state: Mapping[str, object]) -> None:
     for content in running:
         activity = _activity_of(rule, known, content)
         rule.activities[activity.number] = activity
+    held = state.get("held", [])
+    assert isinstance(held, list)
+    rule.held = {int(number) for number in held}
     rule.ledger.count = entered
-    rule.ledger.serving = known[serving] if serving is not None else None
+    served = serving if isinstance(serving, list) else [] if serving is None else [serving]
+    rule.ledger.serving = {job.number: job for job in (known[number] for number in served)}
     rule.notifier.sequence = sequence
     operator.set_mode(Mode(mode))
     operator.pause(paused)
@@ -178,6 +184,30 @@ def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object)
                 activity.reply = Reply(decode_error(reply[0]), dict(reply[1]))
             return activity
     raise ValueError(f"{str(content)[:80]} is no action that runs")
+
+
+def taken_over(executor: Executor, net: Net) -> dict[str, object]:
+    """Returns the state of a net that goes on, for one that takes its place.
+
+    Args:
+        executor: The present net, all of whose events have been taken.
+        net: The one that takes its place; places that the present one does not have are marked as it says.
+
+    Raises:
+        StateError: Something is under way that it does not have; names it.
+    """
+    marked = {place for place in executor.marking() if place in executor.written.places and place not in net.places}
+    running = {each.transition for each in executor.activities if each.transition not in net.transitions}
+    waiting = {job.symbol for job in executor.jobs() if job.waiting and job.symbol not in net.symbols()}
+    missing = sorted(marked | running | waiting)
+    if missing:
+        text = f"net {net.name} cannot take the place of the present one now: {', '.join(missing)} is under way"
+        raise StateError(text, net=net.name, missing=missing)
+    state = net_state(executor)
+    places = state["places"]
+    assert isinstance(places, dict)
+    added = {p.name: p.tokens for p in net.places.values() if p.tokens and p.name not in executor.written.places}
+    return {**state, "places": {**places, **added}}
 
 
 # The exchange.

@@ -10,6 +10,11 @@ class FunctionAction:
 
     function: str
 
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Names of the functions that it calls."""
+        return (self.function,)
+
     def __str__(self) -> str:
         return f"function {self.function}"
 
@@ -30,6 +35,11 @@ class _Message:
     fields: Mapping[str, object] = field(default_factory=dict)
     build: str | None = None
 
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Names of the functions that it calls."""
+        return _named(self.build)
+
 
 @dataclass(frozen=True, slots=True)
 class _Call(_Message):
@@ -42,6 +52,11 @@ class _Call(_Message):
 
     handle: str | None = None
     task: str | None = None
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Names of the functions that it calls."""
+        return _named(self.build, self.handle)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +84,33 @@ class TopicAction(_Message):
 
 
 @dataclass(frozen=True, slots=True)
+class AwaitAction:
+    """Waits for a message of a topic.
+
+    Attributes:
+        name: Name of the topic.
+        type: Its type, ``package/msg/Type``.
+        latched: Whether the last message, published before the wait began, counts too.
+        until: Condition ``${...}`` that a message fulfils which counts; None: any does.
+        handle: Registered function that reads the message.
+    """
+
+    name: str
+    type: str
+    latched: bool = False
+    handle: str | None = None
+    until: str | None = None
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Names of the functions that it calls."""
+        return _named(self.handle)
+
+    def __str__(self) -> str:
+        return f"message of {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
 class RequestAction:
     """Asks another net for one of its services through its coordination structure (paper, Figure 11)."""
 
@@ -77,8 +119,30 @@ class RequestAction:
     fields: Mapping[str, object] = field(default_factory=dict)
     build: str | None = None
 
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Names of the functions that it calls."""
+        return _named(self.build)
+
     def __str__(self) -> str:
         return f"request {self.net}.{self.service}"
 
 
-Action = FunctionAction | ServiceAction | GoalAction | RequestAction | TopicAction
+@dataclass(frozen=True, slots=True)
+class ValuesAction:
+    """Returns or stores values, and does nothing else."""
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Names of the functions that it calls: none."""
+        return ()
+
+    def __str__(self) -> str:
+        return "values"
+
+
+Action = FunctionAction | ServiceAction | GoalAction | RequestAction | TopicAction | AwaitAction | ValuesAction
+
+
+def _named(*names: str | None) -> tuple[str, ...]:
+    return tuple(name for name in names if name)

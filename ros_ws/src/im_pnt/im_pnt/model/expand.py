@@ -75,7 +75,7 @@ def expand(net: Net) -> Net:
             withdrawn = _withdrawn(place)
             transitions[withdrawn.name] = withdrawn
     if net.services:
-        places[INPUT_SEMAPHORE] = Place(INPUT_SEMAPHORE, tokens=1, resource=True)
+        places[INPUT_SEMAPHORE] = Place(INPUT_SEMAPHORE, tokens=net.at_once, resource=True)
         places[OUTPUT_SEMAPHORE] = Place(OUTPUT_SEMAPHORE, tokens=1, resource=True)
     ends = Counter(end for service in net.services.values() for end in {service.done, service.failed})
     for service in net.services.values():

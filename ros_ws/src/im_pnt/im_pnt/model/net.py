@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from im_pnt.model.action import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.action import Action, RequestAction
+from im_pnt.model.arguments import ArgumentSchema, CommandDeclaration
 from im_pnt.model.delay import Delay
 
 LARGEST = 2**31 - 1
@@ -22,6 +23,15 @@ Marking = Mapping[str, int]
 """Place name to number of tokens; a place that is not named holds none."""
 
 
+class Mark(NamedTuple):
+    """Where a value stands in a file; ``note`` is what a complaint says besides."""
+
+    file: str
+    line: int
+    column: int
+    note: str = ""
+
+
 class RemotePlace(NamedTuple):
     """A place of another net, perhaps in another process (paper, Figure 9)."""
 
@@ -32,6 +42,13 @@ class RemotePlace(NamedTuple):
         return f"{self.net}.{self.place}"
 
 
+class ObjectScope(enum.StrEnum):
+    """Whose a data object is: each command's own, or the machine's."""
+
+    COMMAND = "command"
+    GLOBAL = "global"
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """A place.
@@ -40,10 +57,13 @@ class Place:
         name: Name, unique in the net.
         tokens: Tokens of the initial marking.
         capacity: Bound that verification proves; a net that can exceed it is refused. None: no bound stated.
-        data_object: Data object whose existence and validity the place stands for.
+        data_object: Data object whose existence and validity the place stands for; ``${arguments.NAME}`` in its name is
+            the value of an argument of the command or request.
         on_invalid: Places to which its tokens go when the object loses its validity.
         remote: Whether transitions of other nets may mark it.
         resource: Whether its tokens belong to nobody; None: see :mod:`im_pnt.model.resources`.
+        object_type: Type of the data object, ``package/msg/Type``; None: not said.
+        object_scope: Whose the data object is.
     """
 
     name: str
@@ -53,11 +73,13 @@ class Place:
     on_invalid: tuple[str, ...] = ()
     remote: bool = False
     resource: bool | None = None
+    object_type: str | None = None
+    object_scope: ObjectScope = ObjectScope.COMMAND
 
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """An enabling function by its registered name, or its negation."""
+    """An enabling function by its registered name, or an expression ``${...}``; or the negation of either."""
 
     name: str
     negated: bool = False
@@ -131,9 +153,14 @@ class Transition:
         weight: How often it is taken among contending transitions, relative to the others.
         strategy: Its probability of success is learned, and weighs in the choice; None: it is not.
         priority: Larger goes first among contending transitions.
+        retry_of: Transition whose further try it is, and as whose answer its own counts; None: it is no further try.
         role: What it is in an expanded net.
         origin: Transition, service or place it was expanded from; its own name otherwise.
         line: Line of the file, 0 where it was made by a program.
+        result: Values that its command or request returns when it ends well, by name.
+        store: Values of data objects that are put when it ends well, by name.
+        marks: Where its values stand, by the keys that lead there.
+        acts_on: Resources that its action acts on; ``${arguments.NAME}`` in them is an argument.
     """
 
     name: str
@@ -155,9 +182,14 @@ class Transition:
     priority: int = 0
     symbol_of: ReadFor | None = None
     symbol_expires: float | None = None
+    retry_of: str | None = None
     role: Role = Role.PLAIN
     origin: str = ""
     line: int = 0
+    result: Mapping[str, object] = field(default_factory=dict)
+    store: Mapping[str, object] = field(default_factory=dict)
+    marks: Mapping[tuple[int | str, ...], Mark] = field(default_factory=dict, compare=False, repr=False)
+    acts_on: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,12 +201,29 @@ class Service:
         entry: Place marked when a request is accepted.
         done: Place that means success.
         failed: Place that means failure.
+        arguments: What it takes; None: not said, anything.
+        acts_on: Resources that it acts on, which who asks for it is to hold; ``${arguments.NAME}`` is an argument.
     """
 
     name: str
     entry: str
     done: str
     failed: str
+    arguments: ArgumentSchema | None = None
+    acts_on: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Assumption:
+    """What a net takes for granted of other nets, at one of its places or services; one of the two is said.
+
+    Attributes:
+        at_most: Most tokens that are under way to the place or in it, or most requests of the service, at once.
+        returns: Place of another net: for each token that is sent there, one comes back in this place, and no other.
+    """
+
+    at_most: int | None = None
+    returns: RemotePlace | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +239,9 @@ class Net:
         rest: Places that may hold tokens while the net waits for a symbol or a request; None: those marked initially.
         description: One line for people.
         source: File it came from.
+        commands: What is said of symbols that begin a command; one of which nothing is said takes anything.
+        assume: What it takes for granted of other nets, by remote place or service.
+        at_once: Requests that are served at once; others wait.
     """
 
     name: str
@@ -200,6 +252,9 @@ class Net:
     rest: tuple[str, ...] | None = None
     description: str = ""
     source: str = ""
+    commands: Mapping[str, CommandDeclaration] = field(default_factory=dict)
+    assume: Mapping[str, Assumption] = field(default_factory=dict)
+    at_once: int = 1
 
     def initial_marking(self) -> dict[str, int]:
         """Returns the tokens of the marked places."""
@@ -215,22 +270,19 @@ class Net:
         """Returns the symbols that the net reads from its input tape, in order of first use."""
         return tuple(dict.fromkeys(t.symbol for t in self.transitions.values() if t.symbol))
 
+    def arguments_of(self, asked: str) -> ArgumentSchema | None:
+        """Returns what a service, or a symbol that begins a command, takes; None: anything."""
+        if asked in self.services:
+            return self.services[asked].arguments
+        return self.commands[asked].arguments if asked in self.commands else None
+
     def guards(self) -> frozenset[str]:
         """Returns the names of the enabling functions used."""
         return frozenset(t.guard.name for t in self.transitions.values() if t.guard)
 
     def functions(self) -> frozenset[str]:
         """Returns the names of the registered functions that its actions call, builders and handlers included."""
-        names: set[str] = set()
-        for transition in self.transitions.values():
-            match transition.action:
-                case FunctionAction(function):
-                    names.add(function)
-                case ServiceAction(build=build, handle=handle) | GoalAction(build=build, handle=handle):
-                    names.update(name for name in (build, handle) if name)
-                case RequestAction(build=build) | TopicAction(build=build) if build:
-                    names.add(build)
-        return frozenset(names)
+        return frozenset(name for t in self.transitions.values() if t.action for name in t.action.functions)
 
     def partners(self) -> frozenset[str]:
         """Returns the other nets it sends tokens or requests to."""

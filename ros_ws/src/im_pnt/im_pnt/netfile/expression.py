@@ -4,15 +4,12 @@ import re
 from collections.abc import Mapping
 
 from im_core.errors import nearest
+from im_pnt.expression.errors import ExpressionError
 
 Parameter = int | str
 _TOKEN = re.compile(r"\s*(?:([0-9]{1,9})|([A-Za-z_][A-Za-z0-9_]*)|([-+*()]))")
 _LARGEST = 10**9
 _LONGEST = 200
-
-
-class ExpressionError(ValueError):
-    """An expression that cannot be evaluated; the message says why."""
 
 
 def substitute(text: str, values: Mapping[str, Parameter]) -> str:

@@ -1,16 +1,53 @@
 """What a file says as a :class:`~im_pnt.model.net.Net`: rules over several parts, and names that must exist."""
 
+import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
-from im_core.errors import nearest
+from im_core.errors import DataError, nearest
 from im_core.yamltext import Kind, Location, Value, find
 from im_pnt.errors import NetError, NetFileError
-from im_pnt.model.action import Action, FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.expression.scope import check_net
+from im_pnt.expression.types import NoTypes
+from im_pnt.model.action import (
+    Action,
+    AwaitAction,
+    FunctionAction,
+    GoalAction,
+    RequestAction,
+    ServiceAction,
+    TopicAction,
+    ValuesAction,
+)
+from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType, Busy, CommandDeclaration
 from im_pnt.model.delay import Delay
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
-from im_pnt.model.net import Guard, Net, Place, ReadFor, RemotePlace, Service, Strategy, Transition
-from im_pnt.netfile.schema import DelayFile, NetFile, PlaceFile, TransitionFile, is_name, shown_name
+from im_pnt.model.net import (
+    Assumption,
+    Guard,
+    Mark,
+    Net,
+    ObjectScope,
+    Place,
+    ReadFor,
+    RemotePlace,
+    Service,
+    Strategy,
+    Transition,
+)
+from im_pnt.netfile.assume import faults
+from im_pnt.netfile.schema import (
+    ArgumentFile,
+    AssumptionFile,
+    DelayFile,
+    NetFile,
+    PlaceFile,
+    TransitionFile,
+    is_name,
+    shown_name,
+)
 from im_pnt.netfile.text import checked, complaint_at, read_data
+from im_pnt.netfile.tries import written_out
 
 
 def read_net(root: Value, *, foreign: bool = False) -> Net:
@@ -48,7 +85,11 @@ class _Reader:
             ends = {"entry": service.entry, "done": service.done, "failed": service.failed}
             for key, place in ends.items():
                 self._known(("services", name, key), place)
-            services[name] = Service(name, **ends)
+            here: Location = ("services", name, "arguments")
+            taken = None if service.arguments is None else self._schema(here, service.arguments)
+            services[name] = Service(name, **ends, arguments=taken, acts_on=service.acts_on)
+        if "at_once" in file.model_fields_set and not services:
+            raise self._error(("at_once",), "is for requests to services, and the net offers none")
         if file.escalate is not None:
             self._known(("escalate",), file.escalate)
         for rank, name in enumerate(file.rest or ()):
@@ -56,11 +97,49 @@ class _Reader:
         transitions = {name: self._transition(name, each) for name, each in file.transitions.items()}
         if not transitions:
             raise self._error(("transitions",), "the net has no transition")
+        self._add_tries(places, transitions)
         self._require_one_reading(transitions)
-        net = Net(file.net, places, transitions, services, file.escalate, file.rest, file.description, self._root.file)
+        self._require_arguments(places)
+        net = Net(
+            file.net,
+            places,
+            transitions,
+            services,
+            file.escalate,
+            file.rest,
+            file.description,
+            self._root.file,
+            self._commands(transitions),
+            {name: _assumption(each) for name, each in file.assume.items()},
+            file.at_once,
+        )
+        for at, sentence in faults(net):
+            raise self._error(at, sentence, key=True)
         if self._foreign:
             self._require_names(net)
+        check_net(net, NoTypes())
         return net
+
+    def _add_tries(self, places: dict[str, Place], transitions: dict[str, Transition]) -> None:
+        """Writes out the tries of transitions that have several, each behind its first one."""
+        written = dict(transitions)
+        transitions.clear()
+        for name, transition in written.items():
+            count = self._file.transitions[name].tries
+            more, made = written_out(transition, count, self._file.escalate)
+            for kind, new, known in (("place", more, places), ("transition", made[1:], written)):
+                for part in new:
+                    if part.name in known:
+                        sentence = f"makes a {kind} '{part.name}', and there is one of that name"
+                        raise self._error(("transitions", name, "tries"), sentence)
+            places.update((place.name, place) for place in more)
+            transitions.update((each.name, each) for each in made)
+
+    def _retried(self, location: Location, name: str | None) -> str | None:
+        if name is not None and name not in self._file.transitions:
+            sentence = f"there is no transition '{shown_name(name)}'{nearest(name, self._file.transitions)}"
+            raise self._error(location, sentence)
+        return name
 
     def _require_one_reading(self, transitions: Mapping[str, Transition]) -> None:
         """Checks that all that read a symbol say the same of it."""
@@ -72,10 +151,62 @@ class _Reader:
                     sentence = f"says of '{transition.symbol}' something else than transition '{other.name}' does"
                     raise self._error(("transitions", name, "symbol"), sentence)
 
+    def _require_arguments(self, places: Mapping[str, Place]) -> None:
+        """Checks that the arguments in the names of data objects are declared."""
+        declared = [each.arguments for each in self._file.commands.values()]
+        declared += [each.arguments for each in self._file.services.values() if each.arguments is not None]
+        known = dict.fromkeys(name for arguments in declared for name in arguments)
+        for name, place in places.items():
+            for argument in re.findall(r"\$\{([^}]*)\}?", place.data_object or ""):
+                if argument.removeprefix("arguments.") not in known or not argument.startswith("arguments."):
+                    options = [f"arguments.{each}" for each in known]
+                    sentence = f"there is no '{argument}' that a name could say{nearest(argument, options)}"
+                    raise self._error(("places", name, "data_object"), sentence)
+
     def _place(self, name: str, file: PlaceFile) -> Place:
         for rank, other in enumerate(file.on_invalid):
             self._known(("places", name, "on_invalid", rank), other)
-        return Place(name, file.tokens, file.capacity, file.data_object, file.on_invalid, file.remote, file.resource)
+        place = Place(name, file.tokens, file.capacity, None, file.on_invalid, file.remote, file.resource)
+        if (thing := file.data_object) is None:
+            return place
+        scope = ObjectScope(thing.scope)
+        return replace(place, data_object=thing.name, object_type=thing.type, object_scope=scope)
+
+    def _commands(self, transitions: Mapping[str, Transition]) -> dict[str, CommandDeclaration]:
+        begun = {t.symbol for t in transitions.values() if t.symbol is not None and t.symbol_of is None}
+        commands = {}
+        for symbol, command in self._file.commands.items():
+            here: Location = ("commands", symbol)
+            if symbol not in begun:
+                sentence = f"no transition begins a command with the symbol '{symbol}'{nearest(symbol, begun)}"
+                raise self._error(here, sentence, key=True)
+            schema = self._schema((*here, "arguments"), command.arguments)
+            busy = Busy(command.busy)
+            commands[symbol] = CommandDeclaration(command.description, schema, command.needs, busy, command.priority)
+        return commands
+
+    def _schema(self, location: Location, file: Mapping[str, ArgumentFile]) -> ArgumentSchema:
+        return ArgumentSchema({name: self._argument((*location, name), name, each) for name, each in file.items()})
+
+    def _argument(self, location: Location, name: str, file: ArgumentFile) -> Argument:
+        required = "default" not in file.model_fields_set
+        kind = ArgumentType(file.type)
+        limits = file.minimum, file.maximum
+        bare = Argument(name, kind.element)
+        for rank, choice in enumerate(file.choices):
+            self._fits(bare, choice, (*location, "choices", rank))
+        argument = Argument(
+            name, kind, file.unit, *limits, file.choices, file.length, required, file.default, file.help
+        )
+        if not required:
+            self._fits(argument, file.default, (*location, "default"))
+        return argument
+
+    def _fits(self, argument: Argument, value: object, location: Location) -> None:
+        try:
+            argument.check(value)
+        except DataError as error:
+            raise self._error(location, error.message) from error
 
     def _transition(self, name: str, file: TransitionFile) -> Transition:
         here: Location = ("transitions", name)
@@ -119,8 +250,13 @@ class _Reader:
             priority=file.priority,
             symbol_of=None if symbol is None or symbol.of is None else ReadFor(symbol.of),
             symbol_expires=None if symbol is None else symbol.expires,
+            retry_of=self._retried((*here, "retry_of"), file.retry_of),
             origin=name,
             line=self._lines[name],
+            result=file.result,
+            store=file.store,
+            marks=_marks(find(self._root, here).value),
+            acts_on=file.acts_on,
         )
 
     def _arcs(self, location: Location, arcs: Mapping[str, int]) -> tuple[dict[str, int], dict[RemotePlace, int]]:
@@ -179,11 +315,19 @@ class _Reader:
         return complaint_at(self._root, location, sentence, key=key)
 
 
+def _assumption(file: AssumptionFile) -> Assumption:
+    if file.returns is None:
+        return Assumption(at_most=file.at_most)
+    net, _, place = file.returns.partition(".")
+    return Assumption(returns=RemotePlace(net, place))
+
+
 def _guard(text: str | None) -> Guard | None:
     if text is None:
         return None
-    words = text.split()
-    return Guard(words[-1], len(words) > 1)
+    name = text.strip()
+    negated = re.match(r"not\s+", name)
+    return Guard(name[negated.end() :] if negated else name, negated is not None)
 
 
 def _action(file: TransitionFile) -> Action | None:
@@ -195,7 +339,31 @@ def _action(file: TransitionFile) -> Action | None:
         return GoalAction(goal.name, goal.type, goal.goal, goal.build, goal.handle, goal.task)
     if (topic := file.topic) is not None:
         return TopicAction(topic.name, topic.type, topic.message, topic.build)
+    if (awaited := file.awaited) is not None:
+        return AwaitAction(awaited.name, awaited.type, awaited.latched, awaited.handle, awaited.until)
     if (request := file.request) is not None:
         net, _, service = request.to.partition(".")
         return RequestAction(net, service, request.arguments, request.build)
-    return None
+    return ValuesAction() if file.result or file.store else None
+
+
+_VALUES = ("guard", "service", "goal", "topic", "await", "request", "result", "store")
+"""Keys of a transition under which values stand."""
+
+
+def _marks(written: Value) -> dict[Location, Mark]:
+    """Returns where the values of a transition stand."""
+    marks: dict[Location, Mark] = {}
+
+    def enter(location: Location, key: Value, value: Value) -> None:
+        place = value if value.kind is Kind.SCALAR and not value.is_null else key
+        marks[location] = Mark(place.file, place.line, place.column, place.note)
+        for name, child in value.pairs:
+            enter((*location, name.text), name, child)
+        for rank, child in enumerate(value.children):
+            enter((*location, rank), child, child)
+
+    for key, value in written.pairs:
+        if key.text in _VALUES:
+            enter((key.text,), key, value)
+    return marks

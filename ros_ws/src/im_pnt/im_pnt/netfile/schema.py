@@ -20,6 +20,7 @@ from pydantic_core import CoreSchema, core_schema
 from im_core.config import FieldError, Model
 from im_core.errors import nearest
 from im_core.yamltext import Value, control_character, plain_scalar, quoted_text
+from im_pnt.model.arguments import ArgumentType
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.model.net import LARGEST
 
@@ -29,10 +30,14 @@ MAX_NAME = 200
 _NAME = "[A-Za-z_][A-Za-z0-9_]*"
 _NAME_RULE = f"letters, digits and _, not starting with a digit, at most {MAX_NAME}"
 _COORDINATION = (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE)
-ACTIONS = ("action", "service", "goal", "topic", "request")
+ACTIONS = ("action", "service", "goal", "topic", "await", "request")
 """Keys of which a transition may have one."""
 
-_NEED_ACTION = ("on_failure", "on_doubt", "timeout", "success", "strategy")
+_EFFECTS = (*ACTIONS, "result", "store")
+"""Keys by which a transition does something that can fail."""
+
+_NEED_ACTION = ("on_failure", "on_doubt", "timeout", "tries", "success", "strategy", "acts_on")
+MOST_TRIES = 100
 
 
 class WrongKeyError(FieldError):
@@ -261,7 +266,8 @@ Given = Annotated[ValueT | None, _Given()]
 _ONE_TEXT: JsonSchemaValue = {"type": ["string", "number", "boolean"]}
 _COUNT: JsonSchemaValue = {"type": "integer", "minimum": 0, "maximum": LARGEST}
 Text = Annotated[str, BeforeValidator(_text), WithJsonSchema(_ONE_TEXT)]
-Name = Annotated[str, _Form(_NAME, f"is not a name ({_NAME_RULE})", like_truth=True, longest=MAX_NAME)]
+_NAME_FORM = _Form(_NAME, f"is not a name ({_NAME_RULE})", like_truth=True, longest=MAX_NAME)
+Name = Annotated[str, _NAME_FORM]
 
 
 class _OneOrMore:
@@ -299,6 +305,8 @@ ARCS = pydantic.TypeAdapter[dict[str, int]](Arcs)
 Positive = Annotated[float, _Number(gt=0.0)]
 NotNegative = Annotated[float, _Number(ge=0.0)]
 PlaceName = Text
+_FUNCTION = rf"{_NAME}(?:(?:\.{_NAME})*:{_NAME})?"
+Function = Annotated[str, _Form(_FUNCTION, "is neither a name nor module:function", like_truth=True)]
 
 
 class _Part(Model):
@@ -328,6 +336,30 @@ class _Part(Model):
         return reference
 
 
+_TYPE = "[A-Za-z][A-Za-z0-9_]*"
+
+
+def _type(kind: str) -> _Form:
+    return _Form(f"{_TYPE}/{kind}/{_TYPE}", f"is not of the form package/{kind}/Type")
+
+
+class ObjectFile(_Part):
+    """A data object: its name, or its keys."""
+
+    short_forms = (_ONE_TEXT,)
+
+    name: Text = Field(description="Its name.")
+    type: Given[Annotated[str, _type("msg")]] = Field(None, description="Its type, package/msg/Type.")
+    scope: Literal["command", "global"] = Field(
+        "command", description="command: each command has its own; global: there is one for the machine."
+    )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _long(cls, value: object) -> object:
+        return value if isinstance(value, dict) else {"name": value}
+
+
 class PlaceFile(_Part):
     """A place: nothing, its tokens, or its keys."""
 
@@ -338,7 +370,9 @@ class PlaceFile(_Part):
     capacity: Given[Weight] = Field(
         None, description="Bound that verification proves; a net that can exceed it is refused."
     )
-    data_object: Given[Text] = Field(None, description="Data object whose existence and validity the place stands for.")
+    data_object: Given[ObjectFile] = Field(
+        None, description="Data object whose existence and validity the place stands for: its name, or its keys."
+    )
     on_invalid: Texts = Field((), description="Places to which its tokens go when the object loses its validity.")
     remote: Truth = Field(False, description="Whether transitions of other nets may mark it.")
     resource: Given[Truth] = Field(
@@ -359,12 +393,90 @@ class PlaceFile(_Part):
         return self
 
 
+def _length(value: object) -> tuple[int, int]:
+    """``9``, or ``[1, 9]``."""
+    numbers = [_whole(each) for each in value] if isinstance(value, list) else [_whole(value)] * 2
+    if len(numbers) != 2 or not 0 <= numbers[0] <= LARGEST or not 0 <= numbers[1] <= LARGEST:
+        raise ValueError(f"{numbers} is no length: a number >= 0, or [least, most], is needed")
+    if numbers[1] < numbers[0]:
+        raise ValueError(f"{numbers} goes from {numbers[0]} to less, {numbers[1]}")
+    return numbers[0], numbers[1]
+
+
+def _choices(value: object) -> list[object]:
+    return [_plain(each) for each in _listed(value)]
+
+
+_Limit = Annotated[float, Field(allow_inf_nan=False, strict=True), BeforeValidator(_number)]
+_ANY: JsonSchemaValue = {"type": ["string", "number", "boolean", "array", "object", "null"]}
+
+
+class ArgumentFile(_Part):
+    """What an argument may be."""
+
+    type: Literal["boolean", "integer", "number", "string", "booleans", "integers", "numbers", "strings", "object"] = (
+        Field(description="What its value is; those in the plural are lists, object is any JSON.")
+    )
+    unit: Text = Field("", description="Unit of its numbers, as m or rad/s.")
+    minimum: Given[_Limit] = Field(None, description="Least number, also of each element of a list.")
+    maximum: Given[_Limit] = Field(None, description="Greatest number, also of each element of a list.")
+    choices: Annotated[tuple[object, ...], BeforeValidator(_choices), WithJsonSchema({"type": "array"})] = Field(
+        (), description="What the value, or each element of a list, is one of."
+    )
+    length: Given[
+        Annotated[
+            tuple[int, int],
+            pydantic.PlainValidator(_length),
+            WithJsonSchema({"anyOf": [_COUNT, {"type": "array", "items": _COUNT, "minItems": 2, "maxItems": 2}]}),
+        ]
+    ] = Field(None, description="Elements of a list, or characters of a text: a number, or [least, most].")
+    default: Annotated[object, BeforeValidator(_plain), WithJsonSchema(_ANY)] = Field(
+        None, description="Its value where it is not given; without it, it must be given."
+    )
+    help: Text = Field("", description="One line for people.")
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        kind, given = ArgumentType(self.type), self.model_fields_set
+        for key in ("minimum", "maximum", "unit"):
+            if key in given and not kind.is_numeric:
+                raise WrongKeyError((key,), f"is for numbers; the argument is of type {kind}")
+        if "length" in given and not kind.is_list and kind is not ArgumentType.STRING:
+            raise WrongKeyError(("length",), f"is for lists and texts; the argument is of type {kind}")
+        if self.minimum is not None and self.maximum is not None and self.maximum < self.minimum:
+            raise FieldError(("maximum",), f"{self.maximum:g} is less than the minimum {self.minimum:g}")
+        return self
+
+
+Arguments = Annotated[dict[str, ArgumentFile], _Entries()]
+
+
+class CommandFile(_Part):
+    """A command: a symbol that begins one."""
+
+    description: Text = Field("", description="One line for people.")
+    arguments: Arguments = Field({}, description="What it takes, by name; others are refused.")
+    needs: Texts = Field(
+        (), description="Resources that it holds while it is under way; ${arguments.NAME} in them is an argument."
+    )
+    busy: Literal["wait", "refuse"] = Field("wait", description="What becomes of it where others hold these.")
+    priority: Annotated[int, Field(ge=-10, le=10), BeforeValidator(_whole)] = Field(
+        0, description="Larger goes first, where several wait for the same."
+    )
+
+
 class ServiceFile(_Part):
     """A service offered through a coordination structure."""
 
     entry: PlaceName = Field(description="Place marked when a request is accepted.")
     done: PlaceName = Field(description="Place that means success.")
     failed: PlaceName = Field(description="Place that means failure.")
+    arguments: Given[Arguments] = Field(
+        None, description="What it takes, by name; others are refused. Without it, it takes anything."
+    )
+    acts_on: Texts = Field(
+        (), description="Resources that it acts on, which who asks for it holds; ${arguments.NAME} is an argument."
+    )
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -373,21 +485,17 @@ class ServiceFile(_Part):
         return self
 
 
-_TYPE = "[A-Za-z][A-Za-z0-9_]*"
 _SERVICE = _Form(rf"{_NAME}\.{_NAME}", "is not of the form net.service")
-
-
-def _type(kind: str) -> _Form:
-    return _Form(f"{_TYPE}/{kind}/{_TYPE}", f"is not of the form package/{kind}/Type")
+_REMOTE = _Form(rf"{_NAME}\.{_NAME}", "is not of the form net.place")
 
 
 class _MessageFile(_Part):
     name: Text = Field(description="Name of the service, action or topic.")
-    build: Given[Name] = Field(None, description="Registered function that makes further fields.")
+    build: Given[Function] = Field(None, description="Registered function that makes further fields.")
 
 
 class _CallFile(_MessageFile):
-    handle: Given[Name] = Field(None, description="Registered function that reads the answer.")
+    handle: Given[Function] = Field(None, description="Registered function that reads the answer.")
     task: Given[Name] = Field(None, description="Task that answers, whose death ends the wait.")
 
 
@@ -396,6 +504,20 @@ class TopicFile(_MessageFile):
 
     type: Annotated[str, _type("msg")] = Field(description="Its type, package/msg/Type.")
     message: Fields = Field({}, description="Fields of the message.")
+
+
+class AwaitFile(_Part):
+    """A message that is waited for."""
+
+    name: Text = Field(description="Name of the topic.")
+    type: Annotated[str, _type("msg")] = Field(description="Its type, package/msg/Type.")
+    latched: Truth = Field(
+        False, description="Whether the last message of a latched topic, published before, counts too."
+    )
+    until: Given[Annotated[str, _Form(r"\$\{.*\}", "is not a condition ${...}")]] = Field(
+        None, description="Condition on the message, answers.TRANSITION of its own transition; others are passed over."
+    )
+    handle: Given[Function] = Field(None, description="Registered function that reads the message.")
 
 
 class ServiceCallFile(_CallFile):
@@ -419,7 +541,7 @@ class RequestFile(_Part):
 
     to: Annotated[str, _SERVICE] = Field(description="The service, net.service.")
     arguments: Fields = Field({}, description="Arguments of the request.")
-    build: Given[Name] = Field(None, description="Registered function that makes further arguments.")
+    build: Given[Function] = Field(None, description="Registered function that makes further arguments.")
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -536,7 +658,7 @@ class StrategyFile(_Part):
 class SymbolFile(_Part):
     """A symbol of the input tape: its name, or its keys."""
 
-    short_forms = (_ONE_TEXT,)
+    short_forms = (_NAME_FORM.schema(),)
 
     name: Name = Field(description="The symbol.")
     of: Given[Literal["command", "nobody"]] = Field(
@@ -561,7 +683,7 @@ class TransitionFile(_Part):
     model_config = pydantic.ConfigDict(
         json_schema_extra={
             "dependentSchemas": {
-                **{key: {"anyOf": [{"required": [action]} for action in ACTIONS]} for key in _NEED_ACTION},
+                **{key: {"anyOf": [{"required": [effect]} for effect in _EFFECTS]} for key in _NEED_ACTION},
                 **{
                     action: {"not": {"anyOf": [{"required": [other]} for other in ACTIONS if other != action]}}
                     for action in ACTIONS
@@ -578,15 +700,30 @@ class TransitionFile(_Part):
     )
     inhibitors: Arcs = Field({}, description="It is disabled while one of these places holds that many tokens or more.")
     guard: Given[
-        Annotated[str, _Form(rf"\s*(not\s+)?{_NAME}\s*", "is not a name, nor 'not' and a name", like_truth=True)]
-    ] = Field(None, description="Enabling function by its registered name, or 'not' and the name.")
+        Annotated[
+            str,
+            _Form(
+                rf"\s*(not\s+)?({_FUNCTION}|\$\{{.*\}})\s*",
+                "is not a name or ${...}, nor 'not' and one of these",
+                like_truth=True,
+            ),
+        ]
+    ] = Field(None, description="Enabling function by its registered name, or ${...}; or 'not' and one of these.")
     symbol: Given[SymbolFile] = Field(None, description="Symbol it needs from the input tape: its name, or its keys.")
     emit: Names = Field((), description="Symbols it writes to the output tape when it ends.")
-    action: Given[Name] = Field(None, description="Calls a registered function.")
+    action: Given[Function] = Field(None, description="Calls a registered function, or module:function.")
     service: Given[ServiceCallFile] = Field(None, description="Calls a ROS service.")
     goal: Given[GoalFile] = Field(None, description="Sends a ROS action goal.")
     topic: Given[TopicFile] = Field(None, description="Publishes a message.")
+    awaited: Given[AwaitFile] = Field(None, alias="await", description="Waits for a message of a topic.")
     request: Given[RequestFile] = Field(None, description="Asks another net for a service: net.service, or its keys.")
+    acts_on: Texts = Field(
+        (),
+        description="Resources that its action acts on, where the file does not tell them otherwise; "
+        "${arguments.NAME} in them is an argument.",
+    )
+    result: Fields = Field({}, description="Values that the command or request returns when it ends well, by name.")
+    store: Fields = Field({}, description="Values of data objects that are put when it ends well, by object.")
     on_failure: Arcs = Field({}, description="Tokens it gives instead when the action fails.")
     on_doubt: Arcs = Field(
         {},
@@ -595,6 +732,12 @@ class TransitionFile(_Part):
     )
     timeout: Given[Positive] = Field(
         None, description="Time the action may take [s] before it is asked what became of it."
+    )
+    tries: Annotated[int, Field(ge=1, le=MOST_TRIES), BeforeValidator(_whole)] = Field(
+        1, description="How often the action is tried before its tokens go to on_failure."
+    )
+    retry_of: Given[Text] = Field(
+        None, description="Transition whose further try it is, and as whose answer its own counts; 'tries' writes it."
     )
     delay: Given[DelayFile] = Field(
         None,
@@ -616,14 +759,14 @@ class TransitionFile(_Part):
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Self:
-        given = self.model_fields_set
+        given = {type(self).model_fields[name].alias or name for name in self.model_fields_set}
         actions = [key for key in ACTIONS if key in given]
         if len(actions) > 1:
             raise ValueError(f"has {' and '.join(actions)}; one action is allowed")
-        if not actions:
+        if not given & set(_EFFECTS):
             for key in _NEED_ACTION:
                 if key in given:
-                    raise WrongKeyError((key,), f"needs an action that can fail ({', '.join(ACTIONS)})")
+                    raise WrongKeyError((key,), f"needs an action that can fail ({', '.join(_EFFECTS)})")
         return self
 
 
@@ -681,6 +824,7 @@ class TemplateFile(_Part):
     parameters: Names = Field((), description="What each use gives.")
     places: _Section = Field(None, description="Places of each copy.")
     services: _Section = Field(None, description="Services of each copy.")
+    commands: _Section = Field(None, description="Commands of each copy.")
     rest: _Rest = Field(None, description="Places of each copy that may hold tokens at rest.")
     transitions: _Section = Field(None, description="Transitions of each copy.")
 
@@ -712,6 +856,25 @@ class UseFile(_Part):
     )
 
 
+class AssumptionFile(_Part):
+    """What is taken for granted of other nets, and proved where they are known."""
+
+    model_config = pydantic.ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
+
+    at_most: Given[Weight] = Field(
+        None, description="Most tokens under way to the place or in it, or most requests of the service, at once."
+    )
+    returns: Given[Annotated[str, _REMOTE]] = Field(
+        None, description="other_net.place: for each token that is sent there one comes back in this place."
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if (self.at_most is None) == (self.returns is None):
+            raise ValueError("say either at_most or returns")
+        return self
+
+
 class FragmentFile(_Part):
     """What a file may say that others include; its sections are checked when they are put together."""
 
@@ -728,6 +891,7 @@ class FragmentFile(_Part):
     )
     places: object = None
     services: object = None
+    commands: object = None
     rest: object = None
     transitions: object = None
 
@@ -746,6 +910,13 @@ class NetFile(FragmentFile):
     services: Annotated[dict[str, ServiceFile], _Entries()] = Field(
         {}, description="Services that other nets may request, by name."
     )
+    commands: Annotated[dict[str, CommandFile], _Entries()] = Field(
+        {}, description="What is said of symbols that begin a command, by symbol; others take any arguments."
+    )
+    assume: Annotated[dict[str, AssumptionFile], _Entries()] = Field(
+        {}, description="What is taken for granted of other nets, by remote place or service of this one."
+    )
+    at_once: Weight = Field(1, description="Requests to its services that are served at once; others wait.")
     rest: Given[Texts] = Field(
         None,
         description="Places that may hold tokens while the net waits for a symbol or a request; "

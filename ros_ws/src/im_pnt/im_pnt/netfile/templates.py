@@ -8,7 +8,8 @@ from pathlib import Path
 from im_core.errors import nearest
 from im_core.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, scalar, sequence
 from im_pnt.errors import NetFileError
-from im_pnt.netfile.expression import ExpressionError, evaluate, substitute
+from im_pnt.expression.errors import ExpressionError
+from im_pnt.netfile.expression import evaluate, substitute
 from im_pnt.netfile.schema import FragmentFile, Parameter, TemplateFile, UseFile
 from im_pnt.netfile.text import checked, complaint, complaint_at, read_data, read_text, read_values
 
@@ -16,7 +17,7 @@ MAX_COPIES = 10_000
 _COUNTED = 10**30
 MAX_INCLUDES = 8
 MAX_FILES = 100
-_MAPPINGS = ("places", "services", "transitions")
+_MAPPINGS = ("places", "services", "commands", "transitions")
 _SECTIONS = (*_MAPPINGS, "rest")
 
 

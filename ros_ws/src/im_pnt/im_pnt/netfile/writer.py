@@ -5,9 +5,18 @@ import re
 from collections.abc import Iterator, Mapping
 
 from im_pnt.errors import NetError
-from im_pnt.model.action import Action, FunctionAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.action import (
+    Action,
+    AwaitAction,
+    FunctionAction,
+    RequestAction,
+    ServiceAction,
+    TopicAction,
+    ValuesAction,
+)
+from im_pnt.model.arguments import Argument, ArgumentSchema, Busy, CommandDeclaration
 from im_pnt.model.delay import Delay
-from im_pnt.model.net import Arcs, Net, Place, RemotePlace, Role, Strategy, Transition
+from im_pnt.model.net import Arcs, Assumption, Net, ObjectScope, Place, RemotePlace, Role, Service, Strategy, Transition
 
 _BARE = re.compile(r"[A-Za-z_/][A-Za-z0-9_./]*( [A-Za-z0-9_./]+)*")
 _UNPRINTABLE = re.compile("[^\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
@@ -37,8 +46,13 @@ def describe(net: Net) -> dict[str, object]:
         data["description"] = net.description
     data["places"] = {name: place_data(place) for name, place in net.places.items()}
     if net.services:
-        services = net.services.values()
-        data["services"] = {s.name: {"entry": s.entry, "done": s.done, "failed": s.failed} for s in services}
+        data["services"] = {name: _service_data(service) for name, service in net.services.items()}
+    if net.commands:
+        data["commands"] = {symbol: _command_data(command) for symbol, command in net.commands.items()}
+    if net.assume:
+        data["assume"] = {name: _assumption_data(assumption) for name, assumption in net.assume.items()}
+    if net.at_once != 1:
+        data["at_once"] = net.at_once
     if net.escalate is not None:
         data["escalate"] = net.escalate
     if net.rest is not None:
@@ -55,7 +69,7 @@ def place_data(place: Place) -> dict[str, object]:
     if place.capacity is not None:
         data["capacity"] = place.capacity
     if place.data_object is not None:
-        data["data_object"] = place.data_object
+        data["data_object"] = _object_data(place)
     if place.on_invalid:
         data["on_invalid"] = list(place.on_invalid)
     if place.remote:
@@ -63,6 +77,53 @@ def place_data(place: Place) -> dict[str, object]:
     if place.resource is not None:
         data["resource"] = place.resource
     return data
+
+
+def _object_data(place: Place) -> object:
+    said = _filled(type=place.object_type)
+    if place.object_scope is not ObjectScope.COMMAND:
+        said["scope"] = place.object_scope.value
+    return {"name": place.data_object, **said} if said else place.data_object
+
+
+def _service_data(service: Service) -> dict[str, object]:
+    data: dict[str, object] = {"entry": service.entry, "done": service.done, "failed": service.failed}
+    if service.arguments is not None:
+        data["arguments"] = schema_data(service.arguments)
+    return data | _filled(acts_on=list(service.acts_on))
+
+
+def _command_data(command: CommandDeclaration) -> dict[str, object]:
+    arguments = schema_data(command.arguments)
+    data = _filled(description=command.description, arguments=arguments, needs=list(command.needs))
+    if command.busy is not Busy.WAIT:
+        data["busy"] = command.busy.value
+    if command.priority:
+        data["priority"] = command.priority
+    return data
+
+
+def _assumption_data(assumption: Assumption) -> dict[str, object]:
+    if assumption.returns is not None:
+        return {"returns": str(assumption.returns)}
+    return {"at_most": assumption.at_most}
+
+
+def schema_data(schema: ArgumentSchema) -> dict[str, object]:
+    """Returns what is written about arguments."""
+    return {name: _argument_data(argument) for name, argument in schema.arguments.items()}
+
+
+def _argument_data(argument: Argument) -> dict[str, object]:
+    data: dict[str, object] = {"type": argument.type.value, **_filled(unit=argument.unit), **argument.limits()}
+    if argument.choices:
+        data["choices"] = list(argument.choices)
+    if argument.length is not None:
+        least, most = argument.length
+        data["length"] = least if least == most else [least, most]
+    if not argument.required:
+        data["default"] = argument.default
+    return data | _filled(help=argument.help)
 
 
 def transition_data(transition: Transition) -> dict[str, object]:
@@ -78,15 +139,18 @@ def transition_data(transition: Transition) -> dict[str, object]:
         data["guard"] = str(t.guard)
     if t.outputs or t.remote_outputs:
         data["out"] = arcs_data({**t.outputs, **{str(place): weight for place, weight in t.remote_outputs.items()}})
-    if t.action is not None:
+    if t.action is not None and not isinstance(t.action, ValuesAction):
         kind, value = _action_data(t.action)
         data[kind] = value
+    data |= _filled(acts_on=list(t.acts_on), result=dict(t.result), store=dict(t.store))
     if t.timeout is not None:
         data["timeout"] = t.timeout
     if t.on_failure:
         data["on_failure"] = arcs_data(t.on_failure)
     if t.on_doubt:
         data["on_doubt"] = arcs_data(t.on_doubt)
+    if t.retry_of is not None:
+        data["retry_of"] = t.retry_of
     if t.emit:
         data["emit"] = list(t.emit)
     if t.delay is not None:
@@ -114,7 +178,11 @@ def _action_data(action: Action) -> tuple[str, object]:
         to = str(RemotePlace(action.net, action.service))
         more = _filled(arguments=dict(action.fields), build=action.build)
         return "request", {"to": to, **more} if more else to
+    if isinstance(action, ValuesAction):
+        raise TypeError("what only returns and stores values is written as these")
     data: dict[str, object] = {"name": action.name, "type": action.type}
+    if isinstance(action, AwaitAction):
+        return "await", data | _filled(latched=action.latched, until=action.until, handle=action.handle)
     if isinstance(action, TopicAction):
         return "topic", data | _filled(message=dict(action.fields), build=action.build)
     kind, fields = ("service", "request") if isinstance(action, ServiceAction) else ("goal", "goal")
@@ -152,7 +220,7 @@ def _lines(data: Mapping[str, object]) -> Iterator[str]:
             for name, transition in value.items():
                 yield f"  {_flow(name)}:" if transition else f"  {_flow(name)}: {{}}"
                 yield from (f"    {key}: {_flow(entry)}" for key, entry in transition.items())
-        elif key in ("places", "services") and isinstance(value, Mapping):
+        elif key in ("places", "services", "commands", "assume") and isinstance(value, Mapping):
             yield from ("", f"{key}:" if value else f"{key}: {{}}")
             yield from (_place(name, entry) for name, entry in value.items())
         else:

@@ -1,15 +1,14 @@
 """Actions of transitions that reach other tasks: service calls, publications, and what action goals share with them."""
 
 import inspect
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine
 from typing import Any, Protocol
 
 from rclpy.client import Client
 from rclpy.publisher import Publisher
 
 from im_core.clock import monotonic
-from im_core.errors import ImError, StateError, nearest
+from im_core.errors import ImError, LinkError, StateError
 from im_core.ros import qos
 from im_core.ros.calls import pause, wait
 from im_core.ros.heartbeats import Heartbeats
@@ -19,16 +18,17 @@ from im_core.ros.status import status_to_error
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
-from im_pnt.model.action import Action, GoalAction, ServiceAction, TopicAction
+from im_pnt.model.action import Action, AwaitAction, GoalAction, ServiceAction, TopicAction
+from im_pnt.ros.messages import fill, plain_fields
 
 DISCOVERY_TIMEOUT_S = 20.0
 """Time in which a server that lives is discovered, also on a busy computer [s]."""
 SETTLING_S = 2.0
 """Time in which a client and its server have certainly discovered each other, both ways [s]."""
 LATE_ANSWER_S = 30.0
+LOOK_S, GONE_LOOKS = 0.5, 4
+"""How often it is looked whether a node that sends no heartbeats is there [s]; so often in vain, and it is gone."""
 SERVICE_TIMEOUT_S = 30.0
-
-_SEQUENCE = re.compile(r"(?:sequence<(?P<bounded>[^,>]+)(?:, *\d+)?>|(?P<array>[^\[]+)\[\d*\])")
 
 
 class RosAction(Protocol):
@@ -38,11 +38,11 @@ class RosAction(Protocol):
         """Makes what an action needs before it is needed: discovery takes time.
 
         Raises:
-            NetError: No such interface.
+            NotFoundError: No such type is installed.
         """
 
-    async def perform(self, activity: Activity, context: ActionContext) -> None:
-        """Carries an action out.
+    def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
+        """Carries an action out, and returns what is kept of its answer.
 
         Raises:
             ImError: It failed.
@@ -63,16 +63,39 @@ class Surroundings:
         self.functions = functions
         self.heartbeats = heartbeats
 
-    async def wait(self, future: Any, task: str | None, timeout_s: float, what: str) -> Any:
-        """Awaits what another task will complete, while it lives.
+    async def wait(
+        self, future: Any, task: str | None, timeout_s: float, what: str, there: Callable[[], bool] = lambda: True
+    ) -> Any:
+        """Awaits what another node will complete, while it lives.
+
+        Args:
+            future: What it completes.
+            task: The task, if it is one that tells that it lives.
+            timeout_s: Longest wait [s].
+            what: What is waited for.
+            there: Whether the node is there, as far as the graph of ROS knows; looked at where it is no task.
 
         Raises:
-            LinkError: The task died.
+            LinkError: It died.
             WaitTimeoutError: It did not complete in time.
         """
-        if task is None:
+        if task is not None:
+            return await self.heartbeats.wait(future, task, timeout_s, what)
+        alarms, missed = self.node.alarms, 0
+        alarm = alarms.after(LOOK_S, lambda: look())
+
+        def look() -> None:
+            nonlocal alarm, missed
+            missed = 0 if there() else missed + 1
+            if missed < GONE_LOOKS:
+                alarm = alarms.after(LOOK_S, look)
+            elif not future.done():
+                future.set_exception(LinkError(f"{what} will not come: the node that owes it is gone"))
+
+        try:
             return await wait(self.node, future, timeout_s, what)
-        return await self.heartbeats.wait(future, task, timeout_s, what)
+        finally:
+            alarms.cancel(alarm)
 
     async def until_ready(self, ready: Callable[[], bool], made: float, task: str | None, what: str) -> None:
         """Waits for a server to be discovered, and to have discovered us: what is sent before may be lost.
@@ -112,6 +135,7 @@ class Surroundings:
 
         Raises:
             NetError: The builder returned something else.
+            ImError: An expression has no value.
         """
         built: object = {}
         if action.build:
@@ -120,14 +144,23 @@ class Surroundings:
                 built = await built
         if not isinstance(built, dict):
             raise NetError(f"builder {action.build} returned {built!r}, not a dict of fields")
-        return {**action.fields, **built}
+        fields = await context.filled(action.fields)
+        assert isinstance(fields, dict)
+        return {**fields, **built}
 
-    async def handled(self, action: ServiceAction | GoalAction, context: ActionContext, answer: Any) -> None:
-        """Has the registered handler read an answer."""
+    async def handled(
+        self, action: ServiceAction | GoalAction | AwaitAction, context: ActionContext, answer: Any
+    ) -> dict[str, object]:
+        """Has the registered handler read an answer, and returns the fields of it that the net reads.
+
+        Raises:
+            ImError: One of them is no finite number.
+        """
         if action.handle:
             outcome = self.functions.actions[action.handle](context, answer)
             if inspect.isawaitable(outcome):
                 await outcome
+        return plain_fields(answer, context.answer_ways, f"the answer of {action.name}")
 
 
 class ServiceActions:
@@ -141,13 +174,13 @@ class ServiceActions:
         """Makes the client of an action.
 
         Raises:
-            NetError: No such interface.
+            NotFoundError: No such type is installed.
         """
         assert isinstance(action, ServiceAction)
         self._client(action)
 
-    async def perform(self, activity: Activity, context: ActionContext) -> None:
-        """Calls a service and has its answer handled.
+    async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
+        """Calls a service and has its answer handled; returns what is kept of it.
 
         Raises:
             ImError: It failed, or did not answer in time.
@@ -160,9 +193,10 @@ class ServiceActions:
         what = f"transition {activity.transition}"
         await around.until_ready(client.service_is_ready, made, task, f"the service {action.name} ({what})")
         limit = time_left(activity, SERVICE_TIMEOUT_S)
-        response = await around.wait(client.call_async(request), task, limit, f"an answer of {action.name} ({what})")
+        waited = f"an answer of {action.name} ({what})"
+        response = await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
         require_success(response, str(action))
-        await around.handled(action, context, response)
+        return await around.handled(action, context, response)
 
     def _client(self, action: ServiceAction) -> tuple[Client, float]:
         """The client of a service, and when it was made."""
@@ -183,13 +217,13 @@ class TopicActions:
         """Makes the publisher of an action.
 
         Raises:
-            NetError: No such interface.
+            NotFoundError: No such type is installed.
         """
         assert isinstance(action, TopicAction)
         self._publisher(action)
 
-    async def perform(self, activity: Activity, context: ActionContext) -> None:
-        """Publishes one message.
+    async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
+        """Publishes one message, which nobody answers.
 
         Raises:
             NetError: A field does not fit.
@@ -198,6 +232,7 @@ class TopicActions:
         assert isinstance(action, TopicAction)
         fields = await self._surroundings.fields(action, context)
         self._publisher(action).publish(fill(interface_class(action.type)(), fields, str(action)))
+        return {}
 
     def _publisher(self, action: TopicAction) -> Publisher:
         key = (action.name, action.type)
@@ -216,64 +251,43 @@ def time_left(activity: Activity, default: float) -> float:
 
 
 def require_success(answer: Any, what: str) -> None:
-    """Checks the field ``success`` of an answer, if it has one.
+    """Checks the fields ``success`` and ``error_code`` of an answer, if it has them.
 
     Raises:
-        ImError: It is false; with what the answer says.
+        ImError: It did not succeed; with what the answer says.
     """
-    if getattr(answer, "success", True) is False:
+    if getattr(answer, "success", True) is False or _error_code(answer) is not None:
         raise failure_of(answer, f"{what} did not succeed", "failed")
 
 
 def failure_of(answer: Any, otherwise: str, code: str) -> ImError:
-    """Returns the failure that an answer tells of, by its ``status``, ``message`` or ``error_string``."""
+    """Returns the failure that an answer tells of: its ``status``, or its ``error_code`` and what it says in words."""
     status = getattr(answer, "status", None)
     if status is not None and hasattr(status, "message") and status.message:
         return status_to_error(status)
-    message = getattr(answer, "message", "") or getattr(answer, "error_string", "")
-    return ImError(message or otherwise, code=code)
+    words = next((text for name in _WORDS if (text := getattr(answer, name, ""))), "")
+    number = _error_code(answer)
+    if number is None:
+        return ImError(words or otherwise, code=code)
+    name = next((name for name, value in _codes(answer).items() if value == number), "error_code")
+    sentence = ": ".join(part for part in (otherwise, f"{name} ({number})", words) if part)
+    return ImError(sentence, code=code if name == "error_code" else name.lower(), error_code=number)
 
 
-def fill(message: Any, fields: Mapping[str, object], where: str) -> Any:
-    """Sets fields of a message from plain data or from messages; returns the message.
-
-    Args:
-        message: A message, request or goal.
-        fields: Values by name; a mapping fills a nested message.
-        where: What is filled, for messages.
-
-    Raises:
-        NetError: No such field, or a value that does not fit.
-    """
-    types = message.get_fields_and_field_types()
-    message._check_fields = True  # otherwise a wrong type is met first by the serialiser, which aborts the process
-    for name, value in fields.items():
-        if name not in types:
-            raise NetError(f"{where} has no field '{name}'{nearest(name, types)}", field=name)
-        try:
-            setattr(message, name, _fitted(getattr(message, name), types[name], value, f"{where}.{name}"))
-        except (AssertionError, TypeError, ValueError) as error:
-            raise NetError(f"{where}.{name} ({types[name]}) cannot be {value!r}: {error}", field=name) from error
-    return message
+_WORDS = ("message", "error_string", "error_msg", "status_message")
+_GOOD = ("SUCCESSFUL", "SUCCESS", "NONE", "OK")
 
 
-def _fitted(present: Any, type_name: str, value: Any, where: str) -> Any:
-    if isinstance(value, Mapping) and hasattr(present, "get_fields_and_field_types"):
-        return fill(present, value, where)
-    match = _SEQUENCE.fullmatch(type_name)
-    if match and isinstance(value, list | tuple):
-        element = match.group("bounded") or match.group("array")
-        if "/" in element:
-            make = interface_class(element.replace("/", "/msg/"))
-            return [
-                fill(make(), entry, f"{where}[{index}]") if isinstance(entry, Mapping) else entry
-                for index, entry in enumerate(value)
-            ]
-        return [_number(entry, element) for entry in value]
-    return _number(value, type_name)
+def _error_code(answer: Any) -> int | None:
+    """The ``error_code`` of an answer whose type names the codes (control_msgs, moveit_msgs); None: it says success."""
+    code = getattr(answer, "error_code", None)
+    code = getattr(code, "val", code)
+    good = next((value for name, value in _codes(answer).items() if name in _GOOD), 0)
+    return code if isinstance(code, int) and code != good else None
 
 
-def _number(value: Any, type_name: str) -> Any:
-    """YAML writes 1 where a message wants 1.0."""
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    return float(value) if whole and type_name in ("double", "float") else value
+def _codes(answer: Any) -> dict[str, int]:
+    """The constants of the message that holds the ``error_code``."""
+    code = getattr(answer, "error_code", None)
+    holder = type(code if hasattr(code, "val") else answer)
+    return {name: value for name, value in vars(holder).items() if name.isupper() and isinstance(value, int)}

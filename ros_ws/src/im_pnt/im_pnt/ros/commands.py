@@ -3,6 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from diagnostic_msgs.msg import KeyValue
+
+from im_core.clock import stamp_name, wall
 from im_core.errors import NotFoundError, StateError
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
@@ -11,6 +14,7 @@ from im_msgs.msg import Status
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import Command, CommandResult, Job
 from im_pnt.execution.notification import Firing, Phase
+from im_pnt.journal.ended import EndedCommand, EndedCommands
 
 ProgressListener = Callable[[str, str, float], None]
 """Is told the transition that fired or reported, a text, and the progress 0..1 (negative: unknown)."""
@@ -25,19 +29,63 @@ class CommandOutcome:
     results: dict[str, object]
 
 
+@dataclass
+class OpenCommand:
+    """A command that has not ended.
+
+    Attributes:
+        job: What the net that reads it has of it.
+        net: That net.
+        step: Transition that fired last for it.
+        text: What it told last.
+        progress: Progress 0..1, negative where unknown.
+    """
+
+    job: Job
+    net: Executor
+    step: str = ""
+    text: str = ""
+    progress: float = -1.0
+
+    @property
+    def state(self) -> str:
+        """How far it is, in a word."""
+        if self.job.cancelled:
+            return "cancelling"
+        if self.job.command.id in self.net.rule.held:
+            return "paused"
+        return "waiting" if self.job.waiting else "running"
+
+
 class Commands:
     """Writes commands to the input tapes of a node's nets and knows those that have not ended.
+
+    Where several nets know a symbol, the first of them reads it; it may hand the command on to another.
 
     Args:
         node: The node.
         nets: Its nets by name; looked at anew for each command.
+        began: Called when one has begun, or was brought back.
+        ended: Called when one has ended.
+
+    Attributes:
+        lost: Why commands of a former life of the node are forgotten, a clause; empty if they are not.
+        ended: Those that have ended.
     """
 
-    def __init__(self, node: ManagedNode, nets: Mapping[str, Executor]) -> None:
-        self._node, self._nets = node, nets
+    def __init__(
+        self,
+        node: ManagedNode,
+        nets: Mapping[str, Executor],
+        began: Callable[[], None],
+        ended: Callable[[], None],
+    ) -> None:
+        self._node, self._nets, self._told_began, self._told_ended = node, nets, began, ended
+        self.lost = ""
+        self.ended = EndedCommands()
         self._count = 0
-        self._open: dict[int, Job] = {}
-        self._ended: dict[str, CommandOutcome] = {}
+        self._life = stamp_name()
+        self._open: dict[int, OpenCommand] = {}
         self._waiting: dict[int, list[Promise]] = {}
         self._listeners: dict[int, list[ProgressListener]] = {}
 
@@ -45,34 +93,80 @@ class Commands:
         """Returns the symbols that the nets read from their tapes."""
         return sorted({symbol for executor in self._nets.values() for symbol in executor.net.symbols()})
 
+    def scopes(self) -> frozenset[str]:
+        """Returns what the names of the data objects of commands begin with that have not ended."""
+        return frozenset(each.job.command.scope for each in self._open.values())
+
     def running(self, symbol: str) -> Job | None:
         """Returns the oldest command of a symbol that has not ended, if any."""
-        return next((job for job in self._open.values() if job.command.symbol == symbol), None)
+        return next((each.job for each in self._open.values() if each.job.command.symbol == symbol), None)
+
+    def open(self) -> list[OpenCommand]:
+        """Returns the commands that have not ended, in the order of their numbers."""
+        return [self._open[number] for number in sorted(self._open)]
+
+    def numbered(self) -> list[tuple[int, str]]:
+        """Returns number and symbol of the commands that have not ended, in the order of their numbers."""
+        return [(each.job.command.id, each.job.command.symbol) for each in self.open()]
+
+    def get(self, number: int) -> OpenCommand:
+        """Returns a command that has not ended.
+
+        Raises:
+            StateError: There is none of that number.
+        """
+        if number not in self._open:
+            known = ", ".join(f"{each.job.command.symbol} (number {n})" for n, each in sorted(self._open.items()))
+            text = f"no command has the number {number}; {f'under way are {known}' if known else 'none is under way'}"
+            raise StateError(f"{text}{self._forgotten()}", command_id=number)
+        return self._open[number]
 
     def take_up(self) -> None:
-        """Enters the commands that nets have brought back from a journal."""
+        """Enters the commands that nets have brought back from a journal, or taken over from one they replace."""
         for executor in self._nets.values():
             for job in executor.jobs():
                 if job.request is None:
-                    self._open[job.command.id] = job
-                    job.on_closed = self._closing(job.command.id, job.command.symbol)
-        self._count = max(self._open, default=0)
+                    number = job.command.id
+                    known = self._open.get(number)
+                    self._open[number] = OpenCommand(job, executor)
+                    if known is not None:
+                        self._open[number].step, self._open[number].text = known.step, known.text
+                    job.on_closed = self._closing(number, job.command.symbol)
+        entered = sum(executor.rule.ledger.count for executor in self._nets.values())
+        self._count = max(self._count, entered, self.ended.largest(), *self._open)  # so that no number is given twice
+        self._told_began()
 
-    def write(self, symbol: str, arguments: Mapping[str, object]) -> int:
-        """Writes a command to the tape of the net that reads its symbol; returns its number.
+    def reader(self, symbol: str) -> Executor:
+        """Returns the net that reads a symbol.
 
         Raises:
-            NotFoundError: No net knows the symbol.
+            NotFoundError: None does.
         """
         for executor in self._nets.values():
             if symbol in executor.net.symbols():
-                break
-        else:
-            raise NotFoundError(kind="command", name=symbol, known=self.symbols())
-        self._count += 1
-        number = self._count
-        command = Command(number, symbol, dict(arguments))
-        self._open[number] = executor.command(command, self._closing(number, symbol))
+                return executor
+        raise NotFoundError(kind="command", name=symbol, known=self.symbols())
+
+    def write(self, symbol: str, arguments: Mapping[str, object], priority: int = 0) -> int:
+        """Writes a command to the tape of the net that reads its symbol; returns its number.
+
+        Args:
+            symbol: Its symbol.
+            arguments: Its arguments.
+            priority: Larger goes first, where commands wait for the same.
+
+        Raises:
+            NotFoundError: No net knows the symbol.
+            DataError: The arguments are not what the net declares.
+        """
+        executor = self.reader(symbol)
+        number = self._count + 1
+        scope = f"{self._node.task_name}/{self._life}-{number}"
+        command = Command(number, symbol, dict(arguments), priority=priority, scope=scope)
+        job = executor.command(command, self._closing(number, symbol))
+        self._count = number
+        self._open[number] = OpenCommand(job, executor)
+        self._told_began()
         return number
 
     async def wait(self, number: int, listener: ProgressListener | None = None) -> CommandOutcome:
@@ -90,48 +184,81 @@ class Commands:
         return outcome
 
     async def attach(
-        self, symbol: str, listener: ProgressListener | None = None, started: Callable[[int], None] | None = None
+        self,
+        symbol: str,
+        listener: ProgressListener | None = None,
+        started: Callable[[int], None] | None = None,
+        number: int = 0,
     ) -> CommandOutcome:
-        """Waits for the running command of a symbol, or returns how the last one ended.
+        """Waits for a command that has not ended, or returns how it, or the last one of its symbol, has ended.
 
         Args:
             symbol: Symbol of the command.
             listener: Is told of progress.
             started: Is told the number of the running command.
+            number: Number of the command; 0: the oldest of its symbol.
 
         Raises:
-            StateError: None is running, and none has ended since the node began.
+            StateError: There is none, and it is not known how one has ended.
         """
-        job = self.running(symbol)
+        if number:
+            if number not in self._open and number in self.ended:
+                return _outcome(self.ended[number])
+            job: Job | None = self.get(number).job
+        else:
+            job = self.running(symbol)
         if job is not None:
             if started is not None:
                 started(job.command.id)
             return await self.wait(job.command.id, listener)
-        if symbol not in self._ended:
-            raise StateError(f"no command {symbol} is running, and none has ended yet", command=symbol)
-        return self._ended[symbol]
+        ended = self.ended.last(symbol)
+        if ended is None:
+            text = f"no command {symbol} is running, and none has ended yet"
+            raise StateError(f"{text}{self._forgotten()}", command=symbol)
+        return _outcome(ended)
 
     def fired(self, firings: Sequence[Firing]) -> None:
         """Tells listeners of the steps of their commands."""
-        if self._listeners:
+        if self._open:
             for firing in firings:
-                if firing.phase is Phase.START:
+                if firing.phase is Phase.START and firing.command_id in self._open:
+                    command = self._open[firing.command_id]
+                    command.step = firing.transition
+                    command.progress = max(command.progress, firing.progress)
                     for listener in self._listeners.get(firing.command_id, ()):
                         listener(firing.transition, "", firing.progress)
 
     def progressed(self, number: int, text: str, fraction: float) -> None:
         """Tells listeners what an action of their command has reported."""
+        if number in self._open:
+            command = self._open[number]
+            command.text, command.progress = text, max(command.progress, fraction)
         for listener in self._listeners.get(number, ()):
             listener("", text, fraction)
+
+    def _forgotten(self) -> str:
+        return f": {self.lost}" if self.lost else ""
 
     def _closing(self, number: int, symbol: str) -> Callable[[CommandResult], None]:
         def closed(result: CommandResult) -> None:
             status = ok_status() if result.error is None else to_status(result.error)
-            outcome = self._ended[symbol] = CommandOutcome(result.success, status, result.results)
+            outcome = CommandOutcome(result.success, status, result.results)
+            facts = {fact.key: fact.value for fact in status.facts}
+            why = {"code": status.code, "message": status.message, "facts": facts}
+            ended = EndedCommand(
+                number=number, symbol=symbol, time=wall(), success=result.success, results=result.results, **why
+            )
+            self.ended.add(ended)
             self._open.pop(number, None)
             self._listeners.pop(number, None)
             for promise in self._waiting.pop(number, []):
                 if not promise.done():
                     promise.set_result(outcome)
+            self._told_ended()
 
         return closed
+
+
+def _outcome(ended: EndedCommand) -> CommandOutcome:
+    facts = [KeyValue(key=key, value=value) for key, value in ended.facts.items()]
+    return CommandOutcome(ended.success, Status(code=ended.code, message=ended.message, facts=facts), ended.results)

@@ -23,7 +23,8 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import Action, GoalAction
-from im_pnt.ros.actions import Surroundings, failure_of, fill, require_success, time_left
+from im_pnt.ros.actions import Surroundings, failure_of, require_success, time_left
+from im_pnt.ros.messages import fill
 
 ACCEPT_TIMEOUT_S = 30.0
 GOAL_TIMEOUT_S = 600.0
@@ -59,13 +60,13 @@ class GoalActions:
         """Makes the client of an action.
 
         Raises:
-            NetError: No such interface.
+            NotFoundError: No such type is installed.
         """
         assert isinstance(action, GoalAction)
         self._client(action)
 
-    async def perform(self, activity: Activity, context: ActionContext) -> None:
-        """Sends a goal, waits for its result and has it handled.
+    async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
+        """Sends a goal, waits for its result and has it handled; returns what is kept of it.
 
         Raises:
             ImError: It was rejected, aborted or cancelled, or the server is gone.
@@ -74,11 +75,11 @@ class GoalActions:
         assert isinstance(action, GoalAction)
         self._performed.add(activity)
         try:
-            await self._perform(activity, context, action)
+            return await self._perform(activity, context, action)
         finally:
             self._performed.discard(activity)
 
-    async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> None:
+    async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> dict[str, object]:
         around, (client, made) = self._surroundings, self._client(action)
         task = around.task(action)
         goal = fill(interface_class(action.type).Goal(), await around.fields(action, context), str(action))
@@ -87,13 +88,14 @@ class GoalActions:
             raise ImError(f"{action} was cancelled before it was sent", code="cancelled")
         asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
         accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
-        handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked)
+        handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, client.server_is_ready)
         if not handle.accepted:
             raise StateError(f"{action} was rejected", action=action.name)
         waited = f"the result of {action.name} (transition {activity.transition})"
         result = self._follow(activity, handle)
-        answer = await around.wait(result, task, time_left(activity, GOAL_TIMEOUT_S), waited)
-        await self._conclude(action, context, answer)
+        left = time_left(activity, GOAL_TIMEOUT_S)
+        answer = await around.wait(result, task, left, waited, client.server_is_ready)
+        return await self._conclude(action, context, answer)
 
     async def ask(self, activity: Activity, context: ActionContext) -> Answer:
         """Asks the server what became of a goal that was sent in a former life of this process."""
@@ -118,10 +120,10 @@ class GoalActions:
         if answer.status == GoalStatus.STATUS_UNKNOWN:
             return Answer(Outcome.UNKNOWN, asked=f"{action.name} does not know the goal")
         try:
-            await self._conclude(action, context, answer)
+            kept = await self._conclude(action, context, answer)
         except ImError as error:
             return Answer(Outcome.FAILED, error, asked=action.name)
-        return Answer(Outcome.DONE, asked=action.name)
+        return Answer(Outcome.DONE, results=kept, asked=action.name)
 
     def _follow(self, activity: Activity, handle: ClientGoalHandle) -> Any:
         """Begins to wait for a result, and to cancel the goal when the activity is cancelled."""
@@ -141,13 +143,13 @@ class GoalActions:
                 return
             await pause(self._surroundings.node, CANCEL_AGAIN_S)
 
-    async def _conclude(self, action: GoalAction, context: ActionContext, answer: Any) -> None:
+    async def _conclude(self, action: GoalAction, context: ActionContext, answer: Any) -> dict[str, object]:
         if answer.status == GoalStatus.STATUS_CANCELED:
             raise failure_of(answer.result, f"{action} was cancelled", "cancelled")
         if answer.status != GoalStatus.STATUS_SUCCEEDED:
             raise failure_of(answer.result, f"{action} was aborted", "aborted")
         require_success(answer.result, str(action))
-        await self._surroundings.handled(action, context, answer.result)
+        return await self._surroundings.handled(action, context, answer.result)
 
     def _handle(self, client: ActionClient, activity: Activity) -> ClientGoalHandle:
         action = activity.action

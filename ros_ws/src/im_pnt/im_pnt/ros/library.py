@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from im_core.clock import monotonic
-from im_core.errors import ImError, StateError
+from im_core.errors import ImError, NotFoundError, StateError
 from im_core.files import make_folder, write_whole
 from im_core.ros import qos
 from im_core.ros.calls import pause, run_in_thread
@@ -19,10 +19,11 @@ from im_pnt.errors import NetError, VerificationError
 from im_pnt.execution.executor import Executor
 from im_pnt.journal.journal import fingerprint
 from im_pnt.journal.state import net_state
+from im_pnt.model.groups import group_of
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, yaml_text
 from im_pnt.ros.publish import PntPublisher
-from im_pnt.verification import Verification, Verifier
+from im_pnt.verification import Verification, Verifier, accept
 
 REST_CHECK_S = 0.02
 
@@ -45,6 +46,10 @@ class Library:
         self._known: dict[str, Net] = {}
         self._unread: dict[str, NetDescription] = {}
         self._reading = False
+
+    def begin_with(self, files: Sequence[Path]) -> None:
+        """Says which net files the node begins with."""
+        self._files = list(files)
 
     def keep_in(self, folder: Path) -> None:
         """Has nets that came later kept in a folder, where a node that died finds them."""
@@ -75,19 +80,14 @@ class Library:
         write_whole(path, yaml_text(net))
         return replace(net, source=str(path))
 
-    def partners(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Returns the nets that a net talks to, or that talk to it, as far as they are known.
+    def group(self, net: Net, own: Sequence[Net]) -> list[Net]:
+        """Returns a net with those that it talks to, or that talk to it, and so on, as far as they are known.
 
         Args:
             net: The net.
             own: Nets of this node.
         """
-        known = {**self._known, **{each.name: each for each in own}}
-        return [
-            other
-            for name, other in known.items()
-            if name != net.name and (name in net.partners() or net.name in other.partners())
-        ]
+        return group_of(net, list({**self._known, **{each.name: each for each in own}}.values()))
 
     def with_servers(self, net: Net, own: Sequence[Net]) -> list[Net]:
         """Returns a net with those that it asks or sends tokens to, and so on, as far as they are known.
@@ -155,12 +155,15 @@ class Loader:
     ) -> None:
         self._node, self._library, self._nets, self._publisher = node, library, nets, publisher
 
-    async def prepare(self, net: Net, patience_s: float) -> tuple[Verification, dict[str, object] | None]:
+    async def prepare(
+        self, net: Net, patience_s: float, beside: Sequence[Net] = ()
+    ) -> tuple[Verification, dict[str, object] | None]:
         """Verifies a net, alone and with those it talks to, and waits until the present one of its name is at rest.
 
         Args:
             net: The net.
             patience_s: Longest wait for that [s].
+            beside: Nets that will take the places of those of their names, once it has come.
 
         Returns:
             The report, and the state that it takes over, if any; the net is to take its place at once.
@@ -170,7 +173,7 @@ class Loader:
             NetError: It does not fit to the present marking.
             StateError: The present net of that name does not come to rest; says what keeps it.
         """
-        report = await self._verified(net)
+        report = await self.verified(net, beside)
         present = self._nets.get(net.name)
         if present is None:
             return report, None
@@ -178,22 +181,67 @@ class Loader:
         carried = carried_over(present, net)
         if carried is net:
             return report, None
-        report = await self._verified(carried)
+        report = await self.verified(carried, beside)
         await self._until_rest(present, patience_s)
         if carried_over(present, net) != carried:
             raise StateError(f"net {net.name} went on while its successor was verified; load it again")
         return report, net_state(present)
 
-    async def _verified(self, net: Net) -> Verification:
-        own = [executor.written for executor in self._nets.values()]
-        together = [net, *self._library.partners(net, own)]
-        for nets in ([net], together) if len(together) > 1 else ([net],):
-            report = await run_in_thread(self._node, self._library.verify, nets)
-            try:
-                report.require_ok()
-            except VerificationError as error:
-                self._publisher.refused(net.name, error.message, nets, report.refusals)
-                raise
+    async def until_it_may_go(self, name: str, patience_s: float) -> None:
+        """Waits until a net may be taken out.
+
+        Args:
+            name: Its name.
+            patience_s: Longest wait for it to come to rest [s].
+
+        Raises:
+            NotFoundError: There is none of that name.
+            StateError: Another net asks it, or it does not come to rest; says what keeps it.
+        """
+        if name not in self._nets:
+            raise NotFoundError(kind="net", name=name, known=self._nets)
+        asking = [net for net, each in self._nets.items() if net != name and name in each.written.partners()]
+        if asking:
+            raise StateError(f"net {name} cannot go: {', '.join(asking)} asks it", net=name, askers=asking)
+        await self._until_rest(self._nets[name], patience_s)
+
+    async def verified(self, net: Net, beside: Sequence[Net] = (), without: str = "") -> Verification:
+        """Verifies a net, alone and with those it talks to.
+
+        Args:
+            net: The net.
+            beside: Nets that take the places of those of their names.
+            without: Net of this node that will have gone.
+
+        Raises:
+            VerificationError: The net may not run; carries the firing sequence that shows why.
+            NetError: They do not fit together.
+        """
+        own = {name: executor.written for name, executor in self._nets.items() if name != without}
+        own |= {each.name: each for each in beside}
+        together = [each for each in self._library.group(net, list(own.values())) if each.name != without]
+        alone = await self.verified_alone(net)
+        if len(together) == 1:
+            return alone
+        composed = await self._accepted(net, together)
+        return alone if alone.unproved else composed
+
+    async def verified_alone(self, net: Net) -> Verification:
+        """Verifies a net by itself: a fault of its own is shown with its own way there, and soon.
+
+        Raises:
+            VerificationError: The net may not run; carries the firing sequence that shows why.
+            NetError: It does not fit together.
+        """
+        return await self._accepted(net, [net])
+
+    async def _accepted(self, net: Net, nets: Sequence[Net]) -> Verification:
+        report = await run_in_thread(self._node, self._library.verify, nets)
+        try:
+            accept(report)
+        except VerificationError as error:
+            self._publisher.refused(net.name, error.message, report.composed, report.refusals)
+            raise
         return report
 
     async def _until_rest(self, executor: Executor, patience_s: float) -> None:

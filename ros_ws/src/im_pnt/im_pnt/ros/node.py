@@ -12,32 +12,40 @@ from im_core.ros import qos
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
+from im_core.startup import nets_sentence
 from im_msgs.msg import ObjectChange
 from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.packets import began_at, new_epoch
-from im_pnt.execution.actions import FunctionRunner
+from im_pnt.execution.actions import Ask, FunctionRunner
 from im_pnt.execution.conflicts import StrategyBook
-from im_pnt.execution.events import CommandCancelled, GuardsChanged, ObjectInvalidated
+from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged, ObjectInvalidated
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import AskFunction, Functions, GuardFunction
+from im_pnt.expression.scope import check_net
 from im_pnt.journal.journal import Journal
 from im_pnt.journal.log import Sync
-from im_pnt.journal.state import restore_net
-from im_pnt.model.action import GoalAction, ServiceAction, TopicAction
+from im_pnt.journal.state import restore_net, taken_over
+from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
 from im_pnt.ros.actions import RosAction, ServiceActions, Surroundings, TopicActions
-from im_pnt.ros.commands import CommandOutcome, Commands, ProgressListener
+from im_pnt.ros.awaits import AwaitActions
+from im_pnt.ros.command_notes import CommandNotes
+from im_pnt.ros.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 from im_pnt.ros.control import ControlService
+from im_pnt.ros.execute import ExecuteServer, RunCommand
 from im_pnt.ros.goals import GoalActions
 from im_pnt.ros.library import Library, Loader
 from im_pnt.ros.loop import NetLoop
+from im_pnt.ros.messages import RosTypes
+from im_pnt.ros.objects import DomObjects
 from im_pnt.ros.observer import NodeObserver
 from im_pnt.ros.publish import PntPublisher
+from im_pnt.ros.scopes import CommandScopes
 from im_pnt.ros.sources import Sources
 from im_pnt.ros.transport import DdsTransport
-from im_pnt.verification import Verification, Verifier
+from im_pnt.verification import Verification, Verifier, accept
 
-__all__ = ["CommandOutcome", "PntNode", "ProgressListener"]
+__all__ = ["CommandOutcome", "OpenCommand", "PntNode", "ProgressListener"]
 
 TIDY_PERIOD_S = 2.0
 
@@ -64,6 +72,7 @@ class PntNode(ManagedNode):
         sources: What guards look at.
         exchange: The nets, and what they send each other.
         commands: The commands that have not ended.
+        loader: Finds out whether a net may run.
         seed: Seed of choices.
     """
 
@@ -95,22 +104,34 @@ class PntNode(ManagedNode):
         self._transport = DdsTransport(self, epoch, self.heartbeats, self._observer)
         self.exchange = Exchange(name, began_at(epoch), self._transport, self._observer)
         self._publisher.nets = self.exchange.nets
+        self._objects = DomObjects(self.dom, self.spawn, self._guards_changed)
         self._loop = NetLoop(self, self.exchange.nets, self._may_turn, self._commit, self._publisher.publish)
-        self.commands = self._observer.commands = Commands(self, self.exchange.nets)
+        self.commands = self._observer.commands = Commands(
+            self, self.exchange.nets, lambda: self._notes.changed(), self._command_ended
+        )
+        self._scopes = CommandScopes(self, self.dom, self.commands.scopes)
+        noted = Path(self._journal_dir).parent if self._journal_dir else None
+        self._notes = CommandNotes(self, noted, self.commands.numbered)
         self._library = Library([Path(file) for file in net_files], verifier)
-        self._loader = Loader(self, self._library, self.exchange.nets, self._publisher)
+        self.loader = Loader(self, self._library, self.exchange.nets, self._publisher)
         around = Surroundings(self, self.functions, self.heartbeats)
         goals = GoalActions(around, self.spawn, lambda: self.exchange.book.prefix)
+        awaits = AwaitActions(around)
         self._kinds: dict[type, RosAction] = {
             ServiceAction: ServiceActions(around),
             GoalAction: goals,
             TopicAction: TopicActions(around),
+            AwaitAction: awaits,
         }
+        questions: dict[type, Ask] = {GoalAction: goals.ask, AwaitAction: awaits.ask}
         others = {kind: actions.perform for kind, actions in self._kinds.items()}
-        self._runner = FunctionRunner(self.functions, self.exchange, self.spawn, others, {GoalAction: goals.ask})
+        self._runner = FunctionRunner(self.functions, self.exchange, self.spawn, others, questions)
         self._journal: Journal | None = None
         self._book = StrategyBook()
+        self._looked = False
+        self._execute: ExecuteServer | None = None
         self.create_subscription(ObjectChange, "/dom/changes", self._object_changed, qos.EVENTS)
+        self.heartbeats.on_return("dom", lambda: self.spawn(self._compare_objects()))
 
     # For subclasses.
 
@@ -124,10 +145,16 @@ class PntNode(ManagedNode):
         if self._journal_dir:
             folder = Path(self._journal_dir) / self.task_name
             self._journal = Journal(folder, self.task_name, sync=self._journal_sync, observer=self._observer)
+            self.commands.lost = self._journal.lost
             self._library.keep_in(folder / "nets")
-        for net in self._library.nets(self._journal.found if self._journal else {}):
+        for net in self.completed(self._library.nets(self._journal.found if self._journal else {})):
             self._take_in(net, self._library.verify([net]))
-        if self._journal is not None and self._journal.start(self.exchange, self._transport.link):
+        self._prepare_partners()
+        self.detail = nets_sentence(self.exchange.nets)
+        goes_on = self._journal is not None and self._journal.start(self.exchange, self._transport.link)
+        if self._journal is not None:
+            self.commands.ended.keep_in(Path(self._journal_dir) / self.task_name / "ended", goes_on=goes_on)
+        if goes_on:
             self.commands.take_up()
             self.get_logger().info(f"{self.task_name} goes on where its journal ends")
             for executor in self.exchange.nets.values():
@@ -135,11 +162,16 @@ class PntNode(ManagedNode):
         self._transport.listen(self.exchange, self._loop)
         self._library.follow(self)
 
+    def completed(self, nets: list[Net]) -> list[Net]:
+        """Returns the nets to begin with: those of files or of a journal, and what a subclass makes of them."""
+        return nets
+
     def phase_start(self) -> None:
         """Begins to fire."""
         ControlService(self, self.exchange.nets, self._loop.turn)
         self.create_timer(TIDY_PERIOD_S, self.exchange.tidy, clock=self.steady_clock)
         self.spawn(self._begin())
+        self.spawn(self._scopes.begin())
         gc.freeze()  # what is there now stays: the garbage collector need not look at it again, which takes 20 ms
 
     def phase_shutdown(self) -> None:
@@ -155,24 +187,47 @@ class PntNode(ManagedNode):
         destroy: Callable[[], None] = super().destroy_node  # rclpy says no types
         destroy()
 
-    async def load_net(self, net: Net, patience_s: float = 0.0) -> Verification:
+    async def load_net(self, net: Net, patience_s: float = 0.0, beside: Sequence[Net] = ()) -> Verification:
         """Verifies a net, alone and with those it talks to, and takes it into execution.
 
         Args:
             net: The net; it takes the place of one of the same name when that one is at rest.
             patience_s: Longest wait for that [s].
+            beside: Nets that will take the places of those of their names, once it has come; verified with it.
 
         Raises:
             VerificationError: The net may not run; carries the firing sequence that shows why.
             NetError: It names a function that is not registered, or does not fit to the present marking.
             StateError: The present net of that name does not come to rest; says what keeps it.
         """
-        report, state = await self._loader.prepare(net, patience_s)
+        report, state = await self.loader.prepare(net, patience_s, beside)
         self._take_in(self._library.kept(net), report, state)
+        self._prepare_partners()
         if self._journal is not None:
             self._journal.compact()
+        if self._execute is not None:
+            self._execute.tell()
         await self.sources.look()
         return report
+
+    async def unload_net(self, name: str, patience_s: float = 0.0) -> None:
+        """Takes a net out of execution when it is at rest.
+
+        Args:
+            name: Its name.
+            patience_s: Longest wait for that [s].
+
+        Raises:
+            NotFoundError: There is none of that name.
+            StateError: Another net of this node asks it, or it does not come to rest; says what keeps it.
+        """
+        await self.loader.until_it_may_go(name, patience_s)
+        del self.exchange.nets[name]
+        self._publisher.withdrawn(name)
+        if self._journal is not None:
+            self._journal.compact()
+        if self._execute is not None:
+            self._execute.tell()
 
     async def command(
         self,
@@ -180,6 +235,7 @@ class PntNode(ManagedNode):
         arguments: Mapping[str, object] | None = None,
         listener: ProgressListener | None = None,
         started: Callable[[int], None] | None = None,
+        priority: int = 0,
     ) -> CommandOutcome:
         """Writes a command to the input tape and waits until the net emits ``<symbol>_done`` or ``<symbol>_failed``.
 
@@ -188,17 +244,27 @@ class PntNode(ManagedNode):
             arguments: What actions find in ``ctx.command.arguments``.
             listener: Is told of progress.
             started: Is told the number of the command, by which it can be cancelled.
+            priority: Larger goes first, where commands wait for the same.
 
         Raises:
             NotFoundError: No net knows the symbol.
+            DataError: The arguments are not what the net declares.
             JournalError: The journal cannot be written: the command would not even begin.
         """
         if self._journal is not None:
             self._journal.require_writable()
-        number = self.commands.write(symbol, arguments or {})
+        number = self.commands.write(symbol, arguments or {}, priority)
         if started is not None:
             started(number)
         return await self.commands.wait(number, listener)
+
+    def offer_commands(self, run: RunCommand | None = None) -> None:
+        """Offers the commands of the nets to everybody: action ``/<node>/execute``, list ``/<node>/commands``.
+
+        Args:
+            run: Runs a command; None: :meth:`command`.
+        """
+        self._execute = ExecuteServer(self, self.exchange.nets, self.commands, run or self.command, self)
 
     def net_with_servers(self, name: str) -> list[Net]:
         """Returns a net of this node as written, with the nets of all nodes that it needs, as far as they are known."""
@@ -206,15 +272,66 @@ class PntNode(ManagedNode):
         return self._library.with_servers(self.exchange.nets[name].written, own)
 
     def cancel(self, command_id: int, why: str = "cancelled by its client") -> None:
-        """Asks a command to end early; the nets decide how."""
+        """Asks a command to end early, also one that is paused; the nets decide how."""
         error = ImError(why, code="cancelled", command_id=command_id)
+        self.hold(command_id, False)
         for executor in self.exchange.nets.values():
             executor.post(CommandCancelled(command_id, error))
 
+    def hold(self, command_id: int, held: bool) -> None:
+        """Has nothing more begun for a command (what runs for it ends), or has it go on."""
+        for executor in self.exchange.nets.values():
+            if held != (command_id in executor.rule.held):
+                executor.post(CommandHeld(command_id, held))
+
+    def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
+        """Returns what a command needs of what there is once, and what it waits for; here nothing is known of that."""
+        return (), ""
+
     # Nets.
 
-    def _take_in(self, net: Net, report: Verification, state: dict[str, object] | None = None) -> None:
-        report.require_ok()
+    def succeed(self, net: Net, report: Verification) -> None:
+        """Has a net take the place of one of its name that goes on: what is under way in that goes on in this.
+
+        Args:
+            net: The net.
+            report: Says that it may run.
+
+        Raises:
+            StateError: Something is under way in the present net that the new one does not have.
+        """
+        present = self.exchange.nets[net.name]
+        while present.pump():
+            pass
+        state = taken_over(present, net)
+        self._take_in(self._library.kept(net), report, state, self.exchange.succeed)
+        self._prepare_partners()
+        self.exchange.nets[net.name].resume()
+        self.commands.take_up()
+        if self._journal is not None:
+            self._journal.compact()
+        if self._execute is not None:
+            self._execute.tell()
+
+    def _prepare_partners(self) -> None:
+        """Makes ready to write to the nets of other nodes that those of this node talk to."""
+        nets = self.exchange.nets
+        for partner in {name for executor in nets.values() for name in executor.written.partners()} - nets.keys():
+            self._transport.prepare(partner)
+
+    def _take_in(
+        self,
+        net: Net,
+        report: Verification,
+        state: dict[str, object] | None = None,
+        enter: Callable[[Executor], None] | None = None,
+    ) -> None:
+        check_net(net, RosTypes())
+        accept(report)
+        if report.unproved:
+            self._observer.unproved(report.sentence)
+        else:
+            self.get_logger().info(report.sentence)
         self.sources.declare(net.name, self.functions.wakes(net))
         for transition in net.transitions.values():
             action = transition.action
@@ -232,26 +349,39 @@ class PntNode(ManagedNode):
             check_objects=lambda names, done: self.spawn(self.sources.check(names, done)),
             record=None if journal is None else journal.recorder(net.name),
             strategies=self._book,
+            objects=self._objects,
         )
         if state is not None:
             restore_net(executor, state)
-        self.exchange.add(executor)
-        for partner in net.partners() - self.exchange.nets.keys():
-            self._transport.prepare(partner)
+        (enter or self.exchange.add)(executor)
         self._publisher.described(executor)
         self._publisher.marked(executor)
-        self.get_logger().info(f"net {net.name} verified: {report.states} markings in {report.time_s:.3f} s")
         self._loop.wake()
+
+    def _command_ended(self) -> None:
+        self._scopes.tidy()
+        self._notes.changed()
 
     # The loop.
 
     async def _begin(self) -> None:
+        """Looks at the data objects that guards and marked places speak of; nothing fires before."""
+        await self._compare_objects()
+        self._looked = True
+        self._loop.wake()
+
+    async def _compare_objects(self) -> None:
+        """Has tokens and guards follow the objects: what /dom told while this node or /dom was dead is lost."""
+        self.dom.forget_known()
+        self._objects.stale()
         await self.sources.look()
-        for executor in self.exchange.nets.values():
+        for executor in list(self.exchange.nets.values()):
+            for name in await self.sources.lost(executor.rule.shown_objects()):
+                executor.post(ObjectInvalidated(name))
             executor.post(GuardsChanged())
 
     def _may_turn(self) -> bool:
-        return (self.ready and self.sources.known) or self._stopped
+        return (self.ready and self._looked and self.sources.known) or self._stopped
 
     def _commit(self) -> None:
         if self._journal is not None:
@@ -259,6 +389,10 @@ class PntNode(ManagedNode):
         self._transport.flush()
 
     # What arrives.
+
+    def _guards_changed(self) -> None:
+        for executor in self.exchange.nets.values():
+            executor.post(GuardsChanged())
 
     def _source_changed(self, source: str) -> None:
         for executor in self.exchange.nets.values():
@@ -268,6 +402,8 @@ class PntNode(ManagedNode):
     def _object_changed(self, change: ObjectChange) -> None:
         self.dom.heard(change.object)
         self.sources.object_changed(change)
+        if self._objects.forget(change.object.name):
+            self._guards_changed()
         if not change.object.valid:
             for executor in self.exchange.nets.values():
                 executor.post(ObjectInvalidated(change.object.name))

@@ -2,19 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.publisher import Publisher
-
-from im_core.ros import qos
 from im_core.ros.node import ManagedNode
+from im_core.ros.reminders import Reminders
 from im_pnt.execution.jobs import Job
 from im_pnt.execution.notification import Firing, Observer
 from im_pnt.execution.operator import Mode
 from im_pnt.ros.commands import Commands
 from im_pnt.ros.publish import PntPublisher
-
-MOST_FORGOTTEN = 20
-DIAGNOSTICS_PERIOD_S = 1.0
 
 
 class NodeObserver(Observer):
@@ -31,8 +25,7 @@ class NodeObserver(Observer):
     def __init__(self, node: ManagedNode, publisher: PntPublisher) -> None:
         self._node, self._publisher = node, publisher
         self.commands: Commands | None = None
-        self._forgotten: list[str] = []
-        self._diagnostics: Publisher | None = None
+        self._reminders = Reminders(node)
 
     def fired(self, firings: Sequence[Firing]) -> None:
         """Notes firings, and tells the clients of their commands."""
@@ -51,22 +44,11 @@ class NodeObserver(Observer):
 
     def forgot(self, text: str) -> None:
         """Writes a line of the log, and goes on saying it on ``/diagnostics``."""
-        self.troubled("", text)
-        self._forgotten.append(text)
-        if self._diagnostics is None:
-            self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", qos.STATUS)
-            self._node.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=self._node.steady_clock)
-        del self._forgotten[:-MOST_FORGOTTEN]
+        self._reminders.add("journal", text)
 
-    def _diagnose(self) -> None:
-        assert self._diagnostics is not None, "the timer is made with it"
-        name = self._node.get_name()
-        values = [KeyValue(key=str(number), value=text) for number, text in enumerate(self._forgotten, 1)]
-        status = DiagnosticStatus(level=DiagnosticStatus.WARN, name=f"{name}: journal", hardware_id=name)
-        status.message, status.values = self._forgotten[-1], values
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+    def unproved(self, text: str) -> None:
+        """Says of a net that runs without proof that it does, in the log, and from now on on ``/diagnostics``."""
+        self._reminders.add("nets", text)
 
     def chose(
         self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str

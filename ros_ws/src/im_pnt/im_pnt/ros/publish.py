@@ -128,6 +128,10 @@ class PntPublisher:
             NetDescription(net=net.name, node=self._node.get_fully_qualified_name(), json=json.dumps(content))
         )
 
+    def withdrawn(self, net: str) -> None:
+        """Tells of a net no more."""
+        self._node.destroy_publisher(self._descriptions.pop(net))
+
     def refused(self, net: str, message: str, nets: Sequence[Net], refusals: Sequence[Counterexample]) -> None:
         """Publishes why a net was refused, with the firing sequence that shows it, if there is one.
 

@@ -71,10 +71,18 @@ class Sources:
         """Asks for the validity of the objects that guards have declared; changes are heard of from then on."""
         for name in self._valid:
             try:
-                self._valid[name] = self._valid[name] or await self._dom.is_valid(name)
+                self._valid[name] = await self._dom.is_valid(name)
             except ImError as error:
                 self._node.get_logger().warning(f"data object {name} counts as not valid: {error.message}")
         self.known = True
+
+    async def lost(self, names: Iterable[str]) -> list[str]:
+        """Returns those of some data objects that are not valid."""
+        try:
+            return [name for name in names if not await self._dom.is_valid(name)]
+        except ImError as error:
+            self._node.get_logger().warning(f"whether data objects are still valid is not known: {error.message}")
+            return []
 
     def object_changed(self, change: ObjectChange) -> None:
         """Takes a change of a data object."""

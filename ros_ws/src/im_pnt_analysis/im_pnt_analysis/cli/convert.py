@@ -74,10 +74,12 @@ def _unseen(net: Net) -> Iterator[str]:
         "capacities of places": [place.name for place in net.places.values() if place.capacity is not None],
         "tape symbols of transitions": [t.name for t in transitions if t.symbol],
         "guards of transitions": [t.name for t in transitions if t.guard],
+        "values that transitions return or store": [t.name for t in transitions if t.result or t.store],
         "failures of actions of transitions": [t.name for t in transitions if t.action],
         "delays of transitions": [t.name for t in transitions if t.delay],
         "priorities of transitions": [t.name for t in transitions if t.priority],
         "services": list(net.services),
+        "arguments of commands": list(net.commands),
     }
     for what, names in kept.items():
         if names:

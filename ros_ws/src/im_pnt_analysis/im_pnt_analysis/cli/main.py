@@ -1,4 +1,4 @@
-"""``pnt``: verify, simulate, time and convert net files, look into journals, and what other packages add."""
+"""``pnt``: verify, prove, simulate, time and convert net files, look into journals, and what other packages add."""
 
 import argparse
 import sys
@@ -13,24 +13,31 @@ _DESCRIPTION = """Works on Petri net transducers: YAML files with places, transi
 PNML files of other tools. docs/nets.md tells how to write one.
 
   scripts/im pnt verify dispatcher.yaml motion_coordinator.yaml   may these nets run together?
+  scripts/im pnt prove .run/im0/nets/*.yaml                       what a machine asks before it starts
+  scripts/im pnt run pick.yaml --symbol pick                      runs a net in a node of its own, on any robot
   scripts/im pnt simulate dispatcher.yaml --seed 7 --steps 50     plays a net with imagined actions
   scripts/im pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why{draw}
   scripts/im pnt convert dispatcher.yaml dispatcher.pnml          writes it for other tools, or reads theirs
   scripts/im pnt schema > net.schema.json                         what editors complete and explain net files with
   scripts/im pnt bench dispatcher.yaml                            how fast it fires and is searched
   scripts/im pnt journal show dispatcher                          what a node would remember if it came back
+  scripts/im pnt bag bags/demo --picture mission.svg              what a recording tells: time line, gaps, durations
 
-Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong."""
+Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong
+(prove: 3 it is not proved)."""
 _DRAW = "\n  scripts/im pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)"
 
 _COMMANDS = {
     "verify": "may the nets run?",
+    "run": "run nets",
+    "prove": "may a machine start with them?",
     "simulate": "play a net",
     "time": "how fast is a net?",
     "convert": "YAML to PNML and back",
     "schema": "print the JSON schema",
     "bench": "how fast are nets?",
     "journal": "what does a node remember?",
+    "bag": "what does a recording tell?",
 }
 """Modules of this folder; only the one that is called is imported, which no other has to wait for."""
 
@@ -48,6 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser("im pnt", formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    if words[:1] == ["run"]:
+        return int(import_module("im_pnt.ros.pnt_node").main(words[1:], "im pnt run"))
     called = next((word for word in words if not word.startswith("-")), "")
     for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, formatter_class=raw)

@@ -11,7 +11,8 @@ from types import TracebackType
 from im_core.errors import ImError
 from im_core.files import write_whole
 
-OK, REFUSED, BAD_INPUT = 0, 1, 2
+OK, REFUSED, BAD_INPUT, UNPROVED = 0, 1, 2, 3
+
 
 def seconds(text: str) -> float:
     """Reads a time of more than nothing [s], for argparse.

@@ -11,6 +11,7 @@ from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.extensions import extensions
 from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, count, seconds
+from im_pnt_analysis.cli.types import checked_types
 from im_pnt_analysis.search.reachability import SearchLimits
 from im_pnt_analysis.simulation.replay import FiringSequence
 from im_pnt_analysis.verify.report import Report, readable
@@ -25,7 +26,9 @@ Nets are refused
   when a command or service that was possible can become impossible for ever;
   when a place that is marked at first may never get its tokens back (in nets without 'rest:').
 The shortest firing sequence that shows it is printed. Guards are taken to be either true or false; the tape is free:
-any symbol may come at any time."""
+any symbol may come at any time.
+
+Values are checked against the types of the messages that they go into, where ROS was sourced; the output says so."""
 
 _QUIET = 2.0
 _EVERY = 0.5
@@ -51,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
     progress = _Progress() if sys.stderr.isatty() else None
     with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"):
         nets = [load_net(file) for file in options.files]
+        types = checked_types(nets)
         report = verify(
             nets,
             SearchLimits(states=options.states, seconds=options.timeout),
@@ -61,7 +65,10 @@ def run(options: argparse.Namespace) -> int:
         progress.clear()
     if options.counterexample and report.refusals:
         _write_counterexample(options.counterexample, options.files, nets, report)
-    print(json.dumps(report.to_dict(), indent=1) if options.json else readable(report))
+    if options.json:
+        print(json.dumps(report.to_dict() | {"types": types}, indent=1))
+    else:
+        print(readable(report) + (f"\n  {'types':<14}{types}" if types else ""))
     return OK if report.ok else REFUSED
 
 

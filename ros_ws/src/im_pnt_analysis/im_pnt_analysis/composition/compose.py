@@ -7,7 +7,7 @@ given nets is modelled, each by its most general behaviour:
 * a service that none of the given nets asks for has one generic caller, who asks again after each reply;
 * a request to a net that is not given is answered either way;
 * a remote place that none of the given nets marks gets a token whenever everything is at rest: inhibitor arcs from all
-  places that are busy then say so;
+  places that are busy then say so; unless its net assumes something else (:mod:`.assumptions`);
 * an object of a place with ``on_invalid`` may lose its validity, an action may be cancelled or come in doubt, at any
   time.
 
@@ -21,6 +21,8 @@ from im_core.errors import nearest
 from im_pnt.errors import NetError
 from im_pnt.model.expand import INPUT_SEMAPHORE, expand, input_place
 from im_pnt.model.net import Net, Role, Transition
+from im_pnt_analysis.composition.arguments import check_arguments
+from im_pnt_analysis.composition.assumptions import Assumptions
 from im_pnt_analysis.composition.flat_net import FlatNet
 from im_pnt_analysis.composition.requests import ServiceCalls
 
@@ -40,6 +42,10 @@ class Composition:
         net_of: For each place the net it belongs to, or that it surrounds.
         may_end: Whether a net declares where it rests, and may therefore come to an end there.
         assumptions: What the verdicts take for granted.
+        promises: For places whose capacity is what a net assumes of others, what is said when it is exceeded, with
+            ``{tokens}`` in it.
+        debts: For places that must be able to become empty again, for a net assumes it, what is said when they cannot.
+        watching: Transitions that fire only where such a promise is broken, and are none of the nets'.
     """
 
     net: Net
@@ -50,6 +56,9 @@ class Composition:
     net_of: Mapping[str, str]
     may_end: bool
     assumptions: tuple[str, ...]
+    promises: Mapping[str, str]
+    debts: Mapping[str, str]
+    watching: frozenset[str]
 
 
 def compose(nets: Sequence[Net]) -> Composition:
@@ -68,6 +77,7 @@ def compose(nets: Sequence[Net]) -> Composition:
         if net.name in by_name:
             raise NetError(f"there are two nets named {net.name} ({by_name[net.name].source}, {net.source})")
         by_name[net.name] = expand(net)
+    check_arguments(nets)
     flat = FlatNet(by_name)
     composer = _Composer(flat)
     for net in by_name.values():
@@ -83,13 +93,17 @@ def compose(nets: Sequence[Net]) -> Composition:
         flat.net_of,
         any(net.rest is not None for net in nets),
         tuple(flat.assumptions),
+        composer.assumed.promises,
+        composer.assumed.debts,
+        frozenset(composer.assumed.watching),
     )
 
 
 class _Composer:
     def __init__(self, flat: FlatNet) -> None:
         self.flat = flat
-        self.calls = ServiceCalls(flat)
+        self.assumed = Assumptions(flat)
+        self.calls = ServiceCalls(flat, self.assumed.promises)
         self.disturbances: set[str] = set()
         self.entries: set[str] = set()
         self.fed: set[str] = set()
@@ -103,14 +117,19 @@ class _Composer:
                 flat.add_place(net.name, replace(place, name=flat.qualified(net.name, place.name)))
         flat.rest.update(flat.qualified(net.name, place) for place in net.rest_places())
         for transition in net.transitions.values():
-            for part in self.calls.connected(net, self._qualified(net, transition)):
-                flat.add_transition(part)
-                if part.role in _DISTURBANCES:
-                    self.disturbances.add(part.name)
-                if part.symbol or part.role in _DISTURBANCES:
-                    flat.external.add(part.name)
-                if part.symbol or part.role is Role.ACCEPT:
-                    self.entries.add(part.name)
+            for connected in self.calls.connected(net, self._qualified(net, transition)):
+                for part in self.assumed.kept(net, transition, connected):
+                    self._add_part(part)
+
+    def _add_part(self, part: Transition) -> None:
+        flat = self.flat
+        flat.add_transition(part)
+        if part.role in _DISTURBANCES:
+            self.disturbances.add(part.name)
+        if part.symbol or part.role in _DISTURBANCES:
+            flat.external.add(part.name)
+        if part.symbol or part.role is Role.ACCEPT:
+            self.entries.add(part.name)
 
     def _qualified(self, net: Net, transition: Transition) -> Transition:
         flat = self.flat
@@ -154,6 +173,8 @@ class _Composer:
             inputs_of_services = {input_place(service) for service in net.services}
             for place in net.places.values():
                 name = flat.qualified(net.name, place.name)
+                if (net.name, place.name) in self.assumed.settled:
+                    continue
                 if place.remote and place.name not in inputs_of_services and name not in self.fed:
                     arrival = flat.qualified(net.name, f"arrive.{place.name}")
                     arrivals.append(Transition(arrival, outputs={name: 1}, origin=place.name))

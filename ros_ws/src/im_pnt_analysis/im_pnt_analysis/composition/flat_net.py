@@ -76,8 +76,7 @@ class FlatNet:
 
     def underway(self, net: str, place: str) -> str:
         """Returns the place where tokens for a place of another net are on their way to it."""
-        target = self.qualified(net, place)
-        name = f"{target}.underway"
+        target, name = self.qualified(net, place), self.underway_name(net, place)
         if name not in self._underway:
             self._underway.add(name)
             self.add_place(net, Place(name))
@@ -86,6 +85,10 @@ class FlatNet:
                 Transition(arrival, inputs={name: 1}, outputs={target: 1}, role=Role.ENVIRONMENT, origin=place)
             )
         return name
+
+    def underway_name(self, net: str, place: str) -> str:
+        """Returns the name of the place where tokens for a place are on their way, whether there are any or not."""
+        return f"{self.qualified(net, place)}.underway"
 
     def assume(self, text: str) -> None:
         """Notes what is taken for granted."""

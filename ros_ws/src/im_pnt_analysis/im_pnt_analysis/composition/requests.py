@@ -123,13 +123,14 @@ class ServiceCalls:
 
     Args:
         flat: The net that grows.
+        promises: What is said when more requests of a service are made at once than its net assumes; grows too.
 
     Raises:
         NetError: A net is asked for a service that it does not offer.
     """
 
-    def __init__(self, flat: FlatNet) -> None:
-        self._flat = flat
+    def __init__(self, flat: FlatNet, promises: dict[str, str]) -> None:
+        self._flat, self._promises = flat, promises
         self._callers: dict[tuple[str, str], list[Caller]] = {}
         self._commands = TapeCommands(flat)
         for net in flat.nets.values():
@@ -186,20 +187,39 @@ class ServiceCalls:
                 yield replace(
                     flat,
                     name=f"{flat.name}({caller.name}{suffix})",
-                    inputs={**flat.inputs, waiting: 1},
+                    inputs={**flat.inputs, waiting: 1, **self._at_once(net.name, flat.origin)},
                     outputs={**flat.outputs, answered: 1},
                 )
         if not callers:
-            yield replace(flat, outputs={**flat.outputs, self._generic_caller(net.name, flat.origin): 1})
+            yield replace(flat, outputs={**flat.outputs, self._generic_caller(net, flat.origin): 1})
 
-    def _generic_caller(self, net: str, service: str) -> str:
+    def _generic_caller(self, net: Net, service: str) -> str:
         flat = self._flat
-        idle = flat.qualified(net, f"caller.{service}")
-        flat.add_place(net, Place(idle, tokens=1))
+        idle = flat.qualified(net.name, f"caller.{service}")
+        most = _most_requests(net, service)
+        if most is not None:
+            flat.assume(f"other nets make at most {most} requests of {net.name}.{service} at once (assume)")
+        flat.add_place(net.name, Place(idle, tokens=most or net.at_once))
         flat.rest.add(idle)
-        request = {flat.qualified(net, input_place(service)): 1}
-        flat.add_environment(Transition(flat.qualified(net, f"call.{service}"), {idle: 1}, request, origin=service))
+        request = {flat.qualified(net.name, input_place(service)): 1}
+        call = flat.qualified(net.name, f"call.{service}")
+        flat.add_environment(Transition(call, {idle: 1}, request, origin=service))
         return idle
+
+    def _at_once(self, net: str, service: str) -> dict[str, int]:
+        """Returns the place that counts the requests of a service, if its net assumes something of them, as an arc."""
+        flat = self._flat
+        most = _most_requests(flat.nets[net], service)
+        if most is None:
+            return {}
+        count = flat.qualified(net, f"{service}.at_most")
+        if count not in flat.places:
+            flat.add_place(net, Place(count, capacity=most))
+            flat.rest.add(count)
+            self._promises[count] = (
+                f"net {net} assumes at most {most} requests of {service} at once, and other nets bring it to {{tokens}}"
+            )
+        return {count: 1}
 
     def _phases(self, net: Net, flat: Transition, start: Transition, action: RequestAction) -> Iterator[Transition]:
         caller = Caller(self._flat.qualified(net.name, flat.origin), start.timeout is not None)
@@ -231,11 +251,17 @@ class ServiceCalls:
                 f"net {net.name} gives up {action} once more only when net {action.net} is done with the one given up "
                 "before: else requests could pile up"
             )
+        counted = {}
         if action.service in whole.nets[action.net].services:
             request = whole.underway(action.net, input_place(action.service))
+            counted = self._at_once(action.net, action.service)
         else:
             request = self._commands.write(action.net, caller)
-        return replace(flat, outputs={**flat.outputs, f"{caller.name}.pending": 1, request: 1})
+        return replace(flat, outputs={**flat.outputs, f"{caller.name}.pending": 1, request: 1, **counted})
+
+
+def _most_requests(net: Net, service: str) -> int | None:
+    return net.assume[service].at_most if service in net.assume else None
 
 
 def _request_of(transition: Transition) -> RequestAction | None:

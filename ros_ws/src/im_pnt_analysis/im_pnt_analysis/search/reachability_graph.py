@@ -61,6 +61,14 @@ class ReachabilityGraph:
         regained[label[final[enough]]] = True
         return bool(regained.all())
 
+    def always_reaches(self, goal: Mask) -> bool:
+        """Whether from every marking one of a set can be reached."""
+        if self.reversible:
+            return bool(goal.any())
+        reached = ~self.components.terminal
+        reached[self.components.label[np.flatnonzero(goal)]] = True
+        return bool(reached.all())
+
     def first_without_return(self, goal: Mask) -> int:
         """Returns the first marking from which none of a set can be reached."""
         return int(np.argmin(reaching(self.begins, self.targets, goal)))

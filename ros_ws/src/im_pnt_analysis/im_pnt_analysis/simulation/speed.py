@@ -2,7 +2,7 @@
 
 import random
 from collections.abc import Callable, Coroutine, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from im_core.clock import cpu, thread_cpu
 from im_core.errors import ImError
@@ -12,7 +12,7 @@ from im_pnt.execution.events import GuardsChanged
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity, Command, CommandResult
-from im_pnt.model.action import GoalAction, ServiceAction, TopicAction
+from im_pnt.model.action import AwaitAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
 from im_pnt_analysis.search.reachability import Search, SearchLimits
 from im_pnt_analysis.structure.semiflows import p_semiflows
@@ -114,12 +114,12 @@ class _Players:
         guards = {name: self._toss for net in nets for name in net.guards()}
         functions = Functions(actions, guards)
         self._exchange = Exchange("bench", 1)
-        others = dict.fromkeys((ServiceAction, GoalAction, TopicAction), _perform)
+        others = dict.fromkeys((ServiceAction, GoalAction, TopicAction, AwaitAction), _perform)
         runner = FunctionRunner(functions, self._exchange, _run, others)
         self._at_work: set[tuple[str, str]] = set()
         self._commands = 0
         for net in nets:
-            self._exchange.add(Executor(net, functions, runner, self._exchange, seed=seed))
+            self._exchange.add(Executor(_bare(net), functions, runner, self._exchange, seed=seed))
 
     @property
     def fired(self) -> int:
@@ -153,8 +153,21 @@ def _confirm(_: ActionContext) -> dict[str, object]:
     return {}
 
 
-async def _perform(_: Activity, __: ActionContext) -> None:
+async def _perform(_: Activity, __: ActionContext) -> dict[str, object]:
     """A service, goal or message that succeeds at once."""
+    return {}
+
+
+def _bare(net: Net) -> Net:
+    """Returns a net without its values: nothing that is imagined has any."""
+    transitions = {}
+    for name, transition in net.transitions.items():
+        action = transition.action
+        if isinstance(action, ServiceAction | GoalAction | TopicAction | RequestAction):
+            action = replace(action, fields={})
+        transitions[name] = replace(transition, action=action, result={}, store={})
+    services = {name: replace(service, arguments=None) for name, service in net.services.items()}
+    return replace(net, transitions=transitions, services=services, commands={})
 
 
 def _run(work: Coroutine[object, object, None]) -> None:

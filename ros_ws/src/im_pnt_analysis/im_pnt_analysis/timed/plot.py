@@ -8,6 +8,7 @@ from im_core.errors import ImError
 from im_core.files import write_whole
 from im_pnt_analysis.timed.durations import CommandDuration
 from im_pnt_analysis.timed.measurement import Comparison
+from im_pnt_analysis.timed.mission import Mission
 from im_pnt_analysis.timed.steady import SteadyState
 
 _BARS = 40
@@ -67,6 +68,27 @@ def plot_steady(name: str, state: SteadyState, output: Path) -> None:
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("share of the time busy (transitions, dark) or marked (places, light)")
     axes.set_title(name)
+    _write(figure, output)
+
+
+def plot_mission(mission: Mission, output: Path) -> None:
+    """Draws a row for each transition that took time, and a bar for each of its firings.
+
+    Args:
+        mission: What fired.
+        output: File to write, ``.svg`` or ``.png``.
+
+    Raises:
+        ImError: The file cannot be written.
+    """
+    bars = [firing for firing in mission.firings if firing.end_s is not None and firing.end_s > firing.begin_s]
+    labels = list(dict.fromkeys(f"{firing.net}.{firing.transition}" for firing in bars))
+    figure, axes = _figure(len(labels))
+    for firing in bars:
+        row, length = labels.index(f"{firing.net}.{firing.transition}"), (firing.end_s or 0.0) - firing.begin_s
+        axes.barh(row, length, left=firing.begin_s, height=0.7, color=_MEASURED if firing.failed else _EXPECTED)
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_xlabel("testbed time [s]; failed firings are light")
     _write(figure, output)
 
 

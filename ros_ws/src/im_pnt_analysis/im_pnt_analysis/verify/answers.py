@@ -1,10 +1,13 @@
 """How each method answers: structure, explicit search, decision diagrams, coverability, stubborn sets."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain, islice
 
 from im_core.clock import thread_cpu
+from im_pnt.model.net import Net
 from im_pnt.verification import Counterexample
+from im_pnt_analysis.composition.holding import UndecidedError, unheld
 from im_pnt_analysis.search.coverability import Coverability
 from im_pnt_analysis.search.reachability import Search
 from im_pnt_analysis.search.reachability_graph import ReachabilityGraph, place_bounds, stuck
@@ -13,7 +16,27 @@ from im_pnt_analysis.structure.semiflows import p_semiflows, t_semiflows
 from im_pnt_analysis.symbolic.exploration import SymbolicAnswers, explore
 from im_pnt_analysis.verify import counterexamples
 from im_pnt_analysis.verify.problem import Problem, stopping, without_marks, without_stop
-from im_pnt_analysis.verify.report import Report
+from im_pnt_analysis.verify.report import NOTHING_ACTS, Report
+
+
+def answer_holding(report: Report, nets: Sequence[Net], seconds: float) -> None:
+    """Finds out whether whoever acts on a resource holds it.
+
+    Args:
+        report: Gets the answer and refusals.
+        nets: The nets, as written.
+        seconds: CPU time at which to give up [s].
+    """
+    try:
+        cases = unheld(nets, thread_cpu() + seconds)
+    except UndecidedError as error:
+        report.leave(str(error), "resources_held")
+        return
+    for case in cases or ():
+        report.refuse(case)
+    method = NOTHING_ACTS if cases is None else "the ways of the tokens of each command and request"
+    report.answer(method, resources_held=not cases)
+
 
 _FARKAS = "Farkas' algorithm"
 _SHARE = 0.08
@@ -103,7 +126,9 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
         deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
     found, compiled = search.found, problem.compiled
-    never = [name for name, fired in zip(compiled.transitions, found.fired, strict=True) if not fired]
+    watching = problem.composition.watching
+    fired = zip(compiled.transitions, found.fired, strict=True)
+    never = [name for name, has in fired if not has and name not in watching]
     dead = stuck(search, problem.busy, may_end=problem.may_end)
     report.answer(
         EXPLICIT,
@@ -126,18 +151,22 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
         return
     graph = ReachabilityGraph(search)
     live = graph.live_transitions()
+    own = [lives for name, lives in zip(compiled.transitions, live, strict=True) if name not in watching]
     report.answer(
         _COMPONENTS,
-        live=all(live),
-        live_transitions=sum(live),
+        live=all(own),
+        live_transitions=sum(own),
         reversible=graph.reversible,
         terminal_sccs=graph.terminal_sccs,
     )
+    for refusal in counterexamples.unpaid_debts(problem, found, graph):
+        report.refuse(refusal)
     if report.refusals:
         report.leave(REFUSED, "resources_return")
         return
     lost = chain(
-        counterexamples.lost_entries(problem, found, graph, live), counterexamples.held_resources(problem, found, graph)
+        counterexamples.lost_entries(problem, found, graph, live),
+        counterexamples.held_resources(problem, found, graph),
     )
     for refusal in islice(lost, _SHOWN):
         report.refuse(refusal)
@@ -213,6 +242,7 @@ def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: f
     """
     compiled = problem.compiled
     found = explore(compiled, problem.initial, deadline=deadline)
+    watching, live = problem.composition.watching, found.live_transitions
     bounds = found.place_bounds
     most = None if bounds is None else max(bounds.values(), default=0)
     report.answer(
@@ -226,12 +256,12 @@ def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: f
         bounded=None if bounds is None else True,
         unbounded_places=None if bounds is None else [],
         safe=None if most is None else most <= 1,
-        live=found.live,
-        live_transitions=None if found.live_transitions is None else len(found.live_transitions),
+        live=found.live if live is None else {*compiled.transitions} == watching | {*live},
+        live_transitions=None if live is None else len({*live} - watching),
         reversible=found.reversible,
         terminal_sccs=1 if found.reversible else None,
     )
-    _never(report, _DIAGRAMS, found.never_enabled)
+    _never(report, problem, _DIAGRAMS, found.never_enabled)
     if found.reversible:
         report.answer("the initial marking can always be reached again", resources_return=True)
     elif found.reversible is False:
@@ -289,8 +319,8 @@ def answer_from_coverability(report: Report, problem: Problem, found: Coverabili
     bounds: dict[str, int | None] = dict.fromkeys(compiled.places)
     bounds.update(found.place_bounds or {})
     report.answer(_COVERABILITY, unbounded_places=list(found.unbounded_places), place_bounds=bounds)
-    _never(report, _COVERABILITY, found.never_enabled)
-    if found.never_enabled:
+    _never(report, problem, _COVERABILITY, found.never_enabled)
+    if report.never_enabled:
         report.answer("a transition can never fire", live=False)
 
 
@@ -314,6 +344,7 @@ def answer_from_stubborn_sets(report: Report, problem: Problem, states: int, dea
         report.leave(found.reason, "has_deadlock", "deadlock_states")
 
 
-def _never(report: Report, method: str, names: tuple[str, ...] | None) -> None:
-    if names is not None:
-        report.answer(method, quasi_live=not names, never_enabled=list(names), never_enabled_transitions=len(names))
+def _never(report: Report, problem: Problem, method: str, found: tuple[str, ...] | None) -> None:
+    if found is not None:
+        names = [name for name in found if name not in problem.composition.watching]
+        report.answer(method, quasi_live=not names, never_enabled=names, never_enabled_transitions=len(names))

@@ -38,9 +38,11 @@ def overflow(problem: Problem, found: StateSpace) -> Counterexample | None:
     number, place = first
     declared = problem.compiled.net.places[problem.compiled.places[place]]
     tokens = found.vector(number)[place]
+    promise = problem.composition.promises.get(declared.name)
+    reason = f"place {declared.name} gets {tokens} tokens, more than its capacity of {declared.capacity}"
     return Counterexample(
-        "overflow",
-        f"place {declared.name} gets {tokens} tokens, more than its capacity of {declared.capacity}",
+        "overflow" if promise is None else "assumption",
+        reason if promise is None else promise.format(tokens=tokens),
         found.sequence(number),
         found.marking(number),
     )
@@ -79,6 +81,16 @@ def lost_entries(
             lost = graph.first_without_return(graph.where_enabled(transition))
             reason = f"after this {name} can never fire again"
             yield Counterexample("lost_command", reason, found.sequence(lost), found.marking(lost))
+
+
+def unpaid_debts(problem: Problem, found: StateSpace, graph: ReachabilityGraph) -> Iterator[Counterexample]:
+    """Finds what a net has sent and assumes to get back, and may never all get back."""
+    for name, reason in problem.composition.debts.items():
+        place = problem.compiled.places.index(name)
+        paid = ~graph.where_marked(place, 1)
+        if not graph.always_reaches(paid):
+            lost = graph.first_without_return(paid)
+            yield Counterexample("assumption", reason, found.sequence(lost), found.marking(lost))
 
 
 def held_resources(problem: Problem, found: StateSpace, graph: ReachabilityGraph) -> Iterator[Counterexample]:

@@ -1,12 +1,16 @@
 """The answers about nets, each with its method or with the reason why it is missing."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 from im_pnt.errors import VerificationError
+from im_pnt.model.net import Net
 from im_pnt.verification import KINDS, Counterexample
 
 _ONCE = KINDS[:3]
+
+NOTHING_ACTS = "nothing in the files acts on a resource"
+"""Why everybody holds what he acts on, in most nets."""
 
 
 @dataclass(slots=True)
@@ -33,6 +37,7 @@ class Report:
         reversible: Whether the initial marking can be reached from every reachable marking.
         resources_return: Whether commands and services that were possible can always become possible again, and, in
             nets that declare no rest, every place that was marked at first can always get its tokens back.
+        resources_held: Whether whoever acts on a resource holds it.
         terminal_sccs: Number of strongly connected sets of markings that are never left.
         never_enabled_transitions: Number of transitions that can never fire.
         never_enabled: Their names.
@@ -49,6 +54,9 @@ class Report:
         methods: For each answer how it was obtained.
         unknown: For each answer that is missing the reason.
         time_s: How long it took [s].
+        cpu_s: How much of the processor it took [s].
+        proved_before: Whether this is the verdict of an earlier verification of the same nets.
+        composed: The nets of the composition that refusals speak of; empty where nobody asked.
     """
 
     nets: list[str]
@@ -69,6 +77,7 @@ class Report:
     quasi_live: bool | None = None
     reversible: bool | None = None
     resources_return: bool | None = None
+    resources_held: bool | None = None
     terminal_sccs: int | None = None
     never_enabled_transitions: int | None = None
     never_enabled: list[str] | None = None
@@ -85,6 +94,9 @@ class Report:
     methods: dict[str, str] = field(default_factory=dict)
     unknown: dict[str, str] = field(default_factory=dict)
     time_s: float = 0.0
+    cpu_s: float = 0.0
+    proved_before: bool = False
+    composed: list[Net] = field(default_factory=list, repr=False, compare=False)
 
     def answer(self, method: str, **answers: object) -> None:
         """Gives answers that are not given yet; None is no answer.
@@ -111,19 +123,24 @@ class Report:
                 self.unknown[name] = reason
 
     def refuse(self, counterexample: Counterexample) -> None:
-        """Adds what forbids to run the nets; the first growth, overflow and deadlock is enough."""
+        """Adds what forbids to run the nets; the first growth, overflow and deadlock is enough.
+
+        What somebody assumed comes first, for the rest follows from it.
+        """
         kind = counterexample.kind
-        if kind not in _ONCE or all(refusal.kind != kind for refusal in self.refusals):
+        if kind == "assumption":
+            self.refusals.insert(0, counterexample)
+        elif kind not in _ONCE or all(refusal.kind != kind for refusal in self.refusals):
             self.refusals.append(counterexample)
 
     def decide(self) -> None:
         """Gives the verdict on what is known."""
-        accepted = self.bounded is True and self.has_deadlock is False and self.resources_return is True
-        self.ok = accepted and not self.refusals
+        safe = self.bounded is True and self.has_deadlock is False
+        self.ok = safe and self.resources_return is True and self.resources_held is True and not self.refusals
 
     def to_dict(self) -> dict[str, object]:
         """Returns the report as plain data."""
-        return asdict(self)
+        return {name: value for name, value in asdict(replace(self, composed=[])).items() if name != "composed"}
 
     def require_ok(self) -> None:
         """Accepts or refuses.
@@ -135,15 +152,52 @@ class Report:
         for refusal in self.refusals:
             raise VerificationError(name, refusal.reason, refusal.sequence + refusal.repeat)
         if not self.ok:
-            missing = [answer for answer in NEEDED if answer in self.unknown]
-            why = "; ".join(f"{answer} is unknown ({self.unknown[answer]})" for answer in missing)
-            raise VerificationError(name, why)
+            raise VerificationError(name, self.unproved, proved=False)
+
+    @property
+    def unproved(self) -> str:
+        """Why it could not be decided whether the nets may run; empty where it was."""
+        if self.ok or self.refusals:
+            return ""
+        reasons: dict[str, list[str]] = {}
+        for answer, question in NEEDED.items():
+            if answer in self.unknown:
+                reasons.setdefault(self.unknown[answer], []).append(question)
+        return "; ".join(f"whether {' and '.join(questions)}: {why}" for why, questions in reasons.items())
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        if not self.ok:
+            try:
+                self.require_ok()
+            except VerificationError as error:
+                return error.message
+        how = "is unchanged since it was verified" if self.proved_before else "verified"
+        took = "" if self.proved_before else f" in {self.cpu_s:.3f} s of CPU time"
+        return f"net {'+'.join(self.nets)} {how}: {self.states} markings{took}"
 
 
-NEEDED = ("bounded", "has_deadlock", "resources_return")
-"""Answers without which no net is accepted."""
+NEEDED = {
+    "bounded": "no place grows without end",
+    "has_deadlock": "it can get stuck",
+    "resources_return": "commands and resources always come back",
+    "resources_held": "everybody holds what he acts on",
+}
+"""Answers without which no net is accepted, and what they decide."""
 
-_NO_ANSWERS = ("nets", "ok", "refusals", "assumptions", "methods", "unknown", "time_s")
+_NO_ANSWERS = (
+    "nets",
+    "ok",
+    "refusals",
+    "assumptions",
+    "methods",
+    "unknown",
+    "time_s",
+    "cpu_s",
+    "proved_before",
+    "composed",
+)
 ANSWERS = tuple(name for name in Report.__slots__ if name not in _NO_ANSWERS)
 """Attributes of a report that are answers."""
 
@@ -164,6 +218,14 @@ def readable(report: Report) -> str:
         lines.append(f"  {label if label != last else '':<{_WIDTH}}{text}")
         last = label
     lines.append(f"  {'time':<{_WIDTH}}{report.time_s:.3f} s")
+    return "\n".join(lines)
+
+
+def refusal_text(report: Report) -> str:
+    """Returns in lines why nets are refused, without what else is known of them."""
+    names = ", ".join(report.nets)
+    lines = [f"nets {names} are refused:" if len(report.nets) > 1 else f"net {names} is refused:"]
+    lines += [f"  {label:<{_WIDTH}}{text}" for label, text in _refusals(report)]
     return "\n".join(lines)
 
 
@@ -207,6 +269,8 @@ def _answers(report: Report) -> Iterator[tuple[str, str]]:
     yield "live", told("live")
     yield "reversible", told("reversible")
     yield "returning", told("resources_return")
+    if report.resources_held is not True or report.methods["resources_held"] != NOTHING_ACTS:
+        yield "held", told("resources_held")
     yield "never enabled", told("never_enabled", _some(report.never_enabled or []))
     flows = report.p_semiflows or []
     for flow in flows[:_SHOWN_FLOWS]:

@@ -21,6 +21,7 @@ from im_pnt_analysis.verify.answers import (
     answer_from_part,
     answer_from_stubborn_sets,
     answer_from_whole,
+    answer_holding,
     conserve,
     describe,
     solve_bounds,
@@ -46,6 +47,7 @@ def verify(
     limits: SearchLimits | None = None,
     *,
     structure: bool = False,
+    holding: bool = True,
     progress: Progress = lambda text: None,
 ) -> Report:
     """Verifies one net, or several joined over remote places and coordination structures.
@@ -54,18 +56,23 @@ def verify(
         nets: The nets.
         limits: Where the search gives up.
         structure: Whether T-semiflows, siphons and traps are wanted too; the verdict does not need them.
+        holding: Whether to find out, too, if whoever acts on a resource holds it; not where nets stand for others.
         progress: Is told what goes on.
 
     Raises:
         NetError: The nets do not fit together.
     """
-    begin = monotonic()
+    begin, used = monotonic(), thread_cpu()
     limits = limits or SearchLimits()
     problem = problem_of(nets)
     report = Report([net.name for net in nets], assumptions=list(problem.composition.assumptions))
     _Verification(problem, report, limits, thread_cpu() + limits.seconds, progress).run(structure=structure)
+    if holding:
+        answer_holding(report, nets, limits.seconds)
+    else:
+        report.answer("asked of all nets together", resources_held=True)
     report.decide()
-    report.time_s = round(monotonic() - begin, 4)
+    report.time_s, report.cpu_s = round(monotonic() - begin, 4), round(thread_cpu() - used, 4)
     return report
 
 
@@ -184,15 +191,3 @@ class _Verification:
     def _later(self) -> float:
         now = thread_cpu()
         return now + _SHARE * max(0.0, self.deadline - now)
-
-
-LOAD_LIMITS = SearchLimits(states=2_000_000, seconds=20.0)
-
-
-def verify_to_load(nets: Sequence[Net]) -> Report:
-    """Verifies nets, alone or composed, within the limits of a node that waits for it.
-
-    Raises:
-        NetError: They do not fit together.
-    """
-    return verify(nets, LOAD_LIMITS)

@@ -4,10 +4,11 @@ A reference is a small copy of a place, with its name and tokens (a fusion place
 It stands where an arc to a distant place, to a place that many transitions lead to, or to a semaphore would be long.
 """
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from im_pnt.model.action import FunctionAction, RequestAction
+from im_pnt.model.action import FunctionAction, RequestAction, ValuesAction
 from im_pnt.model.expand import (
     INPUT_SEMAPHORE,
     OUTPUT_SEMAPHORE,
@@ -25,6 +26,7 @@ RADIUS = 11.0
 REFERENCE_RADIUS = 6.5
 LINE = 12.0
 _WIDE, _NARROW = 6.2, 5.1
+_LONGEST_VALUE = 60
 _STRUCTURE = (Role.ACCEPT, Role.FINISH, Role.FINISH_FAILED, Role.RETURN, Role.WITHDRAWN)
 
 
@@ -194,14 +196,23 @@ def _notes(transition: Transition) -> Iterator[str]:
         yield f"→ {action.net}.{action.service}"
     elif isinstance(action, FunctionAction):
         yield f"{action.function}()"
-    elif action is not None:
+    elif action is not None and not isinstance(action, ValuesAction):
         yield action.name
+    for name, value in transition.result.items():
+        yield f"{name} = {_shortened(value)}"
+    for name, value in transition.store.items():
+        yield f"{name} := {_shortened(value)}"
     if transition.delay is not None:
         delay = transition.delay
         time = f"{delay.values[0]:g} s" if delay.kind == "constant" else str(delay)
         yield f"after {time}" if action is None else f"takes {time}"
     for symbol in transition.emit:
         yield f"!{symbol}"
+
+
+def _shortened(value: object) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
 
 
 def _arcs(net: Net) -> Iterator[DrawnArc]:

@@ -80,7 +80,8 @@ class DisplayState:
         """Enters what the Motion Control System says of itself, None if that is nothing new.
 
         Args:
-            condition: ``state``, ``reason``, ``power``, ``brakes``, and whether all that is ``stale``.
+            condition: ``state``, ``reason``, ``power``, ``brakes``, states of reserved ``groups``, and whether all that
+                is ``stale``.
         """
         change: Change = {"kind": "mcs", **condition}
         if change == self._mcs:

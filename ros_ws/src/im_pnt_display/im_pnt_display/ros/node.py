@@ -68,8 +68,9 @@ class DisplayNode(ManagedNode):
         """Show what MCS said last, and whether it still says it."""
         if self._mcs is None or (said := self._mcs.message) is None:
             return
+        groups = {group.group: group.state for group in said.groups if group.reserved}
         condition = {"state": said.state, "reason": said.reason, "power": said.power, "brakes": said.brakes}
-        change = self.server.state.motion_control({**condition, "stale": self._mcs.stale})
+        change = self.server.state.motion_control({**condition, "groups": groups, "stale": self._mcs.stale})
         if change is not None:
             self.server.show(change)
 

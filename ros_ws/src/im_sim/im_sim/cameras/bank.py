@@ -97,11 +97,12 @@ class CameraBank:
         seconds, self._watch = self._watch.seconds, Stopwatch()
         return {step: seconds.get(step, 0.0) for step in STEPS}
 
-    def warm_up(self) -> None:
-        """Render each camera once at the home position: a renderer's first images take long."""
-        for unit in self._cameras.values():
+    def warm_up(self) -> Iterator[str]:
+        """Render one camera after the other at the home position, and name it: first images take long."""
+        for name, unit in self._cameras.items():
             self._scene.set_joints(self._cell.home)
             self._scene_of(unit, self._placed(unit), self._cell.home)
+            yield name
 
     def read_out(
         self,

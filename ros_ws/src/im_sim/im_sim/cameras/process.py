@@ -46,16 +46,23 @@ class CameraProcess:
         self._cell, self._settings = cell, settings
         self._link = CameraEnd.attach(instance, wait_s)
         self._bank = self._new_bank()
-        self._bank.warm_up()
+        self._cold = self._bank.warm_up()
+        next(self._cold, None)  # a graphics driver that crashes does so now, before anybody counts on it
 
     def run(self) -> None:
-        """Serve until the host is gone."""
+        """Serve until the host is gone; the cameras take their first images when they are ready, and before an order.
+
+        A scene that was rendered is used again where nothing moved: what was rendered first must not hang on who asks.
+        """
         self._send(CameraReply(0))
         while self._requests.owner_alive():
             message = self._requests.receive()
             if message is None:
-                self._requested.wait(_IDLE_S)
+                if next(self._cold, None) is None:
+                    self._requested.wait(_IDLE_S)
                 continue
+            for _ in self._cold:
+                pass
             request = CameraRequest.from_json(message)
             try:
                 reply = self._serve(request)

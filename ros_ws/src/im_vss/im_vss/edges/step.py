@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from im_cell.camera_model import POSE_PARAMETERS, CameraModel
 from im_cell.sensor import SensorNoise
@@ -89,7 +89,7 @@ def _model(theta: Array, distance: Distance, usable: NDArray[np.bool_]) -> tuple
     """Expected pixels, shape (m,), and their Jacobian, shape (m, n + 3)."""
     shape, (low, contrast, sigma) = theta[:-3], theta[-3:]
     away = distance(shape)[usable]
-    ramp = ndtr(away / sigma)
+    ramp = scipy.special.ndtr(away / sigma)
     slope = contrast * np.exp(-0.5 * (away / sigma) ** 2) / (_SQRT2PI * sigma)
     jacobian = np.empty((len(away), len(theta)))
     for column in range(len(shape)):

@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from im_cell.laser_model import LaserModel
 from im_cell.robot import LaserScanner
@@ -212,7 +211,7 @@ class _Problem:
                 spots = np.einsum("nij,nj->ni", whiten, self._off(moved)[used]).ravel()
                 return np.concatenate((spots, self._prior(moved)))
 
-            fit = least_squares(
+            fit = scipy.optimize.least_squares(
                 residuals, np.zeros(len(PARAMETERS)), x_scale=self._scale, loss=loss,
                 max_nfev=_MOST_EVALUATIONS, xtol=1e-12, ftol=1e-12,
             )  # fmt: skip
@@ -290,7 +289,7 @@ class _Problem:
 def _moved(model: LaserModel, step: Array) -> LaserModel:
     """A model changed by a step in :data:`PARAMETERS`, shape (10,)."""
     return LaserModel(
-        rotation=Rotation.from_rotvec(step[:3]).as_matrix() @ model.rotation,
+        rotation=scipy.spatial.transform.Rotation.from_rotvec(step[:3]).as_matrix() @ model.rotation,
         position=model.position + step[3:_POSE],
         gain=(model.gain[0] + float(step[6]), model.gain[1] + float(step[7])),
         offset=model.offset + float(step[8]),

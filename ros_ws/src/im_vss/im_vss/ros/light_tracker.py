@@ -1,26 +1,32 @@
 """Where the robot's pose puts the wrist light that is on."""
 
+from collections import deque
 
 import numpy as np
+import scipy
+from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
+from im_cell.lights import lights_told
 from im_cell.robot import Cell, far_end
-from im_core.arrivals import read_json
+from im_core.errors import DataError
 from im_core.ros import qos
+from im_core.ros.interfaces import decoded
 
 Array = NDArray[np.float64]
 
 SWITCH = "/testbed/set_light"
 """Service that switches the wrist lights."""
 
+_KEPT = 50
+"""Messages on ``/tf``: others than MCS may send there, too, whatever they like."""
+
 
 class LightTracker:
-    """Keeps the newest ``/tf`` as it came, and works it out when a position is asked for."""
+    """Keeps the newest of ``/tf`` as they came, and works one out when a position is asked for."""
 
     def __init__(self, node: Node, cell: Cell, light: str, freshness_s: float) -> None:
         """Listen.
@@ -33,7 +39,7 @@ class LightTracker:
         """
         self._cell, self._light, self._usual = cell, light, light
         self._freshness_ns = freshness_s * 1e9
-        self._newest: bytes | None = None
+        self._newest: deque[bytes] = deque(maxlen=_KEPT)
         self._lights: dict[str, bool] = {}
         node.create_subscription(TFMessage, "/tf", self._keep, qos.SENSOR, raw=True)
         node.create_subscription(String, "/testbed/lights", self._choose, qos.LATCHED)
@@ -62,28 +68,38 @@ class LightTracker:
         Returns:
             None if the pose at that time is not known.
         """
-        if self._newest is None:
-            return None
-        tree = {each.child_frame_id: each for each in deserialize_message(self._newest, TFMessage).transforms}
+        for message in reversed(tuple(self._newest)):
+            try:
+                tree = {each.child_frame_id: each for each in decoded(message, TFMessage).transforms}
+                if (found := self._chain(tree, side, stamp_ns)) is not None:
+                    return found
+            except (DataError, ValueError):  # no message, or no rotations: not from MCS
+                continue
+        return None
+
+    def _chain(self, tree: dict[str, TransformStamped], side: str, stamp_ns: int | None) -> tuple[Array, Array] | None:
+        """As :meth:`wrist`, by the frames of one message."""
         xyz, rpy = far_end(self._cell.arm_models[self._cell.sides[side].arm].links[-1])
-        rotation, origin, frame = Rotation.from_euler("xyz", rpy), np.array(xyz), f"{side}_link6"
+        rotation = scipy.spatial.transform.Rotation.from_euler("xyz", rpy)
+        origin, frame = np.array(xyz), f"{side}_link6"
         while frame != "world":
-            if frame not in tree:
+            if frame not in tree:  # or it was there before: a circle
                 return None
-            header, transform = tree[frame].header, tree[frame].transform
+            step_up = tree.pop(frame)
+            header, transform = step_up.header, step_up.transform
             age_ns = 0 if stamp_ns is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns
             if abs(age_ns) > self._freshness_ns:
                 return None
             q, t = transform.rotation, transform.translation
-            step = Rotation.from_quat([q.x, q.y, q.z, q.w])
+            step = scipy.spatial.transform.Rotation.from_quat([q.x, q.y, q.z, q.w])
             rotation, origin = step * rotation, step.apply(origin) + np.array([t.x, t.y, t.z])
             frame = header.frame_id
         return rotation.as_matrix(), origin
 
     def _keep(self, message: bytes) -> None:
-        self._newest = message
+        self._newest.append(message)
 
     def _choose(self, message: String) -> None:
-        self._lights = read_json(dict[str, bool], message.data, "/testbed/lights")
+        self._lights = lights_told(message.data, self._cell)
         on = [name for name, lit in self._lights.items() if lit]
         self._light = on[0] if len(on) == 1 else self._usual

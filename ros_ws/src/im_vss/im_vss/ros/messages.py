@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from std_msgs.msg import Header
 
@@ -135,5 +135,5 @@ def to_laser_transform(model: LaserModel, stamp_ns: int) -> TransformStamped:
 
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:
     """Unit quaternion (x, y, z, w) of a rotation, shape (3, 3)."""
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    x, y, z, w = scipy.spatial.transform.Rotation.from_matrix(rotation).as_quat()
     return float(x), float(y), float(z), float(w)

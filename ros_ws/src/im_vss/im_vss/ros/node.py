@@ -116,7 +116,7 @@ class VssNode(ManagedNode):
         self._controls.start()
         self.create_timer(WATCH_PERIOD_S, self._watch, clock=self.steady_clock)
         # Loading these takes seconds that neither the start nor the first calibration need wait for.
-        libraries = ("scipy.stats", "im_calibration.reporting.plots")
+        libraries = ("scipy.special", "scipy.stats", "im_calibration.reporting.plots")
         threading.Thread(target=lambda: [import_module(name) for name in libraries], daemon=True).start()
 
     def phase_shutdown(self) -> None:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from im_cell.psf import amplitude_to_flux, flux_to_amplitude, pixel_derivatives, pixel_integrals
 from im_cell.sensor import SensorNoise
@@ -171,7 +171,7 @@ class _Window:
         )
         deviation = np.sqrt(variance)
         margin = np.maximum((signal + offset - self.least) / deviation, _LEAST_MARGIN)
-        mills = np.exp(-0.5 * margin**2 - log_ndtr(margin)) / _SQRT2PI
+        mills = np.exp(-0.5 * margin**2 - scipy.special.log_ndtr(margin)) / _SQRT2PI
         share = np.where(self.censored, mills * (mills + margin), 1.0)
         residual = np.where(self.censored, deviation / (mills + margin), self.difference - signal - offset)
         mask = self.usable if whole else self.usable & ~self.censored

@@ -24,6 +24,8 @@ _MOST_CELLS = 1000
 _CELLS_AT_REST = 10
 _NEWTON = 6
 _STILL = 1e-9
+# where a stretch ends it rests, if the path turns there within such a time: its curvature is of no size
+_STILL_S = 1e-6
 _TINY = 1e-100
 CHUNK = 400
 """Places that are evaluated in one slice."""
@@ -99,9 +101,13 @@ class AskedPath:
         slope = (way * turn).sum(axis=1) / np.maximum(speed, _TINY)
         bend = ((turn**2).sum(axis=1) + (way * twist).sum(axis=1) - slope**2) / np.maximum(speed, _TINY)
         # at rest the speed is that of |a| x + a j / |a| x^2 / 2, x seconds away from it
+        force = np.sqrt((turn**2).sum(axis=1))
         still = speed <= _STILL
+        if side == 0 and part.start == 0:
+            still[0] |= speed[0] <= _STILL_S * force[0]
+        if side == 1 and part.stop == len(self.piece):
+            still[-1] |= speed[-1] <= _STILL_S * force[-1]
         if still.any():
-            force = np.sqrt((turn**2).sum(axis=1))
             some = force > _STILL
             sign = -1.0 if side else 1.0
             slope[still] = sign * np.where(some, force, 0.0)[still]

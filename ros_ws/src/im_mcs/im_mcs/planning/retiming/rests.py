@@ -15,7 +15,8 @@ _STILL = 1e-9
 _TURN_S = (0.02, 0.004, 1e-3, 1e-4, 1e-5)
 _SHARP = 0.5
 _STEPS = 8
-_SAME_S = 1e-9
+SAME_S = 1e-9
+"""Asked times that differ by less are the same: rounding, once sharp corners are cut [s]."""
 
 
 def standing(trajectory: PiecewisePolynomial, unit: Array) -> Generator[None, None, NDArray[np.bool_]]:
@@ -57,8 +58,9 @@ def rests(trajectory: PiecewisePolynomial, path: AskedPath, unit: Array) -> Gene
     found += path.tau[sharp + (speed[sharp + 1] < speed[sharp])].tolist()
     times = np.unique(found)
     edges = np.append(trajectory.edges, trajectory.duration)
-    nearest = edges[np.clip(np.searchsorted(edges, times - _SAME_S), 0, len(edges) - 1)]
-    times = np.unique(np.where(np.abs(nearest - times) <= _SAME_S, nearest, times))
+    nearest = edges[np.clip(np.searchsorted(edges, times - SAME_S), 0, len(edges) - 1)]
+    times = np.unique(np.where(np.abs(nearest - times) <= SAME_S, nearest, times))
+    times = times[np.append(True, np.diff(times) > SAME_S)]
     return np.asarray(times[~_within(times, trajectory, still)])
 
 

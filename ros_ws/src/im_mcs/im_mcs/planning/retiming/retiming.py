@@ -14,7 +14,7 @@ from im_mcs.planning.context import PlanContext
 from im_mcs.planning.envelope import first_excess
 from im_mcs.planning.polynomial import PiecewisePolynomial, powers
 from im_mcs.planning.retiming.asked_path import AskedPath
-from im_mcs.planning.retiming.rests import rests, standing
+from im_mcs.planning.retiming.rests import SAME_S, rests, standing
 from im_mcs.planning.retiming.rounding import rounded
 from im_mcs.planning.retiming.stretch import Retimed, retime_stretch
 
@@ -107,8 +107,8 @@ def _kept(
 ) -> Generator[None, None, Retimed | None]:
     """A stretch as it was asked for, if it stands still, or keeps all limits from rest to rest."""
     edges = np.append(asked.edges, asked.duration)
-    first, last = int(np.searchsorted(edges, begin)), int(np.searchsorted(edges, end))
-    if edges[first] != begin or edges[last] != end:
+    first, last = (min(int(np.searchsorted(edges, t - SAME_S)), len(edges) - 1) for t in (begin, end))
+    if abs(edges[first] - begin) > SAME_S or abs(edges[last] - end) > SAME_S:
         return None
     lengths, coefficients = asked.lengths[first:last], asked.coefficients[first:last]
     if not still[first:last].all():

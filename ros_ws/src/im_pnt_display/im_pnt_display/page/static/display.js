@@ -131,7 +131,8 @@ function showMcs(mcs) {
   const line = byId("mcs");
   line.hidden = !mcs;
   if (!mcs) return;
-  const said = `MCS ${mcs.state}, power ${mcs.power ? "on" : "off"}, brakes ${mcs.brakes ? "on" : "off"}`;
+  const groups = Object.entries(mcs.groups).map(([group, state]) => `${group} ${state}`).join(", ");
+  const said = `MCS ${mcs.state}${groups && ` (${groups})`}, power ${mcs.power ? "on" : "off"}, brakes ${mcs.brakes ? "on" : "off"}`;
   line.textContent = mcs.stale ? `/mcs is silent; it said last: ${said}` : [said, mcs.reason].filter(Boolean).join(": ");
   line.title = mcs.reason;
   line.classList.toggle("stale", mcs.stale);

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from im_calibration import Calibration
 from im_core.errors import DataError
@@ -182,7 +182,7 @@ def rotation_matrix(pose: Pose, name: str) -> Array:
     length = math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
     if not abs(length - 1.0) < 1e-3:
         raise DataError(f"the orientation of pose '{name}' has length {length:.4g}, it must be 1", pose=name)
-    return np.asarray(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix())
+    return np.asarray(scipy.spatial.transform.Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix())
 
 
 def _finite_or_empty(covariance: Array) -> list[float]:

@@ -1,0 +1,1 @@
+"""Figures of the Data Object Manager."""

@@ -1,0 +1,114 @@
+"""Definitions of message types, with all that they contain, as MCAP files carry them (``ros2msg``)."""
+
+import functools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import TypesysError, get_types_from_msg
+
+from im_bringup.tasks.executables import prefixes
+from im_core.errors import DataError
+from im_core.files import read_text
+
+_LINE = "=" * 80
+_SEPARATOR = re.compile(r"^---.*\n?", re.MULTILINE)
+_PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
+
+
+def full_definition(name: str) -> str:
+    """Text of a type and, after it, of all types that it contains.
+
+    Args:
+        name: E.g. ``im_msgs/msg/Firing``, or ``im_msgs/srv/Advance_Event``.
+
+    Raises:
+        DataError: No sourced workspace defines it, or one that it contains.
+    """
+    found: dict[str, str] = {}
+    waiting = [name]
+    while waiting:
+        each = waiting.pop(0)
+        if each not in found:
+            found[each] = definition_of(each)
+            waiting += _contained(each, found[each])
+    first, *rest = found
+    return found[first] + "".join(f"\n{_LINE}\nMSG: {_short(each)}\n{found[each]}" for each in rest)
+
+
+@functools.lru_cache(maxsize=1024)
+def definition_of(name: str) -> str:
+    """Text of one type; that of a part or an event of a service or an action is made as ROS makes it.
+
+    Raises:
+        DataError: No sourced workspace defines it.
+    """
+    package, kind, own = (*name.split("/"), "", "")[:3]
+    base, _, part = own.partition("_")
+    if kind not in _PARTS or not part:
+        return _file(name, package, f"{kind}/{own}.msg")
+    texts = _SEPARATOR.split(_file(name, package, f"{kind}/{base}.{kind}"))
+    made = {
+        "SendGoal_Request": f"unique_identifier_msgs/UUID goal_id\n{package}/{base}_Goal goal\n",
+        "SendGoal_Response": "bool accepted\nbuiltin_interfaces/Time stamp\n",
+        "GetResult_Request": "unique_identifier_msgs/UUID goal_id\n",
+        "GetResult_Response": f"int8 status\n{package}/{base}_Result result\n",
+    }
+    made.update(zip(_PARTS[kind], texts, strict=False))
+    if part not in made and part.endswith("Event"):
+        whole = own.removesuffix("_Event")
+        made[part] = (
+            "service_msgs/ServiceEventInfo info\n"
+            f"{package}/{whole}_Request[<=1] request\n{package}/{whole}_Response[<=1] response\n"
+        )
+    if part not in made:
+        raise DataError(f"the type {name} is not defined in any sourced workspace", type=name)
+    return made[part]
+
+
+def _file(name: str, package: str, path: str) -> str:
+    for prefix in prefixes():
+        file: Path = prefix / "share" / package / path
+        if file.is_file():
+            return read_text(file)
+    raise DataError(f"the type {name} is not defined in any sourced workspace", type=name)
+
+
+def _contained(name: str, text: str) -> Iterator[str]:
+    """Types of the fields of a definition, by their full names."""
+    try:
+        fields = get_types_from_msg(text, "{0}/msg/{2}".format(*name.split("/")))
+    except TypesysError as error:
+        raise DataError(f"the definition of {name} cannot be read: {error}", type=name) from error
+    for _, described in fields.values():
+        for _, description in described:
+            for part in _named_types(description):
+                yield _existing(part)
+
+
+def _existing(name: str) -> str:
+    """A field's type by its full name; parts of services and actions are written like messages."""
+    if "_" not in name.rpartition("/")[2]:
+        return name
+    for kind in ("/msg/", "/srv/", "/action/"):
+        try:
+            definition_of(name.replace("/msg/", kind))
+        except DataError:
+            continue
+        return name.replace("/msg/", kind)
+    return name
+
+
+def _named_types(description: Any) -> Iterator[str]:
+    kind, argument = description
+    if kind == Nodetype.NAME:
+        yield argument
+    elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        yield from _named_types(argument[0])
+
+
+def _short(name: str) -> str:
+    package, _, own = name.split("/")
+    return f"{package}/{own}"

@@ -1,0 +1,142 @@
+"""The pace of a replay: when each message is due, and what pause, step and seek make of it."""
+
+import threading
+from collections import deque
+from collections.abc import Collection, Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from im_bringup.bag.reader import BagReader
+from im_core import clock
+from im_core.errors import DataError
+
+#: How far the keys that seek go [s].
+JUMP_S = 5.0
+#: Messages of a latched topic that come first: several nodes may have latched one each, of which a bag does not tell.
+LATCHED = 100
+KEYS = "space: pause, .: step, left and right: 5 s back and on, q: end"
+
+Message = tuple[str, int, bytes]
+
+
+@dataclass
+class Controls:
+    """What the user wants; used from any thread."""
+
+    paused: bool = False
+    ended: bool = False
+    steps: int = 0
+    jump_s: float = 0.0
+    changed: threading.Event = field(default_factory=threading.Event)
+
+    def press(self, key: str) -> None:
+        """Do what a key stands for; see :data:`KEYS`; others do nothing."""
+        match key:
+            case " ":
+                self.paused = not self.paused
+            case "." if self.paused:
+                self.steps += 1
+            case "left":
+                self.jump_s -= JUMP_S
+            case "right":
+                self.jump_s += JUMP_S
+            case "q":
+                self.ended = True
+        self.changed.set()
+
+    def end(self) -> None:
+        """End the replay soon."""
+        self.press("q")
+
+
+class Playback:
+    """Messages of a bag, each when it is due.
+
+    Args:
+        bag: The bag.
+        topics: Which of its topics.
+        controls: What the user wants.
+        rate: Speed; 2 plays twice as fast.
+        start_s: Where to begin, from the first message of the bag [s].
+        loop: Whether to begin again at the end.
+
+    Raises:
+        DataError: The bag ends before ``start_s``.
+    """
+
+    def __init__(
+        self,
+        bag: BagReader,
+        topics: Sequence[str],
+        controls: Controls,
+        rate: float = 1.0,
+        start_s: float = 0.0,
+        loop: bool = False,
+    ) -> None:
+        if not 0.0 <= start_s <= bag.duration_s:
+            raise DataError(f"the bag lasts {bag.duration_s:.3f} s: there is no {start_s:g} s in it", seconds=start_s)
+        self._bag, self._topics, self._controls = bag, topics, controls
+        self._rate, self._start_s, self._loop = rate, start_s, loop
+
+    def messages(self) -> Iterator[Message]:
+        """Topic, time [ns] and bytes, when they are due; what is latched before the place of the start comes first."""
+        place_s = self._start_s
+        while True:
+            yield from self._latched(place_s)
+            jumped_to = yield from self._from(place_s)
+            if jumped_to is not None:
+                place_s = min(max(0.0, jumped_to), self._bag.duration_s)
+            elif self._loop and not self._controls.ended:
+                place_s = self._start_s
+            else:
+                return
+
+    def _latched(self, place_s: float) -> list[Message]:
+        """The messages that one who came to latched topics at this place would have got."""
+        deliveries = self._bag.deliveries
+        kept = {
+            t: deque[Message](maxlen=max(deliveries[t].depth, LATCHED)) for t in self._topics if deliveries[t].latched
+        }
+        for message in self._until(kept, place_s):
+            kept[message[0]].append(message)
+        return [message for messages in kept.values() for message in messages]
+
+    def _until(self, topics: Collection[str], place_s: float) -> Iterator[Message]:
+        end_ns = self._bag.begin_ns + round(place_s * 1e9)
+        return self._bag.messages(topics, end_ns=end_ns) if place_s > 0.0 else iter(())
+
+    def _from(self, place_s: float) -> Generator[Message, None, float | None]:
+        """Messages from a place on; returns where to go on, if the user wants to be elsewhere [s]."""
+        begin_ns = self._bag.begin_ns + round(place_s * 1e9)
+        began = clock.monotonic()
+        for message in self._bag.messages(self._topics, begin_ns):
+            due = began + (message[1] - begin_ns) * 1e-9 / self._rate
+            paused_s = self._wait(due)
+            began += paused_s
+            if self._controls.ended:
+                return None
+            if self._controls.jump_s:
+                jump_s, self._controls.jump_s = self._controls.jump_s, 0.0
+                return (message[1] - self._bag.begin_ns) * 1e-9 + jump_s
+            yield message
+        return None
+
+    def _wait(self, due: float) -> float:
+        """Wait until a message is due, or something else is wanted; returns how long the pace stood still [s]."""
+        controls, paused_s = self._controls, 0.0
+        while not controls.ended and not controls.jump_s:
+            controls.changed.clear()
+            if controls.ended or controls.jump_s:
+                break
+            if controls.paused:
+                if controls.steps:
+                    controls.steps -= 1
+                    return clock.monotonic() - due
+                stopped = clock.monotonic()
+                controls.changed.wait()
+                paused_s += clock.monotonic() - stopped
+                continue
+            left = due + paused_s - clock.monotonic()
+            if left <= 0.0:
+                break
+            controls.changed.wait(left)
+        return paused_s

@@ -1,0 +1,166 @@
+"""Commands of the Dispatcher on a command line: options, help and values from the schema of their arguments."""
+
+import argparse
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NoReturn
+
+from im_core.errors import NotFoundError, nearest
+
+Schema = Mapping[str, Any]
+"""JSON schema of an argument, or of all arguments of a command."""
+
+
+class CommandParser(argparse.ArgumentParser):
+    """The options of one command.
+
+    Args:
+        told: What the Dispatcher tells of the command on ``/dispatcher/commands``.
+    """
+
+    def __init__(self, told: Mapping[str, Any]) -> None:
+        self._schema: Schema = told.get("arguments", {})
+        needs = ", ".join(told.get("needs", ()))
+        holds = f"Needs {needs}; where others hold that, it {_BUSY[told['busy']]}." if needs else None
+        super().__init__(
+            prog=f"im run {told['symbol']}", description=told.get("description"), epilog=holds, allow_abbrev=False
+        )
+        self._names: dict[str, str] = {}
+        for name, schema in self._schema.get("properties", {}).items():
+            self._add(name, schema, name in self._schema.get("required", ()))
+        group = self.add_argument_group("of every command")
+        group.add_argument("--priority", type=int, default=0, metavar="N", help="-10 to 10, added to the command's own")
+        group.add_argument("--json", action="store_true", help="print the results as JSON; progress goes to stderr")
+        if "arguments" not in told:
+            self.add_argument("--arguments", type=json_object, default={}, metavar="JSON", help="a JSON object")
+
+    def read(self, texts: Sequence[str]) -> tuple[dict[str, object], argparse.Namespace]:
+        """Returns the arguments that are given, and the options of every command; ends the process with 2 otherwise."""
+        options, rest = self.parse_known_args(texts)
+        if rest:
+            known = [option for action in self._actions for option in action.option_strings if option != "-h"]
+            self.error(f"there is no {rest[0]}{nearest(rest[0], known)}")
+        given = {name: value for key, name in self._names.items() if (value := getattr(options, key)) is not None}
+        return {**given, **getattr(options, "arguments", {})}, options
+
+    def error(self, message: str) -> NoReturn:
+        """Says what is wrong in one sentence."""
+        self.exit(2, f"{self.prog}: {message}; {self.prog} --help tells more\n")
+
+    def _add(self, name: str, schema: Schema, required: bool) -> None:
+        options = list(dict.fromkeys(["--" + name.replace("_", "-"), f"--{name}"]))
+        key = f"argument_{name}"
+        self._names[key] = name
+        is_list = schema.get("type") == "array"
+        one: Schema = schema.get("items", {}) if is_list else schema
+        self.add_argument(
+            *options,
+            dest=key,
+            required=required,
+            nargs="*" if is_list else None,
+            type=_READERS.get(str(one.get("type")), json_value),
+            metavar=_metavar(one),
+            help=_help(schema, one).replace("%", "%%"),
+        )
+
+
+def command_told(commands: Sequence[Mapping[str, Any]], symbol: str) -> Mapping[str, Any]:
+    """Returns what is told of a command.
+
+    Raises:
+        NotFoundError: There is no such command.
+    """
+    for told in commands:
+        if told["symbol"] == symbol:
+            return told
+    raise NotFoundError(kind="command", name=symbol, known=[str(told["symbol"]) for told in commands])
+
+
+def completions(commands: Sequence[Mapping[str, Any]]) -> str:
+    """Returns the names for a shell to complete: a line for each command, its options and their choices behind it."""
+    lines = []
+    for told in commands:
+        words = [str(told["symbol"])]
+        for name, schema in told.get("arguments", {}).get("properties", {}).items():
+            one = schema.get("items", schema)
+            choices = one.get("enum", ["true", "false"] if one.get("type") == "boolean" else [])
+            words.append("--" + name.replace("_", "-") + "".join(f"={choice}" for choice in choices))
+        lines.append(" ".join(words))
+    return "".join(f"{line}\n" for line in lines)
+
+
+def json_object(text: str) -> dict[str, object]:
+    """Reads a JSON object.
+
+    Raises:
+        ArgumentTypeError: It is none.
+    """
+    value = json_value(text)
+    if not isinstance(value, dict):
+        raise argparse.ArgumentTypeError(f"{text[:60]} is no JSON object")
+    return value
+
+
+def json_value(text: str) -> object:
+    """Reads JSON.
+
+    Raises:
+        ArgumentTypeError: It is none.
+    """
+    try:
+        value: object = json.loads(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text[:60]} is no JSON: {error}") from error
+    return value
+
+
+def _truth(text: str) -> bool:
+    if text not in ("true", "false"):
+        raise argparse.ArgumentTypeError(f"{text[:60]} is not true or false")
+    return text == "true"
+
+
+def _whole(text: str) -> int:
+    if not re.fullmatch(r"[+-]?\d{1,19}", text):
+        raise argparse.ArgumentTypeError(f"{text[:60]} is not a whole number")
+    return int(text)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text[:60]} is not a number") from error
+
+
+_READERS: Mapping[str, Callable[[str], object]] = {
+    "boolean": _truth,
+    "integer": _whole,
+    "number": _number,
+    "string": str,
+}
+_BUSY = {"wait": "waits", "refuse": "is refused"}
+
+
+def _metavar(schema: Schema) -> str:
+    if "enum" in schema:
+        return "|".join(str(choice) for choice in schema["enum"])
+    return {"string": "TEXT", "boolean": "true|false", "integer": "N", "number": "X"}.get(
+        str(schema.get("type")), "JSON"
+    )
+
+
+def _help(schema: Schema, one: Schema) -> str:
+    parts = [str(schema["description"])] if "description" in schema else []
+    low, high, unit = one.get("minimum"), one.get("maximum"), schema.get("unit")
+    if low is not None or high is not None:
+        parts.append(f"{'' if low is None else f'{low:g}'}..{'' if high is None else f'{high:g}'}")
+    least, most = schema.get("minItems"), schema.get("maxItems")
+    if most is not None:
+        parts.append(f"{most} of them" if least == most else f"{least} to {most} of them")
+    if unit:
+        parts.append(f"[{unit}]")
+    if schema.get("default") not in (None, "", []):
+        parts.append(f"(default: {json.dumps(schema['default'])})")
+    return " ".join(parts)

@@ -1,0 +1,67 @@
+"""The mission of a run folder: journals of the nets, data objects, and which commands have not ended.
+
+They belong together: where the nets begin anew, what the objects of the former nets stood for is not so any more.
+"""
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from im_core import open_commands
+from im_core.clock import stamp_name
+from im_core.errors import StoreError
+from im_core.files import make_folder
+
+PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm")
+FOLDER, KEPT = "missions", 5
+_NUMBERED = re.compile(r"\d{8}-\d{6}-\d{1,9}")
+
+
+def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
+    """Have the machine go on with the mission before, if commands of it had not ended, or begin a new one.
+
+    What a mission has left that is not gone on with is kept beside; of such the newest few are.
+
+    Args:
+        run_dir: Folder of the machine's logs and data bases.
+        fresh: Begin a new one in any case.
+        say: Takes a sentence about commands that had not ended.
+
+    Returns:
+        Whether it goes on.
+
+    Raises:
+        StoreError: Something cannot be moved.
+    """
+    unfinished = open_commands.noted(run_dir)
+    known = ", ".join(f"{command.symbol} (number {command.number} of {command.task})" for command in unfinished)
+    if unfinished and not fresh and (run_dir / "journal").is_dir():
+        say(f"commands had not ended when the machine was, and go on: {known}; start.sh --fresh sets them aside")
+        return True
+    aside = _set_aside(run_dir)
+    if unfinished and aside is not None:
+        say(f"commands had not ended when the machine was: {known}; what they have left is kept in {aside}")
+    return False
+
+
+def _set_aside(run_dir: Path) -> Path | None:
+    found = [run_dir / part for part in PARTS if (run_dir / part).exists()]
+    if not found:
+        return None
+    folder = make_folder(run_dir / FOLDER)
+    before = sorted((path for path in folder.iterdir() if _NUMBERED.fullmatch(path.name)), key=_number)
+    number = _number(before[-1]) + 1 if before else 1
+    aside = make_folder(folder / f"{stamp_name()}-{number}")
+    for part in found:
+        try:
+            part.rename(aside / part.name)
+        except OSError as error:
+            raise StoreError.of("moved", part, error) from error
+    for old in [*before, aside][:-KEPT]:
+        shutil.rmtree(old, ignore_errors=True)
+    return aside
+
+
+def _number(folder: Path) -> int:
+    return int(folder.name.rpartition("-")[2])

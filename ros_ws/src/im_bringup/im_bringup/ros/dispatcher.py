@@ -1,0 +1,116 @@
+"""What every client of the Dispatcher does: it waits for it, and notices that it is gone or was started again."""
+
+import math
+import sys
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from im_bringup.machine import record as machine
+from im_bringup.machine.record import MachineRecord
+from im_bringup.ros.interruptible import InterruptibleNode, spun
+from im_core import clock
+from im_core.errors import ImError, LinkError, WaitTimeoutError
+from im_core.ros import qos
+from im_core.startup import STATUS_TOPIC
+from im_msgs.msg import TaskStatus
+
+ACTION = "/dispatcher/execute"
+#: Longest wait for the service to be found, and longest silence of the dispatcher [s] of wall time: a dispatcher that
+#: died is started again within a few seconds, on a busy computer later; one without a machine is not.
+DISCOVERY_S = 60.0
+SILENCE_S = 60.0
+ALONE_S = 6.0
+_POLL_S = 0.02
+#: Time after which a goal that met the server of a former life is sent again [s].
+ACCEPT_S = 2.0
+
+DONE, FAILED, USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
+
+
+class DispatcherClient(InterruptibleNode):
+    """Waits for a Dispatcher that may die and come back; while the machine runs, a silent one is waited for.
+
+    Args:
+        name: Begins the name of its node.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._heard = clock.monotonic()
+        self._incarnation = 0
+        self.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
+
+    def _dispatcher_there(self) -> bool:
+        """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""
+        return bool(self._incarnation) and not _starting(machine.read())
+
+    def _answer(self, future: Any, limit_s: float = math.inf) -> Any | None:
+        """The result of a future that the dispatcher completes, None if it was started again or does not in time.
+
+        Raises:
+            KeyboardInterrupt: :meth:`interrupt` was called.
+            LinkError: The dispatcher fell silent.
+        """
+        begun, known = clock.monotonic(), self._incarnation
+        self._heard = begun
+        while not future.done():
+            self._pause(_POLL_S)
+            if clock.monotonic() - begun > limit_s:
+                return None
+            silent = clock.monotonic() - self._heard
+            if silent > ALONE_S and (why := _why_lost(silent)):
+                raise LinkError(f"the dispatcher is missing (last heard {silent:.1f} s ago){why}")
+            if self._incarnation != known:
+                return None
+        return future.result()
+
+    def _until(self, ready: Callable[[], bool], what: str, seconds: float = DISCOVERY_S) -> None:
+        deadline = clock.monotonic() + seconds
+        while not ready():
+            self._pause(_POLL_S)
+            if clock.monotonic() > deadline and not _starting(machine.read()):
+                raise WaitTimeoutError(what=what, seconds=seconds)
+
+    def _hear(self, message: TaskStatus) -> None:
+        if message.name == "dispatcher":
+            self._heard, self._incarnation = clock.monotonic(), message.incarnation
+
+
+ClientT = TypeVar("ClientT", bound=DispatcherClient)
+
+
+def talk(make: Callable[[], ClientT], use: Callable[[ClientT], int], who: str) -> int:
+    """Have a client of the running machine do something, and say in one sentence why it could not; the exit code.
+
+    Args:
+        make: Makes the client, once ROS is there.
+        use: Does it, while the client spins; returns the exit code.
+        who: Name of the program, for messages.
+    """
+    try:
+        machine.read_running()
+    except ImError as error:
+        print(f"{who}: {error.message}", file=sys.stderr)
+        return NOT_RUNNING
+    try:
+        with spun(make) as client:
+            return use(client)
+    except KeyboardInterrupt:
+        print(f"{who}: no longer waiting; the machine goes on with the command", file=sys.stderr)
+        return INTERRUPTED
+    except ImError as error:
+        print(f"{who}: {error.message}", file=sys.stderr)
+        return NOT_RUNNING if isinstance(error, WaitTimeoutError) else FAILED
+
+
+def _starting(record: MachineRecord | None) -> bool:
+    """Whether the machine is being started, perhaps again."""
+    return record is not None and record.alive and record.state == machine.STARTING
+
+
+def _why_lost(silent_s: float) -> str:
+    """Why a dispatcher that has been silent for so long will not answer, a clause; empty if it may yet."""
+    record = machine.read()
+    if record is None or not record.alive:
+        return ": the machine has ended, its bootstrap is gone"
+    return "" if silent_s <= SILENCE_S or _starting(record) else f"; the machine is {record.state}"

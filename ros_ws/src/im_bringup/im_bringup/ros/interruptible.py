@@ -1,0 +1,55 @@
+"""The node of a command: it spins while the command waits, and a signal ends the waiting."""
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from im_core.ros.guard import GuardedNode
+from im_core.ros.run import Spinner
+
+
+class InterruptibleNode(GuardedNode):
+    """A node that waits for others until it is interrupted.
+
+    Args:
+        name: Begins its name, which has the number of the process, too.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name}_{os.getpid()}")
+        self._interrupted = threading.Event()
+
+    def interrupt(self) -> None:
+        """Stop waiting; from a signal handler."""
+        self._interrupted.set()
+
+    def _pause(self, seconds: float) -> None:
+        if self._interrupted.wait(seconds):
+            raise KeyboardInterrupt
+
+
+NodeT = TypeVar("NodeT", bound=InterruptibleNode)
+
+
+@contextlib.contextmanager
+def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
+    """Within it ROS is there, and a node spins that SIGINT and SIGTERM interrupt.
+
+    Args:
+        make: Makes the node.
+    """
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = make()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: node.interrupt())
+        with Spinner([node]):
+            yield node
+    finally:
+        rclpy.try_shutdown()

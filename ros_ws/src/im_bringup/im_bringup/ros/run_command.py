@@ -1,0 +1,236 @@
+"""``im run``: runs a command of the Dispatcher with its progress, lists what there is and what is under way.
+
+A dispatcher that dies and is started again goes on with its commands; this client then attaches to its own by number.
+"""
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, TextIO
+
+from rclpy.action import ActionClient
+from std_msgs.msg import String
+
+from im_bringup.command_line import CommandParser, command_told, completions
+from im_bringup.ros.dispatcher import (
+    ACCEPT_S,
+    ACTION,
+    DISCOVERY_S,
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    SILENCE_S,
+    USAGE,
+    DispatcherClient,
+    talk,
+)
+from im_core.arrivals import read_json
+from im_core.errors import ArgumentError, NotFoundError, StateError, StoreError, WaitTimeoutError, require_text
+from im_core.files import write_whole
+from im_core.names import run_dir
+from im_core.ros import qos
+from im_core.ros.guard import GuardedActionClient
+from im_msgs.action import ExecuteCommand
+from im_msgs.msg import CommandState
+from im_msgs.srv import ControlCommand, ListCommands
+
+LIST = "/dispatcher/commands"
+CONTROLS = ("cancel", "pause", "resume")
+ANSWER_S = 10.0
+
+
+class CommandClient(DispatcherClient):
+    """Runs commands and tells their progress.
+
+    Args:
+        progress: Where it is told.
+    """
+
+    def __init__(self, progress: TextIO) -> None:
+        super().__init__("run")
+        self._progress = progress
+        self._told: list[dict[str, Any]] | None = None
+        self._number = 0
+        self._line = ""
+        self._execute: ActionClient = GuardedActionClient(self, ExecuteCommand, ACTION)
+        self._list = self.create_client(ListCommands, "/dispatcher/list_commands")
+        self._control = self.create_client(ControlCommand, "/dispatcher/control_command")
+        self.create_subscription(String, LIST, self._learn, qos.LATCHED)
+
+    @property
+    def begun(self) -> bool:
+        """Whether the command of :meth:`run` was written down: it has a number."""
+        return bool(self._number)
+
+    def commands(self) -> Sequence[Mapping[str, Any]]:
+        """Returns what the Dispatcher tells of its commands.
+
+        Raises:
+            WaitTimeoutError: It tells nothing.
+        """
+        self._until(lambda: self._dispatcher_there() and self._told is not None, f"the topic {LIST}")
+        assert self._told is not None
+        with contextlib.suppress(StoreError):  # a shell then completes no names
+            write_whole(run_dir() / "commands.txt", completions(self._told))
+        return self._told
+
+    def under_way(self) -> Sequence[CommandState]:
+        """Returns the commands that have not ended."""
+        return list(self._asked(self._list, ListCommands.Request()).commands)
+
+    def control(self, number: int, request: str) -> str:
+        """Cancels, pauses or resumes a command; returns what was done.
+
+        Raises:
+            StateError: It was not.
+        """
+        answer = self._asked(self._control, ControlCommand.Request(command_id=number, request=request))
+        if not answer.success:
+            raise StateError(str(answer.message))
+        return str(answer.message)
+
+    def run(self, goal: ExecuteCommand.Goal) -> Any:
+        """Runs a command, or attaches to one, and waits for its end; an interruption cancels it.
+
+        Raises:
+            KeyboardInterrupt: It was interrupted for the second time, or before the command was written down.
+            LinkError: The dispatcher fell silent.
+        """
+        self._number = int(goal.command_id)
+        handle = self._sent(goal)
+        while True:
+            result = None if handle is None else self._ended(handle)
+            if result is not None:
+                return result
+            if not self._number:
+                raise StateError("the dispatcher died before it had written the command down; run it again")
+            print(f"im run: the dispatcher died and is back; attaching to number {self._number}", file=sys.stderr)
+            handle = self._sent(ExecuteCommand.Goal(attach=True, command_id=self._number), SILENCE_S)
+
+    def _sent(self, goal: ExecuteCommand.Goal, seconds: float = DISCOVERY_S) -> Any | None:
+        def there() -> bool:
+            return self._dispatcher_there() and self._execute.server_is_ready()
+
+        self._until(there, f"the action {ACTION}", seconds)
+        return self._answer(self._execute.send_goal_async(goal, feedback_callback=self._show), ACCEPT_S)
+
+    def _ended(self, handle: Any) -> Any | None:
+        future = handle.get_result_async()
+        try:
+            answer = self._answer(future)
+        except KeyboardInterrupt:
+            print("im run: cancelling the command; interrupt again to leave it alone", file=sys.stderr)
+            self._interrupted.clear()
+            handle.cancel_goal_async()
+            answer = self._answer(future)
+        return None if answer is None else answer.result
+
+    def _asked(self, client: Any, request: Any) -> Any:
+        self._until(lambda: self._dispatcher_there() and client.service_is_ready(), f"the service {client.srv_name}")
+        answer = self._answer(client.call_async(request), ANSWER_S)
+        if answer is None:
+            raise WaitTimeoutError(what=f"the answer of {client.srv_name}", seconds=ANSWER_S)
+        return answer
+
+    def _learn(self, message: String) -> None:
+        self._told = read_json(dict[str, list[dict[str, Any]]], message.data, LIST)["commands"]
+
+    def _show(self, message: Any) -> None:
+        feedback = message.feedback
+        if not self._number:
+            self._number = int(feedback.command_id)
+            self._tell(f"number {self._number}")
+        share = f"[{100 * feedback.progress:3.0f} %]" if feedback.progress > 0 else "[  - %]"
+        state = "" if feedback.state == "running" else f"{feedback.state}: "
+        text = feedback.message or feedback.step
+        if text or state:
+            self._tell(f"{share} {state}{text}".rstrip(": "))
+
+    def _tell(self, line: str) -> None:
+        if line != self._line:
+            self._line = line
+            print(line, file=self._progress, flush=True)
+
+
+def main() -> int:
+    """Run the command."""
+    parser = argparse.ArgumentParser(
+        prog="im run",
+        description="Runs a command of the machine, or lists them. im run NAME --help tells the arguments of one.",
+        epilog="Ctrl-C cancels the command. Exit codes: 0 done, 1 failed or refused, 2 bad usage, 3 the machine does "
+        "not run, 130 interrupted.",
+    )
+    parser.add_argument("name", nargs="?", metavar="NAME", help="the command; none: list what there is")
+    parser.add_argument("--attach", type=int, metavar="NUMBER", help="wait for a command that is under way")
+    for request in CONTROLS:
+        parser.add_argument(f"--{request}", type=int, metavar="NUMBER", help=f"{request} a command by its number")
+    texts = sys.argv[1:]
+    named = bool(texts) and not texts[0].startswith("-")
+    options = parser.parse_args(texts[:1] if named else texts)
+    progress = sys.stderr if "--json" in texts else sys.stdout
+    return talk(lambda: CommandClient(progress), lambda client: _do(client, options, texts[1:]), "im run")
+
+
+def _do(client: CommandClient, options: argparse.Namespace, texts: Sequence[str]) -> int:
+    for request in CONTROLS:
+        if (number := getattr(options, request)) is not None:
+            print(client.control(number, request))
+            return DONE
+    if options.attach is not None:
+        result = client.run(ExecuteCommand.Goal(attach=True, command_id=options.attach))
+        return show(result, "im run", False, client.begun)
+    if options.name is None:
+        print_list(client.commands(), client.under_way())
+        return DONE
+    try:
+        command = CommandParser(command_told(client.commands(), options.name))
+        arguments, given = command.read(texts)
+        text = require_text(json.dumps(arguments, allow_nan=False), "the arguments")
+    except NotFoundError as error:
+        print(f"im run: {error.message}", file=sys.stderr)
+        return USAGE
+    except ValueError as error:
+        print(f"im run: {error}", file=sys.stderr)
+        return USAGE
+    goal = ExecuteCommand.Goal(symbol=options.name, arguments=text, priority=max(-128, min(127, given.priority)))
+    return show(client.run(goal), f"im run {options.name}", given.json, client.begun)
+
+
+def show(result: ExecuteCommand.Result, who: str, as_json: bool, begun: bool) -> int:
+    """Print how a command ended; returns the exit code.
+
+    Args:
+        result: What the dispatcher says.
+        who: Begins what is printed of a failure.
+        as_json: Whether the results are printed as JSON.
+        begun: Whether the command began; arguments that are refused before are bad usage.
+    """
+    if as_json:
+        print(result.results or "{}")
+    if not result.success:
+        print(f"{who}: {result.status.message}", file=sys.stderr)
+        if result.status.code == ArgumentError.default_code and not begun:
+            return USAGE
+        return INTERRUPTED if result.status.code == "cancelled" else FAILED
+    if not as_json:
+        results = json.loads(result.results or "{}")
+        shown = f": {json.dumps(results, ensure_ascii=False)}" if results else ""
+        print(f"{who}: done{shown}")
+    return DONE
+
+
+def print_list(commands: Sequence[Mapping[str, Any]], under_way: Sequence[CommandState]) -> None:
+    """Print what there is, and what is under way."""
+    width = max((len(told["symbol"]) for told in commands), default=0)
+    for told in commands:
+        print(f"{told['symbol']:{width}}  {told['description']}".rstrip())
+    for state in under_way:
+        share = f"{100 * state.progress:.0f} %" if state.progress >= 0 else "- %"
+        line = f"{state.symbol} {state.arguments} {state.state} {share} {state.message}"
+        print(f"number {state.command_id}: {line}".rstrip())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+"""What a machine leaves in its run folder is kept under a name when another begins there."""
+
+from im_bringup.machine import mission
+from im_core import open_commands
+from im_core.open_commands import OpenCommandNote
+
+
+def leave(run_dir, content: bytes, commands=()):
+    (run_dir / "journal" / "dispatcher").mkdir(parents=True)
+    (run_dir / "journal" / "dispatcher" / "000001.journal").write_bytes(content)
+    (run_dir / "dom.sqlite").write_bytes(content)
+    (run_dir / "dom.sqlite-wal").write_bytes(b"wal")
+    open_commands.note(run_dir, "dispatcher", commands)
+
+
+def test_an_unfinished_mission_that_is_set_aside_is_told_of_and_kept_whole_and_the_next_finds_nothing(tmp_path):
+    leave(tmp_path, b"one", [OpenCommandNote("dispatcher", 3, "calibrate_camera")])
+    said = []
+    mission.prepare(tmp_path, True, said.append)
+    (aside,) = (tmp_path / "missions").iterdir()
+    assert (aside / "journal" / "dispatcher" / "000001.journal").read_bytes() == b"one"
+    assert [(aside / name).read_bytes() for name in ("dom.sqlite", "dom.sqlite-wal")] == [b"one", b"wal"]
+    assert [path.name for path in tmp_path.iterdir()] == ["missions"]
+    assert said == [
+        "commands had not ended when the machine was: calibrate_camera (number 3 of dispatcher); "
+        f"what they have left is kept in {aside}"
+    ]
+    assert not mission.prepare(tmp_path, False, said.append)
+    assert len(said) == 1
+
+
+def test_an_unfinished_mission_is_gone_on_with_unless_told_otherwise(tmp_path):
+    leave(tmp_path, b"one", [OpenCommandNote("dispatcher", 3, "calibrate_camera")])
+    said = []
+    for _ in range(2):
+        assert mission.prepare(tmp_path, False, said.append)
+    assert (tmp_path / "journal" / "dispatcher" / "000001.journal").read_bytes() == b"one"
+    assert not (tmp_path / "missions").exists()
+    assert said[0].startswith("commands had not ended when the machine was, and go on: calibrate_camera (number 3 of")
+
+
+def test_a_finished_mission_is_kept_without_a_word_and_only_the_newest_are(tmp_path):
+    said = []
+    for number in range(mission.KEPT + 2):
+        leave(tmp_path, bytes([number]))
+        assert not mission.prepare(tmp_path, False, said.append)
+    kept = [(path / "dom.sqlite").read_bytes()[0] for path in (tmp_path / "missions").iterdir()]
+    assert sorted(kept) == list(range(2, mission.KEPT + 2))
+    assert said == []
+
+
+def test_a_note_that_is_none_says_nothing(tmp_path):
+    open_commands.note(tmp_path, "dispatcher", [])
+    assert open_commands.noted(tmp_path) == []
+    for text in ("{", '{"a": 1}', '[["x", 1]]', "[" * 100_000):
+        (tmp_path / "commands" / "dispatcher.json").write_text(text)
+        assert open_commands.noted(tmp_path) == []

@@ -1,0 +1,97 @@
+"""Pace, pause, step, seek and loop of a replay, with a clock that the test moves."""
+
+import pytest
+
+from im_bringup.bag import BagReader, BagWriter, Delivery
+from im_bringup.bag.playback import Controls, Playback
+from im_core import clock
+from im_core.errors import DataError
+
+STRING = "std_msgs/msg/String"
+
+
+class Time:
+    """A clock, and an event whose waiting moves it; what is to happen meanwhile is played from a list."""
+
+    def __init__(self, controls):
+        self.now, self.controls, self.script = 100.0, controls, []
+        controls.changed = self
+
+    def clear(self):
+        pass
+
+    def set(self):
+        pass
+
+    def wait(self, seconds=None):
+        if self.script and (seconds is None or self.now + seconds >= self.script[0][0]):
+            moment, key = self.script.pop(0)
+            self.now = max(self.now, moment)
+            self.controls.press(key)
+        else:
+            assert seconds is not None, "paused for ever"
+            self.now += seconds
+
+
+@pytest.fixture
+def time(monkeypatch):
+    made = Time(Controls())
+    monkeypatch.setattr(clock, "monotonic", lambda: made.now)
+    return made
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Twenty messages, one a second, and a latched topic that tells the second 0, 4, 8, ..."""
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING, Delivery(True, False, 5))
+    writer.add_topic("/latched", STRING, Delivery(True, True, 1))
+    for number in range(20):
+        stamp_ns = (1000 + number) * 10**9
+        if number % 4 == 0:
+            writer.write("/latched", stamp_ns, bytes([number]))
+        writer.write("/a", stamp_ns + 1, bytes([number]))
+    writer.close()
+    with BagReader(tmp_path / "bag") as reader:
+        yield reader
+
+
+def played(bag, time, topics=("/a",), most=1000, **options):
+    """Number and moment of the messages."""
+    found = []
+    for topic, _, data in Playback(bag, list(topics), time.controls, **options).messages():
+        found.append((data[0] if topic == "/a" else f"latched {data[0]}", round(time.now - 100.0, 3)))
+        if len(found) == most:
+            break
+    return found
+
+
+def test_messages_come_at_their_pace(bag, time):
+    assert played(bag, time, rate=4.0) == [(number, number / 4) for number in range(20)]
+
+
+def test_a_start_in_the_middle_begins_with_what_is_latched_there(bag, time):
+    found = played(bag, time, ("/a", "/latched"), start_s=5.5)
+    assert found[:4] == [("latched 0", 0.0), ("latched 4", 0.0), (6, 0.5), (7, 1.5)]
+
+
+def test_a_pause_moves_what_follows_and_a_step_lets_one_through(bag, time):
+    time.script = [(102.5, " "), (110.0, "."), (111.0, "."), (120.0, " ")]
+    assert played(bag, time)[:7] == [(0, 0.0), (1, 1.0), (2, 2.0), (3, 10.0), (4, 11.0), (5, 21.0), (6, 22.0)]
+
+
+def test_keys_seek_both_ways(bag, time):
+    time.script = [(102.5, "right"), (104.0, "left")]
+    found = [number for number, _ in played(bag, time)]
+    assert found == [0, 1, 2, 8, 9, *range(5, 20)]
+
+
+def test_a_loop_begins_again_and_ends_when_asked(bag, time):
+    assert [number for number, _ in played(bag, time, loop=True, most=45)] == [*range(20), *range(20), *range(5)]
+    time.controls.end()
+    assert played(bag, time, loop=True) == []
+
+
+def test_a_start_beyond_the_end_is_refused(bag, time):
+    with pytest.raises(DataError, match=r"the bag lasts 19.000 s: there is no 30 s in it"):
+        played(bag, time, start_s=30.0)

@@ -1,0 +1,21 @@
+"""What the testbed tells of the wrist lights."""
+
+from im_cell.robot import Cell
+from im_core.arrivals import read_json
+from im_core.errors import DataError
+
+
+def lights_told(text: str, cell: Cell) -> dict[str, bool]:
+    """Which lights are on, by what came on ``/testbed/lights``.
+
+    Args:
+        text: JSON object, on or off by the name of the light.
+        cell: Has the lights.
+
+    Raises:
+        DataError: It is no such object, or not of the lights of this cell: the testbed has not said it.
+    """
+    told = read_json(dict[str, bool], text, "the state of the lights")
+    if set(told) != set(cell.light_names):
+        raise DataError(f"the state of the lights names {len(told)} lights, not just {' and '.join(cell.light_names)}")
+    return told

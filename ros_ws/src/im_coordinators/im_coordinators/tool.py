@@ -1,0 +1,130 @@
+"""Where a tool is asked to be: the middle of the jaws, 15 cm before the wrist along its z axis in the shipped cell."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from im_core.errors import DataError, ImError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation  # loaded when it is used
+
+#: How far from 1 the norm of a quaternion may be.
+UNIT_TOLERANCE = 1e-3
+
+#: Arguments of a request that say more of a ``position``.
+DETAILS = {"orientation": [], "frame": "world"}
+
+
+@dataclass(frozen=True)
+class WristPlacement:
+    """Pose of a wrist in ``world``.
+
+    Attributes:
+        position: Shape (3,) [m].
+        rotation: Rotation wrist -> world.
+    """
+
+    position: NDArray[np.float64]
+    rotation: "Rotation"
+
+    @classmethod
+    def of(cls, position: Sequence[float], quaternion: Sequence[float]) -> "WristPlacement":
+        """The pose with a position, shape (3,) [m], and a quaternion x, y, z, w."""
+        return cls(np.array(position, dtype=np.float64), scipy.spatial.transform.Rotation.from_quat(quaternion))
+
+    @property
+    def quaternion(self) -> list[float]:
+        """Its rotation as a quaternion x, y, z, w."""
+        return [float(each) for each in self.rotation.as_quat()]
+
+
+@dataclass(frozen=True)
+class ToolTarget:
+    """Where a request asks a tool to be.
+
+    Attributes:
+        group: The arm that carries the tool.
+        position: Of the middle of the jaws, shape (3,) [m].
+        orientation: Of the tool; None: as it is.
+        frame: What they are in: ``world``, or ``tool``, where the tool is now.
+    """
+
+    group: str
+    position: tuple[float, ...]
+    orientation: "Rotation | None"
+    frame: str
+
+    @classmethod
+    def asked(cls, arguments: Mapping[str, object]) -> "ToolTarget":
+        """Reads what a request asks for: ``group``, ``position``, ``orientation``, ``frame``.
+
+        Raises:
+            DataError: The position has not three numbers, or the orientation neither none, three nor four, or it is a
+                quaternion whose norm is not 1.
+        """
+        position = _numbers(arguments["position"])
+        if len(position) != 3:
+            text = f"argument position has {len(position)} numbers; x y z [m] are needed"
+            raise DataError(text, argument="position", value=list(position))
+        turn = _rotation(_numbers(arguments["orientation"]))
+        return cls(str(arguments["group"]), position, turn, str(arguments["frame"]))
+
+    def wrist(self, here: WristPlacement, reach: float) -> WristPlacement:
+        """Returns where the wrist is when the tool is there.
+
+        Args:
+            here: Where it is now.
+            reach: From the wrist along its z axis to the middle of the jaws [m].
+        """
+        along = np.array([0.0, 0.0, reach])
+        if self.frame == "tool":
+            turn = here.rotation if self.orientation is None else here.rotation * self.orientation
+            place = here.position + here.rotation.apply(along + self.position)
+        else:
+            turn = here.rotation if self.orientation is None else self.orientation
+            place = np.array(self.position)
+        return WristPlacement(place - turn.apply(along), turn)
+
+    def refusal(self, why: ImError) -> ImError:
+        """The error that says of this target why it cannot be."""
+        told = ", ".join(f"{each:g}" for each in self.position)
+        where = "world" if self.frame == "world" else "the frame of the tool as it is"
+        text = f"the tool of {self.group} cannot be at ({told}) m in {where}: {why.message}"
+        return ImError.restored(why.code, text, {**why.facts, "position": list(self.position), "frame": self.frame})
+
+
+def require_position(arguments: Mapping[str, object], way: str) -> None:
+    """What says more of a position must come with one.
+
+    Args:
+        arguments: Of the request.
+        way: Argument that says where to go.
+
+    Raises:
+        DataError: It comes with something else.
+    """
+    for name, default in DETAILS.items():
+        if way != "position" and arguments[name] != default:
+            raise DataError(f"argument {name} goes with position; it was given with {way}", argument=name)
+
+
+def _rotation(numbers: tuple[float, ...]) -> "Rotation | None":
+    match len(numbers):
+        case 0:
+            return None
+        case 3:
+            return scipy.spatial.transform.Rotation.from_euler("xyz", numbers)
+        case 4 if abs(math.hypot(*numbers) - 1.0) <= UNIT_TOLERANCE:
+            return scipy.spatial.transform.Rotation.from_quat(numbers)
+    text = f"argument orientation is {list(numbers)}; roll pitch yaw [rad] or a quaternion x y z w of norm 1 are needed"
+    raise DataError(text, argument="orientation", value=list(numbers))
+
+
+def _numbers(values: object) -> tuple[float, ...]:
+    return tuple(float(value) for value in values) if isinstance(values, list | tuple) else ()

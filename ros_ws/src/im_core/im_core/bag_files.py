@@ -1,0 +1,395 @@
+"""The MCAP files of a bag: what they hold, told in ``metadata.yaml``; a recording that was cut short is completed."""
+
+import fcntl
+import os
+import struct
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import yaml
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    McapRecord,
+    MessageIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from rosbags.rosbag2.storage_mcap import decompress
+
+from im_core import unpacking
+from im_core.errors import StoreError
+from im_core.files import MEBIBYTE, FileError, check_regular, read_text, write_whole
+from im_core.yamltext import YamlError, as_data, read_yaml
+
+METADATA = "metadata.yaml"
+LARGEST_METADATA = 16 * MEBIBYTE
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+#: Records of the data section; any other ends it, or is what a torn write has left.
+_DATA = {
+    Opcode.HEADER,
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.MESSAGE,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    Opcode.ATTACHMENT,
+    Opcode.METADATA,
+}
+_LARGEST_RECORD = 2**30
+
+unpacking.install()
+
+
+@dataclass
+class Contents:
+    """What the data section of an MCAP file holds.
+
+    Attributes:
+        end: Where its last whole record ends [bytes].
+        schemas: By number.
+        channels: By number.
+        counts: Messages of each channel.
+        chunks: In their order.
+        begin_ns: Time of the first message; 0 where there is none [ns].
+        end_ns: Time of the last message [ns].
+        last: Index of the messages of the last chunk, by channel: their times and offsets.
+    """
+
+    end: int = len(_MAGIC)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    begin_ns: int = 0
+    end_ns: int = 0
+    last: dict[int, MessageIndex] = field(default_factory=dict)
+
+    def add_message(self, head: bytes, offset: int) -> int:
+        """Count a message, from its first bytes and its place in its chunk; its time [ns]."""
+        channel, _, logged_ns, _ = _MESSAGE.unpack_from(head)
+        self.begin_ns = logged_ns if not self.counts else min(self.begin_ns, logged_ns)
+        self.end_ns = max(self.end_ns, logged_ns)
+        self.counts[channel] += 1
+        self.last.setdefault(channel, MessageIndex(channel, [])).records.append((logged_ns, offset))
+        return int(logged_ns)
+
+    def add_definition(self, opcode: int, body: bytes) -> None:
+        """Keep a schema or a channel."""
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(body)))
+            self.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(ReadDataStream(BytesIO(body)))
+            self.channels[channel.id] = channel
+
+    @property
+    def statistics(self) -> Statistics:
+        """As the summary has them; attachments and metadata, which no recorder of ours writes, are not counted."""
+        return Statistics(
+            attachment_count=0,
+            channel_count=len(self.channels),
+            channel_message_counts=dict(self.counts),
+            chunk_count=len(self.chunks),
+            message_count=self.counts.total(),
+            message_end_time=self.end_ns,
+            message_start_time=self.begin_ns,
+            metadata_count=0,
+            schema_count=len(self.schemas),
+        )
+
+
+def complete_bag(bag: Path) -> None:
+    """Complete what a recorder that was killed has left: files without an end, and a folder without metadata.
+
+    A file that a recorder is writing is left alone; the bag is then what was complete before it.
+
+    Args:
+        bag: Folder of a bag, or a file of it; one whose metadata name all its MCAP files is not looked at further.
+
+    Raises:
+        DataError: It cannot be completed: it is being recorded, has no message, or is no MCAP file.
+    """
+    if not bag.is_dir():
+        if bag.suffix == ".mcap" and not _has_end(bag):
+            complete_file(bag)
+        return
+    described = (bag / METADATA).exists()
+    known = _known_files(bag / METADATA) if described else set()
+    files = sorted(bag.glob("*.mcap"), key=_number)
+    if not (new := [path for path in files if path.name not in known]):
+        return
+    busy = [path for path in new if is_recorded(path)]
+    if described and busy:
+        return
+    if busy:
+        raise FileError(bag, "is being recorded; end the recording first")
+    for path in new:
+        if path.stat().st_size and not _has_end(path):
+            complete_file(path)
+    write_metadata(bag, [path for path in files if path.stat().st_size])
+
+
+def is_recorded(path: Path) -> bool:
+    """Whether a recorder has this file open."""
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    return False
+
+
+def complete_file(path: Path) -> None:
+    """Cut a file after its last whole record, and append the summary and the end that it lacks.
+
+    Args:
+        path: An MCAP file.
+
+    Raises:
+        DataError: It is no MCAP file.
+        StoreError: It cannot be written.
+    """
+    try:
+        with path.open("r+b") as file:
+            contents = scan(path, file)
+            file.truncate(contents.end)
+            file.seek(contents.end)
+            file.write(_end_of(contents))
+    except OSError as error:
+        raise StoreError.of("completed", path, error) from error
+
+
+def scan(path: Path, file: BinaryIO) -> Contents:
+    """Read an MCAP file record by record, as far as they are whole.
+
+    Raises:
+        FileError: It is no MCAP file.
+    """
+    if file.read(len(_MAGIC)) != _MAGIC:
+        raise FileError(path, "is no MCAP file")
+    contents = Contents()
+    for opcode, offset, length in _records(file, os.fstat(file.fileno()).st_size):
+        if opcode not in _DATA:
+            break
+        body = file.read(length)
+        if opcode == Opcode.CHUNK:
+            if not _add_chunk(contents, body, offset):
+                break
+        elif opcode == Opcode.MESSAGE_INDEX:
+            _add_index(contents, body, offset)
+        elif opcode == Opcode.MESSAGE:
+            contents.add_message(body, offset)
+        else:
+            contents.add_definition(opcode, body)
+        contents.end = offset + _HEAD.size + length
+    if contents.chunks:  # its index is written again: nothing tells whether it is whole
+        last = contents.chunks[-1]
+        contents.end = last.chunk_start_offset + last.chunk_length
+    return contents
+
+
+def write_metadata(bag: Path, files: Sequence[Path]) -> None:
+    """Write ``metadata.yaml`` of a bag from the summaries of its files.
+
+    Args:
+        bag: Folder of the bag.
+        files: Complete MCAP files in it, in their order.
+
+    Raises:
+        DataError: There is none, or one is no MCAP file.
+        StoreError: It cannot be written.
+    """
+    if not files:
+        raise FileError(bag, "has no message: the recording ended before the first was written")
+    contents = [(path, _summary(path)) for path in files]
+    content = {"rosbag2_bagfile_information": _described(contents)}
+    write_whole(bag / METADATA, yaml.safe_dump(content, sort_keys=False))
+
+
+def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, offset and length of the body of each whole record; the file stands at the body."""
+    offset = len(_MAGIC)
+    while offset + _HEAD.size <= size:
+        file.seek(offset)
+        opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+        if offset + _HEAD.size + length > size or length > _LARGEST_RECORD:
+            return
+        yield opcode, offset, length
+        offset += _HEAD.size + length
+
+
+def _add_chunk(contents: Contents, body: bytes, offset: int) -> bool:
+    """Add a chunk with what is in it; False if it is damaged."""
+    try:
+        chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+        raw = decompress(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
+    except Exception:  # what unpacks bytes that were cut or spoilt raises errors of any name
+        return False
+    contents.last = {}
+    at = 0
+    while at + _HEAD.size <= len(raw):
+        opcode, length = _HEAD.unpack_from(raw, at)
+        start = at + _HEAD.size
+        if opcode == Opcode.MESSAGE:
+            contents.add_message(raw[start : start + _MESSAGE.size], at)
+        else:
+            contents.add_definition(opcode, raw[start : start + length])
+        at = start + length
+    contents.chunks.append(
+        ChunkIndex(
+            chunk_length=_HEAD.size + len(body),
+            chunk_start_offset=offset,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_end_time=chunk.message_end_time,
+            message_index_length=0,
+            message_index_offsets={},
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=chunk.uncompressed_size,
+        )
+    )
+    return True
+
+
+def _add_index(contents: Contents, body: bytes, offset: int) -> None:
+    if contents.chunks:
+        chunk = contents.chunks[-1]
+        chunk.message_index_offsets[int.from_bytes(body[:2], "little")] = offset
+        chunk.message_index_length += _HEAD.size + len(body)
+
+
+def _end_of(contents: Contents) -> bytes:
+    """What follows the data: the index of the last chunk, the summary and the footer."""
+    builder = RecordBuilder()
+    if contents.chunks:
+        chunk = contents.chunks[-1]
+        chunk.message_index_offsets = {}
+        for channel, index in contents.last.items():
+            chunk.message_index_offsets[channel] = contents.end + builder.count
+            index.write(builder)
+        chunk.message_index_length = builder.count
+    DataEnd(0).write(builder)
+    start = contents.end + builder.count
+    groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
+        (Opcode.SCHEMA, list(contents.schemas.values())),
+        (Opcode.CHANNEL, list(contents.channels.values())),
+        (Opcode.STATISTICS, [contents.statistics]),
+        (Opcode.CHUNK_INDEX, contents.chunks),
+    ]
+    offsets = []
+    for opcode, records in groups:
+        begin = contents.end + builder.count
+        for record in records:
+            record.write(builder)
+        offsets.append(SummaryOffset(opcode, begin, contents.end + builder.count - begin))
+    offset_start = contents.end + builder.count
+    for summary_offset in offsets:
+        if summary_offset.group_length:
+            summary_offset.write(builder)
+    Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=0).write(builder)
+    return bytes(builder.end()) + _MAGIC
+
+
+def _has_end(path: Path) -> bool:
+    check_regular(path, path.stat())
+    with path.open("rb") as file:
+        if file.seek(0, os.SEEK_END) < 2 * len(_MAGIC):
+            return False
+        file.seek(-len(_MAGIC), os.SEEK_END)
+        return file.read() == _MAGIC
+
+
+def _summary(path: Path) -> Contents:
+    """What the summary of a complete file says, or the file itself where it has none."""
+    with path.open("rb") as file:
+        try:
+            summary = make_reader(file).get_summary()
+        except Exception as error:  # of any name, as above
+            raise FileError(path, f"cannot be read: {error or type(error).__name__}") from error
+        if summary is None or summary.statistics is None:
+            file.seek(0)
+            return scan(path, file)
+        told = summary.statistics
+        return Contents(
+            schemas=summary.schemas,
+            channels=summary.channels,
+            counts=Counter(told.channel_message_counts),
+            begin_ns=told.message_start_time,
+            end_ns=told.message_end_time,
+        )
+
+
+def _known_files(metadata: Path) -> set[str]:
+    try:
+        content: Any = as_data(read_yaml(read_text(metadata, LARGEST_METADATA), str(metadata)))
+        return {Path(name).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]}
+    except YamlError as error:
+        raise FileError(metadata, error.sentence, error.place.line) from error
+    except (LookupError, TypeError) as error:
+        raise FileError(metadata, "cannot be read: it says nothing of the files of a bag") from error
+
+
+def _number(path: Path) -> tuple[int, str]:
+    """Parts are ``name.mcap``, ``name_1.mcap``, ..., or ``name_0.mcap``, ...: in the order of their numbers."""
+    tail = path.stem.rpartition("_")[2]
+    return (int(tail) if path.stem != path.parent.name and tail.isdigit() else -1, path.name)
+
+
+def _described(files: Sequence[tuple[Path, Contents]]) -> dict[str, Any]:
+    filled = [contents for _, contents in files if contents.counts]
+    begin = min((contents.begin_ns for contents in filled), default=0)
+    end = max((contents.end_ns for contents in filled), default=0)
+    return {
+        "version": 9,
+        "storage_identifier": "mcap",
+        "relative_file_paths": [path.name for path, _ in files],
+        "duration": {"nanoseconds": end - begin},
+        "starting_time": {"nanoseconds_since_epoch": begin},
+        "message_count": sum(contents.counts.total() for _, contents in files),
+        "topics_with_message_count": _topics([contents for _, contents in files]),
+        "compression_format": "",
+        "compression_mode": "",
+        "files": [
+            {
+                "path": path.name,
+                "starting_time": {"nanoseconds_since_epoch": contents.begin_ns},
+                "duration": {"nanoseconds": contents.end_ns - contents.begin_ns},
+                "message_count": contents.counts.total(),
+            }
+            for path, contents in files
+        ],
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
+
+
+def _topics(files: Sequence[Contents]) -> list[dict[str, Any]]:
+    counts: Counter[str] = Counter()
+    told: dict[str, dict[str, Any]] = {}
+    for contents in files:
+        for channel in contents.channels.values():
+            counts[channel.topic] += contents.counts[channel.id]
+            schema = contents.schemas.get(channel.schema_id)
+            told[channel.topic] = {
+                "name": channel.topic,
+                "type": schema.name if schema else "",
+                "serialization_format": channel.message_encoding,
+                "offered_qos_profiles": yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or [],
+                "type_description_hash": channel.metadata.get("topic_type_hash", ""),
+            }
+    return [{"topic_metadata": told[topic], "message_count": counts[topic]} for topic in told]

@@ -1,0 +1,49 @@
+"""Which commands a task has not ended: a file for whoever finds what a killed machine has left."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from im_core.arrivals import read_json
+from im_core.errors import DataError
+from im_core.files import MEBIBYTE, make_folder, read_text, write_whole
+
+_FOLDER = "commands"
+
+
+@dataclass(frozen=True)
+class OpenCommandNote:
+    """A command that has not ended.
+
+    Attributes:
+        task: That runs it.
+        number: Its number there.
+        symbol: What it is called.
+    """
+
+    task: str
+    number: int
+    symbol: str
+
+
+def note(run_dir: Path, task: str, commands: Sequence[OpenCommandNote]) -> None:
+    """Write down which commands a task has not ended.
+
+    Raises:
+        StoreError: It cannot be written.
+    """
+    content = [[command.number, command.symbol] for command in commands]
+    write_whole(make_folder(run_dir / _FOLDER) / f"{task}.json", json.dumps(content))
+
+
+def noted(run_dir: Path) -> list[OpenCommandNote]:
+    """The commands that were not ended when the machine of a run folder was; a file that is none says nothing."""
+    found = []
+    for file in sorted((run_dir / _FOLDER).glob("*.json")):
+        try:
+            entries = read_json(list[tuple[int, str]], read_text(file, MEBIBYTE), str(file))
+        except DataError:
+            continue
+        found += [OpenCommandNote(file.stem, number, symbol) for number, symbol in entries]
+    return found

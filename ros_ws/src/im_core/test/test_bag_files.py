@@ -1,0 +1,111 @@
+"""A recording cut at any byte opens again, with every message that was whole; what is complete is left as it is."""
+
+import fcntl
+import random
+import shutil
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from im_core.bag import open_bag
+from im_core.bag_files import complete_bag
+from im_core.errors import DataError
+
+STRING = "std_msgs/msg/String"
+
+
+def record(folder, chunks=6, each=5, end=True):
+    """A bag of some chunks of messages of two topics; positions in the file after each chunk."""
+    folder.mkdir()
+    ends = []
+    with (folder / f"{folder.name}.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        channels = [writer.register_channel(topic, "cdr", schema) for topic in ("/a", "/b")]
+        for number in range(chunks * each):
+            writer.add_message(channels[number % 2], 1000 + number, bytes([0, 1, 0, 0, number]), 900 + number, number)
+            if number % each == each - 1:
+                writer.flush()
+                ends.append(file.tell())
+        if end:
+            writer.finish()
+    return ends
+
+
+def messages(folder):
+    """Numbers of the messages, as rosbags and as the reader of mcap give them."""
+    reader = open_bag(folder)
+    first = [data[4] for _, _, data in reader.messages()]
+    reader.close()
+    with next(folder.glob("*.mcap")).open("rb") as file:
+        second = [message.data[4] for _, _, message in make_reader(file, validate_crcs=True).iter_messages()]
+    assert first == second
+    return first
+
+
+def test_a_file_cut_anywhere_opens_with_all_that_was_whole(tmp_path):
+    ends = record(tmp_path / "whole")
+    data = (tmp_path / "whole" / "whole.mcap").read_bytes()
+    choose = random.Random(5)
+    for cut in [ends[0], *(choose.randrange(ends[0], len(data)) for _ in range(40)), len(data) - 1]:
+        folder = tmp_path / "bag"
+        folder.mkdir()
+        (folder / "bag.mcap").write_bytes(data[:cut])
+        whole = sum(end <= cut for end in ends)
+        found = messages(folder)
+        # the chunk that was being written counts when it is whole itself, and only its index was cut
+        assert found in (list(range(5 * whole)), list(range(5 * (whole + 1)))), cut
+        shutil.rmtree(folder)
+
+
+def test_garbage_after_the_last_chunk_is_cut_off(tmp_path):
+    record(tmp_path / "bag", end=False)
+    with (tmp_path / "bag" / "bag.mcap").open("ab") as file:
+        file.write(bytes(4096))
+    assert messages(tmp_path / "bag") == list(range(30))
+
+
+def test_a_spoilt_chunk_ends_what_is_taken(tmp_path):
+    ends = record(tmp_path / "bag", end=False)
+    path = tmp_path / "bag" / "bag.mcap"
+    data = bytearray(path.read_bytes())
+    data[ends[2] + 60] ^= 0xFF
+    path.write_bytes(data)
+    assert messages(tmp_path / "bag") == list(range(15))
+
+
+def test_a_complete_bag_is_not_touched(tmp_path):
+    record(tmp_path / "bag")
+    before = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    complete_bag(tmp_path / "bag")
+    assert (tmp_path / "bag" / "bag.mcap").read_bytes() == before
+    metadata = (tmp_path / "bag" / "metadata.yaml").read_bytes()
+    complete_bag(tmp_path / "bag")
+    assert (tmp_path / "bag" / "metadata.yaml").read_bytes() == metadata
+
+
+def test_a_bag_that_is_being_recorded_is_left_alone(tmp_path):
+    record(tmp_path / "bag", end=False)
+    path = tmp_path / "bag" / "bag.mcap"
+    before = path.read_bytes()
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(DataError, match="is being recorded"):
+            complete_bag(tmp_path / "bag")
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [(b"", "has no message"), (b"\x89PNG\r\n", "is no MCAP file"), (b"x" * 100, "is no MCAP file")],
+)
+def test_what_is_no_recording_is_said(tmp_path, content, sentence):
+    (tmp_path / "bag").mkdir()
+    path: Path = tmp_path / "bag" / "bag.mcap"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=sentence):
+        complete_bag(tmp_path / "bag")
+    assert path.read_bytes() == content

@@ -1,0 +1,116 @@
+"""The line in which commands wait for what others hold, and whose turn it is.
+
+A command begins when all that it needs is free, and nobody before it in the line waits for any of that. What comes
+first has the smaller ``number - 10 * priority``, where commands are numbered as they come: a step of priority is worth
+ten places. So nobody is starved: a command that comes more than ten times the difference of priorities later is behind,
+for ever, and all that is before a command begins, and ends, before it has to wait for it again.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from im_core.errors import StateError
+from im_dispatcher.cell.needs import Needs, Variant
+from im_dispatcher.cell.net import turn_of
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import GuardFunction
+from im_pnt.execution.jobs import Command
+
+PLACES = 10
+"""Places in the line that a step of priority is worth."""
+
+LEAST, MOST = -10, 10
+"""Priorities that a command may have."""
+
+
+class Claim(NamedTuple):
+    """A command and what it takes."""
+
+    command: Command
+    variant: Variant
+
+    @property
+    def rank(self) -> tuple[int, int]:
+        """What is smaller goes first."""
+        priority = max(LEAST, min(MOST, self.command.priority))
+        return self.command.id - PLACES * priority, self.command.id
+
+    def shares(self, other: "Claim") -> list[str]:
+        """What both need."""
+        return [need for need in self.variant.needs if need in other.variant.needs]
+
+
+def its_turn(asking: Claim, waiting: Iterable[Claim]) -> bool:
+    """Whether no command that waits before another one needs any of what that needs."""
+    return not any(other.rank < asking.rank and asking.shares(other) for other in waiting)
+
+
+class WaitingLine:
+    """The commands of the net ``cell`` that have not ended.
+
+    Args:
+        needs: What its commands take.
+        executor: The net in execution; looked for anew each time.
+    """
+
+    def __init__(self, needs: Needs, executor: Callable[[], Executor]) -> None:
+        self._needs, self._executor = needs, executor
+
+    def waiting(self) -> list[Claim]:
+        """Returns those that wait and are not paused, the next first."""
+        rule = self._executor().rule
+        jobs = [job for job in rule.ledger.tape.waiting() if job.command.id not in rule.held]
+        return sorted((self.claim(job.command) for job in jobs), key=lambda claim: claim.rank)
+
+    def running(self) -> list[Claim]:
+        """Returns those that have begun."""
+        return [self.claim(job.command) for job in self._executor().jobs() if not job.waiting]
+
+    def claim(self, command: Command) -> Claim:
+        """Returns what a command takes.
+
+        Raises:
+            NetError: Its arguments were not checked.
+        """
+        return Claim(command, self._needs.variant(command.symbol, command.arguments))
+
+    def require_same(self, needs: Needs) -> None:
+        """Checks that the commands that have not ended need the same as before.
+
+        Raises:
+            StateError: One would need something else, or is not there any more; names it.
+        """
+        known = {(each.name, each.needs) for each in needs.variants.values()}
+        for job in self._executor().jobs():
+            claim = self.claim(job.command)
+            if (claim.variant.name, claim.variant.needs) not in known:
+                text = f"{job.symbol} (number {job.command.id}) has not ended, and would not need the same any more"
+                raise StateError(text, command=job.symbol)
+
+    def guards(self) -> dict[str, GuardFunction]:
+        """Returns the enabling functions of the net, by name."""
+
+        def guard(name: str) -> GuardFunction:
+            return lambda context: self.lets(name, context.command)
+
+        return {turn_of(name): guard(name) for name in self._needs.variants}
+
+    def lets(self, variant: str, command: Command) -> bool:
+        """Whether it is the turn of a command, and it is begun as this variant."""
+        asking = self.claim(command)
+        return asking.variant.name == variant and its_turn(asking, self.waiting())
+
+    def keepers(self, asking: Claim) -> list[tuple[Claim, str]]:
+        """Returns who keeps a command from beginning, each with what it has, or waits for before that."""
+        before = [other for other in self.waiting() if other.rank < asking.rank]
+        told = [(other, "has") for other in self.running()] + [(other, "waits for") for other in before]
+        return [(other, how) for other, how in told if other.command.id != asking.command.id and asking.shares(other)]
+
+
+def reason(asking: Claim, keepers: Iterable[tuple[Claim, str]]) -> str:
+    """Says who keeps a command from beginning: ``move needs left_arm, which home (number 3) has``."""
+    told = [
+        f"{' and '.join(asking.shares(other))}, which {other.command.symbol} (number {other.command.id}) {how}"
+        for other, how in keepers
+    ]
+    return f"{asking.command.symbol} needs {'; '.join(told)}"

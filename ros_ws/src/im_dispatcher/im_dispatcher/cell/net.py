@@ -1,0 +1,59 @@
+"""The net ``cell``: a place for each resource, and a transition for each command that takes what it needs at once."""
+
+import yaml
+
+from im_dispatcher.cell.needs import Needs, Variant
+from im_pnt.model.net import Net
+from im_pnt.netfile import parse_net
+from im_pnt.netfile.writer import schema_data
+
+NAME = "cell"
+
+
+def turn_of(variant: str) -> str:
+    """Returns the name of the enabling function of what begins here: whether it is the turn of that command."""
+    return f"turn_of_{variant}"
+
+
+def cell_net(needs: Needs) -> Net:
+    """Returns the net: whatever runs holds all that it needs, and nothing that waits holds anything.
+
+    A command is handed on to its own net, and what it took is given back when that has ended it, however it did.
+    """
+    places: dict[str, object] = {resource: {"tokens": 1, "resource": True} for resource in needs.resources}
+    transitions: dict[str, object] = {}
+    for variant in needs.variants.values():
+        failed = f"{variant.name}_failed"
+        places[failed] = None
+        transitions[variant.name] = _begin(variant, failed)
+        transitions[failed] = {"in": [failed], "out": list(variant.needs), "emit": f"{variant.symbol}_failed"}
+    text = {
+        "net": NAME,
+        "description": "What commands take of the cell, all at once, and give back when they have ended.",
+        "commands": {variant.symbol: _declared(variant) for variant in needs.variants.values()},
+        "places": places,
+        "transitions": transitions,
+    }
+    return parse_net(yaml.safe_dump(text, sort_keys=False))
+
+
+def _declared(variant: Variant) -> dict[str, object]:
+    return {"description": variant.declared.description, "arguments": schema_data(variant.declared.arguments)}
+
+
+def _handed_on(variant: Variant) -> dict[str, object]:
+    """The arguments of the command, those that decide as values: what is taken is what they need."""
+    arguments = variant.declared.arguments.arguments
+    return {name: variant.choice.get(name, f"${{arguments.{name}}}") for name in arguments}
+
+
+def _begin(variant: Variant, failed: str) -> dict[str, object]:
+    return {
+        "symbol": variant.symbol,
+        "in": list(variant.needs),
+        "guard": turn_of(variant.name),
+        "out": list(variant.needs),
+        "request": {"to": f"{variant.net}.{variant.symbol}", "arguments": _handed_on(variant)},
+        "emit": f"{variant.symbol}_done",
+        "on_failure": [failed],
+    }

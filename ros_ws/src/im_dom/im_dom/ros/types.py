@@ -1,0 +1,95 @@
+"""Types of data objects: whether bytes are a message of one, the hash of its definition, and a message as JSON."""
+
+import array
+import functools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ament_index_python import PackageNotFoundError, get_package_share_directory
+from rclpy.serialization import serialize_message
+
+from im_core.errors import DataError, NotFoundError
+from im_core.files import MEBIBYTE, read_text
+from im_core.ros.interfaces import decoded, interface_class
+
+#: CDR ends with at most so many bytes that mean nothing.
+PADDING = 3
+
+#: A larger object is given out as it is, not as text [bytes].
+LARGEST_AS_TEXT = MEBIBYTE
+
+
+def check_message(name: str, kind: str, data: bytes) -> str:
+    """Make sure that bytes are a message of a type.
+
+    Args:
+        name: Of the object, for the error.
+        kind: ROS type; its package must have been sourced when this process began.
+        data: The bytes (CDR).
+
+    Returns:
+        The hash of the type's definition (REP 2016).
+
+    Raises:
+        DataError: They are not.
+        NotFoundError: No such type is installed.
+    """
+    message = _decoded(name, kind, data)
+    surplus = len(data) - len(serialize_message(message))
+    if surplus > PADDING:
+        text = f"data object '{name}' is no {kind}: {surplus} of its {len(data)} bytes follow after the end of one"
+        raise DataError(text, object=name, type=kind)
+    return type_hash(kind)
+
+
+@functools.cache
+def type_hash(kind: str) -> str:
+    """The hash of the definition of a type.
+
+    Raises:
+        NotFoundError: Its package does not tell.
+    """
+    package, folder, name = kind.split("/")
+    try:
+        text = read_text(Path(get_package_share_directory(package)) / folder / f"{name}.json")
+        hashes = {str(each["type_name"]): str(each["hash_string"]) for each in json.loads(text)["type_hashes"]}
+        return hashes[kind]
+    except (PackageNotFoundError, DataError, ValueError, KeyError, TypeError) as error:
+        raise NotFoundError(kind="hash of type", name=kind) from error
+
+
+def as_json(name: str, kind: str, data: bytes) -> str:
+    """The fields of a message as JSON; numbers that are not finite are texts there.
+
+    Raises:
+        DataError: The bytes are none of that type any more, or too many.
+    """
+    if len(data) > LARGEST_AS_TEXT:
+        text = f"data object '{name}' has {len(data)} bytes; at most {LARGEST_AS_TEXT} are given as text"
+        raise DataError(text, object=name, size=len(data), allowed=LARGEST_AS_TEXT)
+    return json.dumps(_plain(_decoded(name, kind, data)))
+
+
+def _decoded(name: str, kind: str, data: bytes) -> Any:
+    try:
+        return decoded(data, interface_class(kind))
+    except DataError as error:
+        text = f"data object '{name}' is no {kind}: its {len(data)} bytes do not decode"
+        raise DataError(text, object=name, type=kind) from error
+
+
+def _plain(value: Any) -> object:
+    if hasattr(value, "get_fields_and_field_types"):
+        return {field: _plain(getattr(value, field)) for field in value.get_fields_and_field_types()}
+    if isinstance(value, np.ndarray | array.array):
+        return [_plain(each) for each in value.tolist()]
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, bytes):
+        return list(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value

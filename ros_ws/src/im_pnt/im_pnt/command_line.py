@@ -1,0 +1,63 @@
+"""A command as a command line says it: its symbol, and its arguments each as ``name=value``."""
+
+import json
+from collections.abc import Sequence
+
+from im_core.errors import ConfigError, NotFoundError
+from im_pnt.model.arguments import ArgumentSchema, ArgumentType
+from im_pnt.model.net import Net
+
+
+class Order:
+    """A command that is to be run once.
+
+    Attributes:
+        symbol: Its symbol.
+        arguments: Its arguments, checked.
+    """
+
+    def __init__(self, symbol: str, arguments: dict[str, object]) -> None:
+        self.symbol, self.arguments = symbol, arguments
+
+    @classmethod
+    def read(cls, nets: Sequence[Net], symbol: str, given: Sequence[str]) -> "Order":
+        """Reads a command line.
+
+        Args:
+            nets: The nets, one of which knows the command.
+            symbol: Its symbol.
+            given: Its arguments, each ``name=value``.
+
+        Raises:
+            NotFoundError: No net knows the symbol.
+            DataError: The arguments are not what the net declares.
+            ConfigError: One is not of the form ``name=value``.
+        """
+        net = next((net for net in nets if symbol in net.symbols()), None)
+        if net is None:
+            known = [name for each in nets for name in each.symbols()]
+            raise NotFoundError(kind="command", name=symbol, known=known)
+        schema = net.commands[symbol].arguments if symbol in net.commands else None
+        arguments: dict[str, object] = {}
+        for text in given:
+            name, sign, value = text.partition("=")
+            if not sign or not name:
+                raise ConfigError(f"argument '{text}' is not of the form name=value")
+            arguments[name] = _value(name, value, schema)
+        return cls(symbol, arguments if schema is None else schema.check(arguments, f"command {symbol}"))
+
+
+def _value(name: str, text: str, schema: ArgumentSchema | None) -> object:
+    """The value of an argument: a text where one is asked for, else JSON, else the text itself; ``1,2`` is a list."""
+    argument = None if schema is None else schema.arguments.get(name)
+    if argument is not None and argument.type is ArgumentType.STRING:
+        return text
+    if argument is not None and argument.type is ArgumentType.STRINGS and not text.startswith("["):
+        return text.split(",")
+    if argument is not None and argument.type.is_list and not text.startswith("["):
+        text = f"[{text}]"
+    try:
+        value: object = json.loads(text)
+    except ValueError:
+        return text
+    return value

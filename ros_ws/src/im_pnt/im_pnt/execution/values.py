@@ -1,0 +1,211 @@
+"""Values that nets write as expressions, while they run: what is sent, returned, stored, and asked by guards."""
+
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Protocol
+
+from im_core.errors import ImError, StateError
+from im_pnt.expression.errors import ExpressionError
+from im_pnt.expression.evaluation import Lookup
+from im_pnt.expression.scope import Way, read_answers, read_objects
+from im_pnt.expression.template import filled
+from im_pnt.model.net import Net
+
+Done = Callable[[ImError | None], None]
+
+
+class ObjectPendingError(ImError):
+    """A data object that a guard looks at is being read; the guard is asked again when it is known."""
+
+    default_code = "pending"
+
+
+class Objects(Protocol):
+    """Data objects, as expressions see them; names are those of the Data Object Manager."""
+
+    async def read(self, name: str, kind: str, ways: Sequence[Way]) -> object:
+        """Returns fields of a data object as JSON data.
+
+        Args:
+            name: Its name.
+            kind: Its type, ``package/msg/Type``.
+            ways: The ways to the fields.
+
+        Raises:
+            ImError: There is none that is valid, or it is of another type.
+        """
+
+    def latest(self, name: str, kind: str, ways: Sequence[Way]) -> object:
+        """Returns the same at once, as it has been read since :meth:`stale` was called.
+
+        Raises:
+            ObjectPendingError: It is being read; guards are woken when it has been.
+            ImError: As of :meth:`read`.
+        """
+
+    def stale(self) -> None:
+        """Has :meth:`latest` read objects anew: they may have changed with what has just happened."""
+
+    async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str) -> None:
+        """Stores a data object.
+
+        Args:
+            name: Its name.
+            kind: Its type.
+            fields: Its fields.
+            place: ``net.place`` that stands for it.
+
+        Raises:
+            ImError: A field does not fit, or it was refused.
+        """
+
+    def run(self, work: Coroutine[object, object, None], done: Done) -> None:
+        """Has something done, and calls back with why it failed, if it has."""
+
+
+class Told(Protocol):
+    """What an action or guard is told, as far as expressions may look at it."""
+
+    @property
+    def net(self) -> str:
+        """Name of the net."""
+
+    @property
+    def transition(self) -> str:
+        """Name of the transition."""
+
+    def value(self, root: str, name: str) -> object:
+        """Returns an argument, an answer, or what is known of the failure or the command.
+
+        Raises:
+            ExpressionError: It is not there.
+        """
+
+    def object(self, name: str) -> str:
+        """Returns the name in the Data Object Manager of a data object."""
+
+
+class NetValues:
+    """The values of one net.
+
+    Args:
+        net: The net as written.
+        objects: Its data objects; None: it has none here.
+    """
+
+    def __init__(self, net: Net, objects: Objects | None) -> None:
+        self._net, self._objects = net, objects
+        self._ways = read_answers(net)
+        self._guarded = any(read_objects(guard) for guard in net.guards())
+        places = [place for place in net.places.values() if place.data_object is not None]
+        self._kinds = {place.data_object: place.object_type for place in places if place.object_type is not None}
+        self._places = {place.data_object: f"{net.name}.{place.name}" for place in reversed(places)}
+
+    def ways(self, transition: str) -> tuple[Way, ...]:
+        """Returns which fields of the answer to a transition are read, as ways to them; an empty way: all of it."""
+        return self._ways.get(self._answering(transition), ())
+
+    def has_effects(self, transition: str) -> bool:
+        """Whether a transition returns or stores values."""
+        written = self._net.transitions[transition]
+        return bool(written.result or written.store)
+
+    def fill_now(self, value: object, told: Told, own: Mapping[str, object] | None = None) -> object:
+        """Returns a value with its expressions replaced; of data objects they see what :meth:`Objects.latest` has.
+
+        Args:
+            value: Plain data.
+            told: What its transition is told.
+            own: What its own action was just answered.
+
+        Raises:
+            ImError: An expression has no value.
+            ObjectPendingError: A data object is still to be read.
+        """
+        objects = {}
+        for name, ways in read_objects(value).items():
+            objects[name] = self._known_objects().latest(told.object(name), self._kinds[name], ways)
+        return self._filled(value, told, objects, own)
+
+    def stale(self) -> None:
+        """Has guards read their data objects anew."""
+        if self._guarded and self._objects is not None:
+            self._objects.stale()
+
+    async def fill(self, value: object, told: Told, own: Mapping[str, object] | None = None) -> object:
+        """Returns a value with its expressions replaced; arguments and errors as of :meth:`fill_now`.
+
+        Raises:
+            ImError: An expression has no value, or a data object is not there.
+        """
+        objects = {}
+        for name, ways in read_objects(value).items():
+            objects[name] = await self._known_objects().read(told.object(name), self._kinds[name], ways)
+        return self._filled(value, told, objects, own)
+
+    def conclude(self, told: Told, result: dict[str, object], own: Mapping[str, object], done: Done) -> None:
+        """Returns and stores what a transition says for when its action has ended well.
+
+        Args:
+            told: What it is told.
+            result: What its caller gets.
+            own: What its action was answered.
+            done: Called with why that failed, if it has; at once where no data object has to do with it.
+        """
+        written = self._net.transitions[told.transition]
+        if written.store or read_objects(dict(written.result)):
+            work = self._conclude_later(told, result, own)
+            try:
+                self._known_objects().run(work, done)
+            except ImError as error:
+                work.close()
+                done(error)
+            return
+        try:
+            result.update(self._mapping(self.fill_now(dict(written.result), told, own)))
+        except ImError as error:
+            done(error)
+        else:
+            done(None)
+
+    async def _conclude_later(self, told: Told, result: dict[str, object], own: Mapping[str, object]) -> None:
+        written = self._net.transitions[told.transition]
+        result.update(self._mapping(await self.fill(dict(written.result), told, own)))
+        for name, value in written.store.items():
+            fields = await self.fill(value, told, own)
+            if not isinstance(fields, dict):
+                raise ImError(f"store.{name} of transition {told.transition} is no message", code="expression")
+            await self._known_objects().put(told.object(name), self._kinds[name], fields, self._places[name])
+
+    def _filled(
+        self, value: object, told: Told, objects: Mapping[str, object], own: Mapping[str, object] | None
+    ) -> object:
+        try:
+            answered = {} if own is None else {self._answering(told.transition): own}
+            return filled(value, _lookup(told, objects, answered))
+        except ExpressionError as error:
+            text = f"transition {told.transition} of net {told.net}: {error}"
+            raise ImError(text, code="expression", net=told.net, transition=told.transition) from error
+
+    def _answering(self, transition: str) -> str:
+        """Returns the transition as whose answer that to another one counts: of a further try, the first one."""
+        return self._net.transitions[transition].retry_of or transition
+
+    def _known_objects(self) -> Objects:
+        if self._objects is None:
+            raise StateError(f"net {self._net.name} runs where there are no data objects")
+        return self._objects
+
+    def _mapping(self, value: object) -> dict[str, object]:
+        assert isinstance(value, dict)
+        return value
+
+
+def _lookup(told: Told, objects: Mapping[str, object], own: Mapping[str, object]) -> Lookup:
+    def value(root: str, name: str) -> object:
+        if root == "data":
+            return objects[name]
+        if root == "answers" and name in own:
+            return own[name]
+        return told.value(root, name)
+
+    return value

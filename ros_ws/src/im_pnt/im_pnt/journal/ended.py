@@ -1,0 +1,119 @@
+"""How the last commands of a node have ended, in memory and in a file beside its journal.
+
+What has ended is written before the journal has it. A node that dies in between has the command under way when it is
+back, and the command ends once more, which counts.
+"""
+
+import contextlib
+from pathlib import Path
+
+import pydantic
+
+from im_core.clock import wall
+from im_core.errors import DataError, StoreError
+from im_core.files import make_folder, read_text, write_whole
+
+MOST = 100
+"""Commands that are kept, the newest ones."""
+
+AGE_S = 7 * 86400.0
+"""Time for which one is kept [s]."""
+
+
+class EndedCommand(pydantic.BaseModel):
+    """How a command has ended.
+
+    Attributes:
+        number: Its number.
+        symbol: Its symbol.
+        time: When it ended [s since 1970].
+        success: Whether it is done.
+        code: Kind of its failure.
+        message: The failure in a sentence.
+        facts: What the failure is about, as JSON texts by name.
+        results: What it returned.
+    """
+
+    number: int
+    symbol: str
+    time: float
+    success: bool
+    code: str
+    message: str
+    facts: dict[str, str]
+    results: dict[str, object]
+
+
+class EndedCommands:
+    """The commands that have ended, of all lives of a node that its journal joins."""
+
+    def __init__(self) -> None:
+        self._file: Path | None = None
+        self._known: dict[int, EndedCommand] = {}
+        self._lines = 0
+
+    def keep_in(self, folder: Path, *, goes_on: bool) -> None:
+        """Has them kept in a folder.
+
+        Args:
+            folder: The folder.
+            goes_on: Whether the node goes on where it was; else those that are there are forgotten.
+        """
+        self._file = make_folder(folder) / "commands.jsonl"
+        if goes_on:
+            with contextlib.suppress(DataError, StoreError):  # there is none, or the disk has damaged it
+                for line in read_text(self._file).splitlines():
+                    self._read(line)
+        self._write_anew()
+
+    def __contains__(self, number: int) -> bool:
+        """Whether it is known how the command of a number has ended."""
+        self._forget()
+        return number in self._known
+
+    def __getitem__(self, number: int) -> EndedCommand:
+        """Returns how the command of a number has ended."""
+        return self._known[number]
+
+    def largest(self) -> int:
+        """Returns the largest number of those that are known, 0 if none is."""
+        return max(self._known, default=0)
+
+    def last(self, symbol: str) -> EndedCommand | None:
+        """Returns how the last command of a symbol has ended, if it is known."""
+        self._forget()
+        return next((each for each in reversed(self._known.values()) if each.symbol == symbol), None)
+
+    def add(self, ended: EndedCommand) -> None:
+        """Keeps how a command has ended; where the disk does not take it, until the node dies."""
+        self._known.pop(ended.number, None)
+        self._known[ended.number] = ended
+        self._forget()
+        if self._file is None:
+            return
+        if self._lines >= 2 * MOST:
+            self._write_anew()
+            return
+        with contextlib.suppress(OSError, ValueError), self._file.open("ab", buffering=0) as file:
+            file.write(f"{ended.model_dump_json()}\n".encode())
+            self._lines += 1
+
+    def _forget(self) -> None:
+        oldest = wall() - AGE_S
+        left_out = max(0, len(self._known) - MOST)
+        for rank, (number, ended) in enumerate(list(self._known.items())):
+            if rank < left_out or ended.time < oldest:
+                del self._known[number]
+
+    def _read(self, line: str) -> None:
+        with contextlib.suppress(pydantic.ValidationError):  # the last line may not be whole
+            ended = EndedCommand.model_validate_json(line)
+            self._known.pop(ended.number, None)
+            self._known[ended.number] = ended
+
+    def _write_anew(self) -> None:
+        self._forget()
+        if self._file is not None:
+            with contextlib.suppress(StoreError, ValueError):
+                write_whole(self._file, "".join(f"{each.model_dump_json()}\n" for each in self._known.values()))
+                self._lines = len(self._known)

@@ -1,0 +1,85 @@
+"""What of the cell somebody acts on, as far as a net file tells: names of resources, with arguments in them.
+
+Where it is not told which of several values an argument has, it may have each of them.
+"""
+
+import itertools
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+from im_pnt.model.arguments import ArgumentSchema, ArgumentType
+
+Values = Mapping[str, frozenset[str] | None]
+"""For arguments what they, or each of their elements, may be; None: anything."""
+
+_REFERENCE = re.compile(r"\$\{\s*arguments\.(\w+)\s*\}")
+_MOST = 1000
+"""Texts that one text may stand for."""
+
+
+def named_arguments(texts: Sequence[str]) -> list[str]:
+    """Returns the arguments that stand in texts, each once."""
+    return list(dict.fromkeys(name for text in texts for name in _REFERENCE.findall(text)))
+
+
+def shown(value: object) -> str:
+    """Returns a value as it stands within the name of a resource."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def filled(text: str, choice: Mapping[str, object]) -> str:
+    """Returns a text with the values of its arguments."""
+    return _REFERENCE.sub(lambda match: shown(choice[match[1]]), text)
+
+
+def possible(value: object, values: Values) -> frozenset[str] | None:
+    """Returns the texts that a value, or each of its elements, may stand for.
+
+    Args:
+        value: A value of a net file, perhaps with ``${arguments.NAME}`` in it.
+        values: What the arguments may be.
+
+    Returns:
+        The texts; None where other expressions, or unknown arguments, leave it open.
+    """
+    if isinstance(value, list | tuple):
+        parts = [possible(each, values) for each in value]
+        return None if None in parts else frozenset().union(*(part for part in parts if part is not None))
+    if not isinstance(value, str):
+        return None if isinstance(value, dict) else frozenset({shown(value)})
+    names = named_arguments([value])
+    if "${" in _REFERENCE.sub("", value):
+        return None
+    options = [values.get(name) for name in names]
+    known = [sorted(each) for each in options if each is not None]
+    if len(known) < len(names):
+        return None
+    chosen = list(itertools.islice(itertools.product(*known), _MOST + 1))
+    if len(chosen) > _MOST:
+        return None
+    return frozenset(filled(value, dict(zip(names, each, strict=True))) for each in chosen)
+
+
+def values_of(schema: ArgumentSchema | None) -> dict[str, frozenset[str] | None]:
+    """Returns what arguments may be, by what is declared of them."""
+    if schema is None:
+        return {}
+    values: dict[str, frozenset[str] | None] = {}
+    for name, argument in schema.arguments.items():
+        truths = (False, True) if argument.type is ArgumentType.BOOLEAN else ()
+        choices = argument.choices or truths
+        values[name] = frozenset(map(shown, choices)) if choices else None
+    return values
+
+
+def choices_of(schema: ArgumentSchema | None, names: Sequence[str]) -> Iterator[dict[str, object]]:
+    """Yields the choices of some arguments, each with each; of one that has no choices nothing is said.
+
+    Args:
+        schema: What is declared of the arguments.
+        names: Arguments that decide something.
+    """
+    known = {} if schema is None else schema.arguments
+    deciding = [name for name in names if name in known and known[name].choices and not known[name].type.is_list]
+    for chosen in itertools.product(*(known[name].choices for name in deciding)):
+        yield dict(zip(deciding, chosen, strict=True))

@@ -1,0 +1,35 @@
+"""Which nets are verified together: those that talk to each other, over requests or remote places.
+
+They may do so by any number of others in between. What nets of different groups do cannot matter to each other.
+"""
+
+from collections.abc import Sequence
+
+from im_pnt.model.net import Net
+
+
+def groups(nets: Sequence[Net]) -> list[list[Net]]:
+    """Divides nets into groups that do not talk to each other, in the order in which they are given.
+
+    Args:
+        nets: Nets of different names.
+    """
+    known = {net.name for net in nets}
+    group_of = {name: {name} for name in known}
+    for net in nets:
+        for partner in net.partners() & known:
+            joined = group_of[net.name] | group_of[partner]
+            for name in joined:
+                group_of[name] = joined
+    first = {min(rank for rank, net in enumerate(nets) if net.name in group) for group in group_of.values()}
+    return [[net for net in nets if net.name in group_of[nets[rank].name]] for rank in sorted(first)]
+
+
+def group_of(net: Net, others: Sequence[Net]) -> list[Net]:
+    """Returns a net with those of others that it talks to, directly or through others; it takes the place of its name.
+
+    Args:
+        net: The net; the first of its group.
+        others: Nets that may be there beside it.
+    """
+    return groups([net, *(other for other in others if other.name != net.name)])[0]

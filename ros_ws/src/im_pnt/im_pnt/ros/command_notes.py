@@ -1,0 +1,44 @@
+"""The commands of a node that have not ended, in a file for whoever finds what a killed machine has left."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from im_core.errors import ImError
+from im_core.open_commands import OpenCommandNote, note
+from im_core.ros.calls import run_in_thread
+from im_core.ros.node import ManagedNode
+
+
+class CommandNotes:
+    """Writes which commands of a node are open, soon after that has changed; what they do is in the journal.
+
+    Args:
+        node: The node.
+        run_dir: Folder of the machine; None: nothing is written.
+        commands: Returns number and symbol of the commands that have not ended.
+    """
+
+    def __init__(
+        self, node: ManagedNode, run_dir: Path | None, commands: Callable[[], Sequence[tuple[int, str]]]
+    ) -> None:
+        self._node, self._run_dir, self._commands = node, run_dir, commands
+        self._wanted = self._running = False
+
+    def changed(self) -> None:
+        """Has them written, soon."""
+        self._wanted = True
+        if not self._running and self._run_dir is not None:
+            self._running = True
+            self._node.spawn(self._write(self._run_dir))
+
+    async def _write(self, run_dir: Path) -> None:
+        task = self._node.task_name
+        try:
+            while self._wanted:
+                self._wanted = False
+                notes = [OpenCommandNote(task, number, symbol) for number, symbol in self._commands()]
+                await run_in_thread(self._node, note, run_dir, task, notes)
+        except ImError as error:
+            self._node.get_logger().warning(f"which commands are open is not written down: {error.message}")
+        finally:
+            self._running = False

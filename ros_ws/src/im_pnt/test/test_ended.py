@@ -1,0 +1,68 @@
+"""How commands have ended is known after the node that ran them has died; the last ones, and not for ever."""
+
+import pytest
+
+from im_pnt.journal import ended as module
+from im_pnt.journal.ended import EndedCommand, EndedCommands
+
+
+def one(number: int, symbol: str = "pick", time: float = 1000.0) -> EndedCommand:
+    return EndedCommand(
+        number=number, symbol=symbol, time=time, success=number % 2 == 0, code="limit", message="too far",
+        facts={"joint": '"left_j3"'}, results={"number": number, "text": "ö"},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def now(monkeypatch):
+    times = [1000.0]
+    monkeypatch.setattr(module, "wall", lambda: times[0])
+    return times
+
+
+def test_what_ended_before_a_death_is_known_after_it(tmp_path, now):
+    first = EndedCommands()
+    first.keep_in(tmp_path / "ended", goes_on=False)
+    for number in (3, 1, 2):
+        first.add(one(number))
+    first.add(one(1, "place"))
+    with (tmp_path / "ended" / "commands.jsonl").open("ab") as file:
+        file.write(one(9).model_dump_json().encode()[:-5])  # the node died while it wrote
+    again = EndedCommands()
+    again.keep_in(tmp_path / "ended", goes_on=True)
+    assert [number in again for number in (1, 2, 3, 9)] == [True, True, True, False]
+    assert again[3] == one(3)
+    assert again.last("pick") == one(2)
+    assert again.last("place") == one(1, "place")
+    assert again.last("wave") is None
+    assert again.largest() == 3
+    anew = EndedCommands()
+    anew.keep_in(tmp_path / "ended", goes_on=False)
+    assert 3 not in anew
+    assert (tmp_path / "ended" / "commands.jsonl").read_text() == ""
+
+
+def test_only_the_last_ones_are_kept_and_not_for_ever(tmp_path, now):
+    ended = EndedCommands()
+    ended.keep_in(tmp_path, goes_on=False)
+    for number in range(1, 3 * module.MOST + 1):
+        ended.add(one(number))
+        assert len((tmp_path / "commands.jsonl").read_text().splitlines()) <= 2 * module.MOST
+    again = EndedCommands()
+    again.keep_in(tmp_path, goes_on=True)
+    for each in (ended, again):
+        assert 2 * module.MOST not in each
+        assert 2 * module.MOST + 1 in each
+    now[0] += module.AGE_S + 1.0
+    assert 3 * module.MOST not in again
+    assert again.last("pick") is None
+
+
+def test_a_damaged_file_or_a_full_disk_ends_nothing(tmp_path, now):
+    (tmp_path / "commands.jsonl").write_bytes(b"\xff\x00{}\n[]\n")
+    ended = EndedCommands()
+    ended.keep_in(tmp_path, goes_on=True)
+    (tmp_path / "commands.jsonl").unlink()
+    (tmp_path / "commands.jsonl").mkdir()
+    ended.add(one(1))
+    assert ended[1] == one(1)

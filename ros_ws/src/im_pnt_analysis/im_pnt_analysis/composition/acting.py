@@ -1,0 +1,148 @@
+"""What transitions act on, for whom, and what he holds: read from net files, for each choice of deciding arguments.
+
+A command holds what it ``needs``, and a request what its service says that it ``acts_on``: who asks is to hold that,
+and so on, up to the net that has the places of these resources and takes their tokens.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from im_pnt.expression.errors import ExpressionError
+from im_pnt.expression.evaluation import evaluate
+from im_pnt.expression.template import OPENS, nodes
+from im_pnt.model.acting import Values, choices_of, named_arguments, possible, shown, values_of
+from im_pnt.model.action import RequestAction
+from im_pnt.model.arguments import ArgumentSchema
+from im_pnt.model.net import Guard, Net, Transition
+
+
+@dataclass(frozen=True)
+class Work:
+    """A command or a request that a net works for, with a choice of the arguments that decide what it holds.
+
+    Attributes:
+        kind: Symbol of the command, or name of the service.
+        is_request: Whether it is a request.
+        choice: Those arguments.
+        values: What its arguments may be.
+        held: What it holds.
+    """
+
+    kind: str
+    is_request: bool
+    choice: Mapping[str, object] = field(hash=False)
+    values: Values = field(hash=False)
+    held: frozenset[str]
+
+    def __str__(self) -> str:
+        chosen = ", ".join(f"{name}={shown(value)}" for name, value in self.choice.items())
+        name = f"request {self.kind}" if self.is_request else f"command {self.kind}"
+        return f"{name} with {chosen}" if chosen else name
+
+    def may_pass(self, guard: Guard | None) -> bool:
+        """Whether an enabling function may let this work pass."""
+        if guard is None or OPENS not in guard.name:
+            return True
+
+        def lookup(root: str, name: str) -> object:
+            if root != "arguments" or name not in self.choice:
+                raise ExpressionError("it is not known yet")
+            return self.choice[name]
+
+        try:
+            return all(evaluate(node, lookup) is not guard.negated for node in nodes(guard.name))
+        except ExpressionError:
+            return True
+
+
+def works_of(net: Net) -> Iterator[Work]:
+    """Yields what a net can be at work for, each choice by itself."""
+    for service in net.services.values():
+        yield from _works(service.name, True, service.arguments, service.acts_on)
+    for symbol in net.symbols():
+        begins = any(t.symbol == symbol and t.symbol_of is None for t in net.transitions.values())
+        declared = net.commands.get(symbol)
+        if begins and declared is None:
+            yield Work(symbol, False, {}, {}, frozenset())
+        elif begins and declared is not None:
+            yield from _works(symbol, False, declared.arguments, declared.needs)
+
+
+def _works(kind: str, is_request: bool, schema: ArgumentSchema | None, texts: Sequence[str]) -> Iterator[Work]:
+    for choice in choices_of(schema, named_arguments(texts)):
+        values = {**values_of(schema), **{name: frozenset({shown(value)}) for name, value in choice.items()}}
+        held = [possible(text, values) for text in texts]
+        yield Work(kind, is_request, choice, values, frozenset().union(*(each for each in held if each is not None)))
+
+
+NOBODY = Work("", False, {}, {}, frozenset())
+"""Stands for nobody, of whose arguments nothing is known."""
+
+
+class UntoldError(Exception):
+    """It cannot be told what somebody acts on; says why."""
+
+
+class Acting:
+    """What the transitions of some nets act on.
+
+    Args:
+        nets: The nets.
+    """
+
+    def __init__(self, nets: Sequence[Net]) -> None:
+        self._nets = {net.name: net for net in nets}
+
+    def acts_on(self, transition: Transition, work: Work) -> frozenset[str]:
+        """Returns the resources that the action of a transition may act on.
+
+        Args:
+            transition: A transition that begins an action.
+            work: For whom.
+
+        Raises:
+            UntoldError: It is not told by the net files.
+        """
+        action = transition.action
+        found = self._said(transition.acts_on, work.values, f"of '{transition.origin}'")
+        if isinstance(action, RequestAction) and not (transition.acts_on and action.build):
+            found |= self._asked(action, work)
+        return found
+
+    def _asked(self, action: RequestAction, work: Work) -> frozenset[str]:
+        texts, schema = self._offered(action)
+        if not texts:
+            return frozenset()
+        what = f"{action.net}.{action.service}"
+        values = values_of(schema)
+        if action.build is None:
+            for name, argument in ({} if schema is None else schema.arguments).items():
+                if not action.fields:
+                    given = work.values.get(name)
+                elif name in action.fields:
+                    given = possible(action.fields[name], work.values)
+                else:
+                    given = possible(argument.default, {})
+                values[name] = given if given is not None else values[name]
+        made = f", whose arguments '{action.build}' makes" if action.build else ""
+        return self._said(texts, values, f"of {what}{made}")
+
+    def _offered(self, action: RequestAction) -> tuple[Sequence[str], ArgumentSchema | None]:
+        """Returns what a service, or a command of another net, acts on, and its arguments."""
+        net = self._nets.get(action.net)
+        if net is not None and action.service in net.services:
+            service = net.services[action.service]
+            return service.acts_on, service.arguments
+        if net is not None and action.service in net.commands:
+            declared = net.commands[action.service]
+            return declared.needs, declared.arguments
+        return (), None
+
+    def _said(self, texts: Sequence[str], values: Values, of: str) -> frozenset[str]:
+        found: frozenset[str] = frozenset()
+        for text in texts:
+            each = possible(text, values)
+            if each is None:
+                raise UntoldError(f"'{text}' {of} may be anything: declare `choices` of its arguments, or `acts_on`")
+            found |= each - {""}
+        return found

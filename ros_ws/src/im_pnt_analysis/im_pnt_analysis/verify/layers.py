@@ -1,0 +1,125 @@
+"""Which nets must be verified together, and which only one by one, because what one asks of another is always answered.
+
+A net *comes to rest by itself* if it is back in its first marking whenever it does nothing, and so can take any request
+again, whatever came before and however its own requests are answered. Who asks only such nets need not be verified with
+them: verified alone, where a request is answered either way after some time, it has met all that they can do. Requests
+in a circle, and tokens that nets send each other, are no such askings; nor are those of nets that rest in several ways,
+as a lock that is taken by one request and given back by another.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from im_core.clock import thread_cpu
+from im_pnt.errors import NetError
+from im_pnt.model.action import RequestAction
+from im_pnt.model.expand import expand
+from im_pnt.model.net import Net
+from im_pnt_analysis.search.packing import TooManyTokensError
+from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.verify.problem import problem_of
+
+LIMITS = SearchLimits(states=200_000, seconds=5.0)
+"""Where it is given up to show that a net comes to rest by itself."""
+
+
+def parts(nets: Sequence[Net], limits: SearchLimits = LIMITS) -> list[list[Net]]:
+    """Divides nets that talk to each other into those that must be verified together.
+
+    Args:
+        nets: Nets of different names, each verified alone.
+        limits: Where the search gives up for each net; it then counts as one that does not come to rest by itself.
+    """
+    by_name = {net.name: net for net in nets}
+    asked = {net.name: _asked(net) & by_name.keys() for net in nets}
+    reach = {name: _reach(name, asked) for name in by_name}
+    calm = {name: _rests(by_name[name], limits) for name in by_name if any(name in others for others in asked.values())}
+    of = {name: {name} for name in by_name}
+    for net in nets:
+        for partner in net.partners() & by_name.keys():
+            sends = any(remote.net == partner for t in net.transitions.values() for remote in t.remote_outputs)
+            circle = net.name in reach[partner]
+            if sends or circle or not calm[partner] or not _reads_at_rest(by_name[partner], net):
+                joined = of[net.name] | of[partner]
+                for name in joined:
+                    of[name] = joined
+    seen: set[str] = set()
+    found = []
+    for net in nets:
+        if net.name not in seen:
+            seen |= of[net.name]
+            found.append([each for each in nets if each.name in of[net.name]])
+    return found
+
+
+def comes_to_rest(net: Net, limits: SearchLimits = LIMITS) -> bool:
+    """Whether a net is in its first marking whenever it does nothing by itself; False where that is not shown.
+
+    Args:
+        net: The net.
+        limits: Where the search gives up.
+
+    Raises:
+        NetError: It is no net.
+    """
+    problem = problem_of([net])
+    try:
+        search = Search(problem.compiled, problem.initial, kinds=problem.kinds)
+    except TooManyTokensError:
+        return False
+    if search.run(limits, thread_cpu() + limits.seconds):
+        return False
+    found = search.found
+    quiet = np.flatnonzero((found.kinds[: found.count] & 1) == 0)
+    words = found.words[:, quiet]
+    for index, place in enumerate(problem.compiled.places):
+        if place in expand(net).places:
+            tokens = problem.initial[index]
+            if found.packing.holds(words, index, tokens + 1).any():
+                return False
+            if tokens and not found.packing.holds(words, index, tokens).all():
+                return False
+    return True
+
+
+def _rests(net: Net, limits: SearchLimits) -> bool:
+    try:
+        return comes_to_rest(net, limits)
+    except NetError:
+        return False
+
+
+def _asked(net: Net) -> set[str]:
+    actions = (transition.action for transition in net.transitions.values())
+    return {action.net for action in actions if isinstance(action, RequestAction)}
+
+
+def _reach(name: str, asked: Mapping[str, set[str]]) -> set[str]:
+    """Returns the nets that a net asks, directly or through others."""
+    found: set[str] = set()
+    waiting = [name]
+    while waiting:
+        for other in asked[waiting.pop()] - found:
+            found.add(other)
+            waiting.append(other)
+    return found
+
+
+def _reads_at_rest(net: Net, asking: Net) -> bool:
+    """Whether a net can begin, from its first marking, all that another one asks it by a symbol."""
+    first = net.initial_marking()
+    symbols = {
+        t.action.service
+        for t in asking.transitions.values()
+        if isinstance(t.action, RequestAction) and t.action.net == net.name and t.action.service not in net.services
+    }
+    return all(
+        any(
+            t.symbol == symbol
+            and all(first.get(place, 0) >= weight for place, weight in t.inputs.items())
+            and all(first.get(place, 0) < weight for place, weight in t.inhibitors.items())
+            for t in net.transitions.values()
+        )
+        for symbol in symbols
+    )

@@ -1,0 +1,115 @@
+"""What was proved of nets, in files of the user's cache: nets that are unchanged need no second proof.
+
+A proof is known by its fingerprint: what the nets are, but for their descriptions, and what has proved it. A file that
+is damaged, or a cache that cannot be read or written, is no proof, and nets are then verified as if there were none.
+"""
+
+import contextlib
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+import pydantic
+
+from im_core import files
+from im_core.errors import DataError, StoreError
+from im_core.files import make_folder, read_bytes, write_whole
+from im_core.jsontext import load_json
+from im_core.names import cache_dir
+from im_pnt.model.net import Net
+from im_pnt.netfile import yaml_text
+from im_pnt_analysis.verify.report import Report
+
+MOST = 1000
+"""Proofs that are kept, the newest ones."""
+
+_PROVERS = ("im_pnt", "im_pnt_analysis")
+"""Packages that a verdict comes from."""
+
+
+class Proof(pydantic.BaseModel):
+    """What a file tells.
+
+    Attributes:
+        fingerprint: Of what was proved; the name of the file.
+        states: Number of reachable markings; None where they were not counted.
+        assumptions: What the verdict takes for granted.
+    """
+
+    fingerprint: str
+    states: int | None
+    assumptions: list[str]
+
+
+class Proofs:
+    """The proofs of a user.
+
+    Args:
+        folder: Where they are; None: in the user's cache folder, if there can be one.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder
+
+    def find(self, nets: Sequence[Net]) -> Report | None:
+        """Returns the verdict on nets that were verified before; None if they were not.
+
+        Args:
+            nets: Nets as written, in any order.
+        """
+        key = fingerprint(nets)
+        try:
+            proof = Proof.model_validate(load_json(self._made() / f"{key}.json", files.MEBIBYTE))
+        except (DataError, StoreError, pydantic.ValidationError):
+            return None
+        if proof.fingerprint != key:
+            return None
+        report = Report([net.name for net in nets], proved_before=True, assumptions=proof.assumptions)
+        answers = {"bounded": True, "has_deadlock": False, "resources_return": True, "resources_held": True}
+        report.answer("proved before", states=proof.states, **answers)
+        report.leave("not asked")
+        report.decide()
+        return report
+
+    def keep(self, nets: Sequence[Net], report: Report) -> None:
+        """Remembers that nets may run; where there is no room for it, they will be verified again.
+
+        Args:
+            nets: Nets as written.
+            report: The verdict, which is that they may.
+        """
+        key = fingerprint(nets)
+        proof = Proof(fingerprint=key, states=report.states, assumptions=report.assumptions)
+        with contextlib.suppress(StoreError, DataError, OSError):
+            folder = self._made()
+            write_whole(folder / f"{key}.json", proof.model_dump_json())
+            kept = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime)
+            for path in kept[:-MOST]:
+                path.unlink(missing_ok=True)
+
+    def _made(self) -> Path:
+        return make_folder(self._folder or cache_dir() / "proofs")
+
+
+def fingerprint(nets: Sequence[Net]) -> str:
+    """Returns 64 hexadecimal digits that differ for nets of which something else may be proved, or by other means.
+
+    Args:
+        nets: Nets as written, in any order.
+    """
+    texts = sorted(yaml_text(replace(net, description="")) for net in nets)
+    return hashlib.sha256("\0".join((_prover(), *texts)).encode()).hexdigest()
+
+
+@cache
+def _prover() -> str:
+    """Returns a fingerprint of what proves: another version of it proves anew."""
+    whole = hashlib.sha256()
+    for name in _PROVERS:
+        folder = Path(import_module(name).__path__[0])
+        for path in sorted(folder.rglob("*.py")):
+            whole.update(f"{path.relative_to(folder)}\0".encode() + read_bytes(path) + b"\0")
+    return whole.hexdigest()

@@ -1,0 +1,122 @@
+"""``pnt bag``: what fired, after what, for how long, what is missing, out of a bag alone."""
+
+import json
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from im_core.errors import DataError
+from im_pnt_analysis.cli import main
+from im_pnt_analysis.cli.terminal import BAD_INPUT, OK
+from im_pnt_analysis.timed.mission import contents_of, mission_of
+
+MESSAGES = Path(__file__).resolve().parents[2] / "im_msgs" / "msg"
+START, END, FAILED = range(3)
+JOB = """
+net: job_net
+places: {idle: 1, begin: , end: , bad: }
+transitions:
+  read: {symbol: job, in: idle, out: begin}
+  work: {in: begin, out: end, action: work, delay: 2.5, on_failure: [bad]}
+  tell: {in: end, out: idle, emit: job_done}
+  regret: {in: bad, out: idle, emit: job_failed}
+"""
+#: Time [s], transition and phase; the numbers of the events are 1, 2, ..., without 8.
+EVENTS = [
+    (10.0, "read", START),
+    (10.0, "read", END),
+    (10.5, "work", START),
+    (12.5, "work", END),
+    (12.5, "tell", START),
+    (12.5, "tell", END),
+    (20.0, "read", START),
+    None,
+    (20.0, "read", END),
+    (20.0, "work", START),
+    (24.0, "work", FAILED),
+    (24.0, "regret", START),
+]
+
+
+def types():
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name in ("Firing", "NetDescription"):
+        store.register(get_types_from_msg((MESSAGES / f"{name}.msg").read_text(), f"im_msgs/msg/{name}"))
+    return store
+
+
+@pytest.fixture
+def bag(tmp_path):
+    store = types()
+    firing, described = (store.types[f"im_msgs/msg/{name}"] for name in ("Firing", "NetDescription"))
+    time = store.types["builtin_interfaces/msg/Time"]
+    told = json.dumps(
+        {"net": "job_net", "description": "", "symbols": ["job"], "services": [], "yaml": JOB, "journal": False}
+    )
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+
+        def send(topic, seconds, message):
+            connection = next((each for each in writer.connections if each.topic == topic), None)
+            connection = connection or writer.add_connection(topic, message.__msgtype__, typestore=store)
+            data = store.serialize_cdr(message, message.__msgtype__)
+            writer.write(connection, round((1000.0 + seconds) * 1e9), data)
+
+        send("/pnt/nets", 9.0, described(net="job_net", node="/n", json=told))
+        for number, event in enumerate(EVENTS, 1):
+            if event is None:
+                continue
+            seconds, transition, phase = event
+            given = dict.fromkeys(("symbol", "message"), "") | dict.fromkeys(("duration", "progress"), 0.0)
+            stamp = time(sec=int(seconds), nanosec=round(seconds % 1.0 * 1e9))
+            names = {"net": "job_net", "transition": transition, "sequence": number, "phase": phase, "command_id": 3}
+            send("/pnt/firings", seconds, firing(stamp=stamp, **names, **given))
+    return tmp_path / "bag"
+
+
+def test_starts_and_ends_are_joined_and_say_after_what(bag):
+    told = [(each.transition, each.begin_s, each.end_s, each.failed, each.after) for each in mission_of(bag).firings]
+    assert told == [
+        ("read", 0.0, 0.0, False, ""),
+        ("work", 0.5, 2.5, False, "read"),
+        ("tell", 2.5, 2.5, False, "work"),
+        ("read", 10.0, 10.0, False, "tell"),
+        ("work", 10.0, 14.0, True, "read"),
+        ("regret", 14.0, None, False, "work"),
+    ]
+
+
+def test_actions_stand_beside_what_their_net_expects(bag):
+    (work,) = mission_of(bag).actions()
+    assert (work.transition, work.count, work.failures) == ("work", 2, 1)
+    assert (work.mean_s, work.median_s, work.longest_s, work.expected_s) == (3.0, 3.0, 4.0, 2.5)
+
+
+def test_events_that_were_not_recorded_are_gaps(bag):
+    assert mission_of(bag).gaps == [("job_net", 8, 8)]
+
+
+def test_contents_tell_the_longest_silence(bag):
+    nets, firings = sorted(contents_of(bag), key=lambda topic: topic.count)
+    assert (nets.name, nets.count, nets.silence_s) == ("/pnt/nets", 1, 0.0)
+    assert (firings.name, firings.count) == ("/pnt/firings", 11)
+    assert firings.silence_s == pytest.approx(7.5)
+
+
+def test_the_command_prints_and_draws(bag, capsys, tmp_path):
+    assert main(["bag", str(bag), "--picture", str(tmp_path / "mission.svg")]) == OK
+    printed = capsys.readouterr().out
+    assert "10.000       4.000  FAILED  #3 job_net.work  after read" in printed
+    assert "net job_net: events 8 to 8 were not recorded" in printed
+    assert "<svg" in (tmp_path / "mission.svg").read_text()
+
+
+def test_a_bag_without_firings_is_refused_in_a_sentence(tmp_path, capsys):
+    store = types()
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection("/pnt/firings", "im_msgs/msg/Firing", typestore=store)
+    with pytest.raises(DataError, match="nothing has fired in it"):
+        mission_of(tmp_path / "bag")
+    assert main(["bag", str(tmp_path / "nowhere")]) == BAD_INPUT
+    assert "nowhere" in capsys.readouterr().err

@@ -1,0 +1,27 @@
+# Completes subcommands of `im`, commands of the machine, their options and choices. Source it; scripts/shell.sh does.
+# What the machine can be told is in commands.txt of its run folder, as `im run` has heard it last: a line a command.
+# shellcheck shell=bash
+
+_im() {
+  local word="${COMP_WORDS[COMP_CWORD]}" before="${COMP_WORDS[COMP_CWORD - 1]}" list="$IM_RUN_DIR/commands.txt" words
+  COMPREPLY=()
+  if ((COMP_CWORD == 1)); then
+    words="pnt recover run"
+  elif [[ "${COMP_WORDS[1]}" != run || ! -r "$list" ]]; then
+    return
+  elif ((COMP_CWORD == 2)); then
+    words="$(cut -d' ' -f1 "$list") --attach --cancel --pause --resume"
+  else
+    # Of `--group=left=right`: the option, or behind it its choices.
+    words="$(awk -v name="${COMP_WORDS[2]}" -v before="$before" '$1 == name {
+      for (i = 2; i <= NF; i++) {
+        n = split($i, part, "=")
+        if (part[1] == before && n > 1) { for (j = 2; j <= n; j++) print part[j]; chosen = 1 }
+        else options = options " " part[1]
+      }
+      if (!chosen) print options " --priority --json --help"
+    }' "$list")"
+  fi
+  mapfile -t COMPREPLY < <(compgen -W "$words" -- "$word")
+}
+complete -F _im im

@@ -1,0 +1,188 @@
+"""The whole machine, run by the scripts at clock factor 0, and a node that talks to it."""
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import threading
+from pathlib import Path
+
+import yaml
+
+from im_core import clock
+from im_core.config import package_file
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+SEED = 3
+FEW = 14
+"""Poses of :func:`write_few_poses`; with four less the cameras are still calibrated."""
+COMMAND_S = 240.0
+EACH = package_file("im_bringup", "deployments/each.yaml")
+"""The deployment in which every task has a process of its own."""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def write_few_poses(folder: Path) -> Path:
+    """A file of a third of the cell's own poses."""
+    own = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text())
+    own["poses"] = own["poses"][::3]
+    assert len(own["poses"]) == FEW
+    path = folder / "few.yaml"
+    path.write_text(yaml.safe_dump(own))
+    return path
+
+
+def run_script(name, *arguments, timeout=300.0, **environment):
+    """Runs ``scripts/<name>.sh`` to its end."""
+    return subprocess.run(
+        ["bash", str(ROOT / "scripts" / f"{name}.sh"), *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        env={**os.environ, **environment},
+        cwd=ROOT,
+        check=False,
+    )
+
+
+@contextlib.contextmanager
+def running_machine(*deployment):
+    """A machine that is ready, of the default deployment or another; it is stopped at the end of the block."""
+    started = run_script("start", *deployment, "--factor", 0, "--seed", SEED, "--port", free_port())
+    assert started.returncode == 0, started.stdout + started.stderr
+    machine = Machine()
+    try:
+        yield machine
+    finally:
+        machine.close()
+        ended = run_script("stop")
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+
+
+class Machine:
+    """A running machine and a node that talks to it."""
+
+    def __init__(self):
+        import rclpy
+
+        from im_core.ros import qos
+        from im_core.ros.guard import GuardedActionClient
+        from im_core.ros.node import ManagedNode
+        from im_core.ros.run import spin_in_thread
+        from im_msgs.action import ExecuteCommand
+        from im_msgs.msg import Firing, TaskRegistry
+
+        rclpy.init(args=[])
+        self.node = ManagedNode("case_study_test")
+        self.firings = []
+        self.tasks = {}
+        self._clients = {}
+        self.node.create_subscription(Firing, "/pnt/firings", self.firings.append, qos.EVENTS)
+        self.node.create_subscription(TaskRegistry, "/bootstrap/tasks", self._registry, qos.LATCHED)
+        self._execute = GuardedActionClient(self.node, ExecuteCommand, "/dispatcher/execute")
+        self.spinner = spin_in_thread(self.node)
+
+    def _registry(self, message):
+        self.tasks = {task.name: task for task in message.tasks}
+
+    def call(self, kind, name, timeout=60.0, **fields):
+        from im_core.ros.calls import call_blocking
+
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+            assert self._clients[name].wait_for_service(60.0), f"nobody offers {name}"
+            clock.sleep(0.5)  # the server must have discovered the client, too, or its answer is lost; nothing tells
+        return call_blocking(self._clients[name], kind.Request(**fields), timeout, f"{name} of the test")
+
+    def calibrate(self, poses="", cameras=()):
+        from im_msgs.srv import CalibrateCamera
+
+        return self.call(
+            CalibrateCamera,
+            "/dispatcher/calibrate_camera",
+            COMMAND_S,
+            cameras=list(cameras),
+            poses_file=str(poses),
+        )
+
+    def execute(self, symbol, **arguments):
+        """Gives a command; a function that waits for its end."""
+        from im_msgs.action import ExecuteCommand
+
+        self.wait_for(self._execute.server_is_ready, "the dispatcher")
+        sent = self._execute.send_goal_async(ExecuteCommand.Goal(symbol=symbol, arguments=json.dumps(arguments)))
+        self.wait_for(sent.done, f"{symbol} to be taken")
+        ended = sent.result().get_result_async()
+
+        def result():
+            self.wait_for(ended.done, f"{symbol} to end", COMMAND_S)
+            return ended.result().result
+
+        return result
+
+    def trigger(self, name):
+        from std_srvs.srv import Trigger
+
+        return self.call(Trigger, name)
+
+    def in_background(self, poses):
+        answers = []
+        thread = threading.Thread(target=lambda: answers.append(self.calibrate(poses)), daemon=True)
+        thread.start()
+        return thread, answers
+
+    def wait_for(self, condition, what, seconds=60.0):
+        deadline = clock.monotonic() + seconds
+        while not condition():
+            assert clock.monotonic() < deadline, f"waited {seconds} s for {what}, in vain"
+            clock.sleep(0.02)
+
+    def all_ready(self):
+        self.wait_for(lambda: self.tasks and all(t.phase == "ready" for t in self.tasks.values()), "all tasks")
+
+    def kill(self, victim):
+        """Kills a task; returns what waits until the one that takes its place is ready."""
+        before = self.tasks[victim].incarnation
+        os.kill(self.tasks[victim].pid, signal.SIGKILL)
+        return lambda: self.wait_for(
+            lambda: self.tasks[victim].incarnation != before and self.tasks[victim].phase == "ready",
+            f"{victim} to come back",
+        )
+
+    def wait_for_firing(self, net, transition, count=1):
+        begin = len(self.firings)
+
+        def seen():
+            fired = [f for f in self.firings[begin:] if (f.net, f.transition) == (net, transition)]
+            return len(fired) >= count
+
+        self.wait_for(seen, f"{count} firings of {net}.{transition}")
+
+    def message(self, kind, topic, seconds=60.0, profile=None):
+        from im_core.ros import qos
+
+        received = []
+        subscription = self.node.create_subscription(kind, topic, received.append, profile or qos.EVENTS)
+        self.wait_for(lambda: received, topic, seconds)
+        self.node.destroy_subscription(subscription)
+        return received[0]
+
+    def close(self):
+        """The node and what it holds leave the graph."""
+        import rclpy
+
+        self.spinner.stop()
+        rclpy.try_shutdown()
+
+
+def report_of(answer):
+    """The report of a calibration, as it is in its file."""
+    return json.loads((Path(answer.report.directory) / "report.json").read_text())

@@ -1,0 +1,115 @@
+"""The case study on a machine of which every task has a process, and processes die: a command survives or says why."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from support.whole_machine import COMMAND_S, EACH, FEW, report_of, run_script, running_machine, write_few_poses
+
+pytestmark = pytest.mark.end_to_end
+
+READY_AGAIN = "recover: ready: 10 tasks, MCS is cold"
+
+
+@pytest.fixture(scope="module")
+def few_poses(tmp_path_factory):
+    return write_few_poses(tmp_path_factory.mktemp("poses"))
+
+
+@pytest.fixture(scope="module")
+def machine():
+    with running_machine(EACH) as machine:
+        yield machine
+
+
+def test_without_a_configured_mcs_the_command_says_so(machine, few_poses):
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    def change(transition):
+        request = {"transition": Transition(id=transition)}
+        assert machine.call(ChangeState, "/mcs/change_state", **request).success
+
+    change(Transition.TRANSITION_CLEANUP)
+    answer = machine.calibrate(few_poses)
+    recovered = run_script("run", "im_bringup", "recover")
+    assert not answer.success
+    assert "MCS is unconfigured; scripts/im recover configures it" in answer.message
+    assert (recovered.returncode, "MCS is unconfigured; configure" in recovered.stdout) == (0, True), recovered.stderr
+
+
+def test_one_command_brings_the_machine_back_after_the_death_of_testbed_and_servo(machine, few_poses):
+    """The commands of the tests that follow find it as it was."""
+    from im_msgs.srv import ReserveGroup
+
+    assert machine.call(ReserveGroup, "/mcs/reserve", group="left").success
+    for name in ("power_on", "enable_motion"):
+        assert machine.trigger(f"/mcs/{name}").success
+    before = machine.tasks["testbed"]
+    os.kill(child_of("im_sim.physics"), signal.SIGKILL)
+    machine.wait_for(lambda: machine.tasks["testbed"].restarts > before.restarts, "the testbed to be started again")
+    recovered = run_script("run", "im_bringup", "recover")
+    assert (recovered.returncode, recovered.stdout.splitlines()[-1]) == (0, READY_AGAIN), recovered.stderr
+    assert "MCS is estopped: the testbed's physics process is gone; reset" in recovered.stdout
+    os.kill(child_of("im_mcs.servo"), signal.SIGKILL)
+    answer = machine.calibrate(few_poses)  # a command brings it back by itself
+    assert answer.success, answer.message
+
+
+def child_of(module):
+    """Process id of the machine's process that runs a module."""
+    from im_bringup.machine import leftovers
+
+    for process in leftovers.processes():
+        if module.encode() in Path(f"/proc/{process.pid}/cmdline").read_bytes().split(b"\0"):
+            return process.pid
+    raise AssertionError(f"no process runs {module}")
+
+
+def test_a_killed_mcs_is_named_and_comes_back(machine, few_poses):
+    """The command of the test that follows succeeds."""
+    machine.all_ready()
+    thread, answers = machine.in_background(few_poses)
+    machine.wait_for_firing("motion_coordinator", "move_manip", 3)
+    back = machine.kill("mcs")
+    thread.join(COMMAND_S)
+    assert answers, "the command did not end"
+    assert not answers[0].success
+    assert "mcs" in answers[0].message
+    back()
+
+
+@pytest.mark.parametrize(
+    "victims", [("vision_coordinator", "motion_coordinator"), ("path_planning_coordinator", "dom")]
+)
+def test_a_command_survives_the_deaths_of_coordinators(machine, few_poses, victims):
+    """What is journalled goes on; each pose is visited once, and a pose is lost only for what the cameras saw."""
+    machine.all_ready()
+    thread, answers = machine.in_background(few_poses)
+    for victim in victims:
+        machine.wait_for_firing("motion_coordinator", "move_manip", 3)
+        machine.kill(victim)()
+    thread.join(COMMAND_S)
+    assert answers, "the command did not end"
+    assert answers[0].success, answers[0].message
+    report = report_of(answers[0])
+    assert report["points_used"] + len(report["points_rejected"]) == FEW
+    assert report["points_used"] >= FEW - 4
+
+
+def test_an_estop_ends_the_command_with_its_reason_and_reset_mends_it(machine, few_poses):
+    thread, answers = machine.in_background(few_poses)
+    machine.wait_for_firing("motion_coordinator", "move_manip", 3)
+    assert machine.trigger("/mcs/estop").success
+    thread.join(COMMAND_S)
+    assert answers, "the command did not end"
+    assert not answers[0].success
+    assert "stop" in answers[0].message.lower()
+    refused = machine.calibrate(few_poses)
+    assert not refused.success
+    assert "reset" in refused.message
+    assert machine.trigger("/mcs/reset").success
+    again = machine.calibrate(few_poses)
+    assert again.success, again.message

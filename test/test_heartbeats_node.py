@@ -1,0 +1,74 @@
+"""Who is missing: a task that is silent, not one that a busy node has not come to hear."""
+
+import os
+import signal
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from im_core import silence
+from im_core.ros import heartbeats
+from im_core.ros.heartbeats import CHECK_PERIOD_S, SILENCE_S, Heartbeats
+from im_core.ros.node import ManagedNode
+from im_msgs.msg import TaskStatus
+
+
+@pytest.fixture
+def followed(ros, monkeypatch):
+    """The heartbeats that a node follows, by a clock that stands still: ``followed.time[0]``."""
+    node = ManagedNode("listener")
+    ros(node)
+    time = [100.0]
+    for module in (heartbeats, silence):
+        monkeypatch.setattr(module, "clock", SimpleNamespace(monotonic=lambda: time[0]))
+    followed = Heartbeats(node)
+    followed.time = time
+    return followed
+
+
+def beat_of(name, process, incarnation=1):
+    return TaskStatus(name=name, host=os.uname().nodename, pid=process, incarnation=incarnation)
+
+
+@pytest.fixture
+def child():
+    """A process that waits."""
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
+        yield child
+        child.kill()
+
+
+def test_a_task_is_not_missing_because_the_node_was_busy_and_did_not_hear_it(followed, child):
+    """Its heartbeats wait in the queue meanwhile; after that, silence counts."""
+    lost = []
+    followed._hear(beat_of("back", child.pid))
+    followed.watch("back", 1, lost.append)
+    for busy_s in (0.0, 30.0, 0.0, 60.0):
+        followed.time[0] += busy_s
+        followed._check()
+    assert lost == []
+    child.send_signal(signal.SIGSTOP)
+    for _ in range(int(SILENCE_S / CHECK_PERIOD_S) + 1):
+        followed.time[0] += CHECK_PERIOD_S
+        followed._check()
+    assert lost[0].startswith("back is missing (last heard 9")
+
+
+def test_who_asks_late_is_told_at_once_of_a_dead_task_and_not_of_one_that_lives(followed, child):
+    followed._hear(beat_of("back", child.pid))
+    followed.time[0] += 30.0
+    assert followed.missing("back") == ""
+    child.kill()
+    child.wait()
+    followed._hear(beat_of("back", child.pid))
+    followed.time[0] += 30.0
+    assert followed.missing("back") == "back is missing (last heard 30.0 s ago)"
+    assert followed.missing("nobody") == "nobody is missing (never heard)"
+
+
+def test_a_task_of_another_host_is_silent_whatever_runs_here_under_its_number(followed):
+    followed._hear(TaskStatus(name="back", host="elsewhere", pid=os.getpid(), incarnation=1))
+    followed.time[0] += SILENCE_S + 1.0
+    assert followed.missing("back") == "back is missing (last heard 7.0 s ago)"

@@ -1,0 +1,43 @@
+"""``im run``: what it prints and returns of how a command ended."""
+
+import pytest
+
+from im_bringup.ros.run_command import show
+from im_core.errors import DataError
+from im_core.ros.status import to_status
+from im_msgs.action import ExecuteCommand
+from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType
+
+WIDTH = Argument("width", ArgumentType.NUMBER, unit="m", minimum=0.0, maximum=0.08)
+
+
+@pytest.fixture
+def refused():
+    """How a command ends whose arguments its schema refuses."""
+    with pytest.raises(DataError) as caught:
+        ArgumentSchema({"width": WIDTH}).check({"width": 0.5}, "command open_gripper")
+    return ExecuteCommand.Result(status=to_status(caught.value))
+
+
+def test_arguments_that_the_schema_refuses_are_bad_usage(refused, capsys):
+    assert show(refused, "im run open_gripper", False, begun=False) == 2
+    told = capsys.readouterr().err
+    expected = "im run open_gripper: command open_gripper: argument width is 0.5, not a number from 0 to 0.08 [m]\n"
+    assert told == expected
+
+
+def test_a_request_that_a_net_makes_with_such_arguments_is_a_failure_of_the_command(refused):
+    assert show(refused, "im run pick", False, begun=True) == 1
+
+
+@pytest.mark.parametrize(("code", "exit_code"), [("unreachable", 1), ("state", 1), ("cancelled", 130)])
+def test_what_the_machine_could_not_do_is_no_bad_usage(code, exit_code):
+    result = ExecuteCommand.Result(status=to_status(DataError("why", code=code)))
+    assert show(result, "im run move", False, begun=False) == exit_code
+
+
+def test_results_are_printed_as_they_are_asked_for(capsys):
+    result = ExecuteCommand.Result(success=True, results='{"width": 0.02}')
+    assert show(result, "im run close_gripper", False, begun=True) == 0
+    assert show(result, "im run close_gripper", True, begun=True) == 0
+    assert capsys.readouterr().out == 'im run close_gripper: done: {"width": 0.02}\n{"width": 0.02}\n'

@@ -1,0 +1,60 @@
+"""Where the light is, by ``/tf``: whatever others send there, the pose that MCS has told stands."""
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
+from rclpy.serialization import serialize_message
+from tf2_msgs.msg import TFMessage
+
+from im_cell.robot import load_cell
+from im_vss.ros.light_tracker import LightTracker
+
+
+def message(*frames, rotation=(0.0, 0.0, 0.0, 1.0)):
+    """Frames, each at (1, 2, 3) m in the next; the last is in the world unless it is there before."""
+    told = TFMessage()
+    for child, parent in pairwise(frames):
+        step = TransformStamped(child_frame_id=child)
+        step.header.frame_id = parent
+        step.transform.translation = Vector3(x=1.0, y=2.0, z=3.0)
+        step.transform.rotation = Quaternion(**dict(zip("xyzw", rotation, strict=True)))
+        told.transforms.append(step)
+    return serialize_message(told)
+
+
+TRUE = message("left_link6", "left_base", "world")
+NOISE = {
+    "no message": b"\0\1\0\0" + b"\xff" * 40,
+    "nothing": b"",
+    "others' frames": message("camera", "world"),
+    "no way to the world": message("left_link6", "left_base"),
+    "a circle": message("left_link6", "left_base", "left_link6"),
+    "itself": message("left_link6", "left_link6"),
+    "no rotation": message("left_link6", "world", rotation=(0.0, 0.0, 0.0, 0.0)),
+}
+
+
+@pytest.fixture
+def tracker():
+    heard = {}
+    node = SimpleNamespace(create_subscription=lambda kind, topic, take, *_, **__: heard.update({topic: take}))
+    tracker = LightTracker(node, load_cell(), "left_led", freshness_s=1.0)
+    tracker.hear = heard["/tf"]
+    return tracker
+
+
+@pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE)
+def test_the_newest_pose_stands_whatever_others_send(tracker, noise):
+    tracker.hear(noise)
+    assert tracker.wrist("left") is None
+    tracker.hear(TRUE)
+    rotation, origin = tracker.wrist("left")
+    for _ in range(20):
+        tracker.hear(noise)
+    np.testing.assert_array_equal(tracker.wrist("left")[0], rotation)
+    np.testing.assert_array_equal(tracker.wrist("left")[1], origin)
+    tracker.hear(message("left_link6", "world"))
+    np.testing.assert_allclose(origin - tracker.wrist("left")[1], [1.0, 2.0, 3.0])

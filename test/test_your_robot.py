@@ -1,0 +1,112 @@
+"""``docs/your_robot.md``: a task over two action servers of the standard types, run, killed and resumed as it says."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from im_pnt_analysis.cli import main as pnt
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = (ROOT / "docs" / "your_robot.md").read_text(encoding="utf-8")
+FILES = ROOT / "docs" / "nets" / "your_robot"
+FETCHED = ["gripper 0.04", "arm [0.4, -1.2, 0.8]", "gripper 0.01", "arm [0.0, -0.6, 0.6]"]
+LINES = re.findall(r"^\$ scripts/im pnt (.*)$", PAGE, re.MULTILINE)
+
+
+@pytest.fixture
+def robot(process, tmp_path):
+    """The folder in which the robot tells what it does."""
+    process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def line(process, tmp_path):
+    """``line(text)``: a line of the page as a process, with the folder of the test for the reader's own."""
+
+    def start(text):
+        words = text.replace("my_robot/", f"{FILES}/").replace(f"{FILES}/state", str(tmp_path / "state")).split()
+        return process(sys.executable, "-m", "im_pnt_analysis", *words)
+
+    return start
+
+
+def done(folder, file="done"):
+    path = folder / file
+    return path.read_text().splitlines() if path.exists() else []
+
+
+WAIT = """
+net: wait
+places: {idle: 1, ready: , late: }
+transitions:
+  button: {symbol: begin, in: idle, out: ready, await: {name: /button, type: std_msgs/msg/Empty}, on_failure: late}
+  end: {in: ready, out: idle, emit: begin_done}
+  give_up: {in: late, out: idle, emit: begin_failed}
+"""
+
+
+def test_the_page_shows_the_files():
+    pattern = r"\[`nets/your_robot/(\w+\.\w+)`\]\(nets/your_robot/\1\)\n```\w+\n(.*?)```"
+    shown = dict(re.findall(pattern, PAGE, re.DOTALL))
+    assert shown == {file.name: file.read_text(encoding="utf-8") for file in FILES.glob("*.*")}
+
+
+@pytest.mark.parametrize("text", [text for text in LINES if text.split()[0] in ("verify", "simulate")])
+def test_the_nets_of_the_page_are_verified_and_played(text, capsys):
+    assert pnt(text.replace("my_robot/", f"{FILES}/").split()) == 0
+    assert capsys.readouterr().out
+
+
+def test_the_task_runs_to_its_end(robot, line, wait_until):
+    command = line(next(text for text in LINES if "--symbol" in text and "--journal" not in text))
+    wait_until(lambda: command.poll() is not None, "the end of the task")
+    told = command.out.read_text()
+    assert (command.returncode, done(robot)) == (0, FETCHED), told
+    assert re.findall(r" s  (.*)$", told, re.MULTILINE) == [
+        "open_gripper", "reach", "close_gripper", "lift", 'fetch done: {"width": 0.01}'
+    ]  # fmt: skip
+
+
+def test_a_task_that_is_killed_goes_on_where_it_was_and_does_nothing_twice(robot, line, wait_until):
+    text = next(text for text in LINES if "--journal" in text)
+    (robot / "hold").write_text("0.01")
+    killed = line(text)
+    wait_until(lambda: done(robot, "held"), "the gripper to begin to close")
+    killed.kill()
+    killed.wait()
+    again = line(text)
+    wait_until(lambda: "fetch goes on where the journal ends" in again.out.read_text(), "the second life")
+    (robot / "hold").unlink()
+    wait_until(lambda: again.poll() is not None, "the end of the task")
+    assert (again.returncode, done(robot)) == (0, FETCHED), again.out.read_text()
+    assert done(robot, "held") == ["gripper 0.01"]
+
+
+def test_a_message_that_is_awaited_is_awaited_again_after_a_death(robot, line, wait_until):
+    (robot / "wait.yaml").write_text(WAIT)
+    text = f"run {robot}/wait.yaml --symbol begin --journal {robot}/journal"
+    killed = line(text)
+    wait_until(lambda: "s  button" in killed.out.read_text(), "the wait")
+    killed.kill()
+    killed.wait()
+    again = line(text)
+    wait_until(lambda: "begin goes on where the journal ends" in again.out.read_text(), "the second life")
+    (robot / "pressed").touch()
+    wait_until(lambda: again.poll() is not None, "the end")
+    assert (again.returncode, "begin done" in again.out.read_text()) == (0, True), again.out.read_text()
+
+
+def test_a_robot_that_dies_ends_the_task_with_its_death_as_reason(process, line, tmp_path, wait_until):
+    robot = process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
+    (tmp_path / "hold").write_text("0.04")
+    command = line(next(text for text in LINES if "--symbol" in text and "--journal" not in text))
+    wait_until(lambda: done(tmp_path, "held"), "the gripper to begin to open")
+    robot.kill()
+    wait_until(lambda: command.poll() is not None, "the end of the task")
+    told = command.out.read_text()
+    assert command.returncode == 1
+    assert "fetch failed: the result of /gripper_controller/gripper_cmd" in told
+    assert "the node that owes it is gone" in told
