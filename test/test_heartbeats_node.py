@@ -50,6 +50,7 @@ def test_a_task_is_not_missing_because_the_node_was_busy_and_did_not_hear_it(fol
         followed._check()
     assert lost == []
     child.send_signal(signal.SIGSTOP)
+    os.waitpid(child.pid, os.WUNTRACED)  # until then it may wait for a processor, which is no silence
     for _ in range(int(SILENCE_S / CHECK_PERIOD_S) + 1):
         followed.time[0] += CHECK_PERIOD_S
         followed._check()
