@@ -63,21 +63,40 @@ class Line:
         Args:
             width: Columns of the name.
         """
-        value = "-" if self.value is None else _readable(self.value)
+        value = "-" if self.value is None else readable(self.value)
         note = self.against
         if self.measure is not None and self.baseline is not None:
-            note = f"{self.measure:.4g} x {self.against} ({_readable(self.baseline)} {self.unit})"
+            note = f"{self.measure:.4g} x {self.against} ({readable(self.baseline)} {self.unit})"
         verdict = {None: "", True: "ok", False: "MISSED"}[self.met]
         sign = ">=" if self.at_least else "<="
         bar = "" if self.bar is None else f"{sign} {self.bar:,g}"
         return f"{self.name:<{width}}{value:>10} {self.unit:<5}{bar:>9} {verdict:<7}{note}".rstrip()
 
 
-def _readable(value: float) -> str:
+def readable(value: float) -> str:
+    """A number as a table shows it."""
     return f"{value:,.0f}" if abs(value) >= 10_000 else f"{value:.4g}"
 
 
-def measure(work: Mapping[str, Callable[[], list[Line]]], names: Sequence[str]) -> tuple[list[Line], bool]:
+@dataclass(frozen=True)
+class Measured:
+    """What measuring came to.
+
+    Attributes:
+        lines: All figures.
+        failed: Whether one could not be measured because something did not work.
+    """
+
+    lines: list[Line]
+    failed: bool
+
+    @property
+    def good(self) -> bool:
+        """Whether everything worked, and no bar was missed."""
+        return not self.failed and all(line.met is not False for line in self.lines)
+
+
+def measure(work: Mapping[str, Callable[[], list[Line]]], names: Sequence[str]) -> Measured:
     """Measure parts of a benchmark; one that fails does not keep the others from being measured.
 
     Args:
@@ -85,7 +104,7 @@ def measure(work: Mapping[str, Callable[[], list[Line]]], names: Sequence[str]) 
         names: Parts to measure.
 
     Returns:
-        The lines, between the load averages before and after, and whether a part failed.
+        The lines, between the load averages before and after.
     """
     lines = [Line(f"load average before, {os.cpu_count()} CPUs", os.getloadavg()[0], "")]
     failed = False
@@ -97,7 +116,7 @@ def measure(work: Mapping[str, Callable[[], list[Line]]], names: Sequence[str]) 
             failed = True
             lines.append(Line(name, None, "", None, error.message))
     lines.append(Line("load average after", os.getloadavg()[0], ""))
-    return lines, failed
+    return Measured(lines, failed)
 
 
 def table(lines: Sequence[Line]) -> str:
@@ -125,20 +144,20 @@ def measured_by_machine(*arguments: str) -> list[Line]:
         ended = subprocess.run([sys.executable, "-m", "bench.machine", *arguments, "--lines", str(file)], check=False)
         if not file.is_file():
             raise ImError(f"the bench of the machine ended with code {ended.returncode}, without figures")
-        return [Line.read(entry) for entry in json.loads(file.read_text(encoding="utf-8"))]
+        return read(file)
 
 
-def report(name: str, lines: Sequence[Line]) -> bool:
-    """Print the lines, and keep them in ``results/<name>-<date>-<time>.json``.
-
-    Returns:
-        Whether no bar was missed.
-    """
+def report(name: str, lines: Sequence[Line]) -> None:
+    """Print the lines, and keep them in ``results/<name>-<date>-<time>.json``."""
     print(table(lines))
     path = results_dir() / f"{name}-{stamp_name()}.json"
     write(path, lines)
     print(f"bench: {path}")
-    return all(line.met is not False for line in lines)
+
+
+def read(path: Path) -> list[Line]:
+    """The lines that :func:`write` wrote."""
+    return [Line.read(entry) for entry in json.loads(path.read_text(encoding="utf-8"))]
 
 
 def write(path: Path, lines: Sequence[Line]) -> None:

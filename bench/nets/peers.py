@@ -37,6 +37,14 @@ class Peers:
         return Worker(peer, [str(self.python), "-E", str(self.folder / f"{peer}_peer.py"), *options])
 
 
+def found_peers() -> Peers:
+    """The peers where ``scripts/bench.sh`` has installed them."""
+    root = Path(__file__).resolve().parents[2]
+    python = root / ".venv-peers" / "bin" / "python"
+    missing = "the peers could not be installed into .venv-peers"
+    return Peers(python if python.exists() else None, root / "bench" / "peers", missing)
+
+
 def plain(net: Net) -> dict[str, object]:
     """Returns a net as peers read it; all its arcs have weight 1."""
     return {

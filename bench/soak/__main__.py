@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import os
 import sys
 from collections import Counter
 from pathlib import Path
@@ -10,22 +9,29 @@ from pathlib import Path
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from bench.figures import Line, table
+from bench.figures import Line
+from bench.part import Part, Work, positive
 from bench.soak.commands import Commander, Outcome
 from bench.soak.samples import Sample, lines, sample
 from bench.soak.samples import table as sample_table
 from im_bringup.machine import leftovers, stop
-from im_bringup.machine.interrupts import interrupt_once
 from im_bringup.machine.start import start
 from im_bringup.tasks import deployment as deployments
 from im_core import clock
 from im_core.clock import stamp_name
-from im_core.errors import ImError, StateError
+from im_core.errors import StateError
 from im_core.files import write_whole
 from im_core.names import results_dir
 from im_core.ros.run import Spinner
 
 START_S = 240.0
+GROUPS = {
+    "commands": "calibrations in a row, as fast as they go",
+    "random": "random commands in real time",
+}
+USUAL = ("commands",)
+
+_ABOUT = "Does anything grow while the machine works for long? What it holds after each command, and of that a week."
 
 
 def soak(runs: int, minutes: float, seed: int, port: int) -> tuple[list[Sample], list[Outcome]]:
@@ -68,42 +74,35 @@ def soak(runs: int, minutes: float, seed: int, port: int) -> tuple[list[Sample],
 
 
 def main() -> int:
-    """Run the command."""
-    parser = argparse.ArgumentParser(prog="soak", description="Does anything grow while the machine works for long?")
-    parser.add_argument("--runs", type=int, default=0, help="calibrations in a row, as fast as they go (200)")
-    parser.add_argument("--minutes", type=float, default=0.0, help="instead: random commands in real time for so long")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--port", type=int, default=8080)
-    options = parser.parse_args()
-    if options.runs < 0 or options.minutes < 0.0 or (options.runs and options.minutes):
-        parser.error("either --runs N or --minutes M, above 0")
-    runs = options.runs or (0 if options.minutes else 200)
-    interrupt_once()
-    try:
-        samples, outcomes = soak(runs, options.minutes, options.seed, options.port)
-    except KeyboardInterrupt:
-        print("soak: interrupted", file=sys.stderr)
-        return 130
-    except ImError as error:
-        print(f"soak: {error.message}", file=sys.stderr)
-        return 1
+    """Run the command; its exit code."""
+    part = Part("soak", _ABOUT, GROUPS, USUAL)
+    add = part.parser.add_argument
+    add("--runs", type=positive(int), default=200, help="calibrations in a row (default: %(default)d)")
+    add("--minutes", type=positive(float), default=60.0, help="of random commands (default: %(default)g)")
+    add("--seed", type=int, default=1, help="of the machine and of the random commands (default: %(default)d)")
+    add("--port", type=int, default=8080, help="of the display (default: %(default)d)")
+    return part.run(_work)
+
+
+def _work(options: argparse.Namespace, _: Path) -> Work:
+    """What measures each group."""
+    return {
+        "commands": lambda: judged(*soak(options.runs, 0.0, options.seed, options.port)),
+        "random": lambda: judged(*soak(0, options.minutes, options.seed, options.port)),
+    }
+
+
+def judged(samples: list[Sample], outcomes: list[Outcome]) -> list[Line]:
+    """The figures; all samples are kept in the folder of the results."""
+    content = json.dumps(sample_table(samples), indent=1)
+    print(f"soak: {write_whole(results_dir() / f'soak-samples-{stamp_name()}.json', content)}")
     wrong = [outcome for outcome in outcomes if not outcome.as_it_should]
     kinds = Counter(outcome.name for outcome in outcomes)
-    figures = [
-        Line(f"load average after, {os.cpu_count()} CPUs", os.getloadavg()[0], ""),
+    return [
         *(Line(f"{name}: how often", count, "") for name, count in sorted(kinds.items())),
         Line("commands that ended wrongly", len(wrong), "", bar=0.0),
         *lines(samples),
     ]
-    print(table(figures))
-    print(f"soak: {keep(figures, samples)}")
-    return 0 if all(line.met is not False for line in figures) else 1
-
-
-def keep(figures: list[Line], samples: list[Sample]) -> Path:
-    """Write the figures and all samples into the folder of the results."""
-    content = {"figures": [line.__dict__ for line in figures], "samples": sample_table(samples)}
-    return write_whole(results_dir() / f"bench-soak-{stamp_name()}.json", json.dumps(content, indent=1) + "\n")
 
 
 if __name__ == "__main__":

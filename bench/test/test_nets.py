@@ -1,13 +1,11 @@
-import argparse
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from bench.figures import measure
 from bench.nets import firings, searches
-from bench.nets.__main__ import measure_groups
 from bench.nets.peers import Peers, plain
 from bench.nets.player import Player, Work, working
 from bench.nets.workers import Worker, number, own
@@ -162,12 +160,10 @@ def test_an_answer_that_is_no_number_is_refused():
 def test_a_group_that_fails_is_told_and_does_not_end_the_others(tmp_path):
     broken = tmp_path / "broken.yaml"
     broken.write_text("net: [")
-    options = argparse.Namespace(
-        peers=None, peer_programs=tmp_path, peers_missing="none", quick=True, shipped=[broken], groups=[]
-    )
-    lines, failed = measure_groups(["verify"], options)
-    assert failed
-    assert "broken.yaml" in next(line.against for line in lines if line.name == "verify")
+    measured = measure({"verify": lambda: searches.shipped_lines([broken], tmp_path)}, ["verify"])
+    assert measured.failed
+    assert not measured.good
+    assert "broken.yaml" in next(line.against for line in measured.lines if line.name == "verify")
 
 
 def test_pnt_bench_measures_families_and_files(capsys):
@@ -184,11 +180,3 @@ def test_pnt_bench_measures_families_and_files(capsys):
 def test_pnt_bench_refuses_what_it_cannot_measure(arguments, capsys):
     assert main(["bench", *arguments]) == 2
     assert capsys.readouterr().err.startswith("pnt: ")
-
-
-def test_the_command_of_the_table_knows_its_groups():
-    command = [sys.executable, "-m", "bench.nets", "--shipped", "x.yaml", "--peer-programs", ".", "firing"]
-    path = ":".join(folder for folder in sys.path if folder)
-    ended = subprocess.run(command, capture_output=True, text=True, check=False, env={"PYTHONPATH": path})
-    assert ended.returncode == 2
-    assert "there is no group 'firing'" in ended.stderr
