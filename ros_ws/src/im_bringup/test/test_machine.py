@@ -1,5 +1,7 @@
 import json
 import os
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -54,3 +56,21 @@ def test_start_prints_the_address_that_the_display_has_told(tmp_path, monkeypatc
     names.display_file().write_text("http://127.0.0.1:8083/\n")
     start.print_ready(record(ProcessId.current()), 1.0)
     assert "nets at http://127.0.0.1:8083/, logs in" in capsys.readouterr().out
+
+
+def test_a_folder_in_which_a_machine_of_another_domain_runs_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    mine, other = machine.record_path(), Path(f"/dev/shm/im{20_000_000 + os.getpid()}_machine.json")
+    current = ProcessId.current()
+    machine.write(replace(record(current), run_dir=str(tmp_path)))
+    try:
+        mine.rename(other)
+        with pytest.raises(StateError, match=f"the machine {other.name.split('_')[0]} runs with the folder {tmp_path}"):
+            start.require_none_runs()
+        other.write_text("no record", encoding="utf-8")
+        start.require_none_runs()
+        machine.write(replace(record(ProcessId(current.pid, current.start - 1)), run_dir=str(tmp_path)))
+        mine.rename(other)
+        start.require_none_runs()  # that one has ended
+    finally:
+        other.unlink(missing_ok=True)

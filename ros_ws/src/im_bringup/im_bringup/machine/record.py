@@ -2,6 +2,7 @@
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -68,20 +69,24 @@ class MachineRecord:
 
 _RECORD = pydantic.TypeAdapter(MachineRecord)
 _LARGEST = MEBIBYTE
+_SHM, _RECORD_SUFFIX = Path("/dev/shm"), "_machine.json"
 
 
 def record_path(instance: str | None = None) -> Path:
     """The record's file. It is in shared memory, so that it holds for all folders and ends with the computer's run."""
-    return Path("/dev/shm") / f"{instance or names.instance()}_machine.json"
+    return _SHM / f"{instance or names.instance()}{_RECORD_SUFFIX}"
 
 
-def read() -> MachineRecord | None:
+def read(path: Path | None = None) -> MachineRecord | None:
     """The record of the machine of this ROS domain, None if there is none.
+
+    Args:
+        path: Another record's file.
 
     Raises:
         DataError: The file is not a record.
     """
-    path = record_path()
+    path = path or record_path()
     if not path.exists():
         return None
     try:
@@ -107,6 +112,24 @@ def read_running() -> MachineRecord:
     if record is None or not record.alive:
         raise StateError(f"no machine runs in ROS domain {domain()}; scripts/start.sh starts one")
     return record
+
+
+def neighbour(run_dir: Path) -> str:
+    """The instance of another ROS domain whose machine runs with a folder, an empty string where none does.
+
+    Args:
+        run_dir: The folder.
+
+    Whoever may write into ``/dev/shm`` may leave a file there that is no record: it is nobody's.
+    """
+    for path in sorted(_SHM.glob(f"im*{_RECORD_SUFFIX}")):
+        if path == record_path():
+            continue
+        with suppress(DataError):
+            record = read(path)
+            if record is not None and record.alive and Path(record.run_dir).resolve() == run_dir.resolve():
+                return path.name.removesuffix(_RECORD_SUFFIX)
+    return ""
 
 
 def write(record: MachineRecord) -> None:

@@ -170,7 +170,9 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
 
 
 def require_none_runs() -> None:
-    """Make sure that no machine of this ROS domain runs.
+    """Make sure that no machine of this ROS domain runs, and none of another one with this folder.
+
+    Two with one folder would go on with each other's commands, and write into each other's journals.
 
     Raises:
         StateError: One does.
@@ -180,6 +182,11 @@ def require_none_runs() -> None:
         raise StateError(
             f"a machine of ROS domain {machine.domain()} runs already ({record.state}, process {record.pid}); "
             "stop it with scripts/stop.sh, or set another ROS_DOMAIN_ID"
+        )
+    if other := machine.neighbour(names.run_dir()):
+        raise StateError(
+            f"the machine {other} runs with the folder {names.run_dir()}, where its journals are; "
+            "set another IM_RUN_DIR, or unset it and ROS_LOG_DIR"
         )
 
 
