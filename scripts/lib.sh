@@ -54,6 +54,8 @@ im_defaults() {
   export IM_RUN_DIR="${IM_RUN_DIR:-$IM_ROOT/.run/im$ROS_DOMAIN_ID}"
   export IM_RESULTS_DIR="${IM_RESULTS_DIR:-$IM_ROOT/results}"
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$IM_RUN_DIR/ros}"
+  # The memory policy of our profile counts with the second variable; a profile of the user's may be silent about it.
+  [[ -n "${FASTRTPS_DEFAULT_PROFILES_FILE:-}" ]] || export RMW_FASTRTPS_USE_QOS_FROM_XML=1
   export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$IM_WS/src/im_bringup/im_bringup/config/fastdds.xml}"
   export PYTHONUNBUFFERED=1
   # The servo's matrices are small: threads of a BLAS would only disturb it.

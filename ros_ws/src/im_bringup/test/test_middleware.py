@@ -7,7 +7,7 @@ import pytest
 
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.deployment import Deployment
-from im_bringup.tasks.middleware import PROFILE, loopback_profile, middleware, open_profile, reach
+from im_bringup.tasks.middleware import PROFILE, QOS_FROM_PROFILE, loopback_profile, middleware, open_profile, reach
 
 ONE = deployments.load(deployments.default_path())
 TASK = {"package": "a", "executable": "b"}
@@ -32,6 +32,12 @@ def test_a_profile_of_the_users_own_is_theirs_and_it_is_said(deployment):
     own = {PROFILE: "/home/me/dds.xml"}
     assert middleware(own, deployment)[PROFILE] == "/home/me/dds.xml"
     assert reach(own, deployment) == f"DDS listens as /home/me/dds.xml says ({PROFILE})"
+
+
+def test_the_memory_that_dds_keeps_is_as_our_profiles_say_and_theirs_as_they_say():
+    assert middleware({}, ONE)[QOS_FROM_PROFILE] == middleware({}, TWO)[QOS_FROM_PROFILE] == "1"
+    assert QOS_FROM_PROFILE not in middleware({PROFILE: "/home/me/dds.xml"}, ONE)
+    assert loopback_profile().read_text().count("<historyMemoryPolicy>DYNAMIC<") == 2  # of writers and of readers
 
 
 def test_a_profile_in_the_working_directory_opens_nothing():

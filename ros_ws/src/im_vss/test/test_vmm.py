@@ -11,6 +11,13 @@ from im_vss.managers import VisionClient, VisionModuleManager
 from im_vss.modules import VisionModule
 
 
+class VmComputer(VisionModule):
+    """Computes, as far as it is given a processor."""
+
+    name = "vm_computer"
+    computes = True
+
+
 class VmCounter(VisionModule):
     """Counts how many are in it."""
 
@@ -161,3 +168,20 @@ def test_other_modules_and_other_leases_are_refused(module):
         pass
     with vmm.lend("vm_other", VisionClient("b")) as lease, pytest.raises(StateError, match="of vm_other, not of"):
         module.work(lease)
+
+
+def test_a_lease_of_who_only_computes_lasts_while_no_processor_is_given():
+    module, vmm = VmComputer(rig=None), VisionModuleManager("computing", ["vm_computer"], 60.0, 0.2)
+    with vmm.lend("vm_computer", VisionClient("late")) as lease:
+        assert module.run(lease, lambda: clock.sleep(0.5)) is None  # as on a busy computer
+        assert lease.valid
+    with vmm.lend("vm_computer", VisionClient("long")) as lease, pytest.raises(WaitTimeoutError, match="long"):
+        module.run(lease, compute)
+    assert vmm.state("vm_computer").lapsed == 1
+    module.close()
+
+
+def compute():
+    end = clock.thread_cpu() + 1.0
+    while clock.thread_cpu() < end:
+        pass

@@ -8,6 +8,8 @@ from im_core.config import package_file
 
 #: Environment variable that names the profile.
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+#: With it the rmw takes memory policy, publish mode and data sharing from the profile, all of which ours has.
+QOS_FROM_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 #: Without it Fast DDS also reads a file of the working directory.
 _SKIP = {"SKIP_DEFAULT_XML_FILE": "1"}
 _PACKAGE = "im_bringup"
@@ -31,14 +33,16 @@ def own_profile(base: Mapping[str, str]) -> str:
 
 
 def middleware(base: Mapping[str, str], deployment: Deployment) -> dict[str, str]:
-    """The environment variables that decide.
+    """The environment variables that decide, and those of the memory that DDS keeps.
 
     Args:
         base: Environment of whoever starts the machine.
         deployment: What is started; tasks on several hosts open it.
     """
     ours = open_profile() if len(deployment.hosts) > 1 else loopback_profile()
-    return {PROFILE: own_profile(base) or str(ours), **_SKIP}
+    if own := own_profile(base):
+        return {PROFILE: own, **_SKIP}
+    return {PROFILE: str(ours), QOS_FROM_PROFILE: "1", **_SKIP}
 
 
 def reach(base: Mapping[str, str], deployment: Deployment) -> str:

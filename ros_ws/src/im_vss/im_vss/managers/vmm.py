@@ -35,6 +35,10 @@ class VisionClient:
         return self._cancelled.is_set() or not self.alive()
 
 
+def _nothing() -> float:
+    return 0.0
+
+
 @dataclass(eq=False)
 class Lease:
     """A Vision Module lent to a client.
@@ -42,9 +46,10 @@ class Lease:
     Attributes:
         module: Name of the module.
         client: Who holds it.
-        deadline: When it ends by itself [s of `now`].
+        deadline: When it ends by itself [s of `now`], and later by what is spared.
         hold_s: How long it was given for [s].
         now: The clock it is measured with.
+        spared: Time that does not count [s]: what only computes is not late where it gets no processor.
     """
 
     module: str
@@ -53,15 +58,16 @@ class Lease:
     hold_s: float
     now: Callable[[], float] = clock.monotonic
     released: bool = False
+    spared: Callable[[], float] = _nothing
 
     def remaining(self) -> float:
         """Time left [s], at least 0."""
-        return max(0.0, self.deadline - self.now())
+        return max(0.0, self.deadline + self.spared() - self.now())
 
     @property
     def valid(self) -> bool:
         """Whether the holder may use the module."""
-        return not self.released and not self.client.gone and self.now() < self.deadline
+        return not self.released and not self.client.gone and self.remaining() > 0.0
 
     def check(self, module: str) -> None:
         """Refuse what this lease does not cover.
@@ -209,8 +215,8 @@ class VisionModuleManager:
     def _slice(self, module: str, give_up: float) -> float:
         """How long to sleep: until something may have changed without a notice [s]."""
         held = self._held.get(module)
-        ends = [give_up] + ([held.deadline] if held is not None and held.valid else [])
-        return min(max(min(ends) - self._now(), 0.0), _SLICE_S)
+        left = [give_up - self._now()] + ([held.remaining()] if held is not None and held.valid else [])
+        return min(max(min(left), 0.0), _SLICE_S)
 
     def _whom(self, module: str, client: VisionClient) -> str:
         held = self._held.get(module)

@@ -1,14 +1,20 @@
 """Base of all Vision Modules."""
 
+import os
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import ClassVar, TypeVar
 
+from im_core import clock
 from im_core.errors import WaitTimeoutError
+from im_core.procfs import scheduled
 from im_vss.managers.vmm import Lease
 from im_vss.rig import Rig
 
 Result = TypeVar("Result")
+#: Work that computes is given up after so many times its lease, for whatever reason it does not run.
+_MOST_SPARED = 20.0
 
 
 class VisionModule:
@@ -19,6 +25,8 @@ class VisionModule:
     """
 
     name: ClassVar[str]
+    #: Whether its work waits for nothing: then a lease is counted in the processor time of its thread.
+    computes: ClassVar[bool] = False
 
     def __init__(self, rig: Rig) -> None:
         """Attach to the hardware of `rig`."""
@@ -36,16 +44,33 @@ class VisionModule:
 
         def guarded() -> Result:
             lease.check(self.name)
+            if self.computes:
+                lease.spared = _without_processor(_MOST_SPARED * lease.hold_s)
             return work()
 
         lease.check(self.name)
         future = self._thread.submit(guarded)
-        try:
-            return future.result(timeout=lease.remaining())
-        except TimeoutError:
-            future.cancel()
-            raise WaitTimeoutError(what=f"{self.name}, used by {lease.client.name}", seconds=lease.hold_s) from None
+        while not future.done() and (left_s := lease.remaining()):
+            wait([future], left_s)
+        if future.done():
+            return future.result()
+        future.cancel()
+        raise WaitTimeoutError(what=f"{self.name}, used by {lease.client.name}", seconds=lease.hold_s)
 
     def close(self) -> None:
         """Let the work in hand end, take no more."""
         self._thread.shutdown(wait=False, cancel_futures=True)
+
+
+def _without_processor(most_s: float) -> Callable[[], float]:
+    """A function that tells for how long the calling thread has not run from now on, at most ``most_s`` [s]."""
+    pid, thread = os.getpid(), threading.get_native_id()
+    began, before = clock.monotonic(), scheduled(pid, thread)
+
+    def elapsed() -> float:
+        now = scheduled(pid, thread)
+        if before is None or now is None:
+            return 0.0
+        return min(most_s, max(0.0, clock.monotonic() - began - (now.ran_s - before.ran_s)))
+
+    return elapsed

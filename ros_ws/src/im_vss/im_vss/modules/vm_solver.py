@@ -12,6 +12,7 @@ class VmSolver(VisionModule):
     """Solves for cameras, one calibration at a time: two at once would take as long, and everybody else's time too."""
 
     name: ClassVar[str] = "vm_solver"
+    computes: ClassVar[bool] = True
 
     def solve(self, lease: Lease, problem: CalibrationProblem) -> Calibration:
         """The joint estimate of all cameras.

@@ -1,0 +1,53 @@
+"""What DDS holds of large messages is given back: the profile of the machine keeps no buffers of their size."""
+
+import ctypes
+
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from im_core.ros import qos
+from im_core.ros.calls import call_blocking
+
+LARGE = 4_000_000
+
+
+class MallocInfo(ctypes.Structure):
+    """``struct mallinfo2`` of glibc."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in (
+            "arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost",
+        )
+    )  # fmt: skip
+
+
+def allocated():
+    """What this process has allocated and not freed, whether or not the kernel has it back [bytes]."""
+    libc = ctypes.CDLL(None)
+    libc.mallinfo2.restype = MallocInfo
+    info = libc.mallinfo2()
+    return info.uordblks + info.hblkhd
+
+
+def test_what_large_messages_took_is_given_back(ros, wait_until):
+    node, other, heard = Node("flooded"), Node("flooding"), []
+    node.create_service(GetParameters, "/flooded/take", lambda request, response: response)
+    node.create_subscription(String, "/flooded/hear", lambda message: heard.append(len(message.data)), qos.EVENTS)
+    client = other.create_client(GetParameters, "/flooded/take")
+    publisher = other.create_publisher(String, "/flooded/hear", qos.EVENTS)
+    ros(node, other)
+    wait_until(lambda: client.service_is_ready() and publisher.get_subscription_count(), "the other node")
+
+    def flood(length):
+        for _ in range(3):
+            call_blocking(client, GetParameters.Request(names=["x" * length]), 60.0, "/flooded/take")
+        publisher.publish(String(data="x" * length))
+        wait_until(lambda: heard and heard[-1] == length, "the message")
+
+    flood(1)
+    before = allocated()
+    flood(LARGE)
+    flood(2)  # a history of one message holds the last
+    assert allocated() - before < LARGE / 2
