@@ -9,6 +9,7 @@ from rclpy.action.server import GoalResponse
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from im_core import clock
 from im_core.errors import StateError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
@@ -225,3 +226,21 @@ def test_every_node_of_the_product_is_guarded():
                 if called.rpartition(".")[2] in raw - {"Node"} | {"create_node"} or called in ("Node", "rclpy.spin"):
                     wrong.append(f"{path.name}:{node.lineno}: {called}()")
     assert wrong == []
+
+
+def test_timers_that_are_reset_while_the_loop_is_late_put_no_other_off(ros, wait_until):
+    node, beats, woken = ManagedNode("late"), [], []
+    beat = node.create_timer(0.5, lambda: beats.append(None), clock=node.steady_clock)
+    other = node.create_timer(0.001, lambda: (woken.append(None), other.cancel()), clock=node.steady_clock)
+    ros(node)
+    wait_until(lambda: beats, "the first beat")
+
+    def be_late():
+        clock.sleep(0.7)
+        for _ in range(1000):  # each has the timers looked at once more
+            other.reset()
+
+    woken.clear()
+    node.executor.create_task(be_late)
+    wait_until(lambda: woken, "the other timer")
+    wait_until(lambda: beat.time_until_next_call() <= beat.timer_period_ns, "the next beat, which is due in 0.5 s")

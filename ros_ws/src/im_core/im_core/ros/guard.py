@@ -124,10 +124,23 @@ class GuardedNode(Node):
         clock: Clock | None = None,
         autostart: bool = True,
     ) -> Timer:
-        """As in rclpy."""
+        """As in rclpy, but a timer is never struck before it is due, nor put off by more than its period.
+
+        Whenever a timer is made or reset, the events executor of rclpy strikes each timer of the same clock that is due
+        and not struck yet once more. Every such strike puts the timer off by another period: after a hundred resets in
+        a loop that is late, a heartbeat would be silent for a hundred periods.
+        """
         name = getattr(callback, "__qualname__", type(callback).__qualname__)
         guarded = self.guarded(f"timer {name}", callback)
-        return super().create_timer(timer_period_sec, lambda: guarded(), callback_group, clock, autostart)
+
+        def strike() -> None:
+            if not timer.is_canceled() and timer.time_until_next_call() > timer.timer_period_ns:
+                timer.reset()  # a strike too many
+            else:
+                guarded()
+
+        timer = super().create_timer(timer_period_sec, strike, callback_group, clock, autostart)
+        return timer
 
     def create_service(
         self,
