@@ -1,90 +1,100 @@
 """``python -m bench.calibration``: how good the calibration is, on synthetic data with known truth."""
 
 import argparse
+import math
 import sys
-from collections.abc import Sequence
+from pathlib import Path
 
 from bench.calibration.further_poses import further_poses
 from bench.calibration.kinds import CLEAN, HARD
 from bench.calibration.noise import DESIGNS, TRUE_FACTORS, wrong_noise
-from bench.calibration.score import score
+from bench.calibration.score import Array, Score, score
+from bench.calibration.synthetic import Design
 from bench.calibration.verdicts import false_verdicts, wrong_verdicts
+from bench.figures import Line
+from bench.part import Part, Work, positive
+
+GROUPS = {
+    "errors": "of each kind of data, over the Cramer-Rao bound of the inliers and over OpenCV; coverage",
+    "verdicts": "60 bad data sets with a wrong verdict, 500 good ones with any",
+    "noise": "data whose noise is not as stated: whether its factors are found; coverage of scaled intervals",
+    "poses": "errors achieved with further poses by expected error, and by chance",
+}
+USUAL = ("errors",)
 
 _BAD, _GOOD = 60, 500
+_BARS = ((CLEAN, 1.03), (HARD, 0.9))
+"""Kinds of data with the most that errors over OpenCV's may be."""
 
-_EPILOG = """\
-errors    errors of each kind of data over the Cramer-Rao bound of the inliers, over the best of OpenCV's
-          calibrateCamera (plain, and after RANSAC and trimming), and that best over the bound: reprojection /
-          triangulation; the least, mean and largest share over the parameters of 95 % intervals that hold the truth
-verdicts  60 bad data sets with a wrong verdict, 500 good ones with any
-noise     data whose noise is not as stated, by factors on image and robot: share of 95 % intervals of both factors that
-          hold the true ones, share of trials that tell them apart, and least, mean and largest share over the
-          parameters of scaled 95 % intervals that hold the truth
-poses     errors achieved with further poses by expected error, and by chance
-"""
+_ABOUT = """How good the calibration is, on synthetic data with known truth. OpenCV's calibrateCamera is taken at its
+best: plain, or after RANSAC and trimming. Coverage is the share of trials whose 95 % interval holds the truth, of the
+parameter for which it is least, of all on average, and of that for which it is most. Few trials tell little of it."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print a table."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench.calibration",
-        description="How good the calibration is, on synthetic data with known truth.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("what", nargs="?", choices=("errors", "verdicts", "noise", "poses"), default="errors")
-    parser.add_argument("--trials", type=int, default=20, help="trials of each kind, or of poses (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the first (%(default)s)")
-    parser.add_argument("--kind", default="", help="only kinds whose name holds this text (errors, noise)")
-    options = parser.parse_args(arguments)
-    if options.what == "errors":
-        _errors(range(options.seed, options.seed + options.trials), options.kind)
-    elif options.what == "noise":
-        _noise(range(options.seed, options.seed + options.trials), options.kind)
-    elif options.what == "verdicts":
-        _verdicts(options.seed)
-    else:
-        found = further_poses(range(options.seed, options.seed + options.trials))
-        print(
-            f"triangulation error with 12 poses {found.before:.3f} mm, with 6 chosen more {found.chosen:.3f} mm "
-            f"({found.predicted:.3f} mm predicted), with 6 random more {found.random:.3f} mm"
-        )
-    return 0
+def main() -> int:
+    """Run the command; its exit code."""
+    part = Part("calibration", _ABOUT, GROUPS, USUAL)
+    add = part.parser.add_argument
+    add("--trials", type=positive(int), default=20, help="of each kind, or of poses (default: %(default)d)")
+    add("--seed", type=int, default=1, help="of the first trial (default: %(default)d)")
+    add("--kind", default="", help="only kinds whose name holds this text (errors, noise)")
+    return part.run(_work)
 
 
-def _errors(seeds: range, kind: str) -> None:
-    print(
-        f"{'kind':<30} {'over the bound':>15} {'over OpenCV':>15} {'OpenCV / bound':>17}   "
-        "coverage (least, mean, most)   verdicts"
-    )
-    for name, design in (CLEAN | HARD).items():
-        if kind not in name:
-            continue
-        found = score(design, seeds)
-        theirs = tuple(b / o for b, o in zip(found.to_bound, found.to_opencv, strict=True))
-        bound, opencv, limit = (f"{a:.3f} / {b:.3f}" for a, b in (found.to_bound, found.to_opencv, theirs))
-        covered = found.coverage
-        spread = f"{covered.min():.3f} {covered.mean():.3f} {covered.max():.3f}"
-        print(f"{name:<30} {bound:>15} {opencv:>15} {limit:>17}   {spread:<28}   {found.verdicts}", flush=True)
+def _work(options: argparse.Namespace, _: Path) -> Work:
+    """What measures each group."""
+    seeds = range(options.seed, options.seed + options.trials)
+    return {
+        "errors": lambda: _errors(seeds, options.kind),
+        "verdicts": lambda: _verdicts(options.seed),
+        "noise": lambda: _noise(seeds, options.kind),
+        "poses": lambda: _poses(seeds),
+    }
 
 
-def _noise(seeds: range, kind: str) -> None:
-    print(
-        f"{'kind':<22} {'image':>6} {'robot':>6}   held: image robot   apart   coverage (least, mean, most)   verdicts"
-    )
+def _errors(seeds: range, kind: str) -> list[Line]:
+    found: list[Line] = []
+    for designs, bar in _BARS:
+        for name, design in designs.items():
+            if kind in name:
+                found += _kind(name, design, seeds, bar)
+    return found
+
+
+def _kind(name: str, design: Design, seeds: range, bar: float) -> list[Line]:
+    print(f"bench: {name}, {len(seeds)} trials", flush=True)
+    found: Score = score(design, seeds)
+    lines = []
+    for number, error in enumerate(("reprojection", "triangulation")):
+        if not math.isnan(found.to_bound[number]):  # one camera triangulates nothing
+            lines.append(Line(f"{name}: {error} error, over the bound", found.to_bound[number], ""))
+            lines.append(Line("  over the best of OpenCV", found.to_opencv[number], "", bar=bar))
+    return [*lines, *_coverage(found.coverage), Line("  trials with a verdict", found.verdicts, "")]
+
+
+def _noise(seeds: range, kind: str) -> list[Line]:
+    lines: list[Line] = []
     for name, design in DESIGNS.items():
-        if kind not in name:
-            continue
-        for image, robot in TRUE_FACTORS:
+        for image, robot in TRUE_FACTORS if kind in name else ():
+            print(f"bench: {name}, noise times {image:g} and {robot:g}", flush=True)
             found = wrong_noise(design, (image, robot), seeds)
-            covered = found.coverage
-            spread = f"{covered.min():.3f} {covered.mean():.3f} {covered.max():.3f}"
-            held = f"{found.image:>11.3f} {found.robot:.3f}"
-            apart = f"{found.separable:>7.2f}"
-            print(f"{name:<22} {image:>6} {robot:>6} {held} {apart}   {spread:<28} {found.verdicts:>8}", flush=True)
+            lines += [
+                Line(f"{name}, noise {image:g} and {robot:g} times: image's held", found.image, ""),
+                Line("  robot's held", found.robot, ""),
+                Line("  told apart", found.separable, ""),
+                *_coverage(found.coverage),
+                Line("  trials with a verdict", found.verdicts, ""),
+            ]
+    return lines
 
 
-def _verdicts(seed: int) -> None:
+def _coverage(covered: Array) -> list[Line]:
+    shares = (("least", covered.min()), ("mean", covered.mean()), ("most", covered.max()))
+    return [Line(f"  coverage of 95 % intervals, {which}", float(share), "") for which, share in shares]
+
+
+def _verdicts(seed: int) -> list[Line]:
+    lines = []
     for title, found, count in (
         ("bad", wrong_verdicts(seed, _BAD), _BAD),
         ("good", false_verdicts(seed, _GOOD), _GOOD),
@@ -93,7 +103,17 @@ def _verdicts(seed: int) -> None:
         for name, at, flags in found:
             wrong += 1
             print(f"{title} set, {name}, seed {at}: {', '.join(flags) or 'no verdict'}", flush=True)
-        print(f"{wrong} of {count} {title} sets got a wrong verdict", flush=True)
+        lines.append(Line(f"{title} sets with a wrong verdict", wrong, "", None, f"of {count}"))
+    return lines
+
+
+def _poses(seeds: range) -> list[Line]:
+    found = further_poses(seeds)
+    return [
+        Line("triangulation error with 12 poses", found.before, "mm"),
+        Line("  with 6 chosen more", found.chosen, "mm", found.predicted, "predicted"),
+        Line("  with 6 random more", found.random, "mm", found.chosen, "chosen"),
+    ]
 
 
 if __name__ == "__main__":

@@ -166,7 +166,7 @@ def node_lines(firings: int, rounds: int, folder: Path) -> list[Line]:
     node = own("bench.nets.nodes.firing", "fire", str(folder))
     shown = own("bench.nets.nodes.firing", "show", str(folder))
     with node, shown:
-        node.ask("ready")
+        node.ask("ready", subscribers=1)
         found = []
         for _ in range(rounds):
             answer = node.ask("fire", firings=firings)

@@ -1,8 +1,11 @@
-"""``python -m bench.spot``: prints how well the light is found, with the shipped data sheet and gates."""
+"""``python -m bench.spot``: how well the light is found, with the shipped data sheet and gates."""
 
 import argparse
 import sys
+from pathlib import Path
 
+from bench.figures import Line
+from bench.part import Part, Work, positive
 from bench.spot.trials import count_false, score_spots
 from im_cell.robot import load_cell
 from im_vss.settings import load_settings
@@ -16,23 +19,49 @@ KINDS = {
 }
 """Peaks [DN] and widths [px] of the lights."""
 
+GROUPS = {
+    "found": "share of the lights that are found, errors over the Cramer-Rao bound, and over the stated covariance",
+    "false": "spots that are found where there is no light",
+}
+
+_ABOUT = "Measures how well the light is found in an image, with the shipped data sheet and gates."
+
 
 def main() -> int:
-    """Entry point."""
-    parser = argparse.ArgumentParser(prog="bench.spot", description=__doc__)
-    parser.add_argument("--trials", type=int, default=2000, help="spots of each kind")
-    parser.add_argument("--frames", type=int, default=1000, help="pairs of frames without a light")
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    """Run the command; its exit code."""
+    part = Part("spot", _ABOUT, GROUPS)
+    add = part.parser.add_argument
+    add("--trials", type=positive(int), default=2000, help="spots of each kind (default: %(default)d)")
+    add("--frames", type=positive(int), default=1000, help="pairs of frames without a light (default: %(default)d)")
+    add("--seed", type=int, default=1, help="of what is drawn (default: %(default)d)")
+    return part.run(_work)
+
+
+def _work(options: argparse.Namespace, _: Path) -> Work:
+    """What measures each group."""
+    return {
+        "found": lambda: _found(options.seed, options.trials),
+        "false": lambda: _false(options.seed, options.frames),
+    }
+
+
+def _found(seed: int, trials: int) -> list[Line]:
     settings = load_settings(load_cell())
-    print(f"{'lights':24s} {'found':>6s} {'RMS px':>8s} {'bound px':>9s} {'RMS/bound':>10s} {'NEES':>6s}")
+    lines = []
     for kind, (amplitude, sigma) in KINDS.items():
-        score = score_spots(arguments.seed, arguments.trials, amplitude, sigma, settings.sensor, settings.spot)
-        numbers = f"{score.rms_px:8.4f} {score.bound_px:9.4f} {score.ratio:10.3f} {score.nees:6.2f}"
-        print(f"{kind:24s} {score.found:6.1%} {numbers}")
-    false = count_false(arguments.seed, arguments.frames, settings.sensor, settings.spot)
-    print(f"false spots in {arguments.frames} pairs of frames without a light: {false}")
-    return 0
+        score = score_spots(seed, trials, amplitude, sigma, settings.sensor, settings.spot)
+        lines += [
+            Line(f"{kind}: found, {trials} lights", 100.0 * score.found, "%"),
+            Line("  RMS error of an axis", score.rms_px, "px", score.bound_px, "the Cramer-Rao bound"),
+            Line("  mean squared error over that stated", score.nees, ""),
+        ]
+    return lines
+
+
+def _false(seed: int, frames: int) -> list[Line]:
+    settings = load_settings(load_cell())
+    found = count_false(seed, frames, settings.sensor, settings.spot)
+    return [Line("false spots", found, "", None, f"in {frames:,} pairs of frames without a light")]
 
 
 if __name__ == "__main__":

@@ -6,13 +6,16 @@ from argparse import ArgumentTypeError
 import pytest
 
 import bench.part
+from bench.calibration import __main__ as calibration
 from bench.dom import __main__ as dom
 from bench.figures import Line
 from bench.machine import __main__ as machine
 from bench.mcs import __main__ as mcs
 from bench.nets import __main__ as nets
 from bench.part import Part, positive
+from bench.sizes import __main__ as sizes
 from bench.soak import __main__ as soak
+from bench.spot import __main__ as spot
 from bench.vss import __main__ as vss
 from im_core.errors import ImError, StateError
 
@@ -88,7 +91,10 @@ def test_an_interruption_has_a_code_of_its_own(capsys):
     assert "interrupted" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("each", [dom, machine, mcs, nets, soak, vss], ids=lambda each: each.__package__)
+PARTS = [calibration, dom, machine, mcs, nets, sizes, soak, spot, vss]
+
+
+@pytest.mark.parametrize("each", PARTS, ids=lambda each: each.__package__)
 def test_every_group_that_help_tells_of_can_be_measured(each, monkeypatch, tmp_path):
     def look(self, work, arguments=None):
         return work(self.parser.parse_args([]), tmp_path)

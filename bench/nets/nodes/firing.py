@@ -56,10 +56,11 @@ class Firer(PntNode):
             self._done.set()
         return self._left > 0
 
-    def await_ready(self, _: dict[str, object]) -> dict[str, object]:
-        """Waits until the net runs and is listened to."""
+    def await_ready(self, request: dict[str, object]) -> dict[str, object]:
+        """Waits until the net runs and is listened to by so many subscribers."""
+        subscribers = int(str(request["subscribers"]))
         wait_until(lambda: self.ready or bool(self.failed), f"{self.task_name} to be ready")
-        wait_until(lambda: self.count_subscribers(TOPIC) > 0, "the display")
+        wait_until(lambda: self.count_subscribers(TOPIC) >= subscribers, f"{subscribers} subscribers")
         return {"failed": self.failed}
 
     def fire(self, request: dict[str, object]) -> dict[str, object]:

@@ -1,0 +1,1 @@
+"""All benchmarks in one table, and the page in ``docs/`` that shows the latest."""
