@@ -46,14 +46,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--docs", action="store_true", help="show the figures in docs/performance.md, and add them to its history"
     )
     parser.add_argument(
-        "--from", dest="former", type=Path, metavar="FILE", help="measure nothing: show a run of results/bench again"
+        "--from",
+        dest="former",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="measure nothing: show runs of results/bench again, of each part the last",
     )
     options = parser.parse_args(arguments)
     interrupt_once()
     try:
         steps = chosen(QUICK if options.quick else FULL, options.only)
         past = history.read(ROOT / "docs" / "performance.json") if options.docs else history.History(versions=[])
-        former = run.load(options.former) if options.former else None
+        former = run.together([run.load(path) for path in options.former]) if options.former else None
     except ImError as error:
         parser.error(error.message)
     interrupted = False
@@ -85,7 +90,7 @@ def _measured(steps: Sequence[Step], kind: str) -> tuple[Run, bool]:
                 print(f"bench: {step.title} failed: {results[-1].failure}", file=sys.stderr, flush=True)
     except KeyboardInterrupt:
         print("bench: interrupted", file=sys.stderr)
-        return made, True
+        return made.model_copy(update={"kind": f"{kind}, interrupted after {len(results)} of {len(steps)} parts"}), True
     return made, False
 
 

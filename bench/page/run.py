@@ -12,6 +12,7 @@ import pydantic
 
 from bench.figures import Line, readable
 from im_core.config import Model, faults
+from im_core.errors import ImError
 from im_core.files import FileError, write_whole
 from im_core.jsontext import load_json
 
@@ -129,6 +130,21 @@ def load(path: Path) -> Run:
         FileError: It cannot be read, or is none.
     """
     return validated(path, Run)
+
+
+def together(runs: Sequence[Run]) -> Run:
+    """One run of several of the same sources: of each part what was measured last, with the last run's yardstick.
+
+    Raises:
+        ImError: They are of different commits.
+    """
+    ordered = sorted(runs, key=lambda each: each.when)
+    commits = list(dict.fromkeys(each.commit for each in ordered))
+    if len(commits) > 1:
+        raise ImError(f"runs of different commits do not make one table: {', '.join(commits)}")
+    steps = {step.part: step for each in ordered for step in each.steps}
+    kinds = "; ".join(each.kind for each in ordered)
+    return ordered[-1].model_copy(update={"steps": list(steps.values()), "kind": kinds})
 
 
 def validated(path: Path, model: type[ModelT]) -> ModelT:

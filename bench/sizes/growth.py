@@ -18,11 +18,15 @@ def growth(what: str, values: Mapping[int, float], unit: str, size: str, linear:
     least = min(values)
     return [
         Line(
-            f"{what}, {number:,} {size}",
+            f"{what}, {_counted(number, size)}",
             value,
             unit,
             None if number == least else values[least] * (number / least if linear else 1.0),
-            "" if number == least else f"{least} {size}" + (", in proportion" if linear else ""),
+            "" if number == least else _counted(least, size) + (", in proportion" if linear else ""),
         )
         for number, value in sorted(values.items())
     ]
+
+
+def _counted(number: int, size: str) -> str:
+    return f"{number:,} {size.removesuffix('s') if number == 1 else size}"

@@ -9,6 +9,8 @@ from bench.nets.workers import number, own
 from bench.sizes.growth import growth
 
 _MODULE = "bench.nets.nodes.firing"
+_START_S = 600.0
+"""How long so many processes may take to start on a busy computer [s]."""
 
 
 def lines(sizes: Sequence[int], firings: int, folder: Path) -> list[Line]:
@@ -29,9 +31,10 @@ def lines(sizes: Sequence[int], firings: int, folder: Path) -> list[Line]:
         place.mkdir()
         with ExitStack() as stack:
             node = stack.enter_context(own(_MODULE, "fire", str(place)))
-            for _ in range(count):
-                stack.enter_context(own(_MODULE, "show", str(place)))
-            node.ask("ready", subscribers=count)
+            shown = [stack.enter_context(own(_MODULE, "show", str(place))) for _ in range(count)]
+            for each in shown:
+                each.ask("heard", patience=_START_S)
+            node.ask("ready", patience=_START_S, subscribers=count)
             node.ask("fire", firings=firings // 10)
             answer = node.ask("fire", firings=firings)
         used[count] = 1e6 * number(answer, "cpu_s") / number(answer, "firings")

@@ -74,6 +74,17 @@ def test_a_run_comes_back_from_its_file(tmp_path):
     assert table.read_text().endswith(markdown(before))
 
 
+def test_runs_of_one_commit_make_one_table_with_the_last_of_each_part():
+    slower = Line("stop", 9.0, "s", bar=5.0)
+    first = made(step(LIMIT), step(slower, part="dom"), when=1e9)
+    again = made(step(Line("stop", 3.0, "s", bar=5.0), part="dom"), when=2e9)
+    both = run.together([again, first])
+    assert [(each.part, each.good) for each in both.steps] == [("machine", False), ("dom", True)]
+    assert (both.when, both.kind) == (2e9, "quick; quick")
+    with pytest.raises(ImError, match="different commits do not make one table: 0123abcd, other"):
+        run.together([first, made(commit="other", when=3e9)])
+
+
 def test_history_holds_ratios_and_times_in_loops_of_the_yardstick():
     lines = (LIMIT, Line("start, 10 tasks ready", 6.0, "s", bar=15.0))
     grown = history.with_run(history.History(versions=[]), made(step(*lines)))
@@ -212,6 +223,7 @@ def test_what_was_measured_before_an_interruption_is_kept(tmp_path, measuring):
     measuring[QUICK[2].part] = KeyboardInterrupt()
     assert page.main(["--quick"]) == 130
     assert [each.part for each in kept(tmp_path).steps] == [each.part for each in QUICK[:2]]
+    assert kept(tmp_path).kind == f"quick, interrupted after 2 of {len(QUICK)} parts"
 
 
 @pytest.mark.parametrize("content", ["", "[]", json.dumps({"commit": 3})])
