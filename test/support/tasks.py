@@ -40,5 +40,5 @@ def bootstrap(tmp_path, children=None, nets=None):
     agent = Agent([ProcessCommand(name, (name,), ["x"], tmp_path / name) for name in NAMES], {}, spawn)
     nets = nets or MachineNets(tmp_path, {f"/{name}" for name in NAMES}, unproved=False)
     value = Bootstrap(placed(), agent, "localhost", nets)
-    value.start()
+    value.start(0.0)
     return value

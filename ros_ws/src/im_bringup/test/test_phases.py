@@ -3,6 +3,8 @@ from hypothesis import strategies as st
 
 from im_bringup.machine import bootstrap as phases
 from im_bringup.machine import record as machine
+from im_bringup.machine.nets import MachineNets
+from im_bringup.machine.start import print_parts
 from im_bringup.tasks.registry import Progress, Registry
 from im_core.startup import StartupPhase
 from support.tasks import NAMES, bootstrap, placed
@@ -36,6 +38,30 @@ def test_all_ready_is_ready(tmp_path):
         value.poll(0.0)
     assert value.state == machine.READY
     assert value.missing() == []
+
+
+def test_the_parts_of_a_start_share_all_of_its_time(tmp_path):
+    class Nets(MachineNets):
+        proof = False
+
+        def settled(self, _):
+            return self.proof
+
+    nets = Nets(tmp_path, set(), unproved=False)
+    value = bootstrap(tmp_path, nets=nets)
+    for progress, now in ((Progress.LOADED, 2.0), (Progress.CONFIGURED, 2.5)):
+        for name in NAMES:
+            value.heard(name, 7, 1, progress, "", now)
+        value.poll(now)
+    value.poll(2.75)
+    nets.proof = True
+    value.poll(3.5)
+    for name in NAMES:
+        value.heard(name, 7, 1, Progress.READY, "", 3.75)
+    value.poll(3.75)
+    value.poll(90.0)
+    assert value.state == machine.READY
+    assert value.took == {"load": 2.0, "configure": 0.5, "nets": 1.0, "start": 0.25}
 
 
 def test_who_is_missing_is_named_with_the_reason(tmp_path):
@@ -108,3 +134,11 @@ def test_phases_pass_one_by_one():
     for expected in (StartupPhase.CONFIGURE, StartupPhase.START, StartupPhase.START):
         phase = phases.next_phase(phase, registry.records())
         assert phase is expected
+
+
+def test_start_says_what_its_time_went_into(capsys):
+    print_parts({"preflight": 0.1, "bootstrap": 0.72, "load": 2.0, "configure": 0.5, "nets": 1.04, "start": 0.25})
+    assert capsys.readouterr().out == (
+        "start: preflight 0.1 s, bootstrap 0.7 s, processes and discovery 2.0 s, configuration 0.5 s, "
+        "verification of nets 1.0 s, first service 0.2 s\n"
+    )

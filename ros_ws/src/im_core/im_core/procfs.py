@@ -1,7 +1,12 @@
 """What the kernel tells of running processes and threads in ``/proc``."""
 
-from pathlib import Path
+import os
 from typing import NamedTuple
+
+#: Longer than what is read here [bytes].
+_LINE = 4096
+#: How ``/proc/self/maps`` tells of memory that is private, may be written, and is of no file.
+_ANONYMOUS = ["rw-p", "00000000", "00:00", "0"]
 
 
 class Scheduled(NamedTuple):
@@ -18,9 +23,8 @@ class Scheduled(NamedTuple):
 
 def stat_fields(pid: int) -> list[str] | None:
     """The fields of ``/proc/<pid>/stat`` from the third on, the state; None if there is no such process."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-    except OSError:
+    stat = _told(f"/proc/{pid}/stat")
+    if stat is None:
         return None
     return stat[stat.rindex(")") + 2 :].split()  # the command name may hold blanks and parentheses
 
@@ -28,8 +32,37 @@ def stat_fields(pid: int) -> list[str] | None:
 def scheduled(pid: int, thread: int | None = None) -> Scheduled | None:
     """How the main thread of a process, or one of its threads, was scheduled; None if it has ended or nobody counts."""
     folder = f"/proc/{pid}" if thread is None else f"/proc/{pid}/task/{thread}"
-    try:
-        ran, queued, _ = Path(f"{folder}/schedstat").read_text(encoding="ascii").split()
-    except (OSError, ValueError):
+    told = _told(f"{folder}/schedstat")
+    if not told:
         return None
+    ran, queued, _ = told.split()
     return Scheduled(int(ran) * 1e-9, int(queued) * 1e-9)
+
+
+def mappings(least: int) -> list[tuple[int, int]]:
+    """Where the anonymous memory of this process is that it may read and write.
+
+    Args:
+        least: Size of the smallest that counts [bytes].
+
+    Returns:
+        Address of the first byte of each, and of the byte behind it.
+    """
+    with open("/proc/self/maps", encoding="utf-8", errors="replace") as file:
+        fields = [line.split() for line in file]
+    spans = [tuple(int(address, 16) for address in each[0].split("-")) for each in fields if each[1:] == _ANONYMOUS]
+    return [(begin, end) for begin, end in spans if end - begin >= least]
+
+
+def _told(path: str) -> str | None:
+    """What a file of one line says; None if its process or thread has ended. Read often: who rests is watched."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        return os.read(descriptor, _LINE).decode("ascii", errors="replace")
+    except OSError:  # it has ended meanwhile
+        return None
+    finally:
+        os.close(descriptor)

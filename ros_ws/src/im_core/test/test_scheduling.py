@@ -63,3 +63,20 @@ def test_a_single_core_is_shared():
     cores, reserved, _, others, _, own = seen(False, True, "taskset", "-c", one)
     assert reserved == {}
     assert cores == others == own
+
+
+def test_memory_that_is_locked_is_what_was_touched_and_not_all_that_libraries_reserve():
+    """A copy of OpenBLAS reserves 32 MiB, and its code is as large again."""
+    program = (
+        "import mmap, re\n"
+        "from im_core import scheduling\n"
+        "def kib(key): return int(re.search(key + r':\\s+(\\d+)', open('/proc/self/status').read())[1])\n"
+        "reserved = mmap.mmap(-1, 256 << 20, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)\n"
+        "before = kib('VmRSS')\n"
+        "scheduling.prefer(1, paced=False)\n"
+        "after = mmap.mmap(-1, 256 << 20, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)\n"
+        "assert kib('VmRSS') - before < 64 << 10\n"
+        "locked = kib('VmLck')\n"
+        "assert locked == 0 or locked > 512 << 10, locked  # 0 where it is not permitted\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -25,6 +25,8 @@ _DONE = {
     StartupPhase.CONFIGURE: Progress.CONFIGURED,
     StartupPhase.START: Progress.READY,
 }
+#: The part of the start between CONFIGURE and START: whether the nets may run together.
+PROOF = "nets"
 _WORDS = {StartupPhase.LOAD: "loaded", StartupPhase.CONFIGURE: "configured", StartupPhase.START: "ready"}
 
 
@@ -119,9 +121,13 @@ class Bootstrap:
         self._agent, self._nets = agent, nets
         self._silence = SilentTasks()
         self._changed = True
+        #: How long the parts of the start have taken, in their order [s].
+        self.took: dict[str, float] = {}
+        self._part_began = 0.0
 
-    def start(self) -> None:
-        """Start the processes of this host."""
+    def start(self, now: float) -> None:
+        """Start the processes of this host, at a monotonic time [s]."""
+        self._part_began = now
         for event in self._agent.start():
             self._note(event)
 
@@ -150,7 +156,7 @@ class Bootstrap:
         for name, pid in self._silence.found(now):
             self._agent.replace(name, pid, f"nothing was heard of it for {SILENCE_S:g} s", now)
         if self.state == machine.STARTING:
-            self._advance()
+            self._advance(now)
         return events
 
     def changed(self) -> bool:
@@ -174,19 +180,28 @@ class Bootstrap:
         self._nets.stop()
         return self._agent.shut_down()
 
-    def _advance(self) -> None:
+    def _advance(self, now: float) -> None:
         records = self.registry.records()
         if broken(records):
             self.state, self._changed = machine.FAILED, True
             return
         following = next_phase(self.phase, records)
         if following is not self.phase:
-            if following is StartupPhase.START and not self._may_start(records):
-                return
+            self._end_part(self.phase.name.lower(), now)
+            if following is StartupPhase.START:
+                if not self._may_start(records):
+                    return
+                self._end_part(PROOF, now)
             self.phase, self._changed = following, True
         elif self.phase is StartupPhase.START and done(StartupPhase.START, records):
+            self._end_part(self.phase.name.lower(), now)
             self.state, self._changed = machine.READY, True
             self._agent.respawn = True
+
+    def _end_part(self, part: str, now: float) -> None:
+        """Note how long a part of the start has taken; asked again, that it is over stays so."""
+        if part not in self.took:
+            self.took[part], self._part_began = now - self._part_began, now
 
     def _may_start(self, records: Sequence[TaskRecord]) -> bool:
         """Whether the nets of all tasks may run together; the start fails where they may not."""

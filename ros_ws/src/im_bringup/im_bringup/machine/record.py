@@ -35,6 +35,7 @@ class MachineRecord:
         missing: One sentence for each task that has not finished the phase.
         nets: The verdict on its nets; empty before, and where it has none.
         refused: Whether it is its nets for which it could not be started.
+        took: How long the parts of the start have taken, in their order [s].
         run_dir: Folder of its logs.
         deployment: File it was started from.
         clock_factor: Simulated seconds a second.
@@ -55,6 +56,7 @@ class MachineRecord:
     missing: list[str] = field(default_factory=list)
     nets: str = ""
     refused: bool = False
+    took: dict[str, float] = field(default_factory=dict)
 
     @property
     def process(self) -> ProcessId:

@@ -4,6 +4,7 @@ import argparse
 import os
 import shutil
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from im_bringup.machine import leftovers, mission, preflight, stop
@@ -26,6 +27,15 @@ from im_core.startup import START_TIMEOUT, start_timeout_s
 CALIBRATION = "${calibration}"
 _POLL_S = 0.05
 _LONGEST_S = 86_400.0
+#: What the parts of a start are: this host's and what is left of a machine before, and those of the bootstrap.
+_PARTS = {
+    "preflight": "preflight",
+    "bootstrap": "bootstrap",
+    "load": "processes and discovery",
+    "configure": "configuration",
+    "nets": "verification of nets",
+    "start": "first service",
+}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -147,6 +157,7 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
     tidy(deployment)
     if said := reach(os.environ, deployment):
         print(f"start: {said}", flush=True)
+    took = {"preflight": clock.monotonic() - began}
     process = spawn_bootstrap(deployment, path, timeout_s)
     shown = ""
     while clock.monotonic() - began < timeout_s:
@@ -157,10 +168,12 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
             return 1
         if record is not None:
             if record.phase != shown:
+                took.setdefault("bootstrap", clock.monotonic() - began - took["preflight"])
                 shown = record.phase
                 print(f"start: {shown.lower()} {record.tasks} tasks", flush=True)
             if record.state == machine.READY:
                 print_ready(record, clock.monotonic() - began)
+                print_parts({**took, **record.took})
                 return 0
             if record.state == machine.FAILED:
                 why = "its nets may not run together" if record.refused else "not every task could be started"
@@ -283,6 +296,11 @@ def print_ready(record: MachineRecord, seconds: float) -> None:
     shown = names.display_file()
     nets = f"nets at {read_text(shown).strip()}, " if shown.exists() else ""
     print(f"start: {nets}logs in {record.run_dir}/log")
+
+
+def print_parts(took: Mapping[str, float]) -> None:
+    """Say what the time went into: seconds of each part of the start, in their order."""
+    print(f"start: {', '.join(f'{_PARTS[part]} {seconds:.1f} s' for part, seconds in took.items())}")
 
 
 if __name__ == "__main__":

@@ -24,6 +24,8 @@ from im_core.silence import Silence
 #: How long the tasks of a dead bootstrap may take to end by themselves [s].
 _ORDERLY_S = 4.0
 _POLL_S = 0.05
+#: How often it is looked whether a bootstrap hangs; its end is told at once [s].
+_LOOK_S = 0.25
 #: A bootstrap that tells nothing of its loop for longer, though it could, was stopped or is stuck [s].
 SILENCE_S = 30.0
 #: How long a bootstrap that hangs may take to write its stacks before it is killed [s].
@@ -54,12 +56,12 @@ class BootstrapKeeper:
             self._child, hang = self._spawn()
             if self._stopped is not None:  # while it was being started
                 self._child.send_signal(self._stopped)
-            failure = ""
-            while (code := self._child.poll()) is None:
-                clock.sleep(_POLL_S)
-                if self._stopped is None and (failure := hang.found()):
+            failure, code = "", None
+            while code is None:
+                self._child.await_end(_LOOK_S)
+                code = self._child.poll()
+                if code is None and self._stopped is None and (failure := hang.found()):
                     code = self._end(self._child)
-                    break
             if code >= 0:
                 return code
             record = machine.read()
@@ -122,7 +124,7 @@ class Hang:
             return standing
         ticks = self._pulse.last().ticks
         if ticks == 0 or ticks != self._ticks:  # it has not come to telling, or it has just told
-            self._ticks, self._silence = ticks, Silence(self._pid, longest_look_s=10.0 * _POLL_S)
+            self._ticks, self._silence = ticks, Silence(self._pid, longest_look_s=2.0 * _LOOK_S)
             return ""
         silent_s = self._silence.look()
         return f"nothing was heard of it for {silent_s:.0f} s" if silent_s > SILENCE_S else ""

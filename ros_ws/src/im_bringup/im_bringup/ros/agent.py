@@ -27,7 +27,8 @@ from im_core.ros.parameters import describe_sim_time
 from im_core.startup import PHASE_TOPIC, START_TIMEOUT, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
-POLL_PERIOD_S = 0.05
+#: How often the agent looks at its processes while they start, and from then on [s].
+STARTING_PERIOD_S, POLL_PERIOD_S = 0.05, 0.2
 
 
 class AgentNode(GuardedNode):
@@ -55,7 +56,8 @@ class AgentNode(GuardedNode):
         self.create_subscription(Float64, TIMEOUT_TOPIC, self._take_timeout, qos.LATCHED)
         self.create_subscription(UInt8, PHASE_TOPIC, self._follow, qos.LATCHED)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
-        self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._poll_timer = self.create_timer(STARTING_PERIOD_S, self._poll, clock=steady)
         self.log.info(f"host {host} waits for the bootstrap")
 
     def shut_down(self) -> None:
@@ -85,6 +87,7 @@ class AgentNode(GuardedNode):
                 self.log.info(str(event))
         if self._phase is StartupPhase.START:
             self._agent.respawn = True
+            self._poll_timer.timer_period_ns = round(POLL_PERIOD_S * 1e9)
 
     def _status(self, message: TaskStatus) -> None:
         if message.phase == TaskStatus.FAILED:

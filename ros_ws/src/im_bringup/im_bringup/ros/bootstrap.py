@@ -34,7 +34,8 @@ from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
 from im_msgs.msg import TaskRecord as TaskRecordMessage
 from im_msgs.srv import QueryTask
 
-POLL_PERIOD_S = 0.05
+#: How often the bootstrap looks at its processes while they start, and when the machine is ready [s].
+STARTING_PERIOD_S, POLL_PERIOD_S = 0.05, 0.2
 ACKNOWLEDGED_S = 2.0
 
 
@@ -72,10 +73,11 @@ class BootstrapNode(GuardedNode):
         self._timeout_publisher = self.create_publisher(Float64, TIMEOUT_TOPIC, qos.LATCHED)
         self._timeout_publisher.publish(Float64(data=start_timeout_s()))
         self._announce(StartupPhase.LOAD)
-        self._bootstrap.start()
+        self._bootstrap.start(clock.monotonic())
         self._upkeep.start()
         self._show()
-        self.create_timer(POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._poll_timer = self.create_timer(STARTING_PERIOD_S, self._poll, clock=steady)
 
     def shut_down(self) -> None:
         """Stop all tasks, the last started first; then those of other hosts are told to stop."""
@@ -102,6 +104,8 @@ class BootstrapNode(GuardedNode):
             self._announce(self._bootstrap.phase)
         if self._bootstrap.changed() or events or self._trouble:
             self._show()
+            if self._bootstrap.state == machine.READY:
+                self._poll_timer.timer_period_ns = round(POLL_PERIOD_S * 1e9)
 
     def _described(self, message: NetDescription) -> None:
         self._nets.described(message.node, message.net, message.json)
@@ -153,6 +157,7 @@ class BootstrapNode(GuardedNode):
             missing=self._bootstrap.missing(),
             nets=self._nets.verdict,
             refused=bool(self._nets.failure),
+            took={part: round(seconds, 3) for part, seconds in self._bootstrap.took.items()},
         )
         if record == self._written:
             return

@@ -23,7 +23,7 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 
 from im_core.errors import ImError
-from im_core.ros import qos
+from im_core.ros import one_reader, qos
 from im_core.ros.action_events import ActionEvents
 from im_core.ros.callers import client_of, nodes_of
 from im_core.ros.failures import Failures, few, sentence
@@ -106,7 +106,7 @@ class GuardedNode(Node):
         qos_profile: QoSProfile | int,
         **options: Any,
     ) -> Subscription:
-        """As in rclpy; the callback takes the message alone."""
+        """As in rclpy; the callback takes the message alone, and nodes of one process may share the reader."""
 
         def told() -> str:
             ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
@@ -114,7 +114,8 @@ class GuardedNode(Node):
             return f"{type_name(msg_type)}, published by {few(names) or 'nobody any more'}"
 
         guarded = self.guarded(f"subscription {topic}", callback, told)
-        return super().create_subscription(msg_type, topic, lambda message: guarded(message), qos_profile, **options)
+        make = partial(super().create_subscription, msg_type, topic, qos_profile=qos_profile, **options)
+        return one_reader.follow(topic, lambda message: guarded(message), lambda told: make(callback=told))
 
     def create_timer(
         self,

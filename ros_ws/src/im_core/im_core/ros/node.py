@@ -24,7 +24,10 @@ from im_core.ros.parameters import FixedParameters
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
-HEARTBEAT_PERIOD_S = 0.5
+#: A task says often where it is until it is ready: who came late to listen shall not hold up the start [s].
+STARTING_PERIOD_S = 0.25
+#: How often a task that is ready gives a sign of life [s].
+HEARTBEAT_PERIOD_S = 1.0
 
 #: How long the loop may stand still in a start-up phase [s], which waits for others with time limits of its own.
 PHASE_STANDSTILL_S = 300.0
@@ -72,7 +75,7 @@ class ManagedNode(GuardedNode):
         self._wake_timer.cancel()
         self._coroutines = Coroutines(self.wake, self._run_task, self._broken)
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
-        self.create_timer(HEARTBEAT_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._publish_status, clock=self.steady_clock)
         alone = "pass through the start-up phases without a bootstrap"
         if self.fixed_parameters.declare("standalone", False, alone):
             self.alarms.after(0.0, lambda: self._follow(StartupPhase.START))
@@ -194,6 +197,8 @@ class ManagedNode(GuardedNode):
 
     def _set_phase(self, phase: int, detail: str) -> None:
         self._phase, self._detail = phase, detail
+        period_s = HEARTBEAT_PERIOD_S if phase == _READY else STARTING_PERIOD_S
+        self._heartbeat.timer_period_ns = round(period_s * 1e9)
         self._publish_status()
 
     def _publish_status(self) -> None:

@@ -27,6 +27,7 @@ from im_core.loop_watch import LoopWatch
 from im_core.pulse import Pulse
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import ManagedNode
+from im_core.ros.one_reader import shared_readers
 
 # Without a time-out the events executor busy-loops; this one is never reached.
 FOREVER_S = 1e6
@@ -201,7 +202,8 @@ def run_together(programs: Sequence[Program], args: Sequence[str] | None = None)
     scheduling.keep_off()
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        nodes = [program.make_node() for program in programs]
+        with shared_readers():
+            nodes = [program.make_node() for program in programs]
     except ImError as error:
         print(error.message, file=sys.stderr)
         rclpy.try_shutdown()

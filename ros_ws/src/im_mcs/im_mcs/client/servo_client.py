@@ -17,7 +17,8 @@ from im_mcs.protocol.evidence import Records
 from im_mcs.protocol.requests import request_message
 from im_mcs.state.table import STATES, Event, State
 
-_BELL_S = 0.02
+#: How long the listening thread waits for the bell: while a request lies there unheard, and else [s].
+_UNHEARD_S, _BELL_S = 0.02, 1.0
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,7 @@ class ServoClient:
             self._next_id += 1
             self._waiting[number] = (on_reply or (lambda reply: None), on_progress)
         self._time.ask()
+        self._channel.bell.post()  # the listener sees to it that the servo hears it
         return number
 
     def snapshot(self) -> NDArray[np.void]:
@@ -168,6 +170,7 @@ class ServoClient:
     def close(self) -> None:
         """End the thread and answer what still waits."""
         self._running = False
+        self._channel.bell.post()
         self._thread.join()
         self._time.close()
         self.give_up(LinkError("MCS is being shut down"))
@@ -175,7 +178,7 @@ class ServoClient:
     def _listen(self) -> None:
         while self._running:
             tick = self._time.tick
-            rung = self._channel.bell.wait(_BELL_S)
+            rung = self._channel.bell.wait(_BELL_S if self._channel.requests.empty() else _UNHEARD_S)
             for message in self._channel.events.receive_all():
                 self._hand_out(message)
             if not rung and not self._channel.requests.empty() and self._time.tick == tick:

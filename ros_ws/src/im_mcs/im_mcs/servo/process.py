@@ -52,8 +52,8 @@ class ServoProcess:
         self._pending: list[dict[str, Any]] = []
         self._told: tuple[State, dict[str, State]] = State.COLD, {}
         recorder = Recorder(self._channel.layout, self._channel.evidence)
-        on_demand = self._testbed.wall_period_s == 0.0
-        awaited = AwaitedOwners(config.servo.owner_patience_s) if on_demand else None
+        self._on_demand = self._testbed.wall_period_s == 0.0
+        awaited = AwaitedOwners(config.servo.owner_patience_s) if self._on_demand else None
         self._mcs = Mcs(config, model, testbed, self._pending.append, recorder, awaited)
         self._pacer = Pacer(self._testbed.wall_period_s)
         self._reporter = Reporter(self._channel, self._mcs, self._pacer)
@@ -133,7 +133,9 @@ class ServoProcess:
             asked = not self._channel.requests.empty() and self._testbed.time_asked()
             self._mcs.go_on()
             due = self._time_passes or self._pacer.period_s > 0.0 or asked
-            if silence is None or not due:
+            if not due:
+                silence = None
+            elif silence is None:
                 silence = Silence(self._testbed.hardware_pid, longest_look_s=2.0 * _WAIT_S)
             elif silence.look() > self._config.safety.testbed_silence_s:
                 silent_s = silence.seconds
@@ -176,7 +178,8 @@ class ServoProcess:
         self._powered = powered
         if self._pending and not self._time_passes:
             self._testbed.after_tick(m.tick)
-        if self._pending or not self._time_passes or m.tick % _SNAPSHOT_TICKS == 0:
+        last = self._on_demand and not self._time_passes  # none comes for long
+        if self._pending or last or m.tick % _SNAPSHOT_TICKS == 0:
             self._reporter.snapshot()
         self._reporter.sample()
         self._send_events()

@@ -27,7 +27,8 @@ from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
 from im_sim.panel import FaultPanel, Lights
 from im_sim.truth import draw_truth
 
-CLOCK_POLL_S = 0.01
+#: How often ``/clock`` follows the testbed, and how often it is looked at while time stands still for longer [s].
+CLOCK_POLL_S, STANDING_POLL_S, STANDING_S = 0.01, 0.05, 1.0
 CLOCK_REPEAT_S = 1.0
 DIAGNOSTICS_PERIOD_S = 1.0
 LONGEST_ADVANCE_S = 3600.0
@@ -45,7 +46,7 @@ class TestbedNode(ManagedNode):
         self._child: ChildProcess | None = None
         self._link: PanelEnd | None = None
         self._truth: CellTruth | None = None
-        self._published_tick, self._published_at = -1, 0.0
+        self._published_tick, self._published_at, self._ticked_at = -1, 0.0, 0.0
         self._last_diagnosed = (0, clock.monotonic())
         declare = self.fixed_parameters.declare
         fast = "simulated seconds a second of wall time; 0: as fast as it goes"
@@ -81,7 +82,7 @@ class TestbedNode(ManagedNode):
     def phase_start(self) -> None:
         """Publish clock, lights and diagnostics."""
         self._publish_lights()
-        self.create_timer(CLOCK_POLL_S, self._follow_physics, clock=self.steady_clock)
+        self._poll_timer = self.create_timer(CLOCK_POLL_S, self._follow_physics, clock=self.steady_clock)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
 
     def phase_shutdown(self) -> None:
@@ -119,9 +120,17 @@ class TestbedNode(ManagedNode):
             self.fail(error)
             return
         tick, now = self._link.tick, clock.monotonic()
-        if tick != self._published_tick or now - self._published_at > CLOCK_REPEAT_S:
+        ticked = tick != self._published_tick
+        if ticked or now - self._published_at > CLOCK_REPEAT_S:
             self._published_tick, self._published_at = tick, now
             self._clock_publisher.publish(Clock(clock=_time(tick * self._link.period_ns)))
+        self._ticked_at = now if ticked else self._ticked_at
+        self._poll_every(CLOCK_POLL_S if now - self._ticked_at < STANDING_S else STANDING_POLL_S)
+
+    def _poll_every(self, period_s: float) -> None:
+        period_ns = round(period_s * 1e9)
+        if self._poll_timer.timer_period_ns != period_ns:
+            self._poll_timer.timer_period_ns = period_ns
 
     def _publish_lights(self) -> None:
         if self._link is not None:

@@ -41,6 +41,10 @@ WATCH_PERIOD_S = 1.0
 FILES_S = 30.0
 
 
+#: Libraries of the calibration that take seconds to load, and at rest a fifth of the memory of this process.
+_CALIBRATION = ("scipy.special", "scipy.stats", "im_calibration.reporting.plots")
+
+
 class VssNode(ManagedNode):
     """ROS shell of :class:`im_vss.vsm.VisionServicesManager`."""
 
@@ -56,6 +60,7 @@ class VssNode(ManagedNode):
         self._process = declare("process", PROCESS, "name of this process in the catalogue; it runs the Services there")
         self._source: FrameSource | None = None
         self._vsm: VisionServicesManager | None = None
+        self._loads_ahead = False
 
     def phase_configure(self) -> None:
         """Load the Services in use and start the cameras."""
@@ -115,9 +120,6 @@ class VssNode(ManagedNode):
             )
         self._controls.start()
         self.create_timer(WATCH_PERIOD_S, self._watch, clock=self.steady_clock)
-        # Loading these takes seconds that neither the start nor the first calibration need wait for.
-        libraries = ("scipy.special", "scipy.stats", "im_calibration.reporting.plots")
-        threading.Thread(target=lambda: [import_module(name) for name in libraries], daemon=True).start()
 
     def phase_shutdown(self) -> None:
         """Let go of the cameras."""
@@ -131,6 +133,7 @@ class VssNode(ManagedNode):
         """Have a Service carry out a request, in a thread; what goes wrong becomes its status."""
         vsm = self._vsm
         assert vsm is not None
+        self._load_ahead()
         alive = askers.present()
 
         def serve() -> None:
@@ -146,6 +149,12 @@ class VssNode(ManagedNode):
         else:
             port.succeed(response)
         return response
+
+    def _load_ahead(self) -> None:
+        """With the first request, load beside it what a calibration needs: neither the start nor that has to wait."""
+        if not self._loads_ahead:
+            self._loads_ahead = True
+            threading.Thread(target=lambda: [import_module(name) for name in _CALIBRATION], daemon=True).start()
 
     def _take_images(self, cameras: tuple[str, ...]) -> int:
         """Take and show an image with each camera; when the exposure ended, testbed time [ns].
