@@ -134,11 +134,26 @@ class GuardedNode(Node):
         name = getattr(callback, "__qualname__", type(callback).__qualname__)
         guarded = self.guarded(f"timer {name}", callback)
 
+        mending = False
+
+        def put_off() -> bool:
+            return not timer.is_canceled() and timer.time_until_next_call() > timer.timer_period_ns
+
         def strike() -> None:
-            if not timer.is_canceled() and timer.time_until_next_call() > timer.timer_period_ns:
-                timer.reset()  # a strike too many
-            else:
+            nonlocal mending
+            if not put_off():
                 guarded()
+            elif not mending:  # a strike too many
+                mending = True
+                assert self.executor is not None, "it has called this"
+                self.executor.create_task(mend)
+
+        def mend() -> None:
+            """Once, after all strikes that wait: each reset has all timers looked at again."""
+            nonlocal mending
+            mending = False
+            if put_off():
+                timer.reset()
 
         timer = super().create_timer(timer_period_sec, strike, callback_group, clock, autostart)
         return timer
