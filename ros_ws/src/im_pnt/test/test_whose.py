@@ -1,28 +1,36 @@
 """Whose work a token is: commands that meet in one net do not touch each other.
 
 Random nets run many commands over shared resources, forks, joins, failures and requests. What a command has to do is
-known from how its net was made: whether it did that, all of it and nothing else, shows whose its tokens were.
+known from how its net was made: whether it did that, all of it and nothing else, shows whose its tokens were. Parts of
+it are done in a second net, in the same process or in another one, which a journal brings back from the dead.
 """
 
 import json
 import random
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import ImError
+from im_pnt.distributed.packets import Message, decode_message, numbered
 from im_pnt.errors import NetFileError
-from im_pnt.execution.events import CommandCancelled, GuardsChanged
+from im_pnt.execution.actions import ActionOwner
+from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
+from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity, Command, CommandResult
 from im_pnt.journal.codec import decode_net_entry, net_encoder
 from im_pnt.journal.state import net_state
 from im_pnt.model.action import FunctionAction, RequestAction
-from im_pnt.model.net import Guard, Net, Place, Transition
+from im_pnt.model.net import Guard, Net, Place, RemotePlace, Transition
 from im_pnt.model.resources import resource_places
 from im_pnt.netfile import parse_net
+from support.journalled import JournalledProcess
+from support.memory_files import MemoryFiles
 from support.process import Clock, Process, hold
 
 SERVERS = [
@@ -52,8 +60,8 @@ class Made:
     duties: dict[str, dict[str, int]] = field(default_factory=dict)
     stage: int = 0
 
-    def place(self, name: str) -> str:
-        self.places[name] = Place(name)
+    def place(self, name: str, *, remote: bool = False) -> str:
+        self.places[name] = Place(name, remote=remote)
         return name
 
     def transition(self, name: str, inputs: list[str], outputs: list[str], action: str | None = None, **more) -> None:
@@ -72,6 +80,12 @@ class Made:
         """What comes now is done when all before it has been done."""
         self.stage += 1
 
+    def cross(self, here: str, net: str, place: str) -> None:
+        """A token goes to another net."""
+        self.transitions[f"{here}_cross"] = Transition(
+            f"{here}_cross", inputs={here: 1}, remote_outputs={RemotePlace(net, place): 1}
+        )
+
     def choice(self, here: str, there: str, tool: str) -> None:
         for name, guard, action in (("on", Guard("cancelled", negated=True), "goes_on"), ("off", CANCELLED, "is_off")):
             self.transition(
@@ -79,9 +93,16 @@ class Made:
             )
 
 
-def a_net(dice: random.Random) -> tuple[Net, dict[str, dict[str, int]]]:
-    """Nets in which commands do one thing after the other, and some with a tool that all of them share."""
-    made, kinds = Made(), ["act", "hold", "hold", "hold", "ask"]
+def nets_of(
+    dice: random.Random, kinds: tuple[str, ...] = ("act", "hold", "hold", "hold", "ask")
+) -> tuple[Net, Net, dict[str, dict[str, int]]]:
+    """Nets in which commands do one thing after the other, and some with a tool that all share; and parts in another.
+
+    Returns:
+        The net of the commands, the other one, and what is to be done for each symbol, in which order.
+    """
+    made = Made()
+    far = Made({"vice": Place("vice", 1, resource=True)}, duties=made.duties)
     for tool in TOOLS:
         made.places[tool] = Place(tool, dice.randint(1, 2), resource=dice.choice([None, True]))
     for symbol in ("go", "run"):
@@ -94,7 +115,19 @@ def a_net(dice: random.Random) -> tuple[Net, dict[str, dict[str, int]]]:
         for number in range(1, dice.randint(2, 5)):
             there, tool = made.place(f"{symbol}{number}"), dice.choice(TOOLS)
             made.go_on()
-            match dice.choice(["step", "passing", "holding", "fork", "choice"]):
+            far.stage = made.stage
+            match dice.choice(["step", "passing", "holding", "fork", "choice", "abroad", "abroad", "both"]):
+                case "abroad":
+                    made.cross(here, "m", abroad(far, dice, there, kinds, symbol, dice.randint(1, 2)))
+                    made.place(there, remote=True)
+                    made.stage = far.stage
+                case "both":
+                    near, gone = made.place(f"{there}_near"), made.place(f"{there}_gone")
+                    made.transition(f"{there}_part", [here], [near, gone])
+                    made.cross(gone, "m", abroad(far, dice, f"{there}_back", kinds, symbol, 1))
+                    made.place(f"{there}_back", remote=True)
+                    made.step(near, made.place(f"{there}_done"), dice.choice(kinds), symbol, [], [])
+                    made.transition(f"{there}_meet", [f"{there}_done", f"{there}_back"], [there])
                 case "step":
                     made.step(here, there, dice.choice(kinds), symbol, [], [])
                 case "passing":
@@ -114,14 +147,53 @@ def a_net(dice: random.Random) -> tuple[Net, dict[str, dict[str, int]]]:
                     made.choice(here, there, tool)
             here = there
         made.transition(f"{symbol}_end", [here], idle, emit=(f"{symbol}_done",))
-    return Net("n", made.places, made.transitions), made.duties
+    return Net("n", made.places, made.transitions), Net("m", far.places, far.transitions), made.duties
+
+
+def abroad(far: Made, dice: random.Random, back: str, kinds: tuple[str, ...], symbol: str, steps: int) -> str:
+    """What is done in the other net, which sends a token back; returns the place where it begins."""
+    here = far.place(f"{back}_here", remote=True)
+    for number in range(steps):
+        there, vice = far.place(f"{back}_{number}"), ["vice"] if dice.random() < 0.5 else []
+        if dice.random() < 0.3:
+            far.choice(here, chosen := far.place(f"{back}_{number}_chosen"), "vice")
+            here = chosen
+        far.step(here, there, dice.choice(kinds), symbol, vice, vice)
+        here = there
+        far.go_on()
+    far.cross(here, "n", back)
+    return f"{back}_here"
+
+
+class Wire:
+    """Carries messages between two processes, in order; they are written and read as by a link.
+
+    Args:
+        sender: Node that sends.
+        nodes: The process of each node.
+    """
+
+    def __init__(self, sender: str, nodes: dict[str, Process], flying: list[tuple[str, str, str]]) -> None:
+        self.sender, self.nodes, self.flying = sender, nodes, flying
+
+    def node_of(self, net: str) -> str:
+        return "far" if net == "m" else "near"
+
+    def send(self, node: str, message: Message) -> None:
+        self.flying.append((self.sender, node, numbered(1, message)))
+
+    def forget(self, request_id: str) -> None:
+        raise AssertionError(request_id)
+
+    def keeps_journal(self, node: str) -> bool:
+        return False
 
 
 class Run:
-    """Commands in a net; whatever an action is told is checked to be of its own command."""
+    """Commands in a net, with another one beside it or in another process; what an action is told must be its own."""
 
-    def __init__(self, net: Net, duties: dict[str, dict[str, int]], seed: int) -> None:
-        self.duties = duties
+    def __init__(self, net: Net, far: Net, duties: dict[str, dict[str, int]], seed: int) -> None:
+        self.duties, self.far = duties, far
         self.wrong: list[str] = []
         self.done: dict[int, list[str]] = {}
         self.asked: dict[int, str] = {}
@@ -131,11 +203,34 @@ class Run:
         self.heard: set[Activity] = set()
         actions = {each.__name__: each for each in (self.act, self.mend, self.serve, self.goes_on, self.is_off)}
         actions["hold"] = hold
-        self.process = Process([net, SERVERS[seed % len(SERVERS)]], actions, seed=seed)
-        self.entries: dict[str, list[str]] = {"n": [], "server": []}
-        for name, executor in self.process.exchange.nets.items():
+        near, together = [net, SERVERS[seed % len(SERVERS)]], seed % 2 == 0
+        self.flying: list[tuple[str, str, str]] = []
+        self.nodes: dict[str, Process] = {}
+        for name, nets in ({"near": [*near, far]} if together else {"near": near, "far": [far]}).items():
+            wire = Wire(name, self.nodes, self.flying)
+            self.nodes[name] = Process(nets, actions, seed=seed, name=name, transport=wire)
+        self.process = self.nodes["near"]
+        self.entries: dict[str, list[str]] = {"n": [], "server": [], "m": []}
+        for name, executor in self.nets().items():
             encode, entries = net_encoder(name), self.entries[name]
             executor.rule.record = lambda entry, encode=encode, entries=entries: entries.append(encode(entry))
+
+    def nets(self) -> dict[str, Executor]:
+        return {name: executor for node in self.nodes.values() for name, executor in node.exchange.nets.items()}
+
+    def held(self) -> list[tuple[ActionOwner, Activity, ActionContext]]:
+        return [held for node in self.nodes.values() for held in node.held]
+
+    def pump(self) -> None:
+        """Lets everything happen; messages cross one by one."""
+        for node in self.nodes.values():
+            node.pump()
+        while self.flying:
+            sender, receiver, text = self.flying.pop(0)
+            node = self.nodes[receiver]
+            assert not node.exchange.receive(sender, decode_message(json.loads(text)[1:]))
+            for each in self.nodes.values():
+                each.pump()
 
     def act(self, ctx: ActionContext) -> None:
         self.does(ctx)
@@ -155,10 +250,18 @@ class Run:
             result=ctx.result.get("number", number) == number,
             memory=ctx.memory.get("number", number) == number,
             replies=all(reply == {"number": number} for reply in ctx.replies.values()),
-            order=all(name in (*done, *ctx.replies) for name in stages if stages[name] < stages[ctx.transition]),
+            order=all(
+                name in (*done, *ctx.replies) or self.asked_elsewhere(name, ctx.transition)
+                for name in stages
+                if stages[name] < stages[ctx.transition]
+            ),
         )
-        ctx.result["number"] = ctx.memory["number"] = number
+        ctx.result["number"] = ctx.result[ctx.transition] = ctx.memory["number"] = number
         done.append(ctx.transition)
+
+    def asked_elsewhere(self, name: str, transition: str) -> bool:
+        """Whether a request was, or may have been, asked in another visit: its reply is known there, and then gone."""
+        return name.endswith("_ask") and (name in self.far.transitions or transition in self.far.transitions)
 
     def mend(self, ctx: ActionContext) -> None:
         self.expect(
@@ -180,39 +283,39 @@ class Run:
     def command(self, symbol: str) -> None:
         number = len(self.asked) + 1
         self.asked[number] = symbol
-        executor = self.process.exchange.nets["n"]
+        executor = self.nets()["n"]
         job = executor.command(
             Command(number, symbol, {"number": number}),
             lambda result: self.ended.__setitem__(number, result),
         )
         assert job.command.id == number
-        self.process.pump()
+        self.pump()
 
     def end(self, held: tuple[object, Activity, ActionContext], fails: bool) -> None:
         owner, activity, ctx = held
-        self.process.held.remove(held)
+        next(node for node in self.nodes.values() if held in node.held).held.remove(held)
         self.does(ctx)
         owner.ended(activity, ImError("no", code="no", command=ctx.command.id) if fails else None)
-        self.process.pump()
+        self.pump()
 
     def cancel(self, number: int) -> None:
         """A cancel stops exactly the actions of its own command."""
-        for _, activity, ctx in self.process.held:
+        for _, activity, ctx in self.held():
             if activity not in self.heard:
                 self.heard.add(activity)
                 ctx.on_cancel(lambda whose=ctx.command.id: self.told.append(whose))
-        wanted = {n for _, a, c in self.process.held if (n := c.command.id) == number and not a.cancelled}
+        wanted = {n for _, a, c in self.held() if (n := c.command.id) == number and not a.cancelled}
         self.told.clear()
         if number not in self.ended:
             self.cancelled.add(number)
-        self.process.exchange.nets["n"].post(CommandCancelled(number, ImError("off", code="off", command=number)))
-        self.process.pump()
+        self.nets()["n"].post(CommandCancelled(number, ImError("off", code="off", command=number)))
+        self.pump()
         assert set(self.told) == wanted
 
     def check(self) -> None:
         """Nobody has seen or done what is another's; a journal tells it the same."""
         assert not self.wrong
-        for name, executor in self.process.exchange.nets.items():
+        for name, executor in self.nets().items():
             again = Process([executor.written], self.process.functions.actions).exchange.nets[name]
             for text in self.entries[name]:
                 again.replay(decode_net_entry(json.loads(text)[2]))
@@ -224,20 +327,20 @@ class Run:
 @given(st.integers(0, 2**32))
 def test_commands_that_share_a_net_do_not_touch_each_other(seed):
     dice = random.Random(seed)
-    net, duties = a_net(dice)
+    net, far, duties = nets_of(dice)
     assert set(TOOLS) <= resource_places(net) | {tool for tool in TOOLS if not consumers(net, tool)}
-    run = Run(net, duties, seed)
+    run = Run(net, far, duties, seed)
     for _ in range(dice.randint(10, 40)):
         match dice.choice(["go", "go", "run", "end", "end", "end", "fail", "cancel"]):
             case ("go" | "run") as symbol if len(run.asked) < 8:
                 run.command(symbol)
             case "cancel" if run.asked:
                 run.cancel(dice.choice(list(run.asked)))
-            case ("end" | "fail") as how if run.process.held:
-                run.end(dice.choice(run.process.held), how == "fail")
+            case ("end" | "fail") as how if run.held():
+                run.end(dice.choice(run.held()), how == "fail")
     run.check()
-    while run.process.held:
-        run.end(run.process.held[0], False)
+    while run.held():
+        run.end(run.held()[0], False)
     run.check()
     for number, symbol in run.asked.items():
         begun = number in run.done or run.ended[number].success
@@ -246,10 +349,189 @@ def test_commands_that_share_a_net_do_not_touch_each_other(seed):
             assert run.ended[number].error.facts == {"command": number}
             assert number in run.cancelled
             continue
-        mine = [name for name in duties[symbol] if not isinstance(net.transitions[name].action, RequestAction)]
+        written = {**net.transitions, **far.transitions}
+        mine = [name for name in duties[symbol] if not isinstance(written[name].action, RequestAction)]
         assert sorted(run.done.get(number, [])) == sorted(mine)
         assert run.ended[number].success
+        told = {name: value for name, value in run.ended[number].results.items() if name != "number"}
+        assert told == dict.fromkeys(mine, number)
         assert run.ended[number].results.get("number", number) == number
+    assert not any(executor.busy() for executor in run.nets().values())
+
+
+class Mortal:
+    """The two nets in two processes with journals, which are killed and come back."""
+
+    def __init__(self, dice: random.Random) -> None:
+        self.dice, self.now = dice, 0.0
+        self.near, self.far, self.duties = nets_of(dice, ("act",))
+        self.wrong: list[str] = []
+        self.ended: dict[int, CommandResult] = {}
+        self.flying: list[tuple[str, str]] = []
+        self.files = {name: MemoryFiles(name) for name in ("near", "far")}
+        self.alive = {name: self.start(name) for name in self.files}
+
+    def act(self, ctx: ActionContext) -> None:
+        number = ctx.command.id
+        if ctx.command.arguments != {"number": number} or any(value != number for value in ctx.result.values()):
+            self.wrong.append(f"{ctx.transition} for {ctx.command} with {ctx.result}")
+        ctx.result[ctx.transition] = number
+        if self.dice.random() < 0.2:
+            raise ImError("broke", command=number)
+
+    def passes(self, ctx: ActionContext) -> None:
+        if ctx.command.arguments != {"number": ctx.command.id}:
+            self.wrong.append(f"{ctx.transition} for {ctx.command}")
+
+    def start(self, name: str) -> JournalledProcess:
+        actions = {"act": self.act, **dict.fromkeys(("mend", "goes_on", "is_off"), self.passes)}
+        process = JournalledProcess(
+            name,
+            [self.near if name == "near" else self.far],
+            self.files[name],
+            actions=actions,
+            nodes={"n": "near", "m": "far"},
+            transmit=lambda node, packet: self.flying.append((node, packet)),
+            clock=lambda: self.now,
+            compact_bytes=self.dice.choice((0, 2000, 10**9)),
+        )
+        if name == "near":
+            for job in process.exchange.nets["n"].jobs():
+                job.on_closed = partial(self.ended.__setitem__, job.command.id)
+        return process
+
+    def do(self, name: str, what: Callable[[JournalledProcess], object]) -> None:
+        """Has a process do something; it may die of it, in the middle of writing its journal."""
+        try:
+            what(self.alive[name])
+        except MemoryFiles.Death:
+            self.kill(name)
+
+    def kill(self, name: str) -> None:
+        self.files[name] = self.files[name].reborn()
+        self.alive[name] = self.start(name)
+
+    def under_way(self) -> set[int]:
+        return {job.command.id for job in self.alive["near"].exchange.nets["n"].jobs()}
+
+    def command(self, number: int) -> None:
+        command = Command(number, self.dice.choice(["go", "run"]), {"number": number}, scope=f"near/{number}")
+        while number not in self.ended and number not in self.under_way():
+            self.alive["near"].exchange.nets["n"].command(command, partial(self.ended.__setitem__, number))
+            self.do("near", JournalledProcess.turn)
+
+    def run(self, seconds: float) -> None:
+        end = self.now + seconds
+        while self.now < end:
+            self.now += 0.05
+            for name in self.alive:
+                self.do(name, JournalledProcess.tick)
+            flying, self.flying = self.flying, []
+            for node, packet in flying:
+                self.do(node, lambda process, packet=packet: process.link.hear(packet))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_work_in_another_process_stays_its_commands_when_either_is_killed(seed):
+    dice = random.Random(seed)
+    world = Mortal(dice)
+    torn = seed % 2 == 0
+    for number in range(1, 6):
+        world.command(number)
+        for _ in range(3):
+            world.run(dice.choice((0.05, 0.1, 0.3)))
+            name = dice.choice(["near", "far"])
+            if torn:
+                world.files[name].dies_after(dice.randint(0, 3), dice.random())
+            else:
+                world.kill(name)
+    for files in world.files.values():
+        files.dies_after(10**9)
+    world.run(10.0)
+    assert not world.wrong
+    assert sorted(world.ended) == [1, 2, 3, 4, 5]
+    for number, result in world.ended.items():
+        assert result.success
+        assert set(result.results.values()) <= {number}
+        if not torn:  # else nobody can tell of an action in whose midst the process died
+            assert set(result.results) in [set(duties) for duties in world.duties.values()]
+    assert not any(executor.busy() for p in world.alive.values() for executor in p.exchange.nets.values())
+
+
+NEAR = """
+net: n
+places: {idle: 1, window: {tokens: 1, remote: true}, out: , back: {remote: true}, other: }
+transitions:
+  go: {symbol: go, in: [idle, window], out: [m.there]}
+  end: {in: back, out: idle, emit: go_done}
+"""
+FAR = """
+net: m
+places: {there: {remote: true}, done: , bad: , lot: {remote: true, resource: true}}
+transitions:
+  work: {in: there, out: [done, n.window], action: work, on_failure: bad}
+  home: {in: done, out: n.back}
+  fail: {in: bad, out: [n.window], emit: go_failed}
+"""
+
+
+def two_nodes(near: str, far: str, actions: dict[str, Callable[..., object]]) -> tuple[Run, Process, Process]:
+    run = Run.__new__(Run)
+    run.nodes, run.flying = {}, []
+    for name, text in (("near", near), ("far", far)):
+        run.nodes[name] = Process([parse_net(text)], actions, name=name, transport=Wire(name, run.nodes, run.flying))
+    return run, run.nodes["near"], run.nodes["far"]
+
+
+def test_a_credit_that_comes_back_is_nobodys_and_what_is_emitted_abroad_ends_the_command():
+    run, near, far = two_nodes(NEAR, FAR, {"work": hold})
+    assert "window" in resource_places(parse_net(NEAR))
+    first = near.command("n", "go", part="a")
+    run.pump()
+    ((owner, activity, ctx),) = run.held()
+    assert (ctx.command.id, ctx.command.arguments) == (first, {"part": "a"})
+    near.exchange.nets["n"].post(CommandCancelled(first, ImError("enough", code="cancelled")))
+    run.pump()
+    assert activity.cancelled
+    far.held.clear()
+    ctx.result["found"] = 1
+    owner.ended(activity, ImError("stopped", code="cancelled"))
+    run.pump()
+    (result,) = near.results
+    assert not result.success
+    assert (str(result.error), result.results) == ("stopped", {"found": 1})
+    assert near.marking("n") == {"window": 1}
+    assert not far.exchange.nets["m"].busy()
+
+
+def test_a_command_whose_tokens_are_lost_with_another_node_fails_and_says_why():
+    run, near, far = two_nodes(NEAR, FAR, {"work": hold})
+    near.command("n", "go")
+    run.pump()
+    assert near.exchange.partners() == {"far"}
+    near.exchange.node_lost("far", "far is missing")
+    far.exchange.node_lost("near", "near is missing")
+    run.pump()
+    assert [str(result.error) for result in near.results] == ["far is missing"]
+    assert run.held()[0][1].cancelled
+    assert not far.exchange.nets["m"].jobs()
+
+
+def test_a_paused_command_begins_nothing_in_another_net_either():
+    far_text = FAR.replace("in: there,", "in: [there, on],").replace("there: {", "on: , there: {").replace(
+        "transitions:", "transitions:\n  turn_on: {symbol: turn_on, out: on}"
+    )
+    run, near, far = two_nodes(NEAR, far_text.replace("on: ,", "on: {resource: true},"), {"work": lambda ctx: None})
+    number = near.command("n", "go")
+    run.pump()
+    near.exchange.nets["n"].post(CommandHeld(number, True))
+    run.pump()
+    far.command("m", "turn_on")
+    run.pump()
+    assert far.marking("m") == {"there": 1, "on": 1}
+    near.exchange.nets["n"].post(CommandHeld(number, False))
+    run.pump()
+    assert [result.success for result in near.results] == [True]
 
 
 def consumers(net: Net, place: str) -> list[str]:

@@ -250,3 +250,17 @@ def test_no_random_net_that_is_let_through_acts_on_what_is_not_held():
     assert accepted > 10
     assert refused > 20
     assert shown > 0.6 * refused  # what is refused is not refused for nothing
+
+
+def test_a_token_of_another_nets_command_may_not_let_act_what_that_does_not_hold():
+    text = """
+net: welder
+commands: {weld: {needs: [torch]}}
+places: {part: {remote: true}, welded: }
+transitions:
+  weld: {symbol: weld, in: part, out: welded, action: weld, acts_on: [torch], on_failure: welded}
+  away: {in: welded, emit: weld_done}
+"""
+    (case,) = unheld([parse_net(text)], thread_cpu() + 10)
+    assert "acts on torch, which a command of another net, whose tokens come here, does not hold" in case.reason
+    assert unheld([parse_net(text.replace("remote: true", "remote: true, resource: true"))], thread_cpu() + 10) == []

@@ -13,11 +13,19 @@ from typing import NamedTuple, Protocol
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError, LinkError, StateError, nearest
 from im_pnt.distributed.packets import VOID, Message, MessageKind, token_message
-from im_pnt.errors import NetError
-from im_pnt.execution.events import ActionEnded, RequestArrived, RequestCancelled, TokenArrived
+from im_pnt.errors import NetError, decode_error, encode_error
+from im_pnt.execution.events import (
+    ActionEnded,
+    NodeForgotten,
+    RequestArrived,
+    RequestCancelled,
+    Tiding,
+    TidingArrived,
+    TokenArrived,
+)
 from im_pnt.execution.executor import Executor
-from im_pnt.execution.jobs import NO_COMMAND, Activity, Command, Request, scope_of
-from im_pnt.execution.notification import Observer
+from im_pnt.execution.jobs import NO_COMMAND, Activity, Carried, Command, Job, JobKey, Owner, Request, scope_of
+from im_pnt.execution.notification import Leaving, Observer
 from im_pnt.execution.record import ActivityEnded, NetEntry, plain_dict
 from im_pnt.model.action import RequestAction
 from im_pnt.model.expand import input_place
@@ -29,7 +37,8 @@ RETURN_TIMEOUT_S = 60.0
 
 # What an exchange tells its journal.
 
-Delivery = TokenArrived | RequestArrived | RequestCancelled | ActivityEnded
+Arrival = TokenArrived | TidingArrived | NodeForgotten | RequestArrived | RequestCancelled
+Delivery = Arrival | ActivityEnded
 """An event for a net, as the net that takes it records it: so it is known when it was."""
 
 
@@ -206,6 +215,73 @@ def cancel_message(request_id: str, net: str, caller_net: str) -> Message:
     return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload=payload)
 
 
+def token_of_job(target: RemotePlace, carried: Carried) -> Message:
+    """Returns the message that carries a token of a job to another process."""
+    owner = carried.owner
+    payload: dict[str, object] = {
+        "job": [*owner.key],
+        "symbol": owner.symbol,
+        "command": [owner.command.symbol, owner.command.arguments, owner.command.priority, owner.command.scope],
+        "arguments": owner.arguments,
+        "results": carried.results,
+        "cancelled": encode_error(carried.cancelled),
+        "held": carried.held,
+    }
+    return Message(
+        MessageKind.TOKEN,
+        target.net,
+        target.place,
+        caller_net=carried.net,
+        command_id=owner.command.id,
+        error=carried.failure,
+        payload=payload,
+    )
+
+
+def carried_by(sender: str, message: Message) -> Carried | None:
+    """Returns what a token from another process carries, None where it is nobody's; whether it is at home is not told.
+
+    Raises:
+        ValueError: It makes no sense.
+    """
+    if not message.payload:
+        return None
+    match message.payload:
+        case {
+            "job": [str(process), str(net), int(number)],
+            "symbol": str(symbol),
+            "command": [str(name), dict(given), int(priority), str(scope)],
+            "arguments": dict(arguments),
+            "results": dict(results),
+            "cancelled": cancelled,
+            "held": bool(held),
+        }:
+            command = Command(message.command_id, name, given, priority, scope)
+            owner = Owner(JobKey(process, net, number), symbol, command, arguments)
+            why = decode_error(cancelled)
+            return Carried(owner, False, sender, message.caller_net, message.error, results, why, held)
+    raise ValueError(f"{str(message.payload)[:200]} does not tell whose a token is")
+
+
+def tiding_message(to: str, told: TidingArrived) -> Message:
+    """Returns the message that tells a net of another process of a job."""
+    payload: dict[str, object] = {"job": [*told.key], "tiding": told.tiding.value, "results": told.results}
+    return Message(MessageKind.TIDING, to, "", caller_net=told.net, error=told.error, payload=payload)
+
+
+def tiding_of(message: Message) -> TidingArrived:
+    """Returns what a message tells of a job; whether that is at home is not told.
+
+    Raises:
+        ValueError: It makes no sense.
+    """
+    match message.payload:
+        case {"job": [str(process), str(net), int(number)], "tiding": str(tiding), "results": dict(results)}:
+            key = JobKey(process, net, number)
+            return TidingArrived(key, False, Tiding(tiding), message.caller_net, message.error, results)
+    raise ValueError(f"{str(message.payload)[:200]} tells nothing of a job")
+
+
 def cancelled_by(net: str) -> ImError:
     """Returns why a request ends early that its caller cancelled."""
     return ImError(f"cancelled by net {net}", code="cancelled", net=net)
@@ -249,8 +325,12 @@ class Deliveries:
 def _name_of(event: Delivery) -> tuple[type, object]:
     """Returns what tells an event from the others of its inbox."""
     match event:
-        case TokenArrived(place, count):
-            return TokenArrived, (place, count)
+        case TokenArrived(place, count, carried):
+            return TokenArrived, (place, count, carried and (carried.owner.key, carried.node, carried.net))
+        case TidingArrived(key, _, tiding, net):
+            return TidingArrived, (key, tiding, net)
+        case NodeForgotten(node):
+            return NodeForgotten, node
         case RequestArrived(request):
             return RequestArrived, request.id
         case RequestCancelled(request_id, _):
@@ -290,7 +370,7 @@ class Inboxes:
         self.record: Callable[[ExchangeEntry], None] | None = None
         self._doors: dict[tuple[str, str], _Door] = {}
 
-    def post(self, executor: Executor, event: TokenArrived | RequestArrived | RequestCancelled | ActionEnded) -> None:
+    def post(self, executor: Executor, event: Arrival | ActionEnded) -> None:
         """Delivers an event.
 
         Raises:
@@ -307,11 +387,11 @@ class Inboxes:
             self.deliveries.put_delivery(executor.net.name, kept)
         executor.post(event)
 
-    def token(self, net: str, name: str) -> str:
+    def token(self, net: str, name: str, carried: Carried | None = None) -> str:
         """Delivers a token to a place of a net; returns why not, empty if it was."""
         door = self._doors.get((net, name))
         executor = self.nets[net]
-        if door is not None and door.executor is executor:
+        if door is not None and door.executor is executor and carried is None:
             if self.record is not None:
                 self.record(door.posted)
                 self.deliveries.put_delivery(net, door.event)
@@ -322,8 +402,9 @@ class Inboxes:
             return f"net {net} has no place {name}{nearest(name, executor.net.places)}"
         if not place.remote or name.startswith("I."):
             return f"place {name} of net {net} is not open to other nets (remote: true)"
-        event = TokenArrived(name, 1)
-        self._doors[net, name] = _Door(executor, event, EventPosted(net, event))
+        event = TokenArrived(name, 1, carried)
+        if carried is None:
+            self._doors[net, name] = _Door(executor, event, EventPosted(net, event))
         self.post(executor, event)
         return ""
 
@@ -464,16 +545,54 @@ class Exchange:
 
     # What the nets of this process send.
 
-    def send_token(self, net: str, target: RemotePlace, count: int) -> None:
-        """Sends tokens to a place of another net."""
-        message = token_message(target.net, target.place)
+    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
+        """Sends tokens to a place of another net; with what they take along, where they are of a job."""
+        message, carried = token_message(target.net, target.place), None
+        if leaving is not None:
+            carried = self._carried(net, target.net, leaving)
+            message = token_of_job(target, carried)
         for _ in range(count):
             if target.net in self.nets:
-                self._kept(message, self.inboxes.token(target.net, target.place))
+                self._kept(message, self.inboxes.token(target.net, target.place, carried))
             elif self._transport is not None:
                 self._transport.send(self._transport.node_of(target.net), message)
             else:
                 self._kept(message, f"there is no net {target.net}{nearest(target.net, self.nets)}")
+
+    def _carried(self, net: str, target: str, leaving: Leaving) -> Carried:
+        job, failure, results, held = leaving
+        if job.visit is not None:
+            owner = job.visit.owner
+        else:
+            symbol = job.symbol if job.from_tape else ""
+            owner = Owner(self._key_of(net, job), symbol, job.command, job.arguments)
+        cancelled = (job.last_failure or cancelled_by(net)) if job.cancelled else None
+        return Carried(owner, self._is_home(owner.key, target), "", net, failure, results, cancelled, held)
+
+    def _key_of(self, net: str, job: Job) -> JobKey:
+        return JobKey(self.book.prefix, net, job.number) if job.visit is None else job.visit.owner.key
+
+    def _is_home(self, key: JobKey, net: str) -> bool:
+        return key.process == self.book.prefix and key.net == net
+
+    def send_tiding(
+        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Tells another net of a job whose tokens have crossed."""
+        told = TidingArrived(self._key_of(net, job), False, tiding, net, error, results)
+        self._send_tiding("" if to in self.nets or self._transport is None else self._transport.node_of(to), to, told)
+
+    def send_settled(
+        self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Tells the net that has sent a token of a job that the work of that is done."""
+        self._send_tiding(node, to, TidingArrived(key, False, Tiding.SETTLED, net, error, results))
+
+    def _send_tiding(self, node: str, to: str, told: TidingArrived) -> None:
+        if node and self._transport is not None:
+            self._transport.send(node, tiding_message(to, told))
+        elif to in self.nets:
+            self.inboxes.post(self.nets[to], replace(told, home=self._is_home(told.key, to)))
 
     def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
         """Sends a request; its reply, or why there is none, ends the activity."""
@@ -540,7 +659,7 @@ class Exchange:
         """Takes a message from another process; returns why it is refused, empty if it is not."""
         kind = message.kind
         if kind is MessageKind.TOKEN and message.net in self.nets:
-            return self.inboxes.token(message.net, message.place)
+            return self._token_from(sender, message)
         if kind is MessageKind.VOID:
             return ""
         if kind is MessageKind.REPLY:
@@ -550,6 +669,10 @@ class Exchange:
             return ""
         if message.net not in self.nets:
             return f"there is no net {message.net} here{nearest(message.net, self.nets)}"
+        if kind is MessageKind.TIDING:
+            told = tiding_of(message)
+            self.inboxes.post(self.nets[message.net], replace(told, home=self._is_home(told.key, message.net)))
+            return ""
         if message.payload.get("cancel") is True:
             request = self.inboxes.in_work.get(message.request_id)
             if request is not None and request.caller_node == sender:
@@ -558,6 +681,12 @@ class Exchange:
         if message.request_id in self.inboxes.in_work:
             return f"request {message.request_id} is in work already"
         return self.inboxes.request(request_of(sender, message))
+
+    def _token_from(self, sender: str, message: Message) -> str:
+        carried = carried_by(sender, message)
+        if carried is not None:
+            carried = replace(carried, home=self._is_home(carried.owner.key, message.net))
+        return self.inboxes.token(message.net, message.place, carried)
 
     def refused(self, message: Message, why: str) -> None:
         """Takes back a message that its receiver refused; a token is kept as undeliverable."""
@@ -600,6 +729,10 @@ class Exchange:
         self._give_up(node, why)
 
     def _give_up(self, node: str, why: str) -> None:
+        for name, executor in self.nets.items():
+            nets = self._nets_of(node, executor)
+            if executor.concerned(node, nets):
+                self.inboxes.post(self.nets[name], NodeForgotten(node, nets, LinkError(why, node=node)))
         for request_id, waiting in self.book.of_node(node):
             if self._transport is not None:
                 self._transport.forget(request_id)
@@ -610,9 +743,21 @@ class Exchange:
                 self.inboxes.close(request)
                 self.inboxes.cancel(request, LinkError(why, node=node))
 
+    def _nets_of(self, node: str, executor: Executor) -> tuple[str, ...]:
+        """Returns the nets of a node to which a net gives tokens."""
+        if self._transport is None:
+            return ()
+        given = {target.net for each in executor.net.transitions.values() for target in each.remote_outputs}
+        return tuple(sorted(net for net in given - self.nets.keys() if self._transport.node_of(net) == node))
+
     def partners(self) -> frozenset[str]:
-        """Returns the nodes that requests wait for, and those that wait for replies."""
+        """Returns the nodes that requests wait for, those that wait for replies, and those where tokens of jobs are."""
         asked = {waiting.node for _, waiting in self.book.items() if waiting.node}
+        for executor in self.nets.values():
+            for job in executor.jobs():
+                asked |= {job.visit.node} if job.visit is not None and job.visit.node else set()
+                if job.away and self._transport is not None:
+                    asked |= {self._transport.node_of(net) for net in job.away if net not in self.nets}
         return frozenset(asked | {r.caller_node for r in self.inboxes.in_work.values() if r.caller_node})
 
     def tidy(self) -> None:
@@ -654,6 +799,9 @@ class Exchange:
         if why:
             self._happens(TokenKept(message.net, message.place))
             self._dropped(f"{message} is undeliverable and kept: {why}")
+            carried = carried_by("", message)
+            if carried is not None:
+                self.send_settled(message.net, carried.owner.key, "", carried.net, NetError(why), {})
 
     # What happens to the exchange, now and when a journal is replayed.
 

@@ -96,7 +96,7 @@ class Express:
 
     def keep_token(self, message: Message) -> None:
         """Keeps how a token is spelled that was not refused."""
-        if message.kind is MessageKind.TOKEN and len(self._tokens) < MOST_TOKENS:
+        if message.kind is MessageKind.TOKEN and not message.payload and len(self._tokens) < MOST_TOKENS:
             self._tokens[f"{encode_message(message)}]]"] = message
 
     def forget_heads(self) -> None:

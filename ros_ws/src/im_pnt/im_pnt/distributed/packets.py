@@ -46,24 +46,28 @@ class MessageKind(enum.IntEnum):
     REPLY = 2
     VOID = 3
     """In the place of a message that nobody needs any more."""
+    TIDING = 4
+    """What becomes of a job whose tokens have crossed."""
 
 
 _TOKEN = MessageKind.TOKEN
+_FULL = (MessageKind.REQUEST, MessageKind.REPLY, MessageKind.TOKEN, MessageKind.TIDING)
+"""Messages that are written with all their fields."""
 
 
 class Message(NamedTuple):
-    """A token, request or reply for a net of another process.
+    """A token, request, reply or tiding for a net of another process.
 
     Attributes:
         kind: What it is.
         net: Net that gets it.
         place: Place that is marked.
         request_id: Of a request and its reply.
-        caller_net: Net that asks, for a request.
+        caller_net: Net that asks, for a request; that sends, for a token of a job and a tiding.
         caller_transition: Transition that waits, for a request.
         command_id: Command it is done for.
-        error: Why a request failed, for its reply.
-        payload: Arguments or results, as plain JSON data.
+        error: Why a request failed, for its reply; the failure that a token or a tiding tells of.
+        payload: Arguments, results, or whose a token is, as plain JSON data.
     """
 
     kind: MessageKind
@@ -81,6 +85,8 @@ class Message(NamedTuple):
             return f"a token for {self.net}.{self.place}"
         if self.kind is MessageKind.REPLY:
             return f"the reply to request {self.request_id} of net {self.net}"
+        if self.kind is MessageKind.TIDING:
+            return f"word to net {self.net} of a job whose tokens have crossed"
         what = "the end of request" if self.payload.get("cancel") is True else "request"
         return "nothing" if self.kind is MessageKind.VOID else f"{what} {self.request_id} to net {self.net}"
 
@@ -95,13 +101,13 @@ def token_message(net: str, place: str) -> Message:
 
 
 def encode_message(message: Message) -> str:
-    """Writes a message as the inside of a JSON list; a token is its kind, net and place, and no more.
+    """Writes a message as the inside of a JSON list; a token of nobody is its kind, net and place, and no more.
 
     Raises:
         TypeError: The payload is not JSON data.
         ValueError: Likewise.
     """
-    if message.kind is _TOKEN:
+    if message.kind is _TOKEN and not message.payload:
         return _encode_token(message.net, message.place)
     kind, net, place, request_id, caller_net, caller_transition, command_id, error, payload = message
     names = (net, place, request_id, caller_net, caller_transition)
@@ -140,7 +146,7 @@ def decode_message(fields: list[object]) -> Message:
         case [
             int(kind), str(net), str(place), str(request), str(caller), str(transition), int(command), error, dict(data)
         ]:  # fmt: skip
-            if kind in (MessageKind.REQUEST, MessageKind.REPLY) and is_number(command):
+            if kind in _FULL and is_number(command):
                 reason = decode_error(error)
                 return Message(MessageKind(kind), net, place, request, caller, transition, command, reason, data)
             if kind == MessageKind.VOID:

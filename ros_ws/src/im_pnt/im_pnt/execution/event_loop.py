@@ -21,12 +21,15 @@ from im_pnt.execution.events import (
     Event,
     GuardsChanged,
     ModeSet,
+    NodeForgotten,
     ObjectInvalidated,
     Outcome,
     PauseSet,
     RequestArrived,
     RequestCancelled,
     StepAsked,
+    Tiding,
+    TidingArrived,
     TokenArrived,
 )
 from im_pnt.execution.firing import FiringRule
@@ -239,9 +242,23 @@ class EventLoop:
         match event:
             case TokenArrived() | CommandWritten() | RequestArrived():
                 rule.values.stale()
+                cancelled = rule.cancelled_visit(event)
                 rule.happens(event)
                 if rule.expires:
                     self._watch_symbols()
+                if cancelled is not None and cancelled.last_failure is not None:
+                    self._cancel([cancelled], cancelled.last_failure)
+            case TidingArrived():
+                cancelled = rule.cancelled_visit(event)
+                rule.happens(event)
+                if cancelled is not None and cancelled.last_failure is not None:
+                    self._cancel([cancelled], cancelled.last_failure)
+                elif event.tiding is not Tiding.SETTLED:
+                    self.conflicts.wake("")
+            case NodeForgotten(node, _, error):
+                ending = [job for job in rule.ledger.visits.values() if job.visit and job.visit.node == node]
+                rule.happens(event)
+                self._cancel(ending, error)
             case CommandCancelled(command_id, error):
                 jobs = rule.ledger.of_command(command_id)
                 rule.happens(event)
@@ -515,6 +532,8 @@ class EventLoop:
     def _come_to_rest(self) -> None:
         if self.conflicts.clocks:
             self._arm_guard_clocks()
+        if self.rule.ledger.visits:
+            self.rule.settle_visits()
         if self.rule.ledger.count and self.operator.free:
             self.rule.drop_stale()
             self.rule.close_forgotten()

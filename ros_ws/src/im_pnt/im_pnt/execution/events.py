@@ -4,7 +4,7 @@ import enum
 from dataclasses import dataclass, field
 
 from im_core.errors import ImError
-from im_pnt.execution.jobs import Activity, Job, Request
+from im_pnt.execution.jobs import Activity, Carried, Job, JobKey, Request
 from im_pnt.execution.operator import Mode
 
 
@@ -74,10 +74,64 @@ class RequestCancelled:
 
 @dataclass(frozen=True, slots=True)
 class TokenArrived:
-    """Tokens of another net arrive."""
+    """Tokens of another net arrive; with what they carry, where they are a command's or a request's."""
 
     place: str
     count: int
+    carried: Carried | None = None
+
+
+class Tiding(enum.StrEnum):
+    """What one net tells another of a job whose tokens have crossed between them."""
+
+    SETTLED = "settled"
+    """The work of a token that was sent is done, there and wherever it has led to."""
+    CANCELLED = "cancelled"
+    """The job should come to an end early."""
+    HELD = "held"
+    """Nothing more is begun for it."""
+    RELEASED = "released"
+    """It goes on."""
+    ENDED = "ended"
+    """It has ended at home: its tokens are nobody's."""
+    CONCLUDED = "concluded"
+    """The other net has emitted that it is done, or has failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class TidingArrived:
+    """A net hears from another of a job whose tokens have crossed.
+
+    Attributes:
+        key: The job, at home.
+        home: Whether that is here.
+        tiding: What is told.
+        net: Net that tells it.
+        error: Why it is cancelled, or has failed.
+        results: What has been done for it.
+    """
+
+    key: JobKey
+    home: bool
+    tiding: Tiding
+    net: str
+    error: ImError | None = None
+    results: dict[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeForgotten:
+    """A node is gone for good: tokens that were sent there are lost, and what came from there ends.
+
+    Attributes:
+        node: The node.
+        nets: Nets of it.
+        error: Why.
+    """
+
+    node: str
+    nets: tuple[str, ...]
+    error: ImError
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +198,8 @@ Event = (
     | RequestArrived
     | RequestCancelled
     | TokenArrived
+    | TidingArrived
+    | NodeForgotten
     | ActionEnded
     | ObjectInvalidated
     | Answered

@@ -6,7 +6,7 @@ confirm later; :meth:`Executor.next_wakeup` tells when time alone has something 
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
 from im_core.clock import monotonic
@@ -15,11 +15,11 @@ from im_pnt.errors import NetError
 from im_pnt.execution.actions import Actions, CheckObjects, Runner
 from im_pnt.execution.conflicts import ConflictResolution, StrategyBook
 from im_pnt.execution.event_loop import EventLoop
-from im_pnt.execution.events import ActionEnded, Answer, Answered, CommandWritten, Event
+from im_pnt.execution.events import ActionEnded, Answer, Answered, CommandWritten, Event, Tiding, TokenArrived
 from im_pnt.execution.firing import FiringRule
 from im_pnt.execution.functions import Functions
-from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job, Request
-from im_pnt.execution.notification import Observer, Outlet
+from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job, JobKey, Request
+from im_pnt.execution.notification import Leaving, Observer, Outlet
 from im_pnt.execution.operator import Mode, Operator
 from im_pnt.execution.record import NetEntry, Record, plain
 from im_pnt.execution.timers import Timers
@@ -60,6 +60,9 @@ def rest_of(rule: FiringRule, waiting: int) -> Rest:
     for job in rule.ledger.jobs():
         if job.request is not None:
             reasons.append(f"request {job.request.id} of net {job.request.caller_net} is open")
+        elif job.visit is not None:
+            owner = job.visit.owner
+            reasons.append(f"tokens of command {owner.command.symbol} of net {owner.key.net} are here")
         else:
             reasons.append(f"command {job.symbol} (number {job.command.id}) is open")
     rest = rule.net.rest_places()
@@ -73,7 +76,17 @@ def rest_of(rule: FiringRule, waiting: int) -> Rest:
 class _Nowhere:
     """Takes what a net sends again that is brought back, and sends nothing."""
 
-    def send_token(self, net: str, target: RemotePlace, count: int) -> None:
+    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
+        """Sends nothing."""
+
+    def send_tiding(
+        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Sends nothing."""
+
+    def send_settled(
+        self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
         """Sends nothing."""
 
     def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
@@ -251,6 +264,14 @@ class Executor:
         """Returns the open jobs, in the order of their arrival."""
         return self.rule.ledger.jobs()
 
+    def concerned(self, node: str, nets: Collection[str]) -> bool:
+        """Whether anything here has to do with tokens that came from a node, or went to one of its nets."""
+        came = (event.carried for event in list(self._inbox) if isinstance(event, TokenArrived))
+        return any(carried is not None and carried.node == node for carried in came) or any(
+            not job.away.keys().isdisjoint(nets) or (job.visit is not None and job.visit.node == node)
+            for job in self.jobs()
+        )
+
     def activity(self, number: int) -> Activity:
         """Returns an action that runs, by its number.
 
@@ -272,6 +293,7 @@ class Executor:
         rule = self.rule
         effects = rule.record, rule.outlet, rule.notifier.observer
         rule.record, rule.outlet, rule.notifier.observer = None, _NOWHERE, Observer()
+        rule.replaying = True
         try:
             self._loop.apply(entry)
         except (LookupError, TypeError, ValueError, AssertionError) as error:
@@ -279,6 +301,7 @@ class Executor:
             raise NetError(text, net=self.net.name) from error
         finally:
             rule.record, rule.outlet, rule.notifier.observer = effects
+            rule.replaying = False
 
     def resume(self) -> None:
         """Goes on after a state was restored and entries were replayed: what ran has to be asked about."""

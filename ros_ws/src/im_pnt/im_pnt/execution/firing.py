@@ -13,9 +13,12 @@ from im_pnt.execution.events import (
     CommandHeld,
     CommandWritten,
     ModeSet,
+    NodeForgotten,
     PauseSet,
     RequestArrived,
     RequestCancelled,
+    Tiding,
+    TidingArrived,
     TokenArrived,
 )
 from im_pnt.execution.jobs import (
@@ -23,18 +26,20 @@ from im_pnt.execution.jobs import (
     NO_LINEAGE,
     Activity,
     ActivityState,
+    Carried,
     Job,
     Ledger,
     Lineage,
     Reply,
     Request,
+    Visit,
     ends,
     filled_name,
     object_name,
     scope_of,
 )
 from im_pnt.execution.marking import Tokens
-from im_pnt.execution.notification import Notifier, Observer, Outlet, Phase, failure_of
+from im_pnt.execution.notification import Leaving, Notifier, Observer, Outlet, Phase, failure_of
 from im_pnt.execution.record import (
     ActivityEnded,
     EndFired,
@@ -44,7 +49,11 @@ from im_pnt.execution.record import (
     PhaseFired,
     Record,
     TransitionFired,
+    VisitSettled,
+    add_results,
     changed_data,
+    plain_dict,
+    recorded_data,
     restore_data,
     take_data,
 )
@@ -97,7 +106,8 @@ class FiringRule:
         expires: For each symbol that does not wait for ever, how long it does [s].
         choosy: Transitions that tokens alone do not enable: it matters whose they are.
         begins: Transitions that begin a command where they read a symbol with tokens of nobody.
-        held: Numbers of the commands for which nothing is begun.
+        held: Numbers of the commands for which nothing is begun; of a visit its number here, negative.
+        replaying: Whether what an entry of a journal tells is done again.
         shared_objects: Data objects that places declare to be global.
     """
 
@@ -139,6 +149,7 @@ class FiringRule:
         beginning = (i for i in free if self.transitions[i].symbol and self.transitions[i].symbol_of is None)
         self.begins = frozenset(beginning)
         self.held: set[int] = set()
+        self.replaying = False
         reading = [t for t in self.transitions if t.symbol is not None]
         self.expires = {t.symbol: t.symbol_expires for t in reading if t.symbol and t.symbol_expires is not None}
         self._words = frozenset(t.symbol for t in reading if t.symbol_of is ReadFor.COMMAND)
@@ -167,8 +178,16 @@ class FiringRule:
         match entry:
             case TransitionFired(name, number):
                 self._fire_again(name, number)
-            case TokenArrived(place, count):
+            case TokenArrived(place, count, None):
                 self.mark_place(place, count, NO_LINEAGE)
+            case TokenArrived():
+                self._take_token(entry)
+            case TidingArrived():
+                self._hear(entry)
+            case NodeForgotten(node, nets, error):
+                self._forget_node(node, nets, error)
+            case VisitSettled(number):
+                self._leave(self._open_job(number))
             case EndFired(number, name, error, data):
                 activity = self._running(number, name)
                 if data is not None and activity.lineage.job is not None:
@@ -192,10 +211,8 @@ class FiringRule:
                 self.cancel(self.ledger.of_command(command_id), error)
             case RequestCancelled(request_id, error):
                 self.cancel(self.ledger.of_request(request_id), error)
-            case CommandHeld(command_id, True):
-                self.held.add(command_id)
-            case CommandHeld(command_id, False):
-                self.held.discard(command_id)
+            case CommandHeld(command_id, held):
+                self._hold(command_id, held, self.ledger.of_command(command_id))
             case GuardBroke(number, error):
                 self._open_job(number).last_failure = error
             case JobForgotten(number, error):
@@ -266,14 +283,155 @@ class FiringRule:
             text = f"net {self.net.name} offers no service and reads no symbol {request.service}"
             self.close(job, NetError(text, net=self.net.name, service=request.service))
 
+    # Jobs whose tokens cross between nets. Who sends a token is told when its work is done, there and wherever it has
+    # led to: so a net knows where its jobs are, and what is said of them follows their tokens (E.W. Dijkstra and
+    # C.S. Scholten, "Termination detection for diffusing computations", 1980). Cancels and pauses are believed of who
+    # has sent the first token, so that each comes once and in order.
+
+    def _take_token(self, event: TokenArrived) -> None:
+        """Takes a token of a job that comes from another net."""
+        carried = event.carried
+        assert carried is not None
+        owner, home = carried.owner, carried.home
+        job, place = self.ledger.of_key(owner.key, home), self.place[event.place]
+        known, stays = job is not None, self.tokens.carries(place)
+        if job is None and stays and not home:
+            job = Job(owner.command, owner.arguments, visit=Visit(owner, carried.node, carried.net))
+            self.ledger.add(job)
+        if job is not None:
+            add_results(job, carried.results, self._keeps)
+            job.last_failure = carried.failure or job.last_failure
+        if job is not None and not home:
+            if carried.held:
+                self._hold(-job.number, True, [job])
+            if carried.cancelled is not None and not job.cancelled:
+                self.cancel([job], carried.cancelled)
+        self.tokens.put_tokens(place, event.count, NO_LINEAGE if job is None else Lineage(job, None))
+        if known or job is None:
+            self.outlet.send_settled(self.net.name, owner.key, carried.node, carried.net, None, {})
+
+    def _hear(self, event: TidingArrived) -> None:
+        """Does what another net tells of a job whose tokens have crossed."""
+        job = self.ledger.of_key(event.key, event.home)
+        if job is None:  # it has ended meanwhile
+            return
+        match event.tiding:
+            case Tiding.SETTLED:
+                add_results(job, event.results, self._keeps)
+                job.last_failure = event.error or job.last_failure
+                left = job.away.get(event.net, 0) - 1
+                if left > 0:
+                    job.away[event.net] = left
+                else:
+                    job.away.pop(event.net, None)
+            case Tiding.CANCELLED if _is_from_parent(job, event.net):
+                self.cancel([job], event.error or cancelled_elsewhere(event.net))
+            case Tiding.HELD | Tiding.RELEASED if _is_from_parent(job, event.net):
+                self._hold(-job.number, event.tiding is Tiding.HELD, [job])
+            case Tiding.ENDED:
+                self.close(job, None)
+            case Tiding.CONCLUDED if event.home and job.from_tape:
+                add_results(job, event.results, self._keeps)
+                self.close(job, event.error)
+
+    def cancelled_visit(self, event: object) -> Job | None:
+        """Returns the job of another net whose actions an event will have to end early, None where there is none."""
+        match event:
+            case TokenArrived(carried=Carried(owner=owner, home=False, cancelled=ImError())):
+                job = self.ledger.visits.get(owner.key)
+                return None if job is None or job.cancelled else job
+            case TidingArrived(key=key, tiding=Tiding.CANCELLED, net=net):
+                job = self.ledger.visits.get(key)
+                return job if job is not None and _is_from_parent(job, net) else None
+        return None
+
+    def _forget_node(self, node: str, nets: Iterable[str], error: ImError) -> None:
+        """Gives up what has gone to a node, and ends what has come from it."""
+        for job in self.ledger.jobs():
+            for net in job.away.keys() & set(nets):
+                del job.away[net]
+                job.last_failure = error
+                self.outlet.send_tiding(self.net.name, job, Tiding.ENDED, net, error, {})
+            if job.visit is not None and job.visit.node == node:
+                self.cancel([job], error)
+                self._leave(job)
+
+    def settle_visits(self) -> None:
+        """Lets the jobs of other nets go of which nothing is left here."""
+        left = {lineage.job for queue in self.tokens.queues.values() for lineage in queue}
+        left |= {activity.lineage.job for activity in self.activities.values()}
+        for job in list(self.ledger.visits.values()):
+            if job not in left and not job.away:
+                self.happens(VisitSettled(job.number))
+
+    def _leave(self, job: Job) -> None:
+        """Ends a visit, and tells who has sent its first token."""
+        visit = job.visit
+        assert visit is not None
+        results = self._news(job, visit.net)
+        self.close(job, None)
+        self.outlet.send_settled(self.net.name, visit.owner.key, visit.node, visit.net, job.last_failure, results)
+
+    def _leaving(self, job: Job | None, net: str, count: int) -> Leaving | None:
+        """Returns what tokens take along to another net, None where they are nobody's; their job is away there."""
+        if job is None:
+            return None
+        job.away[net] = job.away.get(net, 0) + count
+        failure = None if job.visit is None else job.last_failure
+        return Leaving(job, failure, self._news(job, net), self.is_held(job))
+
+    def _news(self, job: Job, net: str) -> dict[str, object]:
+        """Returns the results of a visit that a net has not been told; those of a job that is at home stay there."""
+        if job.visit is None:
+            return {}
+        try:
+            results = recorded_data(job).results if self._keeps else plain_dict(job.results, "ctx.result")
+        except NetError as unfit:
+            self.notifier.troubled(f"what was done for {job.symbol} is not told to net {net}: {unfit}")
+            return {}
+        told = job.told.get(net, {})
+        news = {name: value for name, value in results.items() if name not in told or told[name] != value}
+        if news:
+            job.told[net] = {**told, **news}
+        return news
+
+    def _pass_on(self, job: Job, tiding: Tiding, error: ImError | None) -> None:
+        """Tells the nets where tokens of a job have gone what becomes of it; not its own, from where that comes."""
+        for net in job.away:
+            if job.visit is None or job.visit.owner.key.net != net:
+                self.outlet.send_tiding(self.net.name, job, tiding, net, error, {})
+
+    def _hold(self, number: int, held: bool, jobs: Iterable[Job]) -> None:
+        if held == (number in self.held):
+            return
+        if held:
+            self.held.add(number)
+        else:
+            self.held.discard(number)
+        for job in jobs:
+            self._pass_on(job, Tiding.HELD if held else Tiding.RELEASED, None)
+
+    def is_held(self, job: Job) -> bool:
+        """Whether nothing is begun for a job."""
+        return (job.command.id if job.visit is None else -job.number) in self.held
+
+    @property
+    def _keeps(self) -> bool:
+        """Whether a journal is told what happens, or tells it."""
+        return self.replaying or self.record is not None
+
     def close(self, job: Job, error: ImError | None) -> None:
         """Ends a job, and answers whoever asked for it."""
         was_open = self.ledger.is_open(job)
         self.notifier.flush()
         self.ledger.close(job, error)
         self.tokens.disown(job)
-        if job.command.id in self.held and all(each.command.id != job.command.id for each in self.ledger.jobs()):
+        if job.visit is not None:
+            self.held.discard(-job.number)
+        elif job.command.id in self.held and all(each.command.id != job.command.id for each in self.ledger.jobs()):
             self.held.discard(job.command.id)
+        if was_open:
+            self._pass_on(job, Tiding.ENDED, None)
         for word in self.ledger.tape.waiting() if self._words else ():
             address = word.arguments.get(ADDRESS)
             if word.symbol in self._words and address is not None and not self._under_way(address):
@@ -314,6 +472,8 @@ class FiringRule:
         if not begun or any(place not in self.net.rest_places() for place in self.tokens.marking()):
             return
         for job in begun:
+            if job.away:
+                continue
             text = f"net {self.net.name} came to rest and emitted neither {job.symbol}_done nor {job.symbol}_failed"
             error = job.last_failure or ImError(text, code="net", symbol=job.symbol)
             self.happens(JobForgotten(job.number, error))
@@ -324,6 +484,7 @@ class FiringRule:
             if self.ledger.tape.withdraw(job):
                 self.close(job, error)
             else:
+                self._pass_on(job, Tiding.CANCELLED, error)
                 job.cancelled = True
                 job.unwanted = self._awaits_acceptance(job)
                 job.last_failure = error
@@ -336,6 +497,16 @@ class FiringRule:
         """Writes to the output tape what a transition emits; that may end a job."""
         for emitted in transition.emit:
             self.notifier.emitted(emitted, lineage)
+            visit = None if lineage.job is None else lineage.job.visit
+            if lineage.job is not None and visit is not None and visit.owner.symbol:
+                done = ends(emitted, visit.owner.symbol)
+                if done is not None:
+                    error = None if done else failure_of(lineage.job, transition, lineage.failure)
+                    news = self._news(lineage.job, visit.owner.key.net)
+                    self.outlet.send_tiding(
+                        self.net.name, lineage.job, Tiding.CONCLUDED, visit.owner.key.net, error, news
+                    )
+                    continue
             job = self.ledger.ended_by(emitted, lineage.job)
             if job is not None:
                 done = ends(emitted, job.symbol)
@@ -394,7 +565,7 @@ class FiringRule:
             waiting = self.ledger.tape.of_symbol(self.transitions[index].symbol or "")
             owners = [each for owner in owners for each in (waiting if owner is None else (owner,))]
         if self.held and index not in self._withdrawing:
-            owners = [owner for owner in owners if owner is None or owner.command.id not in self.held]
+            owners = [owner for owner in owners if owner is None or not self.is_held(owner)]
         return owners
 
     def _symbol_for(self, index: int, owner: Job | None) -> Job | None:
@@ -527,7 +698,7 @@ class FiringRule:
             name = f"{name}.cancelling"
         if self.record is not None:
             self.record(PhaseFired(activity.number, name, error))
-        self._leave(activity)
+        self._leave_phase(activity)
         activity.state = state
         if activity.lineage.job is not None:
             activity.lineage.job.unwanted = False
@@ -577,7 +748,7 @@ class FiringRule:
             job.last_failure = error
         elif job is not None and (results or isinstance(activity.action, RequestAction)):
             job.replies[self.answering(activity)] = results
-        self._leave(activity)
+        self._leave_phase(activity)
         lineage = Lineage(job, error)
         self._give(index, lineage)
         transition = self.transitions[index]
@@ -595,7 +766,7 @@ class FiringRule:
         """Returns the transition as whose answer that of an action counts: of a further try, the first one."""
         return self.transitions[self.number[f"{activity.transition}.start"]].retry_of or activity.transition
 
-    def _leave(self, activity: Activity) -> None:
+    def _leave_phase(self, activity: Activity) -> None:
         self.enabling.take_tokens(self.place[_PHASE_PLACES[activity.state](activity.transition)], 1)
 
     def _give(self, index: int, lineage: Lineage) -> None:
@@ -604,7 +775,16 @@ class FiringRule:
             lineage = NO_LINEAGE
         self.tokens.give_outputs(index, lineage)
         for target, count in self.transitions[index].remote_outputs.items():
-            self.outlet.send_token(self.net.name, target, count)
+            self.outlet.send_token(self.net.name, target, count, self._leaving(lineage.job, target.net, count))
+
+
+def _is_from_parent(job: Job, net: str) -> bool:
+    return job.visit is not None and job.visit.net == net
+
+
+def cancelled_elsewhere(net: str) -> ImError:
+    """Returns why a job ends early whose tokens have come from a net where it was cancelled."""
+    return ImError(f"cancelled by net {net}", code="cancelled", net=net)
 
 
 def hands_on(activity: Activity) -> bool:

@@ -86,6 +86,77 @@ class Request:
     arguments: dict[str, object]
 
 
+class JobKey(NamedTuple):
+    """Tells a job from those of all nets and processes.
+
+    Attributes:
+        process: Name of the life of the process where it was begun, as the names of its requests begin.
+        net: Its net.
+        number: Its number there.
+    """
+
+    process: str
+    net: str
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Owner:
+    """Whose a token is that has crossed to another net.
+
+    Attributes:
+        key: The job, at home.
+        symbol: Symbol that begins and ends it, empty for a request to a service.
+        command: Its command.
+        arguments: Its arguments.
+    """
+
+    key: JobKey
+    symbol: str
+    command: Command
+    arguments: dict[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """What a token of a job carries to another net.
+
+    Attributes:
+        owner: Whose it is.
+        home: Whether it comes back to the net of its job.
+        node: Node of the net that sends it; empty for one of the same process.
+        net: That net.
+        failure: The last failure of what was done for it where it comes from, if that is not its home.
+        results: What has been done for the job and is not known there yet.
+        cancelled: Why the job should come to an end early, None if it should not.
+        held: Whether nothing is begun for it.
+    """
+
+    owner: Owner
+    home: bool
+    node: str
+    net: str
+    failure: ImError | None = None
+    results: dict[str, object] = field(default_factory=dict)
+    cancelled: ImError | None = None
+    held: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """A job of another net whose tokens have come here.
+
+    Attributes:
+        owner: The job, at home.
+        node: Node of the net that sent the first of them, and is told when none is left; empty in the same process.
+        net: That net.
+    """
+
+    owner: Owner
+    node: str
+    net: str
+
+
 @dataclass(frozen=True, slots=True)
 class CommandResult:
     """How a command ended.
@@ -111,12 +182,15 @@ class JobData(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Job:
-    """A command or request in work.
+    """A command or request in work, or what one of another net has left to do here.
 
     Attributes:
         command: The command.
         arguments: Arguments of the command, or of the request.
         request: The request, for a job that another net asked for.
+        visit: Whose tokens these are, for a job of another net.
+        away: Tokens of it that were sent to other nets and whose work is not done, by net.
+        told: Of a visit: the results that each net has been told that its tokens, or its end, were sent to.
         results: What is returned in the end; actions write it.
         replies: What actions done for this job were answered, by transition: results of requests, kept fields.
         memory: What its actions keep for each other; never sent to the caller.
@@ -148,11 +222,19 @@ class Job:
     waiting: bool = False
     recorded: JobData | None = None
     on_closed: Callable[[CommandResult], None] | None = None
+    visit: Visit | None = None
+    away: dict[str, int] = field(default_factory=dict)
+    told: dict[str, dict[str, object]] = field(default_factory=dict)
 
     @property
     def symbol(self) -> str:
         """What it is asked for: the symbol of the command, or the service of the request."""
         return self.command.symbol if self.request is None else self.request.service
+
+    @property
+    def is_command(self) -> bool:
+        """Whether it is a command of this net's own tape."""
+        return self.request is None and self.visit is None
 
     def close(self, error: ImError | None) -> None:
         """Ends the job, once."""
@@ -298,12 +380,14 @@ class Ledger:
     Attributes:
         tape: The input tape.
         serving: Requests that hold the input semaphore SI, by their numbers, the oldest first.
+        visits: Jobs of other nets whose tokens are here.
         count: Jobs entered so far; the number of the last one.
     """
 
     def __init__(self) -> None:
         self.tape = InputTape()
         self.serving: dict[int, Job] = {}
+        self.visits: dict[JobKey, Job] = {}
         self.count = 0
         self._open: dict[int, Job] = {}
 
@@ -311,16 +395,20 @@ class Ledger:
         """Enters a job and numbers it."""
         self.count += 1
         job.number = self.count
-        self._open[job.number] = job
+        self.reopen(job)
 
     def reopen(self, job: Job) -> None:
         """Enters a job under the number that it has."""
         self._open[job.number] = job
+        if job.visit is not None:
+            self.visits[job.visit.owner.key] = job
 
     def close(self, job: Job, error: ImError | None) -> None:
         """Ends a job and tells whoever waits for it."""
         self._open.pop(job.number, None)
         self.serving.pop(job.number, None)
+        if job.visit is not None:
+            self.visits.pop(job.visit.owner.key, None)
         job.close(error)
 
     def __len__(self) -> int:
@@ -338,10 +426,14 @@ class Ledger:
         """Returns an open job by its number."""
         return self._open.get(number)
 
+    def of_key(self, key: JobKey, home: bool) -> Job | None:
+        """Returns an open job of this net (``home``), or of another one whose tokens are here."""
+        return self.job(key.number) if home else self.visits.get(key)
+
     def of_command(self, command_id: int | None) -> list[Job]:
         """Returns the open jobs of a command of this net's own tape, or all jobs."""
         jobs = self._open.values()
-        return [job for job in jobs if command_id is None or (job.request is None and job.command.id == command_id)]
+        return [job for job in jobs if command_id is None or (job.is_command and job.command.id == command_id)]
 
     def of_request(self, request_id: str) -> list[Job]:
         """Returns the open jobs of a request: one or none."""

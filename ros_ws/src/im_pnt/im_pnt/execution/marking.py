@@ -176,6 +176,10 @@ class Tokens:
                 self._named[place] = self._named.get(place, 0) + count
         self.enabling.add_tokens(place, count)
 
+    def carries(self, place: int) -> bool:
+        """Whether tokens on a place may belong to somebody: it is none of a resource."""
+        return self._carries[place]
+
     def owners(self, transition: int) -> Sequence[Job | None]:
         """Returns for whom a transition that its arcs enable can fire, oldest token first; None: for nobody."""
         queues = [queue for place, _ in self._carriers[transition] if (queue := self.queues.get(place)) is not None]

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol, overload
 
 from im_core.errors import ImError
-from im_pnt.execution.jobs import Job, Lineage, Request
+from im_pnt.execution.events import Tiding
+from im_pnt.execution.jobs import Job, JobKey, Lineage, Request
 from im_pnt.execution.operator import Mode
 from im_pnt.model.net import RemotePlace, Transition
 
@@ -86,11 +87,37 @@ class Observer:
         """Called when the mode, the pause or the transitions that wait to be confirmed have changed."""
 
 
+class Leaving(NamedTuple):
+    """What tokens of a job take along to another net.
+
+    Attributes:
+        job: Whose they are.
+        failure: The last failure of a visit.
+        results: What that net has not been told.
+        held: Whether nothing is begun for the job.
+    """
+
+    job: Job
+    failure: ImError | None
+    results: dict[str, object]
+    held: bool
+
+
 class Outlet(Protocol):
     """Where tokens for other nets and replies to callers go."""
 
-    def send_token(self, net: str, target: RemotePlace, count: int) -> None:
-        """Sends tokens to a place of another net."""
+    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
+        """Sends tokens to a place of another net; with what they take along, where they are of a job."""
+
+    def send_tiding(
+        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Tells another net of a job whose tokens have crossed."""
+
+    def send_settled(
+        self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Tells the net that has sent a token of a job that the work of that is done."""
 
     def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
         """Answers a request."""

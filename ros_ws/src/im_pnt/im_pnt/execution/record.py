@@ -25,9 +25,11 @@ from im_pnt.execution.events import (
     CommandHeld,
     CommandWritten,
     ModeSet,
+    NodeForgotten,
     PauseSet,
     RequestArrived,
     RequestCancelled,
+    TidingArrived,
     TokenArrived,
 )
 from im_pnt.execution.jobs import Job, JobData
@@ -99,6 +101,12 @@ class JobForgotten(NamedTuple):
     error: ImError
 
 
+class VisitSettled(NamedTuple):
+    """Nothing is left here of a job of another net, known by its number here."""
+
+    job: int
+
+
 NetEntry = (
     TransitionFired
     | PhaseFired
@@ -109,6 +117,9 @@ NetEntry = (
     | RequestArrived
     | RequestCancelled
     | TokenArrived
+    | TidingArrived
+    | NodeForgotten
+    | VisitSettled
     | ActivityEnded
     | ModeSet
     | PauseSet
@@ -200,6 +211,20 @@ def changed_data(job: Job) -> JobData | JobChange | None:
         return None
     job.recorded = data
     return JobChange(memory, results, data.progress) if before.memory or before.results else data
+
+
+def add_results(job: Job, results: dict[str, object], recorded: bool) -> None:
+    """Adds what was done for a job elsewhere to its results.
+
+    Args:
+        job: The job.
+        results: Results by name, JSON data.
+        recorded: Whether a journal knows of them.
+    """
+    job.results.update(results)
+    if recorded and results:
+        memory, kept, progress = recorded_data(job)
+        job.recorded = JobData(memory, {**kept, **results}, progress)
 
 
 def take_data(job: Job, data: JobData | JobChange) -> None:

@@ -5,6 +5,11 @@ Of a net, ``["net", name, entry]``::
     ["command", id, symbol, arguments, priority, scope]    a command on the input tape; both only where it has them
     ["request", [id, net, service, caller_node, caller_net, caller_transition, command, arguments]]
     ["token", place, count]                            tokens of another net
+    ["token", place, count, [job, symbol, command, arguments, home, node, net, failure, results, cancelled, held]]
+                                                       of a job; it is told by its process, net and number there
+    ["tiding", job, home, what, net, error | null, results]    what becomes of a job whose tokens have crossed
+    ["node_forgotten", node, nets, error]              a node is gone for good
+    ["settled", job]                                   nothing is left of a job of another net
     ["cancel", id | null, error]                       a command, or everything, should end early
     ["hold", id, bool]                                 nothing more is begun for a command, or it goes on
     ["request_cancelled", request, error]              so should a request
@@ -68,12 +73,15 @@ from im_pnt.execution.events import (
     CommandHeld,
     CommandWritten,
     ModeSet,
+    NodeForgotten,
     PauseSet,
     RequestArrived,
     RequestCancelled,
+    Tiding,
+    TidingArrived,
     TokenArrived,
 )
-from im_pnt.execution.jobs import Command, Job, JobData, Request
+from im_pnt.execution.jobs import Carried, Command, Job, JobData, JobKey, Owner, Request
 from im_pnt.execution.operator import Mode
 from im_pnt.execution.record import (
     ActivityEnded,
@@ -84,6 +92,7 @@ from im_pnt.execution.record import (
     NetEntry,
     PhaseFired,
     TransitionFired,
+    VisitSettled,
     plain,
 )
 from im_pnt.journal.log import encode_json
@@ -123,7 +132,7 @@ def net_encoder(net: str) -> Callable[[NetEntry], str]:
                 if behind is None:
                     behind = behind_number[transition] = f",{encode_json(transition)},null,null]]"
                 return f"{before_number}{number}{behind}"
-        if isinstance(entry, TokenArrived):
+        if isinstance(entry, TokenArrived) and entry.carried is None:
             text = arrived.get((entry.place, entry.count))
             if text is None:
                 text = arrived[entry.place, entry.count] = f"{prefix}{encode_json(_net_fields(entry))}]"
@@ -158,6 +167,8 @@ def _net_fields(entry: NetEntry) -> list[object]:
             return ["guard", number, encode_error(error)]
         case JobForgotten(number, error):
             return ["forgotten", number, encode_error(error)]
+        case VisitSettled(number):
+            return ["settled", number]
         case _:
             return encode_delivery(entry)
 
@@ -193,6 +204,8 @@ def decode_net_entry(content: object) -> NetEntry:
                 return GuardBroke(number, _reason(error))
             case ["forgotten", int(number), error]:
                 return JobForgotten(number, _reason(error))
+            case ["settled", int(number)]:
+                return VisitSettled(number)
         return decode_delivery(content)
     except ValueError as error:
         raise NetError(f"{str(content)[:200]} is no entry of a net: {error}") from error
@@ -205,8 +218,13 @@ def encode_delivery(event: Delivery) -> list[object]:
         NetError: JSON cannot carry the arguments of a request.
     """
     match event:
-        case TokenArrived(place, count):
-            return ["token", place, count]
+        case TokenArrived(place, count, carried):
+            return ["token", place, count, *([] if carried is None else [_encode_carried(carried)])]
+        case TidingArrived(key, home, tiding, net, failure, results):
+            told = plain(results, f"what net {net} tells")
+            return ["tiding", [*key], home, tiding.value, net, encode_error(failure), told]
+        case NodeForgotten(node, nets, error):
+            return ["node_forgotten", node, [*nets], encode_error(error)]
         case RequestArrived(request):
             return ["request", encode_request(request)]
         case RequestCancelled(request_id, error):
@@ -225,6 +243,12 @@ def decode_delivery(content: object) -> Delivery:
     match content:
         case ["token", str(place), int(count)]:
             return TokenArrived(place, count)
+        case ["token", str(place), int(count), carried]:
+            return TokenArrived(place, count, _decode_carried(carried))
+        case ["tiding", [str(process), str(of), int(job)], bool(home), str(what), str(net), error, dict(results)]:
+            return TidingArrived(JobKey(process, of, job), home, Tiding(what), net, decode_error(error), results)
+        case ["node_forgotten", str(node), list(nets), error]:
+            return NodeForgotten(node, tuple(map(str, nets)), _reason(error))
         case ["request", request]:
             return RequestArrived(decode_request(request))
         case ["request_cancelled", str(request_id), error]:
@@ -232,6 +256,49 @@ def decode_delivery(content: object) -> Delivery:
         case ["ended", int(number), error, dict(results)]:
             return ActivityEnded(number, decode_error(error), results)
     raise ValueError(f"{str(content)[:200]} is no event")
+
+
+def encode_owner(owner: Owner) -> list[object]:
+    """Writes whose a token is that has crossed.
+
+    Raises:
+        NetError: JSON cannot carry the arguments.
+    """
+    arguments = plain(owner.arguments, f"the arguments of a job of net {owner.key.net}")
+    return [[*owner.key], owner.symbol, encode_command(owner.command), arguments]
+
+
+def decode_owner(content: object) -> Owner:
+    """Reads whose a token is that has crossed.
+
+    Raises:
+        ValueError: It is nobody.
+    """
+    match content:
+        case [[str(process), str(net), int(number)], str(symbol), command, dict(arguments)]:
+            return Owner(JobKey(process, net, number), symbol, decode_command(command), arguments)
+    raise ValueError(f"{str(content)[:200]} does not tell whose a token is")
+
+
+def _encode_carried(carried: Carried) -> list[object]:
+    return [
+        *encode_owner(carried.owner),
+        carried.home,
+        carried.node,
+        carried.net,
+        encode_error(carried.failure),
+        plain(carried.results, f"what net {carried.net} tells"),
+        encode_error(carried.cancelled),
+        carried.held,
+    ]
+
+
+def _decode_carried(content: object) -> Carried:
+    match content:
+        case [*job, bool(home), str(node), str(net), failure, dict(results), why, bool(held)]:
+            owner = decode_owner(job)
+            return Carried(owner, home, node, net, decode_error(failure), results, decode_error(why), held)
+    raise ValueError(f"{str(content)[:200]} is not what a token carries")
 
 
 def _data_fields(data: JobData | JobChange | None) -> object:
@@ -330,7 +397,7 @@ def encode_exchange_entry(entry: ExchangeEntry) -> str:
         NetError: It has a part that JSON cannot carry.
     """
     match entry:
-        case EventPosted(net, TokenArrived(place, count)):
+        case EventPosted(net, TokenArrived(place, count, None)):
             return _posted_token(net, place, count)
         case EventPosted(net, event):
             fields: list[object] = ["posted", net, encode_delivery(event)]

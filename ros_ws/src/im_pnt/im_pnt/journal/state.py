@@ -11,15 +11,17 @@ from im_pnt.distributed.streams import Peer, Sent
 from im_pnt.errors import NetError, decode_error, encode_error
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing import FiringRule
-from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, JobData, Lineage, Reply
+from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, JobData, Lineage, Reply, Visit
 from im_pnt.execution.operator import Mode
 from im_pnt.execution.record import data_of, plain, recorded_data, take_data
 from im_pnt.journal.codec import (
     decode_command,
     decode_delivery,
+    decode_owner,
     decode_request,
     encode_command,
     encode_delivery,
+    encode_owner,
     encode_request,
 )
 from im_pnt.model.net import Net, RemotePlace
@@ -134,26 +136,57 @@ def _lineage_of(known: Mapping[object, Job], content: object) -> Lineage:
 
 def _job(rule: FiringRule, job: Job) -> list[object]:
     asked = encode_command(job.command) if job.request is None else encode_request(job.request)
+    crossed: dict[str, object] = {}
+    if job.visit is not None:
+        crossed["visit"] = [*encode_owner(job.visit.owner), job.visit.node, job.visit.net]
+    if job.away:
+        crossed["away"] = dict(job.away)
+    if job.told:
+        crossed["told"] = plain(job.told, "what other nets were told")
     data = data_of(job) if rule.record is None else recorded_data(job)
     replies = plain(job.replies, "the replies")
     flags = [rule.ledger.is_open(job), job.request is not None, job.from_tape, job.cancelled, job.unwanted]
-    return [job.number, flags, asked, list(data), replies, encode_error(job.last_failure)]
+    fields = [job.number, flags, asked, list(data), replies, encode_error(job.last_failure)]
+    return [*fields, crossed] if crossed else fields
 
 
 def _job_of(content: object) -> tuple[Job, bool]:
     match content:
-        case [int(number), list(flags), asked, [dict(memory), dict(results), float(progress)], dict(replies), error]:
+        case [
+            int(number), list(flags), asked, [dict(memory), dict(results), float(progress)], dict(replies), error, *rest
+        ]:  # fmt: skip
             is_open, requested, from_tape, cancelled, unwanted = (flag is True for flag in flags)
             request = decode_request(asked) if requested else None
             command = request.command if request is not None else decode_command(asked)
             arguments = request.arguments if request is not None else command.arguments
             job = Job(command, arguments, request, number=number, from_tape=from_tape, cancelled=cancelled)
+            for crossed in rest:
+                _cross(job, crossed)
             job.replies.update(replies)
             job.last_failure = decode_error(error)
             job.closed, job.unwanted = not is_open, unwanted
             take_data(job, JobData(memory, results, progress))
             return job, is_open
     raise ValueError(f"{str(content)[:80]} is no job")
+
+
+def _cross(job: Job, content: object) -> None:
+    """Gives a job back what is known of its tokens that have crossed between nets."""
+    match content:
+        case dict():
+            pass
+        case _:
+            raise ValueError(f"{str(content)[:80]} does not tell what has crossed")
+    match content.get("visit"):
+        case None:
+            pass
+        case [key, symbol, command, arguments, str(node), str(net)]:
+            job.visit = Visit(decode_owner([key, symbol, command, arguments]), node, net)
+            job.arguments = job.visit.owner.arguments
+        case other:
+            raise ValueError(f"{str(other)[:80]} is no visit")
+    job.away = {str(net): int(count) for net, count in content.get("away", {}).items()}
+    job.told = {str(net): dict(results) for net, results in content.get("told", {}).items()}
 
 
 def _activity(activity: Activity) -> list[object]:

@@ -3,7 +3,8 @@
 A place of a resource is declared (``resource: true``) or derived. Derived is one that is marked initially, whose tokens
 a P-invariant brings back (a weighting of places that no firing changes, with no other place in it that is marked
 initially), and from which a transition takes only where it learns elsewhere whom it works for: from a symbol, or from a
-token of another place. ``resource: false`` says that a place is none.
+token of another place. So is a place of credits: a ``remote`` one that is marked initially and only taken from so; its
+tokens come back from other nets. ``resource: false`` says that a place is none.
 """
 
 from collections import Counter
@@ -43,7 +44,8 @@ def resource_places(net: Net) -> frozenset[str]:
         return declared
     outcomes = [change for each in _outcomes(net) if (change := {p: n for p, n in each.items() if n})]
     marked = frozenset(place.name for place in net.places.values() if place.tokens)
-    return declared | {name for name in candidates if _comes_back(name, outcomes, marked - {name})}
+    remote = {name for name in candidates if net.places[name].remote}
+    return declared | remote | {n for n in candidates - remote if _comes_back(n, outcomes, marked - {n})}
 
 
 def _outcomes(net: Net) -> Iterator[Mapping[str, int]]:

@@ -125,7 +125,7 @@ class Commands:
         """Enters the commands that nets have brought back from a journal, or taken over from one they replace."""
         for executor in self._nets.values():
             for job in executor.jobs():
-                if job.request is None:
+                if job.is_command:
                     number = job.command.id
                     known = self._open.get(number)
                     self._open[number] = OpenCommand(job, executor)

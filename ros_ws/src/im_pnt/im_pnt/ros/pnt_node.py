@@ -152,7 +152,7 @@ class RunNode(PntNode):
     async def _wind_down(self) -> None:
         for executor in self.exchange.nets.values():
             for job in executor.jobs():
-                if job.request is None:
+                if job.is_command:
                     self._tell(f"cancels {job.symbol}; once more ends at once")
                     self.cancel(job.command.id, "cancelled from the keyboard")
         while any(executor.jobs() for executor in self.exchange.nets.values()):

@@ -36,6 +36,8 @@ class Work:
 
     def __str__(self) -> str:
         chosen = ", ".join(f"{name}={shown(value)}" for name, value in self.choice.items())
+        if not self.kind:
+            return "a command of another net, whose tokens come here,"
         name = f"request {self.kind}" if self.is_request else f"command {self.kind}"
         return f"{name} with {chosen}" if chosen else name
 
@@ -77,6 +79,9 @@ def _works(kind: str, is_request: bool, schema: ArgumentSchema | None, texts: Se
 
 NOBODY = Work("", False, {}, {}, frozenset())
 """Stands for nobody, of whose arguments nothing is known."""
+
+VISIT = Work("", False, {}, {}, frozenset())
+"""Stands for commands and requests whose tokens come from other nets: nothing is known of what they hold."""
 
 
 class UntoldError(Exception):

@@ -4,6 +4,7 @@ A token belongs to one command or request, or to nobody (docs/nets.md), and a fi
 nobody. So it is enough to follow the tokens of one at a time, while places that may hold tokens of nobody (resources,
 what ended commands have left) give as many as are wanted: more can happen then than in the nets, never less. A command
 that has ended holds nothing; what still runs for it, and what begins with what it has left, acts on what is not held.
+Whose tokens come from another net is taken to hold nothing.
 """
 
 import itertools
@@ -18,7 +19,7 @@ from im_pnt.model.expand import active_place, cancelling_place, doubt_place, exp
 from im_pnt.model.net import Net, ReadFor, Role, Transition
 from im_pnt.model.resources import resource_places
 from im_pnt.verification import Counterexample
-from im_pnt_analysis.composition.acting import NOBODY, Acting, UntoldError, Work, works_of
+from im_pnt_analysis.composition.acting import NOBODY, VISIT, Acting, UntoldError, Work, works_of
 from im_pnt_analysis.structure.semiflows import p_semiflows
 
 MOST = 100_000
@@ -105,7 +106,7 @@ class _Holding:
         while before != (len(self.free), len(self.foreign)):
             before = len(self.free), len(self.foreign)
             self._fire_for_nobody()
-            for work in works:
+            for work in (*works, VISIT):
                 self._follow(work)
         return list(self.found.values())
 
@@ -179,6 +180,8 @@ class _Holding:
             here, way = dict(state), seen[state]
             if work.kind in self.foreign:
                 self._end(work, here, (*way, *self.foreign[work.kind]))
+            if work is VISIT:
+                self._end(work, here, way)
             if work.is_request and self._answered_by_others(work.kind):
                 self._end(work, here, (*way, f"t_f.{work.kind}"))
             for t in {t.name: t for place in here for t in self.takers.get(place, ())}.values():
@@ -196,6 +199,11 @@ class _Holding:
                         reach(after, on)
 
     def _beginnings(self, work: Work) -> Iterator[tuple[dict[str, int], _Way, bool]]:
+        if work is VISIT:
+            for place in self.net.places.values():
+                if place.remote and place.name not in self.resources:
+                    yield {place.name: self.most}, (), False
+            return
         if work.is_request:
             accept = self.whole.transitions[f"accept.{work.kind}"]
             yield self._given(accept, {}), (accept.name,), False
