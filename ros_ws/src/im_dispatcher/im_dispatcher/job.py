@@ -112,6 +112,16 @@ class PoseLoop:
         self.taken += 1
         return self.taken
 
+    def give_back(self) -> None:
+        """Take back that the present pose was taken.
+
+        Raises:
+            DataError: None has been taken.
+        """
+        if self.taken == 0:
+            raise DataError("no pose has been taken yet")
+        self.taken -= 1
+
     def skip(self) -> int:
         """Leave out the present pose; returns how many were.
 

@@ -5,6 +5,7 @@ import sys
 from trajectory_msgs.msg import JointTrajectory
 
 from im_coordinators.motion import DESTINATIONS, HOLDING_STATES, POWERED_STATES, require_rest, state_for, way_asked
+from im_coordinators.ros.establishment import Establishment
 from im_coordinators.tool import DETAILS
 from im_core.config import package_file
 from im_core.ros import qos, run
@@ -27,6 +28,8 @@ class MotionCoordinator(PntNode):
             [package_file("im_coordinators", "nets/motion_coordinator.yaml")],
             functions={
                 "group_and_owner": self.group_and_owner,
+                "to_reserve": self.to_reserve,
+                "while_reserved": self.while_reserved,
                 "destination_asked": destination_asked,
                 "path_asked": path_asked,
                 "path_to_follow": self.path_to_follow,
@@ -39,18 +42,31 @@ class MotionCoordinator(PntNode):
             },
             verifier=verify_to_load,
         )
+        self._powered = Establishment(self, "mcs", "powered")
         self.sources.follow(MCS_STATE, McsState, qos.LATCHED)
 
     def group_and_owner(self, ctx: ActionContext) -> dict[str, object]:
         """The arm that is to move, for this node alone."""
         return {"group": _group(ctx), "owner": self.get_fully_qualified_name()}
 
+    async def to_reserve(self, ctx: ActionContext) -> dict[str, object]:
+        """The same, where slots and power that are held from now on are established for the command."""
+        await self._powered.note(ctx, _group(ctx))
+        return self.group_and_owner(ctx)
+
+    async def while_reserved(self, ctx: ActionContext) -> dict[str, object]:
+        """The same, of what was reserved in this life of MCS."""
+        await self._powered.require(ctx, _group(ctx))
+        return self.group_and_owner(ctx)
+
     async def path_to_follow(self, ctx: ActionContext) -> dict[str, object]:
-        """The goal of a move: the path of the command."""
+        """The goal of a move: the path of the command, of an arm that has not lost its power since."""
+        await self._powered.require(ctx, _group(ctx))
         return {"path": await self.dom.get(ctx.object(_path(ctx)), JointTrajectory)}
 
     async def store_position(self, ctx: ActionContext, answer: GetGroupState.Response) -> None:
-        """Stores the position that MCS measured at rest."""
+        """Stores the position that MCS measured at rest, where the command has brought the arm."""
+        await self._powered.require(ctx, _group(ctx))
         told: McsState | None = self.sources.last(MCS_STATE)
         require_rest(answer.state.group, answer.state.at_rest, told.reason if told else "")
         name = ctx.object(str(ctx.request_arguments["position"]))

@@ -8,6 +8,7 @@ from std_msgs.msg import Bool, String
 from im_calibration.light import MeasuredRest, rotation_of
 from im_cell.lights import lights_told
 from im_cell.robot import load_cell
+from im_coordinators.ros.establishment import Establishment
 from im_coordinators.vision import another_look_may_help, require_spot
 from im_core import clock
 from im_core.arrivals import read_data
@@ -50,6 +51,7 @@ class VisionCoordinator(PntNode):
             verifier=verify_to_load,
         )
         self._cell = load_cell()
+        self._lit = Establishment(self, "testbed", "lit")
         self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: lights_told(message.data, self._cell))
         self._long_exposure = self.fixed_parameters.declare(
             "long_exposure", 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
@@ -64,6 +66,7 @@ class VisionCoordinator(PntNode):
         name = _light(ctx)
         if not await self.dom.is_valid(found := ctx.object(LIGHT_FOUND + name)):
             await self.dom.put(found, Bool(data=await self._is_lit(name)))
+        await self._lit.note(ctx, name)
         return {"name": name, "on": True}
 
     async def light_as_found(self, ctx: ActionContext) -> dict[str, object]:
@@ -75,6 +78,7 @@ class VisionCoordinator(PntNode):
 
     async def forget_light(self, ctx: ActionContext, answer: SetLight.Response) -> None:
         """It is as it was: what comes next finds it so."""
+        await self._lit.forget(ctx, _light(ctx))
         if await self.dom.is_valid(found := ctx.object(LIGHT_FOUND + _light(ctx))):
             await self.dom.invalidate(found)
 
@@ -94,6 +98,7 @@ class VisionCoordinator(PntNode):
 
     async def nominal_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """The request for a spot as it was asked for."""
+        await self._lit.require(ctx, _light(ctx))
         await self._require_lit(_light(ctx))
         return {"cameras": ctx.request_arguments["cameras"], "exposure": ctx.request_arguments["exposure"]}
 
@@ -114,7 +119,8 @@ class VisionCoordinator(PntNode):
             await pause(self, PAUSE_S)
 
     async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
-        """Stores the spots that were found, if any was."""
+        """Stores the spots that were found, if any was, of a light that was on all the time."""
+        await self._lit.require(ctx, _light(ctx))
         require_spot({spot.camera: spot.cause for spot in answer.spots if not spot.found}, len(answer.spots))
         found = SpotSet(spots=answer.spots, timing_json=answer.timing_json)
         await self.dom.put(ctx.object("spots"), found, place="vision_coordinator.spot_stored")

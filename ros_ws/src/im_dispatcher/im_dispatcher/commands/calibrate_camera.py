@@ -25,6 +25,9 @@ SYMBOL = "calibrate_camera"
 #: Data object: the poses of the command.
 POSES = "calibration_poses"
 
+#: Code of the failure of whoever needs what was established in a former life of the task that kept it.
+BEGUN_ANEW = "begun_anew"
+
 
 class CalibrateCamera:
     """The functions of the command.
@@ -50,6 +53,7 @@ class CalibrateCamera:
                 self.init_calib,
                 self.read_next_pos,
                 self.skip_pose,
+                self.take_up,
                 self.write_report,
                 self.note_failure,
                 self.report_failure,
@@ -57,7 +61,11 @@ class CalibrateCamera:
         }
         requests = (self.watchers, self.present_pose, self.collected)
         builders = {build.__name__: build for build in requests}
-        guards = {"more_poses": woken_by()(_more_poses), "pose_dispensable": woken_by()(_dispensable)}
+        guards = {
+            "more_poses": woken_by()(_more_poses),
+            "pose_dispensable": woken_by()(_dispensable),
+            "begun_anew": woken_by()(_begun_anew),
+        }
         asks = {name: idempotent(action) for name, action in actions.items()}
         return Functions({**actions, **builders}, guards, asks)
 
@@ -67,7 +75,7 @@ class CalibrateCamera:
         """Reads the poses and sets the loop variable."""
         self._times.restart()
         self._timed = ctx.command.id
-        ctx.memory["begun"] = [clock.monotonic(), self._host.now()]
+        ctx.memory["begun_ms"] = ctx.memory["seen_ms"] = self._clocks_ms()
         order = await self._host.apart(order_of, ctx.command.arguments, self._cameras)
         poses = len(order.file.poses)
         ctx.memory["directory"] = str(make_directory(results_dir(), clock.stamp_name()))
@@ -84,7 +92,9 @@ class CalibrateCamera:
         done, number = loop.progress, loop.next_pose()
         pose = (await self._poses(ctx)).poses[number - 1]
         ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), pose.name
+        ctx.memory["under_way"] = True
         ctx.memory["times"] = self._times_of(ctx).to_dict()
+        self._elapsed(ctx)
         await self._host.put_object(ctx.object("destination"), pose, place=f"{SYMBOL}.destination_valid")
         ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
 
@@ -105,6 +115,13 @@ class CalibrateCamera:
         await self._host.put_object(ctx.object(f"skipped/{loop.skip()}"), skipped)
         ctx.memory["loop"] = loop.to_json()
         ctx.progress(f"pose {skipped.pose} skipped: {reason}", loop.progress)
+
+    async def take_up(self, ctx: ActionContext) -> None:
+        """Gives the present pose back, if there is one: it is visited again."""
+        if ctx.memory.get("under_way"):
+            loop = _loop(ctx)
+            loop.give_back()
+            ctx.memory["loop"], ctx.memory["under_way"] = loop.to_json(), False
 
     async def collected(self, ctx: ActionContext) -> dict[str, object]:
         """What is to be calibrated from: the numbers of the poses that were observed, and why others were not."""
@@ -129,7 +146,7 @@ class CalibrateCamera:
         """Keeps the reason for which the command ends, before what is done to end it can fail too."""
         reason = "the command was cancelled" if ctx.cancelled else _reason(ctx)
         ctx.memory["reason"] = reason
-        ctx.progress(f"giving up: {reason}")
+        ctx.progress(f"{'establishing again' if _begun_anew(ctx) else 'giving up'}: {reason}")
 
     async def report_failure(self, ctx: ActionContext) -> None:
         """Writes the report of a command that failed."""
@@ -167,17 +184,34 @@ class CalibrateCamera:
     def _finish(
         self, ctx: ActionContext, report: dict[str, object], expected: CommandDuration | None = None
     ) -> dict[str, object]:
-        match ctx.memory:
-            case {"begun": [float(begun_s), float(begun_simulated_s)], "directory": str(directory)}:
-                times, simulated_s = self._times_of(ctx), self._host.now() - begun_simulated_s
-            case _:
-                raise StateError("no calibrate_camera command is running")
-        timing = times.summary(clock.monotonic() - begun_s, simulated_s)
+        elapsed_s, simulated_s = self._elapsed(ctx)
+        times, directory = self._times_of(ctx), str(ctx.memory["directory"])
+        timing = times.summary(elapsed_s, simulated_s)
         if expected is not None:
             timing["expectation"] = beside(expected, times.steps, simulated_s)
         report = {**report, "timing": timing, "seed": self._host.seed}
         write_report(Path(directory), report)
         return {"report": report, "directory": directory}
+
+    def _elapsed(self, ctx: ActionContext) -> tuple[float, float]:
+        """Wall and testbed time since the command began [s], without that in which there was no machine.
+
+        Raises:
+            StateError: None has begun.
+        """
+        match ctx.memory:
+            case {"begun_ms": [int(), int()] as begun, "seen_ms": [int(), int()] as seen}:
+                now = self._clocks_ms()
+            case _:
+                raise StateError("no calibrate_camera command is running")
+        # a clock that is before where it was seen last is another one, of the next life of computer or testbed
+        shifts = [min(0, after - before) for after, before in zip(now, seen, strict=True)]
+        begun = [start + shift for start, shift in zip(begun, shifts, strict=True)]
+        ctx.memory["begun_ms"], ctx.memory["seen_ms"] = begun, now
+        return (now[0] - begun[0]) / 1000.0, (now[1] - begun[1]) / 1000.0
+
+    def _clocks_ms(self) -> list[int]:
+        return [round(1000.0 * clock.monotonic()), round(1000.0 * self._host.now())]
 
     def _times_of(self, ctx: ActionContext) -> StepTimes:
         """The times of a command; a dispatcher that came back takes up those of its former life."""
@@ -197,6 +231,10 @@ def _more_poses(ctx: ActionContext) -> bool:
 
 def _dispensable(ctx: ActionContext) -> bool:
     return ctx.failure is not None and _loop(ctx).dispensable(ctx.failure.code)
+
+
+def _begun_anew(ctx: ActionContext) -> bool:
+    return ctx.last_failure is not None and ctx.last_failure.code == BEGUN_ANEW and not ctx.cancelled
 
 
 def _reason(ctx: ActionContext) -> str:

@@ -1,0 +1,62 @@
+"""What has been established for a command holds in one life of who keeps it: power and slots of ``/mcs``, a light."""
+
+from std_msgs.msg import UInt64
+
+from im_coordinators.established import lost
+from im_core import clock
+from im_core.errors import WaitTimeoutError
+from im_core.ros.calls import pause
+from im_pnt.execution.functions import ActionContext
+from im_pnt.ros.node import PntNode
+
+HEARD_S, PAUSE_S = 10.0, 0.02
+
+
+class Establishment:
+    """Keeps in a data object of the command in which life of a task something was established for it.
+
+    Args:
+        node: The coordinator.
+        task: Who keeps what is established.
+        what: Begins the name of the data object, such as ``powered``.
+    """
+
+    def __init__(self, node: PntNode, task: str, what: str) -> None:
+        self._node, self._task, self._what = node, task, what
+
+    async def note(self, ctx: ActionContext, name: str) -> None:
+        """Notes that something is being established for a command now; before it is, so that no death is missed.
+
+        Args:
+            ctx: What is done.
+            name: Of what, such as ``left``.
+        """
+        await self._node.dom.put(self._object(ctx, name), UInt64(data=await self._life()))
+
+    async def require(self, ctx: ActionContext, name: str) -> None:
+        """Sees to it that what was established for a command is still there; one that established nothing may go on.
+
+        Raises:
+            StateError: It went with the life in which it was; of code ``begun_anew``.
+        """
+        if await self._node.dom.is_valid(noted := self._object(ctx, name)):
+            life = (await self._node.dom.get(noted, UInt64)).data
+            if life != await self._life():
+                raise lost(self._task, self._what, name)
+
+    async def forget(self, ctx: ActionContext, name: str) -> None:
+        """Notes that it is given up."""
+        if await self._node.dom.is_valid(noted := self._object(ctx, name)):
+            await self._node.dom.invalidate(noted)
+
+    def _object(self, ctx: ActionContext, name: str) -> str:
+        return ctx.object(f"{self._what}/{name}")
+
+    async def _life(self) -> int:
+        """The present life of the task; a coordinator that has just begun waits until it hears it."""
+        deadline = clock.monotonic() + HEARD_S
+        while (life := self._node.heartbeats.incarnation(self._task)) is None:
+            if clock.monotonic() > deadline:
+                raise WaitTimeoutError(what=f"the heartbeat of {self._task}", seconds=HEARD_S)
+            await pause(self._node, PAUSE_S)
+        return life
