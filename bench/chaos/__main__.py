@@ -5,11 +5,12 @@ import itertools
 import sys
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import yaml
 
-from bench.chaos import machine, records, trial
+from bench.chaos import everything, machine, records, trial
 from bench.chaos.command import Command
 from bench.chaos.faults import KINDS, ROLES
 from bench.chaos.records import Result, Verdict
@@ -42,6 +43,11 @@ def main() -> int:
     parser.add_argument("--factor", type=float, default=0.0, help="clock factor of the machine (default: 0)")
     parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), default=tuple(KINDS), metavar="KIND")
     parser.add_argument("--roles", nargs="+", choices=ROLES, default=ROLES, metavar="ROLE")
+    parser.add_argument(
+        "--everything",
+        action="store_true",
+        help="kill -9 of all processes instead, and a start: does the command go on to what it finds undisturbed?",
+    )
     parser.add_argument("--port", type=int, default=8080, help="of the display")
     parser.add_argument("--out", type=Path, metavar="FILE", help="add a line for each injection; the table is of all")
     parser.add_argument("--docs", type=Path, metavar="PAGE", help="write the table of --out there, and inject nothing")
@@ -79,7 +85,12 @@ def _run(arguments: argparse.Namespace, results: list[Result]) -> None:
         lost = True
         while lost:
             with machine.running(arguments.factor, 1, arguments.port):
-                setting = _setting(poses, arguments)
+                setting, undisturbed = _setting(poses, arguments)
+                if arguments.everything:
+                    again = partial(machine.begin, arguments.factor, 1, arguments.port, fresh=False)
+                    for seed in seeds:
+                        _keep(everything.run(seed, setting, again, undisturbed), results, arguments.out)
+                    return
                 with Watch() as watch:
                     lost = _inject(seeds, setting, watch, results, arguments.out)
 
@@ -101,16 +112,21 @@ def _inject(seeds: Iterator[int], setting: Setting, watch: Watch, results: list[
     """Inject until the seeds are used up, or the machine does not recover and is to be started anew: then true."""
     for seed in seeds:
         result = trial.run(seed, setting, watch)
-        results.append(result)
-        if out is not None:
-            records.append(out, result)
-        recovery = "" if result.recovery_s is None else f", recovered in {result.recovery_s:.1f} s"
-        print(f"{seed}: {result.fault}: {result.verdict.value}{recovery}: {result.said}", flush=True)
-        if result.verdict.failure:
-            print(f"logs: {machine.keep_logs(seed)}", flush=True)
+        _keep(result, results, out)
         if result.verdict is Verdict.LOST:
             return True
     return False
+
+
+def _keep(result: Result, results: list[Result], out: Path | None) -> None:
+    """Add what came of an injection to the results and the file, and tell it."""
+    results.append(result)
+    if out is not None:
+        records.append(out, result)
+    recovery = "" if result.recovery_s is None else f", recovered in {result.recovery_s:.1f} s"
+    print(f"{result.seed}: {result.fault}: {result.verdict.value}{recovery}: {result.said}", flush=True)
+    if result.verdict.failure:
+        print(f"logs: {machine.keep_logs(result.seed)}", flush=True)
 
 
 def _few_poses(folder: Path) -> Path:
@@ -122,8 +138,8 @@ def _few_poses(folder: Path) -> Path:
     return path
 
 
-def _setting(poses: Path, arguments: argparse.Namespace) -> Setting:
-    """Run one command undisturbed, to know what is normal.
+def _setting(poses: Path, arguments: argparse.Namespace) -> tuple[Setting, dict[str, object]]:
+    """Run one command undisturbed, to know what is normal, and what it finds.
 
     Raises:
         StateError: It fails.
@@ -132,7 +148,7 @@ def _setting(poses: Path, arguments: argparse.Namespace) -> Setting:
     outcome = command.outcome(trial.HANG_S)
     if not outcome.success:
         raise StateError(f"undisturbed, calibrate_camera failed: {outcome.said}")
-    return Setting(
+    setting = Setting(
         poses,
         command.steps,
         outcome.ended - command.began,
@@ -141,6 +157,7 @@ def _setting(poses: Path, arguments: argparse.Namespace) -> Setting:
         tuple(arguments.roles),
         frozenset(machine.shared_files()),
     )
+    return setting, outcome.report
 
 
 if __name__ == "__main__":

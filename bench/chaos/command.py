@@ -1,4 +1,4 @@
-"""The command that the machine is given: ``calibrate_camera`` with few poses, as a user gives it."""
+"""The command that the machine is given, ``calibrate_camera`` with few poses, or waited for, as users do it."""
 
 import json
 import subprocess
@@ -39,11 +39,15 @@ class Command:
     """A running ``calibrate_camera``.
 
     Args:
-        poses: File of the poses.
+        poses: File of the poses; None: it has been given already.
+        number: Of the command that has been given.
     """
 
-    def __init__(self, poses: Path) -> None:
-        argv = [sys.executable, "-m", "im_bringup.ros.calibrate_camera", "--json", "--poses", str(poses)]
+    def __init__(self, poses: Path | None = None, number: int = 0) -> None:
+        module, *given = (
+            ("calibrate_camera", "--poses", str(poses)) if poses else ("run_command", "--attach", str(number))
+        )
+        argv = [sys.executable, "-m", f"im_bringup.ros.{module}", "--json", *given]
         self.began = clock.monotonic()
         self._process = subprocess.Popen(
             argv, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -85,8 +89,8 @@ class Command:
         for reader in self._readers:
             reader.join(timeout=10.0)
         said = next((line for line in reversed(self._lines) if not line.startswith("[")), "")
-        report = json.loads("".join(self._printed)) if code == 0 else {}
-        return Outcome(code, said.removeprefix("calibrate_camera: "), report, ended)
+        printed = json.loads("".join(self._printed)) if code == 0 else {}
+        return Outcome(code, said.partition(": ")[2] or said, printed.get("report", printed), ended)
 
     @staticmethod
     def _read(stream: IO[str] | None, lines: list[str]) -> None:

@@ -13,7 +13,7 @@ from im_core import clock, names
 from im_core.errors import StateError
 from im_core.shm import ProcessId
 
-START_S = 180.0
+START_S = 400.0
 APPEARANCE_S = 60.0
 #: Processes that tasks start, by the module they run.
 CHILDREN = {"im_mcs.servo": "servo", "im_sim.physics": "physics", "im_sim.cameras": "cameras"}
@@ -29,19 +29,28 @@ def running(factor: float, seed: int, port: int) -> Iterator[None]:
     Raises:
         StateError: It does not start.
     """
+    begin(factor, seed, port, fresh=True)
+    try:
+        yield
+    finally:
+        stop.stop(say=lambda _: None)
+
+
+def begin(factor: float, seed: int, port: int, fresh: bool) -> None:
+    """Start a machine of this ROS domain; unless ``fresh`` it goes on with what the one before had not ended.
+
+    Raises:
+        StateError: It does not start.
+    """
     path = deployments.default_path()
     deployment = deployments.load(path).with_values(factor, seed, port)
     try:
-        code = start(deployment, path, START_S)
+        code = start(deployment, path, START_S, fresh)
     except KeyboardInterrupt:
         stop.stop(say=lambda _: None)
         raise
     if code != 0:
         raise StateError("the machine did not start")
-    try:
-        yield
-    finally:
-        stop.stop(say=lambda _: None)
 
 
 def roles() -> dict[str, list[ProcessId]]:

@@ -98,7 +98,7 @@ def judge(fault: Fault, outcome: Outcome, beside: Collection[str] = ()) -> Verdi
     if outcome.code is None:
         return Verdict.HANG
     if outcome.success:
-        return Verdict.SUCCESS if _plausible(outcome.report) else Verdict.FALSE
+        return Verdict.SUCCESS if plausible(outcome.report) else Verdict.FALSE
     words = [*fault.words, *(word for victim in {*fault.victims, *beside} for word in SAYS.get(victim, (victim,)))]
     said = outcome.said.lower()
     return Verdict.TRUE_REASON if any(word in said for word in words) else Verdict.FALSE
@@ -130,7 +130,7 @@ def _again(setting: Setting) -> tuple[Outcome | None, list[str]]:
         clock.sleep(1.0)
 
 
-def _plausible(report: dict[str, object]) -> bool:
+def plausible(report: dict[str, object]) -> bool:
     """Whether the residuals of a report are those of noise; a calibration from mixed-up data fits badly."""
     chi2 = report.get("chi2_per_dof")
     return isinstance(chi2, float) and 0.05 < chi2 < 3.0

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from im_core.errors import DataError, ImError, LinkError
-from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL, CalibrateCamera
+from im_core.errors import DataError, ImError, LinkError, StateError
+from im_dispatcher.commands.calibrate_camera import BEGUN_ANEW, COMMAND, SYMBOL, CalibrateCamera
 from im_dispatcher.poses_file import WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
 from im_pnt.errors import NetError
@@ -126,6 +126,28 @@ def test_every_pose_is_visited_once_and_what_was_skipped_is_known_in_the_end(pla
     report = json.loads((Path(collected["directory"]) / "report.json").read_text())
     assert [entry["pose"] for entry in report["points_rejected"]] == ["p03", "p31"]
     assert (report["seed"], report["poses"]) == (3, 40)
+
+
+def test_a_pose_in_doubt_is_visited_again_and_one_that_was_not_begun_is_not_given_back(play: Play) -> None:
+    play.pose()
+    names = [play.pose()]
+    for _ in range(2):  # the second death comes before the pose is begun again
+        play.restart()
+        play("take_up", StateError("mcs has begun anew", code=BEGUN_ANEW))
+    names += [play.pose(), play.pose()]
+    assert names == ["p02", "p02", "p03"]
+
+
+def test_time_without_a_machine_counts_for_nothing(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
+    play.host.now = lambda: 12.0
+    play.pose()
+    play.host.now = lambda: 1.0  # the testbed of the next life began at 0, and the command goes on at 1 s
+    play.pose()
+    play.host.now = lambda: 4.0
+    play("note_failure", LinkError("the arm is gone"))
+    play("report_failure")
+    report = json.loads((Path(str(play.job.memory["directory"])) / "report.json").read_text())
+    assert report["timing"]["simulated_s"] == pytest.approx(12.0 - 7.0 + 4.0 - 1.0)
 
 
 def test_a_command_fails_with_a_report_even_if_the_data_objects_are_what_failed(play: Play) -> None:

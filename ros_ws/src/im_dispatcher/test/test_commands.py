@@ -16,6 +16,7 @@ from im_dispatcher.cell.net import cell_net
 from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
 from im_pnt.execution.functions import Functions
+from im_pnt.model.action import RequestAction
 from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.composition.holding import unheld
@@ -32,6 +33,7 @@ from pathlib import Path
 
 from im_dispatcher.command import CommandDescription
 from im_pnt.execution.functions import Functions
+from im_pnt.model.action import RequestAction
 
 COMMAND = CommandDescription(
     net=Path(__file__).parent.parent / "nets/wave.yaml",
@@ -99,7 +101,7 @@ def test_all_that_is_shipped_is_verified_together_in_few_markings() -> None:
     coordinators = package_file("im_coordinators", "nets/motion_coordinator.yaml").parent.glob("*.yaml")
     report = verify_to_load([cell, *nets, *map(load_net, sorted(coordinators))])
     report.require_ok()
-    assert report.states < 1_000_000
+    assert report.states < 1_100_000
 
 
 @pytest.mark.parametrize(
@@ -177,3 +179,33 @@ def test_functions_of_several_commands_are_joined_unless_two_have_the_same_name(
     assert set(whole.guards) == {"cancelled", "tired"}
     with pytest.raises(ConfigError, match="two commands of the Dispatcher have a function 'wave'"):
         joined([Functions({"wave": wave}), Functions({"wave": print})])
+
+
+ESTABLISH = {"power_up", "light_on"}
+#: What needs neither: it may fail for good.
+WITHOUT = {"light_on", "light_off", "power_down", "calibrate", "keep_observation"}
+PATHS = ["calibrate_camera", "move", "home", "look", "demo", "open_gripper", "close_gripper"]
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_what_fails_as_power_or_light_went_with_a_life_of_the_machine_can_establish_them_again(name: str) -> None:
+    """From where a request that needs them fails, a way leads over a branch for that to where they are asked for."""
+    net = load_net(package_file("im_dispatcher", f"nets/{name}.yaml"))
+    asked = {
+        each.name: each.action.service for each in net.transitions.values() if isinstance(each.action, RequestAction)
+    }
+    entries = {
+        place for each, service in asked.items() if service in ESTABLISH for place in net.transitions[each].inputs
+    }
+    assert entries
+    for begins, service in asked.items():
+        if service in WITHOUT:
+            continue
+        reached, guards = set(net.transitions[begins].on_failure), []
+        for _ in net.transitions:
+            for each in net.transitions.values():
+                if each.name not in asked and reached & set(each.inputs):
+                    guards.append(each.guard)
+                    reached |= set(each.outputs)
+        assert entries & reached, f"{name}: {begins} fails for good when the machine has begun anew"
+        assert any(guard and "begun_anew" in guard.name and not guard.negated for guard in guards)

@@ -3,11 +3,11 @@
 import re
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from im_core.errors import DataError, NotFoundError, StateError, StoreError
+from im_core.errors import DataError, ImError, NotFoundError, StateError, StoreError
 from im_core.files import MEBIBYTE
 from im_dom.file import open_file
 
@@ -75,54 +75,55 @@ class ObjectStore:
     def __init__(self, path: str | Path = ":memory:") -> None:
         self._path = str(path)
         self._db, self.aside = open_file(path)
+        with self._doing("written"):
+            self._db.execute(_keep_older())
 
     def together(self, works: Sequence[Callable[[], object]]) -> list[object]:
         """Do several things, in their order, with one wait for the disk.
 
         Returns:
             What each has returned, or the exception that it has raised; what is said to be done is on the disk. Where
-            the file cannot be written they are done one by one, so that one that fails does not take others along.
+            the file cannot be written, or something breaks, they are done one by one, so that one that fails does not
+            take others along.
         """
         if len(works) > 1:
-            try:
-                with self._transaction():
-                    return [self._outcome(work) for work in works]
-            except StoreError:
-                pass
+            with suppress(Exception), self._transaction():
+                return [self._answer(work) for work in works]
         found: list[object] = []
         for work in works:
             try:
-                found.append(self._outcome(work))
-            except StoreError as error:
+                with self._transaction():
+                    found.append(work())
+            except Exception as error:  # it is raised where the work was asked for
                 found.append(error)
         return found
 
-    def _outcome(self, work: Callable[[], object]) -> object:
-        """What something returns or raises; what raises has changed nothing. A file that fails is for the caller."""
+    @staticmethod
+    def _answer(work: Callable[[], object]) -> object:
+        """What something returns, or why it was refused, which is so before it changes anything."""
         try:
-            with self._transaction():
-                return work()
+            return work()
         except StoreError:
             raise
-        except Exception as error:  # it is raised where the work was asked for
+        except ImError as error:
             return error
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        """What is changed within is changed together when it is left, or not at all; they may be nested."""
-        begin, end, undo = "BEGIN", "COMMIT", "ROLLBACK"
+        """What is changed within is changed together when the outermost is left, or not at all."""
         if self._db.in_transaction:
-            begin, end, undo = "SAVEPOINT work", "RELEASE work", "ROLLBACK TO work; RELEASE work"
+            yield
+            return
         with self._doing("written"):
-            self._db.execute(begin)
+            self._db.execute("BEGIN")
         try:
             yield
             with self._doing("written"):
-                self._db.execute(end)
+                self._db.execute("COMMIT")
         except BaseException:
             with self._doing("written"):
-                for statement in undo.split(";") if self._db.in_transaction else ():  # SQLite may have undone all
-                    self._db.execute(statement)
+                if self._db.in_transaction:  # SQLite may have undone all
+                    self._db.execute("ROLLBACK")
             raise
 
     @contextmanager
@@ -172,7 +173,6 @@ class ObjectStore:
         found = _OF_A_COMMAND.match(name)
         command = command or (found[0] if found else "")
         with self._transaction(), self._doing("written"):
-            self._keep_older(name)
             row = self._db.execute(
                 "INSERT INTO objects VALUES (?, 1, ?, ?, 1, ?, ?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET"
                 " version = version + 1, type = excluded.type, hash = excluded.hash, valid = 1,"
@@ -181,20 +181,6 @@ class ObjectStore:
                 (name, kind, kind_hash, place, source, command, stamp_ns, data),
             ).fetchone()
         return _record(row)
-
-    def _keep_older(self, name: str) -> None:
-        """Moves the newest version of an object to the older ones, and deletes those that are too many or too large."""
-        if not self._db.execute("INSERT INTO older SELECT * FROM objects WHERE name = ?", (name,)).rowcount:
-            return
-        older = self._db.execute(
-            "SELECT version, length(data) FROM older WHERE name = ? ORDER BY version DESC", (name,)
-        ).fetchall()
-        total = 0
-        for count, (version, size) in enumerate(older, start=1):
-            total += size
-            if count >= KEPT_VERSIONS or total > KEPT_BYTES:
-                self._db.execute("DELETE FROM older WHERE name = ? AND version <= ?", (name, version))
-                break
 
     def record(self, name: str, version: int = 0) -> ObjectRecord:
         """What is known of an object.
@@ -297,6 +283,22 @@ class ObjectStore:
         """Close the file."""
         with self._doing("closed"):
             self._db.close()
+
+
+def _keep_older() -> str:
+    """What moves the newest version of an object to the older ones, and deletes those that are too many or too large.
+
+    It is done by SQLite, with the statement that puts the next: each other one costs a change of threads.
+    """
+    return f"""
+        CREATE TEMP TRIGGER keep_older BEFORE UPDATE OF version ON main.objects BEGIN
+            INSERT INTO older SELECT * FROM objects WHERE name = OLD.name;
+            DELETE FROM older WHERE name = OLD.name AND (version <= OLD.version + 1 - {KEPT_VERSIONS} OR (
+                SELECT sum(length(data)) FROM older AS newer
+                WHERE newer.name = OLD.name AND newer.version >= older.version
+            ) > {KEPT_BYTES});
+        END
+    """
 
 
 def _match(pattern: re.Pattern[str], what: str, value: str, allowed: str) -> None:

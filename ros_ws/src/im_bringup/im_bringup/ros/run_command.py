@@ -164,6 +164,7 @@ def main() -> int:
     )
     parser.add_argument("name", nargs="?", metavar="NAME", help="the command; none: list what there is")
     parser.add_argument("--attach", type=int, metavar="NUMBER", help="wait for a command that is under way")
+    parser.add_argument("--json", action="store_true", help="with --attach: print its results as JSON")
     for request in CONTROLS:
         parser.add_argument(f"--{request}", type=int, metavar="NUMBER", help=f"{request} a command by its number")
     texts = sys.argv[1:]
@@ -180,7 +181,7 @@ def _do(client: CommandClient, options: argparse.Namespace, texts: Sequence[str]
             return DONE
     if options.attach is not None:
         result = client.run(ExecuteCommand.Goal(attach=True, command_id=options.attach))
-        return show(result, "im run", False, client.begun)
+        return show(result, "im run", options.json, client.begun)
     if options.name is None:
         print_list(client.commands(), client.under_way())
         return DONE

@@ -73,6 +73,10 @@ class Coroutines:
         self._ready.append(work)
         self._wake()
 
+    def begin(self, work: Work) -> None:
+        """Runs a coroutine until it waits; in the loop."""
+        self._run(work)
+
     def step(self) -> None:
         """Runs every coroutine that can go on until it waits; in the loop."""
         while self._ready:

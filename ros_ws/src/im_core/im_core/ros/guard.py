@@ -6,7 +6,7 @@ the client waiting for ever.
 
 import inspect
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any
 
@@ -59,6 +59,11 @@ class GuardedNode(Node):
     def tells_contents(self) -> bool:
         """Whether services and actions publish all that they carry."""
         return False
+
+    def begin(self, work: Coroutine[object, object, None]) -> None:
+        """Run a coroutine in the loop, from a callback."""
+        assert self.executor is not None, "only an executor calls callbacks"
+        self.executor.create_task(work)
 
     def turn(self) -> None:
         """Turn once more."""
@@ -355,8 +360,7 @@ class _Answers:
         except Exception as error:  # every request is answered
             self._refuse(error, header)
             return
-        assert self._node.executor is not None, "only an executor calls callbacks"
-        self._node.executor.create_task(self._finish(response, header))
+        self._node.begin(self._finish(response, header))
 
     async def _finish(self, response: Any, header: Any) -> None:
         try:

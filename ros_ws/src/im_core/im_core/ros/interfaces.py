@@ -1,5 +1,6 @@
 """Types of messages, services and actions by name."""
 
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -9,6 +10,7 @@ from rclpy.serialization import deserialize_message
 from im_core.errors import DataError, NotFoundError
 
 
+@cache
 def interface_class(name: str) -> Any:
     """The class of ``package/msg/Type``, ``package/srv/Type`` or ``package/action/Type``, or of a service's events.
 

@@ -136,6 +136,10 @@ class ManagedNode(GuardedNode):
         """Run a coroutine in the loop; it costs nothing while it waits for a promise. From any thread."""
         self._coroutines.spawn(work)
 
+    def begin(self, work: Work) -> None:
+        """Run a coroutine at once, until it waits; likewise, from the loop alone."""
+        self._coroutines.begin(work)
+
     def wake(self) -> None:
         """Let the executor look at its suspended coroutines soon; from any thread."""
         if rclpy.ok():
