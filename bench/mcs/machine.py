@@ -21,7 +21,7 @@ from im_mcs.limits.configuration import McsConfig
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.state import Event
 
-_READY_S = 20.0
+_READY_S = 120.0
 _MOVE_S = 60.0
 _POLL_S = 0.01
 

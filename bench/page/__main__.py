@@ -103,7 +103,9 @@ def _print(made: Run) -> None:
     print(table([row.line for row in made.yardstick]))
     missed = sum(row.line.met is False for step in made.steps for row in step.rows)
     failed = sum(bool(step.failure) for step in made.steps)
-    print(f"\nall in all: {missed} bars are missed, {failed} of {len(made.steps)} parts failed")
+    unmeasured = sum(step.unmeasured for step in made.steps)
+    told = f"{missed} bars are missed, {unmeasured} figures could not be measured"
+    print(f"\nall in all: {told}, {failed} of {len(made.steps)} parts failed")
 
 
 def _commit() -> str:

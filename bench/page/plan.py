@@ -88,7 +88,13 @@ def carry_out(step: Step, command: Sequence[str] = (sys.executable, "-m")) -> St
     if said:
         print(said, file=sys.stderr, flush=True)
     return StepResult(
-        title=step.title, part=step.part, when=when, seconds=clock.monotonic() - began, failure=failure, rows=rows
+        title=step.title,
+        part=step.part,
+        when=when,
+        seconds=clock.monotonic() - began,
+        failure=failure,
+        rows=rows,
+        code=process.returncode,
     )
 
 

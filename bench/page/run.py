@@ -59,6 +59,7 @@ class StepResult(Model):
         seconds: How long it took [s].
         failure: Why there are no figures; empty: there are.
         rows: The figures.
+        code: With which its process ended: 1 tells of a missed bar, or of a group that could not be measured.
     """
 
     title: str
@@ -67,11 +68,17 @@ class StepResult(Model):
     seconds: float
     failure: str
     rows: list[Row]
+    code: int = 0
+
+    @property
+    def unmeasured(self) -> int:
+        """How many figures could not be measured; their rows say why."""
+        return sum(row.value is None for row in self.rows)
 
     @property
     def good(self) -> bool:
-        """Whether there are figures, all could be measured, and no bar is missed."""
-        return not self.failure and not any(row.line.met is False for row in self.rows)
+        """Whether there are figures, all groups could be measured, and no bar is missed."""
+        return not self.failure and self.code == 0 and not any(row.line.met is False for row in self.rows)
 
 
 class Run(Model):
@@ -171,6 +178,9 @@ def _heading(run: Run) -> str:
     bars = [row.line.met for row in rows if row.line.met is not None]
     failed = [step for step in run.steps if step.failure]
     counts = f"{len(rows)} figures, {len(bars)} with a bar, **{bars.count(False)} missed**"
+    unmeasured = sum(step.unmeasured for step in run.steps)
+    if unmeasured:
+        counts += f", **{unmeasured} could not be measured**"
     if failed:
         counts += f", **{len(failed)} parts failed**: " + ", ".join(f"`{step.title}`" for step in failed)
     return f"{run.date} UTC, commit `{run.commit}`, {run.kind}. {_load(run)} {counts}.\n"

@@ -168,6 +168,12 @@ def test_a_step_that_does_not_work_is_part_of_the_result(tmp_path, monkeypatch, 
     assert result.title == "--made_up --quick"
 
 
+def test_a_group_that_failed_is_counted_and_is_no_success():
+    silent = step(Line("lockstep", None, "", None, "the servo is not ready")).model_copy(update={"code": 1})
+    assert not silent.good
+    assert "**1 could not be measured**" in markdown(made(silent))
+
+
 def test_every_part_is_there_and_an_unknown_one_is_refused():
     for each in {*QUICK, *FULL}:
         assert (Path(page.__file__).parents[1] / each.part / "__main__.py").is_file()
@@ -205,7 +211,10 @@ def test_all_parts_are_measured_though_one_fails_and_the_exit_code_tells(tmp_pat
     assert [each.part for each in kept(tmp_path).steps] == [each.part for each in QUICK]
     told = capsys.readouterr()
     assert "failed: ended with code 1, without figures: no servo" in told.out
-    assert f"all in all: {len(QUICK) - 1} bars are missed, 1 of {len(QUICK)} parts failed" in told.out
+    assert (
+        f"all in all: {len(QUICK) - 1} bars are missed, 0 figures could not be measured, 1 of {len(QUICK)} parts failed"
+        in told.out
+    )
 
 
 def test_met_bars_are_a_success_and_a_former_run_can_be_shown_again(tmp_path, measuring, capsys):
