@@ -1,20 +1,29 @@
 #!/usr/bin/env bash
 # Publishes the messages of a bag on their topics, at the pace at which they came. Do it without a running machine,
-# or in another ROS_DOMAIN_ID: the topics would mix.
+# or in another ROS_DOMAIN_ID: the topics would mix. With --recalibrate it publishes nothing: it computes a calibration
+# of the bag again, and puts it beside the recorded one.
 #
 #   scripts/replay.sh bags/20260131-142501
 #   scripts/replay.sh my_bag --rate 4                     four times as fast
 #   scripts/replay.sh my_bag --topics /joint_states /tf   only these
 #   scripts/replay.sh my_bag --start 90 --loop --paused   from the 90th second on, again and again; space begins
 #   scripts/replay.sh my_bag --remap /tf:=/old/tf --clock under another name; the time of the bag on /clock
+#   scripts/replay.sh my_bag --recalibrate                the calibration again, from the recorded spots
+#   scripts/replay.sh my_bag --recalibrate --from images  from the recorded images: the spots are found again
+#   scripts/replay.sh my_bag --recalibrate --cameras ceiling_left --lens-model equidistant -o mine   a new one
+#   scripts/replay.sh --recalibrate --help                its options
 #
 # Keys: space pauses and goes on, . steps to the next message, left and right seek by 5 s, q ends it. What was latched
 # before the place where it begins is published first. A bag whose recorder was killed is completed before. Topics that
 # steer a machine (/im/phase, /im/task_status, tokens between nets) and the events of services are published only if
 # they are named.
-# Exit codes: 0 replayed (Ctrl-C ends it early), 2 bad usage, no such bag or topic, a type that has changed.
+# Exit codes: 0 replayed (Ctrl-C ends it early), 2 bad usage, no such bag or topic, a type that has changed; with
+# --recalibrate also 1: not the same numbers though nothing was changed, or a verdict against the new ones.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
-if wants_help "$@"; then help; exit 0; fi
+recalibrate=false
+for argument in "$@"; do [[ "$argument" != --recalibrate ]] || recalibrate=true; done
+if ! $recalibrate && wants_help "$@"; then help; exit 0; fi
 im_env
+if $recalibrate; then exec "$IM_BRINGUP/run" im_vss recalibrate "$@"; fi
 exec "$IM_BRINGUP/replay" "$@"

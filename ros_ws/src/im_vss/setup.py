@@ -20,6 +20,7 @@ setup(
     license="MIT",
     entry_points={
         "console_scripts": [
+            "recalibrate = im_vss.ros.recalibrate:main",
             "vss = im_vss.ros.node:main",
         ]
     },

@@ -11,10 +11,12 @@ from im_calibration.judgement.calibration import Calibration, CameraEstimate, Re
 from im_calibration.pipeline import calibrate
 from im_calibration.problem.dataset import dataset_of, load_problems
 from im_calibration.problem.problem import CalibrationProblem, KnownLengths
+from im_calibration.reporting.comparison import SAME, comparison, largest_difference
 from im_calibration.reporting.report import answer, report_of, summary
 from im_calibration.reporting.results import write_results
 
 __all__ = [
+    "SAME",
     "Calibration",
     "CalibrationProblem",
     "CameraEstimate",
@@ -27,7 +29,9 @@ __all__ = [
     "Verdict",
     "answer",
     "calibrate",
+    "comparison",
     "dataset_of",
+    "largest_difference",
     "load_candidates",
     "load_problems",
     "next_best_poses",

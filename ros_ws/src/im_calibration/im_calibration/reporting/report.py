@@ -44,6 +44,8 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         ],
         "points_not_seen": undetected,
         "cameras": [_camera(camera) for camera in calibration.cameras],
+        "led_offset_nominal_m": numbers(nominal),
+        "led_offset_prior_sd_m": problem.led_offset_prior_sd,
         "led_offset_m": numbers(nominal + calibration.led_offset_error),
         "led_offset_error_m": numbers(calibration.led_offset_error),
         "led_offset_standard_deviation_m": [deviations.get(f"led_offset.{axis}", 0.0) for axis in "xyz"],

@@ -71,30 +71,11 @@ class LightTracker:
         for message in reversed(tuple(self._newest)):
             try:
                 tree = {each.child_frame_id: each for each in decoded(message, TFMessage).transforms}
-                if (found := self._chain(tree, side, stamp_ns)) is not None:
+                if (found := wrist_by(tree, self._cell, side, stamp_ns, self._freshness_ns)) is not None:
                     return found
             except (DataError, ValueError):  # no message, or no rotations: not from MCS
                 continue
         return None
-
-    def _chain(self, tree: dict[str, TransformStamped], side: str, stamp_ns: int | None) -> tuple[Array, Array] | None:
-        """As :meth:`wrist`, by the frames of one message."""
-        xyz, rpy = far_end(self._cell.arm_models[self._cell.sides[side].arm].links[-1])
-        rotation = scipy.spatial.transform.Rotation.from_euler("xyz", rpy)
-        origin, frame = np.array(xyz), f"{side}_link6"
-        while frame != "world":
-            if frame not in tree:  # or it was there before: a circle
-                return None
-            step_up = tree.pop(frame)
-            header, transform = step_up.header, step_up.transform
-            age_ns = 0 if stamp_ns is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns
-            if abs(age_ns) > self._freshness_ns:
-                return None
-            q, t = transform.rotation, transform.translation
-            step = scipy.spatial.transform.Rotation.from_quat([q.x, q.y, q.z, q.w])
-            rotation, origin = step * rotation, step.apply(origin) + np.array([t.x, t.y, t.z])
-            frame = header.frame_id
-        return rotation.as_matrix(), origin
 
     def _keep(self, message: bytes) -> None:
         self._newest.append(message)
@@ -103,3 +84,36 @@ class LightTracker:
         self._lights = lights_told(message.data, self._cell)
         on = [name for name, lit in self._lights.items() if lit]
         self._light = on[0] if len(on) == 1 else self._usual
+
+
+def wrist_by(
+    tree: dict[str, TransformStamped], cell: Cell, side: str, stamp_ns: int | None = None, freshness_ns: float = 0.0
+) -> tuple[Array, Array] | None:
+    """Where the frames of one message put a wrist: rotation wrist -> world, shape (3, 3), and origin, shape (3,) [m].
+
+    Args:
+        tree: Transforms by the frames that they are of; those that were used are taken out.
+        cell: Nominal geometry.
+        side: Which arm.
+        stamp_ns: Testbed time that is asked for [ns]; None: that of the message.
+        freshness_ns: How far the stamps of the frames may be from it [ns].
+
+    Returns:
+        None where a frame on the way is not in the message, or of another time.
+    """
+    xyz, rpy = far_end(cell.arm_models[cell.sides[side].arm].links[-1])
+    rotation = scipy.spatial.transform.Rotation.from_euler("xyz", rpy)
+    origin, frame = np.array(xyz), f"{side}_link6"
+    while frame != "world":
+        if frame not in tree:  # or it was there before: a circle
+            return None
+        step_up = tree.pop(frame)
+        header, transform = step_up.header, step_up.transform
+        age_ns = 0 if stamp_ns is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns
+        if abs(age_ns) > freshness_ns:
+            return None
+        q, t = transform.rotation, transform.translation
+        step = scipy.spatial.transform.Rotation.from_quat([q.x, q.y, q.z, q.w])
+        rotation, origin = step * rotation, step.apply(origin) + np.array([t.x, t.y, t.z])
+        frame = header.frame_id
+    return rotation.as_matrix(), origin

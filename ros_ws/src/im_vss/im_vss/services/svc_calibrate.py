@@ -1,5 +1,6 @@
 """Service that calibrates cameras from observations of the wrist light."""
 
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,10 +13,14 @@ from im_cell.calibration_files import CameraPose
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError, StateError
+from im_vss.camera_book import CameraBook
 from im_vss.managers import VisionClient
 from im_vss.services.service import VisionService
 
 Array = NDArray[np.float64]
+
+#: Where a frame of the robot that carries a camera is: rotation frame -> world, origin in the world [m]; None: unknown.
+Mount = Callable[[str], tuple[Array, Array] | None]
 
 
 @dataclass(frozen=True)
@@ -101,95 +106,132 @@ class SvcCalibrate(VisionService):
             ImError: A camera is unknown, it is not known where the arm is that carries it, the observations do not
                 determine the cameras, the solver did not become free in time, or the results cannot be written.
         """
-        problem = self._problem(request)
+        cameras = self.rig.settings.check_cameras(request.cameras)
+        models = {camera: self.rig.book[camera].model for camera in cameras}
+        problem = problem_of(
+            request,
+            {camera: (model.width, model.height) for camera, model in models.items()},
+            self.rig.cell.led.offset,
+            self.rig.settings.light.offset_prior_sd,
+            self.rig.settings.cameras,
+        )
         calibration: Calibration = self.tool("tool_calibrate")(client, problem)
-        found = calibration.cameras if calibration.success else ()
-        mounted: dict[str, CameraModel] = {}
-        covariance = calibration.camera_covariance
-        for estimate in found:
-            mounted[estimate.name], covariance = self._on_its_mount(estimate.name, estimate.model, covariance)
+        mounted, covariance = on_their_mounts(calibration, self.rig.book, self.rig.mount)
         if request.directory is not None:
-            poses = {name: CameraPose.of(self.rig.book[name].parent, model) for name, model in mounted.items()}
-            rectified = self.rig.book.rectified(mounted)
-            write_results(request.directory, calibration, problem, poses, rectified, covariance)
+            write_calibration(request.directory, calibration, problem, self.rig.book, mounted, covariance)
         applied = request.apply and calibration.success
         if applied:
             self.rig.book.set_cameras(mounted, covariance)
         return CalibrateResult(calibration, report_of(calibration, problem), applied, request.directory)
 
-    def _on_its_mount(
-        self, camera: str, model: CameraModel, covariance: CameraCovariance
-    ) -> tuple[CameraModel, CameraCovariance]:
-        """A camera of the world relative to the frame that it is fixed to, and how well all are known then.
 
-        Raises:
-            StateError: The camera is on an arm, and it is not known where that is.
-        """
-        parent = self.rig.book[camera].parent
-        if parent == "world":
-            return model, covariance
-        mount = self.rig.mount(parent)
-        if mount is None:
-            raise StateError(f"{camera} is fixed to {parent}, and it is not known where that is")
-        return fixed_to(model, *mount), covariance.on_mount(camera, model.R_cam_base @ mount[1])
+def problem_of(
+    request: CalibrateRequest,
+    image_sizes: Mapping[str, tuple[int, int]],
+    led_offset: tuple[float, float, float],
+    led_offset_prior_sd: float,
+    known: Collection[str],
+) -> CalibrationProblem:
+    """The observations of a request in the solver's terms.
 
-    def _problem(self, request: CalibrateRequest) -> CalibrationProblem:
-        """The observations in the solver's terms.
+    Args:
+        request: Cameras, observations and known lengths.
+        image_sizes: Width and height of the images of each camera of the request [px].
+        led_offset: Nominal place of the light in the wrist frame [m].
+        led_offset_prior_sd: How well each axis of it is known [m].
+        known: Cameras that there are; others than those of the request may have spots.
 
-        Raises:
-            ImError: A camera is unknown, there is no observation, or one is malformed.
-        """
-        cameras = self.rig.settings.check_cameras(request.cameras)
-        entries = [self.rig.book[camera] for camera in cameras]
-        observations = request.observations
-        if not observations:
-            raise DataError("there is no observation to calibrate from")
-        offset = np.array(self.rig.cell.led.offset)
-        spots, covariances = self._spots(cameras, [observation.spots for observation in observations])
-        return CalibrationProblem(
-            camera_names=cameras,
-            image_sizes=tuple((entry.model.width, entry.model.height) for entry in entries),
-            positions=np.array([o.position + o.rotation @ offset for o in observations]),
-            position_covariances=np.array([o.position_covariance for o in observations]),
-            wrist_rotations=np.array([o.rotation for o in observations]),
-            spots=spots,
-            spot_covariances=covariances,
-            led_offset_prior_sd=self.rig.settings.light.offset_prior_sd,
-            led_offset_nominal=self.rig.cell.led.offset,
-            pose_names=tuple(o.pose for o in observations),
-            lengths=self._lengths(cameras, request.lengths) if request.lengths else None,
-        )
+    Raises:
+        ImError: There is no observation, one is malformed, or of a camera that is not known.
+    """
+    observations, cameras = request.observations, request.cameras
+    if not observations:
+        raise DataError("there is no observation to calibrate from")
+    offset = np.array(led_offset)
+    spots, covariances = _spots(cameras, [observation.spots for observation in observations], known)
+    return CalibrationProblem(
+        camera_names=cameras,
+        image_sizes=tuple(image_sizes[camera] for camera in cameras),
+        positions=np.array([o.position + o.rotation @ offset for o in observations]),
+        position_covariances=np.array([o.position_covariance for o in observations]),
+        wrist_rotations=np.array([o.rotation for o in observations]),
+        spots=spots,
+        spot_covariances=covariances,
+        led_offset_prior_sd=led_offset_prior_sd,
+        led_offset_nominal=led_offset,
+        pose_names=tuple(o.pose for o in observations),
+        lengths=_lengths(cameras, request.lengths, known) if request.lengths else None,
+    )
 
-    def _lengths(self, cameras: tuple[str, ...], lengths: tuple[SeenLength, ...]) -> KnownLengths:
-        """The known lengths in the solver's terms.
 
-        Raises:
-            ImError: A camera is unknown, or a value is impossible.
-        """
-        spots, covariances = self._spots(cameras, [end for length in lengths for end in length.ends])
-        return KnownLengths(
-            np.array([each.length for each in lengths]),
-            np.array([each.standard_deviation for each in lengths]),
-            spots.reshape(len(cameras), len(lengths), 2, 2),
-            covariances.reshape(len(cameras), len(lengths), 2, 2, 2),
-        )
+def on_their_mounts(
+    calibration: Calibration, book: CameraBook, mount: Mount
+) -> tuple[dict[str, CameraModel], CameraCovariance]:
+    """The cameras of a good calibration, each relative to what it is fixed to, and how well all are known then.
 
-    def _spots(self, cameras: tuple[str, ...], seen: list[dict[str, SeenSpot]]) -> tuple[Array, Array]:
-        """Spots of some cameras, NaN where not seen, shape (c, n, 2) [px]; covariances, shape (c, n, 2, 2) [px^2].
+    Raises:
+        StateError: A camera is on an arm, and it is not known where that is.
+    """
+    mounted: dict[str, CameraModel] = {}
+    covariance = calibration.camera_covariance
+    for camera in calibration.cameras if calibration.success else ():
+        model, parent = camera.model, book[camera.name].parent
+        if parent != "world":
+            if (where := mount(parent)) is None:
+                raise StateError(f"{camera.name} is fixed to {parent}, and it is not known where that is")
+            model, covariance = fixed_to(model, *where), covariance.on_mount(camera.name, model.R_cam_base @ where[1])
+        mounted[camera.name] = model
+    return mounted, covariance
 
-        Raises:
-            NotFoundError: A spot is of a camera that is not known.
-        """
-        spots = np.full((len(cameras), len(seen), 2), np.nan)
-        covariances = np.tile(np.eye(2), (len(cameras), len(seen), 1, 1))
-        for i, by_camera in enumerate(seen):
-            for camera, spot in by_camera.items():
-                if camera in cameras:
-                    c = cameras.index(camera)
-                    spots[c, i], covariances[c, i] = spot.uv, spot.covariance
-                elif camera not in self.rig.settings.cameras:
-                    raise NotFoundError(kind="camera", name=camera, known=self.rig.settings.cameras)
-        return spots, covariances
+
+def write_calibration(
+    directory: Path,
+    calibration: Calibration,
+    problem: CalibrationProblem,
+    book: CameraBook,
+    mounted: Mapping[str, CameraModel],
+    covariance: CameraCovariance,
+) -> None:
+    """Writes report, plots and camera files, with the cameras as :func:`on_their_mounts` gives them.
+
+    Raises:
+        DataError: The directory cannot be written.
+    """
+    poses = {name: CameraPose.of(book[name].parent, model) for name, model in mounted.items()}
+    write_results(directory, calibration, problem, poses, book.rectified(mounted), covariance)
+
+
+def _lengths(cameras: tuple[str, ...], lengths: tuple[SeenLength, ...], known: Collection[str]) -> KnownLengths:
+    """The known lengths in the solver's terms.
+
+    Raises:
+        ImError: A camera is unknown, or a value is impossible.
+    """
+    spots, covariances = _spots(cameras, [end for length in lengths for end in length.ends], known)
+    return KnownLengths(
+        np.array([each.length for each in lengths]),
+        np.array([each.standard_deviation for each in lengths]),
+        spots.reshape(len(cameras), len(lengths), 2, 2),
+        covariances.reshape(len(cameras), len(lengths), 2, 2, 2),
+    )
+
+
+def _spots(cameras: tuple[str, ...], seen: list[dict[str, SeenSpot]], known: Collection[str]) -> tuple[Array, Array]:
+    """Spots of some cameras, NaN where not seen, shape (c, n, 2) [px]; covariances, shape (c, n, 2, 2) [px^2].
+
+    Raises:
+        NotFoundError: A spot is of a camera that is not known.
+    """
+    spots = np.full((len(cameras), len(seen), 2), np.nan)
+    covariances = np.tile(np.eye(2), (len(cameras), len(seen), 1, 1))
+    for i, by_camera in enumerate(seen):
+        for camera, spot in by_camera.items():
+            if camera in cameras:
+                c = cameras.index(camera)
+                spots[c, i], covariances[c, i] = spot.uv, spot.covariance
+            elif camera not in known:
+                raise NotFoundError(kind="camera", name=camera, known=known)
+    return spots, covariances
 
 
 def fixed_to(camera: CameraModel, rotation: Array, origin: Array) -> CameraModel:

@@ -33,13 +33,7 @@ class CalibratePort(Port):
         Raises:
             DataError: An observation or a known length is malformed.
         """
-        return CalibrateRequest(
-            cameras=tuple(message.cameras),
-            observations=tuple(from_observation(observation) for observation in message.observations),
-            lengths=tuple(from_known_length(length, i) for i, length in enumerate(message.known_lengths)),
-            directory=Path(message.directory) if message.directory else None,
-            apply=message.apply,
-        )
+        return from_request(message)
 
     def answer(self, result: CalibrateResult, response: Calibrate.Response) -> None:
         """The report."""
@@ -59,6 +53,21 @@ def told(result: CalibrateResult) -> str:
         return message
     where = f"{result.directory}/observations.json" if result.directory else "the observations, as a data set"
     return f"{message} The Service calibrate makes plumb_bob only: use the command calibrate_dataset on {where}."
+
+
+def from_request(message: Calibrate.Request) -> CalibrateRequest:
+    """Cameras, observations and known lengths of a request, that of a caller or one out of a bag.
+
+    Raises:
+        DataError: An observation or a known length is malformed.
+    """
+    return CalibrateRequest(
+        cameras=tuple(message.cameras),
+        observations=tuple(from_observation(observation) for observation in message.observations),
+        lengths=tuple(from_known_length(length, i) for i, length in enumerate(message.known_lengths)),
+        directory=Path(message.directory) if message.directory else None,
+        apply=message.apply,
+    )
 
 
 def from_observation(message: ObservationMessage) -> Observation:

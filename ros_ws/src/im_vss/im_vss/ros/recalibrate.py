@@ -1,0 +1,228 @@
+"""``replay.sh BAG --recalibrate``: a calibration again from a bag, without a machine, beside the recorded result."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from im_calibration import (
+    SAME,
+    Calibration,
+    CalibrationProblem,
+    calibrate,
+    comparison,
+    largest_difference,
+    report_of,
+)
+from im_calibration.problem.problem import NOISE_SOURCES
+from im_cell.lens import LENSES
+from im_cell.robot import Cell, load_cell
+from im_core import clock
+from im_core.errors import DataError, ImError
+from im_core.names import results_dir
+from im_vss.camera_book import CameraBook
+from im_vss.recalibration import RecordedCalibration, find_again, image_sizes, mount_in, recorded_calibrations
+from im_vss.ros.light_tracker import wrist_by
+from im_vss.ros.ports.calibration import from_request
+from im_vss.services.svc_calibrate import CalibrateRequest, on_their_mounts, problem_of, write_calibration
+from im_vss.settings import VssSettings, load_settings
+
+OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+_QUIET_S = 2.0
+
+_EPILOG = """\
+With the options of the recorded command the numbers are the same to 1e-9 (relative; those of a list, to its largest).
+With others it is a new calibration; the table shows both. Report, pictures and camera files are written as the command
+writes them. Spots in images are looked for with the settings of this workspace (vss.yaml), where the look was made.
+
+exit codes: 0 calibrated, and the same where nothing was changed; 1 it is not the same, there is no estimate, or a
+            verdict against it that the recorded one has not; 2 wrong arguments, no such bag, no calibration in it;
+            130 interrupted
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point.
+
+    Args:
+        arguments: Of the command line; None: those of the process.
+
+    Returns:
+        The exit code.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        return _recalibrate(options)
+    except ImError as error:
+        print(f"replay: {error.message}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("replay: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="replay",
+        description="Compute a calibration of a bag again, without a machine.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("bag", type=Path, help="folder of the bag, or a file of it")
+    parser.add_argument("--recalibrate", action="store_true", required=True, help="instead of publishing the messages")
+    parser.add_argument(
+        "--from",
+        dest="source",
+        choices=("spots", "images"),
+        default="spots",
+        help="the spots that were found then, or those that are found in the recorded images now (%(default)s)",
+    )
+    parser.add_argument("--cameras", nargs="+", metavar="CAMERA", help="only these of the recorded ones")
+    parser.add_argument("--lens-model", choices=tuple(LENSES), help="of all cameras (the command's: plumb_bob)")
+    parser.add_argument(
+        "--noise",
+        choices=("stated", "estimated"),
+        default="stated",
+        help="estimated: noise of image and robot are right up to a factor each, which is estimated (%(default)s)",
+    )
+    parser.add_argument("--number", type=int, metavar="N", help="the N-th calibration of the bag (the last)")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="DIR", help="where the results go (results/<date>-<time>-recalibrated)"
+    )
+    return parser
+
+
+def _recalibrate(options: argparse.Namespace) -> int:
+    directory = _folder(options)
+    call = _chosen(options)
+    cell = load_cell()
+    settings = load_settings(cell)
+    request = _narrowed(from_request(call.request), options, settings)
+    changed = options.source == "images" or options.lens_model or options.noise == "estimated"
+    changed = bool(changed or request.cameras != tuple(call.request.cameras))
+    if options.source == "images":
+        again = find_again(options.bag, call, request, settings, _progress())
+        request = again.request
+        print(
+            f"replay: {again.found} spots found in the images, {again.lost} of the recorded ones not; the others moved "
+            f"by {again.moved_px:.3g} px at most" + _left_out(again.missing)
+        )
+    problem = _problem(options, call, request, cell, settings)
+    calibration = calibrate(problem)
+    report = report_of(calibration, problem)
+    _write(directory, options, call, calibration, problem, cell, settings)
+    print(f"replay: {calibration.message}")
+    code = _compared(call, json.loads(json.dumps(report)), changed)
+    print(f"replay: {directory}")
+    return code
+
+
+def _chosen(options: argparse.Namespace) -> RecordedCalibration:
+    calls = recorded_calibrations(options.bag)
+    number = len(calls) if options.number is None else options.number
+    if not 1 <= number <= len(calls):
+        raise DataError(f"{options.bag}: it holds the calibrations 1 to {len(calls)}, --number is {number}")
+    call = calls[number - 1]
+    poses, cameras = len(call.request.observations), ", ".join(call.request.cameras)
+    which = f"calibration {number} of {len(calls)}" if len(calls) > 1 else "the calibration of the bag"
+    print(f"replay: {which}: {cameras}; {poses} poses")
+    return call
+
+
+def _narrowed(request: CalibrateRequest, options: argparse.Namespace, settings: VssSettings) -> CalibrateRequest:
+    """The request for the cameras of interest.
+
+    Raises:
+        ImError: One is not in the bag, not in the cell, or given twice.
+    """
+    cameras = request.cameras if options.cameras is None else tuple(options.cameras)
+    for camera in cameras:
+        if camera not in request.cameras:
+            known = ", ".join(request.cameras)
+            raise DataError(f"{options.bag}: {camera} was not calibrated in it; there are {known}", camera=camera)
+    return replace(request, cameras=settings.check_cameras(cameras))
+
+
+def _problem(
+    options: argparse.Namespace,
+    call: RecordedCalibration,
+    request: CalibrateRequest,
+    cell: Cell,
+    settings: VssSettings,
+) -> CalibrationProblem:
+    offset = call.led_offset()
+    if offset is None:
+        offset = cell.led.offset, settings.light.offset_prior_sd
+        told = f"{[1e3 * value for value in offset[0]]} mm, each axis to {1e3 * offset[1]:g} mm"
+        print(f"replay: the bag does not tell where the light is in the wrist; as this workspace has it: {told}")
+    sizes = image_sizes(options.bag, call, request.cameras)
+    problem = problem_of(request, sizes, *offset, settings.cameras)
+    if options.lens_model is not None:
+        problem = replace(problem, lens_models=(options.lens_model,) * len(request.cameras))
+    return replace(problem, noise_to_estimate=NOISE_SOURCES) if options.noise == "estimated" else problem
+
+
+def _folder(options: argparse.Namespace) -> Path:
+    """Where the results go.
+
+    Raises:
+        DataError: There is something.
+    """
+    directory: Path = options.output or results_dir() / f"{clock.stamp_name()}-recalibrated"
+    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+        raise DataError(f"{directory}: it exists and is not empty; name another folder with -o", file=str(directory))
+    return directory
+
+
+def _write(
+    directory: Path,
+    options: argparse.Namespace,
+    call: RecordedCalibration,
+    calibration: Calibration,
+    problem: CalibrationProblem,
+    cell: Cell,
+    settings: VssSettings,
+) -> None:
+    book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs)
+    mount = mount_in(options.bag, call.logged_ns, lambda tree, side: wrist_by(tree, cell, side))
+    mounted, covariance = on_their_mounts(calibration, book, mount)
+    write_calibration(directory, calibration, problem, book, mounted, covariance)
+
+
+def _compared(call: RecordedCalibration, report: dict[str, Any], changed: bool) -> int:
+    """Tells the recorded result beside the new one; the exit code."""
+    if call.report is None:
+        print(f"replay: the bag holds no estimate to compare with: {call.refusal or 'no answer was recorded'}")
+        return OK if report["success"] else FAILED
+    print("\n".join(comparison(call.report, report)))
+    if changed:
+        return OK if report["success"] or not call.report["success"] else FAILED
+    difference, where = largest_difference(call.report, report)
+    if difference <= SAME:
+        print(f"replay: the same numbers as recorded (largest relative difference {difference:.2g})")
+        return OK
+    print(f"replay: NOT the same numbers as recorded: {where} differs by {difference:.3g} (relative)")
+    return FAILED
+
+
+def _left_out(missing: int) -> str:
+    return f"; {missing} looks are left out, their images are not in the bag" if missing else ""
+
+
+def _progress() -> Callable[[str], None]:
+    """What tells how far it is, every 2 s."""
+    told = [clock.monotonic()]
+
+    def tell(text: str) -> None:
+        if clock.monotonic() - told[0] > _QUIET_S:
+            told[0] = clock.monotonic()
+            print(f"replay: {text}", file=sys.stderr, flush=True)
+
+    return tell
+
+
+if __name__ == "__main__":
+    sys.exit(main())
