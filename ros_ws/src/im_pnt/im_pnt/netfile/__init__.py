@@ -39,10 +39,15 @@ def load_net(path: str | Path) -> Net:
     return read_net(assemble(read_values(read_text(file), str(file)), file))
 
 
-def parse_net(text: str, source: str = "net") -> Net:
-    """Reads a net from YAML text, as :func:`load_net` does from a file; it can include no other file.
+def parse_net(text: str, source: str = "net", file: Path | None = None) -> Net:
+    """Reads a net from YAML text, as :func:`load_net` does from a file.
+
+    Args:
+        text: The text.
+        source: Its name in messages.
+        file: Where it belongs, so that it can include other files; None: it can include none.
 
     Raises:
         NetFileError: The text is not a net.
     """
-    return read_net(assemble(read_values(text, source), None))
+    return read_net(assemble(read_values(text, source), file))

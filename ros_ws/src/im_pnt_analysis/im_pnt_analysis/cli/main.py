@@ -22,6 +22,7 @@ PNML files of other tools. docs/nets.md tells how to write one.
   scripts/im pnt bench dispatcher.yaml                            how fast it fires and is searched
   scripts/im pnt journal show dispatcher                          what a node would remember if it came back
   scripts/im pnt bag bags/demo --picture mission.svg              what a recording tells: time line, gaps, durations
+  scripts/im pnt fit bags/demo --nets pick.yaml --write           delays and probabilities of nets out of recordings
 
 Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong
 (prove: 3 it is not proved)."""
@@ -38,6 +39,7 @@ _COMMANDS = {
     "bench": "how fast are nets?",
     "journal": "what does a node remember?",
     "bag": "what does a recording tell?",
+    "fit": "take times and probabilities from recordings",
 }
 """Modules of this folder; only the one that is called is imported, which no other has to wait for."""
 

@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from im_core.errors import ImError
@@ -10,9 +10,9 @@ from im_core.files import MEBIBYTE, FileError, read_text
 from im_core.jsontext import MAX_VALUES, JsonError, decode_json
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.model.action import RequestAction
-from im_pnt.model.delay import Delay
 from im_pnt.model.net import Net, Transition
 from im_pnt_analysis.timed.durations import CommandDuration
+from im_pnt_analysis.timed.estimation import DelayEstimate, Interval, estimate_delay, estimate_share
 
 _LARGEST = 200 * MEBIBYTE
 
@@ -158,60 +158,120 @@ def _from_records(file: str, records: list[object]) -> Measurement:
     return Measurement(tuple(found), {command: tuple(times) for command, times in commands.items()})
 
 
-_CONSTANT = 0.01
-"""Coefficient of variation below which times are taken for constant."""
+@dataclass(frozen=True, slots=True)
+class TransitionEstimate:
+    """What was measured of a transition, and what follows.
+
+    Attributes:
+        count: How often it ended.
+        delay: Its time; None: it has no action, or its time is that of a net among those that are known.
+        success: Share of actions that did not fail, with its interval; None likewise.
+        weight: Its weight among its rivals; None: it has none, or none of them was seen.
+        share: Its share of what it and its rivals did, with its interval; None likewise.
+    """
+
+    count: int
+    delay: DelayEstimate | None = None
+    success: tuple[float, Interval] | None = None
+    weight: float | None = None
+    share: tuple[float, Interval] | None = None
 
 
-def fit_delays(nets: Sequence[Net], seen: Iterable[MeasuredFiring]) -> tuple[Net, ...]:
-    """Gives the transitions the delays and frequencies that were measured.
+def estimate(
+    nets: Sequence[Net], seen: Iterable[MeasuredFiring], known: Collection[str] = ()
+) -> dict[str, dict[str, TransitionEstimate]]:
+    """Estimates times and frequencies of transitions, by net and name, of those that were seen or have such rivals.
 
-    A delay becomes a gamma distribution of the mean and the variance measured, a constant where there is next to no
-    variance; ``success`` the share of actions that did not fail. Transitions that share an input place get their counts
-    as weights, so that guards are true as often as they were; strategies, whose outcome the counts hold, are dropped.
-    What was not measured stays as it is. Requests to a net that is among them keep no delay: their time is its time.
+    Transitions that share an input place get their counts as weights, so that guards are true as often as they were.
+    Where one of them was not seen, it keeps its weight, and the others divide theirs by their counts: what is rare and
+    did not happen remains as probable as written; so do failures. A request to a known net has no delay: its time is
+    that net's.
 
     Args:
         nets: The nets, as written.
         seen: What was measured.
+        known: Further nets that say themselves how long they take.
     """
-    ended: dict[str, list[float]] = {}
-    failed: dict[str, int] = {}
+    ended: defaultdict[str, list[float]] = defaultdict(list)
+    failed: defaultdict[str, int] = defaultdict(int)
     for firing in seen:
-        ended.setdefault(firing.transition, []).append(firing.duration)
-        failed[firing.transition] = failed.get(firing.transition, 0) + firing.failed
-    given = {net.name for net in nets}
-    return tuple(_fit(net, ended, failed, given) for net in nets)
+        ended[firing.transition].append(firing.duration)
+        failed[firing.transition] += firing.failed
+    served = {*known, *(net.name for net in nets)}
+    return {net.name: _estimate_net(net, ended, failed, served) for net in nets}
 
 
-def _fit(net: Net, ended: dict[str, list[float]], failed: dict[str, int], given: set[str]) -> Net:
-    counts = {name: len(ended.get(f"{net.name}.{name}", ())) for name in net.transitions}
-    transitions: dict[str, Transition] = {}
+def _estimate_net(
+    net: Net, ended: Mapping[str, list[float]], failed: Mapping[str, int], served: Collection[str]
+) -> dict[str, TransitionEstimate]:
+    found: dict[str, TransitionEstimate] = {}
     for name, transition in net.transitions.items():
-        times = ended.get(f"{net.name}.{name}")
-        fitted = transition
-        if times and transition.action is not None:
-            served = isinstance(transition.action, RequestAction) and transition.action.net in given
-            delay, success = None if served else _delay(times), 1.0 - failed[f"{net.name}.{name}"] / len(times)
-            fitted = replace(transition, delay=delay, success=transition.success if served else success)
-        rivals = [other for other in net.transitions.values() if _contend(transition, other)]
-        if len(rivals) > 1 and any(counts[rival.name] for rival in rivals):
-            fitted = replace(fitted, weight=float(counts[name]), strategy=None)
-        transitions[name] = fitted
-    return replace(net, transitions=transitions)
+        times = ended.get(f"{net.name}.{name}", [])
+        estimated = TransitionEstimate(len(times))
+        mine = not (isinstance(transition.action, RequestAction) and transition.action.net in served)
+        if times and transition.action is not None and mine:
+            good = len(times) - failed[f"{net.name}.{name}"]
+            span = estimate_share(good, len(times))
+            as_written = good == len(times) and span.low <= transition.success
+            success = transition.success if as_written else good / len(times), span
+            estimated = replace(estimated, delay=estimate_delay(times), success=success)
+        found[name] = estimated
+    for rivals in _rivals(net):
+        counts = {name: found[name].count for name in rivals}
+        total = sum(counts.values())
+        if not total:
+            continue
+        written = sum(net.transitions[name].weight for name in rivals if counts[name])
+        scale = 1.0 if all(counts.values()) else written / total
+        for name, count in counts.items():
+            share = count / total, estimate_share(count, total)
+            weight = scale * count if count else net.transitions[name].weight
+            found[name] = replace(found[name], weight=weight, share=share)
+    return {name: each for name, each in found.items() if each.count or each.weight is not None}
+
+
+def _rivals(net: Net) -> Iterable[list[str]]:
+    """Transitions that contend, each with all that it contends with, directly or by others."""
+    left = dict(net.transitions)
+    while left:
+        group = [left.pop(next(iter(left)))]
+        for member in group:
+            near = [name for name, other in left.items() if _contend(member, other)]
+            group += [left.pop(name) for name in near]
+        if len(group) > 1:
+            yield [transition.name for transition in group]
 
 
 def _contend(one: Transition, other: Transition) -> bool:
     return not one.inputs.keys().isdisjoint(other.inputs) and one.priority == other.priority
 
 
-def _delay(times: Sequence[float]) -> Delay | None:
-    mean = math.fsum(times) / len(times)
-    if mean <= 0.0:
-        return None
-    variance = math.fsum((time - mean) ** 2 for time in times) / max(len(times) - 1, 1)
-    if variance <= (_CONSTANT * mean) ** 2:
-        return Delay("constant", (mean,))
-    return Delay("gamma", (mean * mean / variance, variance / mean))
+def fit_delays(nets: Sequence[Net], seen: Iterable[MeasuredFiring]) -> tuple[Net, ...]:
+    """Gives the transitions the delays and frequencies that :func:`estimate` finds.
+
+    Strategies, whose outcome the counts hold, are dropped. What was not measured stays as it is.
+
+    Args:
+        nets: The nets, as written.
+        seen: What was measured.
+    """
+    found = estimate(nets, seen)
+    return tuple(with_estimates(net, found[net.name]) for net in nets)
+
+
+def with_estimates(net: Net, found: Mapping[str, TransitionEstimate]) -> Net:
+    """A net with what was estimated of its transitions."""
+    transitions = dict(net.transitions)
+    for name, each in found.items():
+        fitted = transitions[name]
+        if each.delay is not None and each.success is not None:
+            fitted = replace(fitted, delay=each.delay.delay, success=each.success[0])
+        elif each.count and isinstance(fitted.action, RequestAction):
+            fitted = replace(fitted, delay=None)
+        if each.weight is not None:
+            fitted = replace(fitted, weight=each.weight, strategy=None)
+        transitions[name] = fitted
+    return replace(net, transitions=transitions)
 
 
 @dataclass(frozen=True, slots=True)
