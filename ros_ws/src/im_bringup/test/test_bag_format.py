@@ -1,0 +1,238 @@
+"""Bags as other tools expect them: metadata of rosbag2 (version 9), MCAP with profile ros2, definitions that are whole.
+
+No ``ros2 bag`` can be run here, and no Foxglove. Asserted is what they read: ``rosbag2_storage/yaml.hpp`` and the MCAP
+plugin of Jazzy, and the specification of MCAP with its registry (profile ros2, schema encoding ros2msg).
+"""
+
+import io
+import re
+from typing import Annotated, Literal
+
+import pydantic
+import pytest
+import yaml
+from mcap.data_stream import ReadDataStream
+from mcap.reader import make_reader
+from mcap.records import Chunk, MessageIndex
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits
+from im_core.bag_files import METADATA, complete_bag
+
+EVENT = "im_msgs/srv/SpotFind_Event"
+TOPICS = {
+    "/said": ("std_msgs/msg/String", Delivery(reliable=True, latched=True, depth=3)),
+    "/tf": ("tf2_msgs/msg/TFMessage", Delivery(reliable=False, latched=False, depth=5)),
+    "/vss/spot_find/_service_event": (EVENT, Delivery(reliable=True, latched=False, depth=10)),
+}
+HASH = "RIHS01_" + "0123456789abcdef" * 4
+PRIMITIVES = {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
+PRIMITIVES |= {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
+Natural = Annotated[int, pydantic.Field(ge=0, strict=True)]
+
+
+class Strict(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid")
+
+
+class Seconds(Strict):
+    sec: Natural
+    nsec: Natural
+
+
+class Qos(Strict):
+    history: Literal["keep_last", "keep_all"]
+    depth: Natural
+    reliability: Literal["reliable", "best_effort"]
+    durability: Literal["transient_local", "volatile"]
+    deadline: Seconds
+    lifespan: Seconds
+    liveliness: Literal["automatic", "manual_by_topic"]
+    liveliness_lease_duration: Seconds
+    avoid_ros_namespace_conventions: pydantic.StrictBool
+
+
+class TopicMetadata(Strict):
+    name: str
+    type: str
+    serialization_format: Literal["cdr"]
+    offered_qos_profiles: list[Qos]
+    type_description_hash: Annotated[str, pydantic.Field(pattern="^RIHS01_[0-9a-f]{64}$")]
+
+
+class TopicCount(Strict):
+    topic_metadata: TopicMetadata
+    message_count: Natural
+
+
+class Duration(Strict):
+    nanoseconds: Natural
+
+
+class Start(Strict):
+    nanoseconds_since_epoch: Natural
+
+
+class File(Strict):
+    path: str
+    starting_time: Start
+    duration: Duration
+    message_count: Natural
+
+
+class Metadata(Strict):
+    version: Literal[9]
+    storage_identifier: Literal["mcap"]
+    duration: Duration
+    starting_time: Start
+    message_count: Natural
+    topics_with_message_count: list[TopicCount]
+    compression_format: Literal[""]
+    compression_mode: Literal[""]
+    relative_file_paths: list[str]
+    files: list[File]
+    custom_data: dict[str, str] | None
+    ros_distro: Literal["jazzy"]
+
+
+def message(topic, number):
+    """Bytes of a message: a text, no transforms, or an event with neither request nor response."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    if topic == "/said":
+        return bytes(store.serialize_cdr(store.types["std_msgs/msg/String"](data=f"n{number}"), "std_msgs/msg/String"))
+    return bytes([0, 1, 0, 0]) + bytes(4 if topic == "/tf" else 48)
+
+
+@pytest.fixture(params=["closed", "killed"])
+def bag(request, tmp_path):
+    """A bag of two parts; where its recorder was killed, the last was completed."""
+    writer = BagWriter(tmp_path / "bag", PartLimits(time_ns=15 * 10**9))
+    for topic, (kind, delivery) in TOPICS.items():
+        writer.add_topic(topic, kind, delivery, HASH)
+    for number in range(24):
+        topic = list(TOPICS)[number % 3]
+        writer.write(topic, 10**18 + number * 10**9, message(topic, number), 10**18 + number, number + 1)
+        if number % 5 == 4:
+            writer.flush()
+    writer.close()
+    if request.param == "killed":
+        last = tmp_path / "bag" / "bag_1.mcap"
+        end = last.read_bytes().rindex(b"\x89MCAP0\r\n")
+        with last.open("r+b") as file:
+            file.truncate(end)
+        (tmp_path / "bag" / METADATA).unlink()
+        complete_bag(tmp_path / "bag")
+    return tmp_path / "bag"
+
+
+def parts(bag):
+    return sorted(bag.glob("*.mcap"), key=lambda path: len(path.name))
+
+
+def test_metadata_are_those_of_rosbag2_field_by_field(bag):
+    told = Metadata.model_validate(yaml.safe_load((bag / METADATA).read_text())["rosbag2_bagfile_information"])
+    assert told.relative_file_paths == [file.path for file in told.files] == ["bag.mcap", "bag_1.mcap"]
+    assert (told.message_count, [file.message_count for file in told.files]) == (24, [16, 8])
+    assert told.starting_time.nanoseconds_since_epoch == told.files[0].starting_time.nanoseconds_since_epoch == 10**18
+    assert (told.duration.nanoseconds, told.files[1].duration.nanoseconds) == (23 * 10**9, 7 * 10**9)
+    assert {each.topic_metadata.name: each.message_count for each in told.topics_with_message_count} == dict.fromkeys(
+        TOPICS, 8
+    )
+    for each in told.topics_with_message_count:
+        kind, delivery = TOPICS[each.topic_metadata.name]
+        (qos,) = each.topic_metadata.offered_qos_profiles
+        assert (each.topic_metadata.type, each.topic_metadata.type_description_hash) == (kind, HASH)
+        assert (qos.reliability == "reliable", qos.durability == "transient_local", qos.depth) == (
+            delivery.reliable,
+            delivery.latched,
+            delivery.depth,
+        )
+
+
+def test_channels_tell_type_hash_and_delivery_as_the_metadata_do(bag):
+    told = Metadata.model_validate(yaml.safe_load((bag / METADATA).read_text())["rosbag2_bagfile_information"])
+    by_name = {each.topic_metadata.name: each.topic_metadata for each in told.topics_with_message_count}
+    for part in parts(bag):
+        with part.open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            assert reader.get_header().profile == "ros2"
+            summary = reader.get_summary()
+        assert {channel.topic for channel in summary.channels.values()} == set(TOPICS)
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            assert (channel.message_encoding, schema.encoding) == ("cdr", "ros2msg")
+            assert schema.name == by_name[channel.topic].type
+            assert channel.metadata["topic_type_hash"] == by_name[channel.topic].type_description_hash
+            profiles = [Qos.model_validate(each) for each in yaml.safe_load(channel.metadata["offered_qos_profiles"])]
+            assert profiles == by_name[channel.topic].offered_qos_profiles
+
+
+def test_definitions_hold_every_type_that_they_name(bag):
+    with parts(bag)[0].open("rb") as file:
+        schemas = make_reader(file).get_summary().schemas.values()
+    for schema in schemas:
+        own, *others = re.split(r"^={80}\nMSG: ", schema.data.decode(), flags=re.MULTILINE)
+        texts = {schema.name: own} | {text.split("\n", 1)[0]: text.split("\n", 1)[1] for text in others}
+        for name, text in texts.items():
+            for line in text.splitlines():
+                words = line.partition("#")[0].split()
+                if len(words) < 2:
+                    continue
+                kind = re.sub(r"(<=\d+)?(\[.*\])?$", "", words[0])
+                package = name.split("/")[0]
+                known = {kind, f"{package}/{kind}", kind.replace("/msg/", "/"), f"{package}/srv/{kind}"}
+                assert kind in PRIMITIVES or known & texts.keys() or kind == "Header", f"{schema.name}: {line}"
+
+
+def test_chunks_are_indexed_message_by_message_and_the_summary_counts_them(bag):
+    for part in parts(bag):
+        with part.open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            summary, listed = reader.get_summary(), [each for *_, each in reader.iter_messages()]
+        assert (
+            summary.statistics.message_count == len(listed) == sum(summary.statistics.channel_message_counts.values())
+        )
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) >= 2
+        assert summary.statistics.message_start_time == min(each.log_time for each in listed)
+        assert summary.statistics.message_end_time == max(each.log_time for each in listed)
+        data, indexed = part.read_bytes(), set()
+        for index in summary.chunk_indexes:
+            assert index.compression == "zstd"
+            (chunk,) = _records(data, index.chunk_start_offset, 1)
+            assert isinstance(chunk, Chunk)
+            assert (chunk.message_start_time, chunk.message_end_time) == (
+                index.message_start_time,
+                index.message_end_time,
+            )
+            for channel, offset in index.message_index_offsets.items():
+                (entries,) = _records(data, offset, 1)
+                assert isinstance(entries, MessageIndex)
+                assert entries.channel_id == channel
+                indexed |= {(channel, time) for time, _ in entries.records}
+        assert indexed == {(each.channel_id, each.log_time) for each in listed}
+
+
+def _records(data, offset, count):
+    stream = StreamReader(ReadDataStream(io.BytesIO(data[offset:])), skip_magic=True, emit_chunks=True)
+    records = stream.records
+    return [next(records) for _ in range(count)]
+
+
+def test_public_readers_decode_it(bag):
+    """The reader of ``mcap`` knows no events: it takes the underscore in their names for a mistake."""
+    decoded, plain = [], [topic for topic, (kind, _) in TOPICS.items() if kind != EVENT]
+    for part in parts(bag):
+        with part.open("rb") as file:
+            reader = make_reader(file, decoder_factories=[DecoderFactory()])
+            decoded += [(channel.topic, content) for _, channel, _, content in reader.iter_decoded_messages(plain)]
+    assert [content.data for topic, content in decoded if topic == "/said"] == [f"n{k}" for k in range(0, 24, 3)]
+    assert [content.transforms for topic, content in decoded if topic == "/tf"] == [[]] * 8
+    with AnyReader([bag]) as reader:
+        read = [(c.topic, t, bytes(data)) for c, t, data in reader.messages()]
+        texts = [reader.deserialize(data, c.msgtype).data for c, _, data in reader.messages() if c.topic == "/said"]
+    assert texts == [f"n{k}" for k in range(0, 24, 3)]
+    with BagReader(bag) as ours:
+        assert read == [(topic, time, bytes(data)) for topic, time, data in ours.messages(list(TOPICS))]
