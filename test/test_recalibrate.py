@@ -12,6 +12,7 @@ from service_msgs.msg import ServiceEventInfo
 
 from im_bringup.bag import BagWriter, Delivery
 from im_calibration import calibrate, report_of
+from im_cell.camera_model import CameraModel
 from im_cell.robot import load_cell
 from im_msgs.msg import CalibrationReport, Observation, Spot, SpotCandidates, Status
 from im_msgs.srv import Calibrate, SpotFind
@@ -158,7 +159,7 @@ def image(pixels, stamp_ns):
 
 def test_spots_are_found_again_in_the_recorded_images(tmp_path, asked, report, capsys):
     """The images are those of other places than the spots tell: it is they that count. One pair is not there."""
-    shift, others, discs = np.array((0.0, 0.0, 0.05)), [], []
+    shift, others, discs = np.array((0.05, 0.0, 0.0)), [], []
     wanted = from_request(asked)
     offset = np.array(OFFSET) + OFF_BY
     for i, observation in enumerate(wanted.observations):
@@ -178,9 +179,13 @@ def test_spots_are_found_again_in_the_recorded_images(tmp_path, asked, report, c
     assert f"{2 * POSES - 1} spots found in the images, 1 of the recorded ones not" in told
     assert "1 looks are left out, their images are not in the bag" in told
     again = json.loads((tmp_path / "out/report.json").read_text())
-    for old, new in zip(report["cameras"], again["cameras"], strict=True):
-        then, now = (-np.array(c["R_cam_base"]).T @ np.array(c["t_cam_base_m"]) for c in (old, new))
-        np.testing.assert_allclose(then - now, shift, atol=0.01)
+    point = np.array((0.2, 0.1, 1.2))
+    for camera in again["cameras"]:
+        pose = np.array(camera["R_cam_base"]), np.array(camera["t_cam_base_m"])
+        found = CameraModel(640, 480, np.array(camera["K"]), np.array(camera["D"]), *pose)
+        true = MODELS[camera["name"]].project(point + shift)
+        np.testing.assert_allclose(found.project(point), true, atol=0.5)
+        assert abs(MODELS[camera["name"]].project(point) - true).max() > 5.0, "that is not where the spots were"
 
 
 def size_of(name):
