@@ -22,7 +22,7 @@ class Followed:
         label: What the drawing calls it.
         part: The part that measures it.
         name: How its row begins.
-        loops: Whether it is a time without a baseline, given in Python loops of the yardstick.
+        loops: Whether it is a time that is given in Python loops of the yardstick, whatever its baseline.
     """
 
     label: str
@@ -31,10 +31,11 @@ class Followed:
     loops: bool = False
 
     def value(self, run: Run) -> float | None:
-        """The ratio to the baseline of the same run, or what the bar is for; None: not measured."""
+        """What the bar is for, the ratio or the value; a time in loops. None: not measured."""
         row = run.row(self.part, self.name)
-        measure = None if row is None else row.line.measure
-        return measure / run.loop_s if self.loops and measure is not None else measure
+        if row is None or row.value is None:
+            return None
+        return row.value / run.loop_s if self.loops else row.line.measure
 
 
 FOLLOWED = (

@@ -86,10 +86,12 @@ def test_runs_of_one_commit_make_one_table_with_the_last_of_each_part():
 
 
 def test_history_holds_ratios_and_times_in_loops_of_the_yardstick():
-    lines = (LIMIT, Line("start, 10 tasks ready", 6.0, "s", bar=15.0))
+    spent = Line("  CPU time of all processes", 40.0, "s", 50.0, "wall time")
+    lines = (LIMIT, spent, Line("start, 10 tasks ready", 6.0, "s", bar=15.0))
     grown = history.with_run(history.History(versions=[]), made(step(*lines)))
     (version,) = grown.versions
-    assert version.figures == {"limit over command (1 is the limit)": 0.25, "start [Python loops]": 3.0}
+    limit = {"limit over command (1 is the limit)": 0.25}
+    assert version.figures == limit | {"command's CPU [Python loops]": 20.0, "start [Python loops]": 3.0}
     assert (version.load, version.loop_s) == (0.1, 2.0)
 
 
