@@ -39,6 +39,7 @@ def asked(service, arguments, answer):
     result = OPEN if service == "open_gripper" else CLOSE
     process = Process(
         [served, parse_net(ASKS.format(service=service, arguments=arguments, result=result))],
+        actions={"while_powered": lambda ctx: {}},
         others={GoalAction: perform},
     )
     process.command("asks", "go")
@@ -113,6 +114,6 @@ def test_what_may_be_asked_is_what_the_gripper_can_do(package, net):
 def test_a_gripper_that_there_is_not_is_refused():
     served = load_net(package_file("im_coordinators", "nets/gripper_coordinator.yaml"))
     asks = parse_net(ASKS.format(service="open_gripper", arguments="{gripper: third_gripper}", result=OPEN))
-    process = Process([served, asks])
+    process = Process([served, asks], actions={"while_powered": lambda ctx: {}})
     process.command("asks", "go")
     assert "argument gripper is 'third_gripper', not one of 'left_gripper'" in str(process.results[0].error)

@@ -27,11 +27,13 @@ class Establishment:
     async def note(self, ctx: ActionContext, name: str) -> None:
         """Notes that something is being established for a command now; before it is, so that no death is missed.
 
+        Of a task that nobody has heard of yet (life 0) no other life is told apart.
+
         Args:
             ctx: What is done.
             name: Of what, such as ``left``.
         """
-        await self._node.dom.put(self._object(ctx, name), UInt64(data=await self._life()))
+        await self._node.dom.put(self._object(ctx, name), UInt64(data=self._heard() or 0))
 
     async def require(self, ctx: ActionContext, name: str) -> None:
         """Sees to it that what was established for a command is still there; one that established nothing may go on.
@@ -41,7 +43,7 @@ class Establishment:
         """
         if await self._node.dom.is_valid(noted := self._object(ctx, name)):
             life = (await self._node.dom.get(noted, UInt64)).data
-            if life != await self._life():
+            if life and life != await self._life():
                 raise lost(self._task, self._what, name)
 
     async def forget(self, ctx: ActionContext, name: str) -> None:
@@ -55,8 +57,11 @@ class Establishment:
     async def _life(self) -> int:
         """The present life of the task; a coordinator that has just begun waits until it hears it."""
         deadline = clock.monotonic() + HEARD_S
-        while (life := self._node.heartbeats.incarnation(self._task)) is None:
+        while (life := self._heard()) is None:
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what=f"the heartbeat of {self._task}", seconds=HEARD_S)
             await pause(self._node, PAUSE_S)
         return life
+
+    def _heard(self) -> int | None:
+        return self._node.heartbeats.incarnation(self._task)
