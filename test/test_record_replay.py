@@ -144,9 +144,9 @@ def test_a_recorder_that_is_killed_leaves_a_bag_that_opens(recorder, ros, wait_u
     publisher = node.create_publisher(Firing, "/events", qos.EVENTS)
     child = recorder("--topics", "/events")
     wait_until(publisher.get_subscription_count, "the recorder")
-    publisher.publish(firing(0))
     part = tmp_path / "bag" / "bag.mcap"
     empty = part.stat().st_size
+    publisher.publish(firing(0))
     wait_until(lambda: part.stat().st_size > empty, "the first flush")
     for number in range(1, count):
         publisher.publish(firing(number))

@@ -1,5 +1,6 @@
 """Messages out of a bag (rosbag2: MCAP, SQLite), decoded; whatever is wrong with a bag is one sentence."""
 
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -7,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces.typing import Typesdict
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from im_core import unpacking
@@ -17,6 +19,7 @@ from im_core.errors import DataError, printable
 from im_core.files import FileError, check_regular
 
 _PACKED = "*.zstd"
+_IDL_PART = re.compile("^=+\nIDL: .*\n", re.MULTILINE)
 
 unpacking.install()
 
@@ -123,13 +126,19 @@ def _types(connections: Sequence[Connection]) -> Typestore:
     """Types of Jazzy, and others as the bag defines them."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for connection in connections:
-        if connection.msgdef.format == MessageDefinitionFormat.MSG:
-            package, _, own = connection.msgtype.split("/")
-            message = f"{package}/msg/{own}"  # the library knows no events of services and actions by their name
-            types = get_types_from_msg(connection.msgdef.data, message)
-            types[connection.msgtype] = types.pop(message)
-            store.register({name: spec for name, spec in types.items() if name not in store.types})
+        store.register({name: spec for name, spec in _defined(connection).items() if name not in store.types})
     return store
+
+
+def _defined(connection: Connection) -> Typesdict:
+    text = connection.msgdef.data
+    if connection.msgdef.format == MessageDefinitionFormat.MSG:
+        return get_types_from_msg(text, connection.msgtype)
+    types: Typesdict = {}
+    if connection.msgdef.format == MessageDefinitionFormat.IDL:
+        for part in filter(None, _IDL_PART.split(text)):
+            types |= get_types_from_idl(part)
+    return types
 
 
 def unreadable_bag(bag: Path, error: Exception) -> DataError:

@@ -1,10 +1,15 @@
-"""Definitions of message types, with all that they contain, as MCAP files carry them (``ros2msg``)."""
+"""Definitions of message types, with all that they contain, as MCAP files carry them.
+
+Messages as ``ros2msg``. Events of services and actions as ``ros2idl``: their names, such as ``Advance_Event``, are
+none of a message file, and readers of ``ros2msg`` refuse them.
+"""
 
 import functools
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import TypesysError, get_types_from_msg
@@ -16,10 +21,23 @@ from im_core.files import read_text
 _LINE = "=" * 80
 _SEPARATOR = re.compile(r"^---.*\n?", re.MULTILINE)
 _PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
+_IDL_NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
 
 
-def full_definition(name: str) -> str:
-    """Text of a type and, after it, of all types that it contains.
+class Definition(NamedTuple):
+    """A type and all types that it contains.
+
+    Attributes:
+        encoding: Of the text: ``ros2msg`` or ``ros2idl``.
+        text: The definitions, that of the type itself first.
+    """
+
+    encoding: str
+    text: str
+
+
+def full_definition(name: str) -> Definition:
+    """A type and, after it, all types that it contains.
 
     Args:
         name: E.g. ``im_msgs/msg/Firing``, or ``im_msgs/srv/Advance_Event``.
@@ -34,8 +52,11 @@ def full_definition(name: str) -> str:
         if each not in found:
             found[each] = definition_of(each)
             waiting += _contained(each, found[each])
+    if "/msg/" not in name:
+        return Definition("ros2idl", "".join(f"{_LINE}\nIDL: {each}\n{_idl(each, found[each])}" for each in found))
     first, *rest = found
-    return found[first] + "".join(f"\n{_LINE}\nMSG: {_short(each)}\n{found[each]}" for each in rest)
+    contained = "".join(f"\n{_LINE}\nMSG: {_short(each)}\n{found[each]}" for each in rest)
+    return Definition("ros2msg", found[first] + contained)
 
 
 @functools.lru_cache(maxsize=1024)
@@ -78,14 +99,53 @@ def _file(name: str, package: str, path: str) -> str:
 
 def _contained(name: str, text: str) -> Iterator[str]:
     """Types of the fields of a definition, by their full names."""
+    for _, description in _read(name, text)[1]:
+        for part in _named_types(description):
+            yield _existing(part)
+
+
+def _read(name: str, text: str) -> tuple[Any, Any]:
+    """Constants, by name, type and value, and fields, by name and description, of a definition."""
     try:
-        fields = get_types_from_msg(text, "{0}/msg/{2}".format(*name.split("/")))
+        ((constants, fields),) = get_types_from_msg(text, "{0}/msg/{2}".format(*name.split("/"))).values()
     except TypesysError as error:
         raise DataError(f"the definition of {name} cannot be read: {error}", type=name) from error
-    for _, described in fields.values():
-        for _, description in described:
-            for part in _named_types(description):
-                yield _existing(part)
+    return constants, fields
+
+
+def _idl(name: str, text: str) -> str:
+    """A definition in IDL, as ``rosidl_adapter`` makes it, without comments and defaults."""
+    package, kind, own = name.split("/")
+    constants, fields = _read(name, text)
+    members = [_idl_member(each, description) for each, description in fields]
+    said = [f"const {_IDL_NAMES.get(base, base)} {each} = {_idl_value(value)};" for each, base, value in constants]
+    told = f"module {own}_Constants {{ {' '.join(said)} }}; " if said else ""
+    members = members or ["uint8 structure_needs_at_least_one_member;"]  # as rosidl does: IDL has no empty structures
+    return f"module {package} {{ module {kind} {{ {told}struct {own} {{ {' '.join(members)} }}; }}; }};\n"
+
+
+def _idl_member(name: str, description: Any) -> str:
+    kind, argument = description
+    if kind == Nodetype.ARRAY:
+        return f"{_idl_type(argument[0])} {name}[{argument[1]}];"
+    return f"{_idl_type(description)} {name};"
+
+
+def _idl_type(description: Any) -> str:
+    kind, argument = description
+    if kind == Nodetype.NAME:
+        return _existing(argument).replace("/", "::")
+    if kind == Nodetype.SEQUENCE:
+        of, most = argument
+        return f"sequence<{_idl_type(of)}, {most}>" if most else f"sequence<{_idl_type(of)}>"
+    base, most = argument
+    return f"{base}<{most}>" if most else _IDL_NAMES.get(base, base)
+
+
+def _idl_value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).upper()
+    return json.dumps(value) if isinstance(value, str) else str(value)
 
 
 def _existing(name: str) -> str:

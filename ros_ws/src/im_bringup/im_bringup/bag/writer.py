@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from mcap.writer import CompressionType, Writer
 
-from im_bringup.bag.definitions import full_definition
+from im_bringup.bag.definitions import Definition, full_definition
 from im_bringup.bag.delivery import Delivery
 from im_core.bag_files import complete_file, write_metadata
 from im_core.errors import DataError, StoreError
@@ -94,7 +94,7 @@ class BagWriter:
         self.path = path
         self.counts: dict[str, int] = {}
         self._limits = limits or PartLimits()
-        self._topics: dict[str, tuple[str, str, Delivery, str]] = {}
+        self._topics: dict[str, tuple[str, Definition, Delivery, str]] = {}
         self._parts: list[Path] = []
         self._channels: dict[str, int] = {}
         self._size, self._flushed, self._begun_ns = 0, 0, 0
@@ -202,8 +202,8 @@ class BagWriter:
             self._connect(topic)
 
     def _connect(self, topic: str) -> None:
-        type_name, text, delivery, type_hash = self._topics[topic]
-        schema = self._writer.register_schema(type_name, "ros2msg", text.encode())
+        type_name, definition, delivery, type_hash = self._topics[topic]
+        schema = self._writer.register_schema(type_name, definition.encoding, definition.text.encode())
         qos = yaml.safe_dump([delivery.to_qos()], sort_keys=False)
         told = {"offered_qos_profiles": qos, "topic_type_hash": type_hash}
         self._channels[topic] = self._writer.register_channel(topic, "cdr", schema, told)
