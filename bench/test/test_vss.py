@@ -45,4 +45,4 @@ def test_a_renderer_that_fails_is_a_line_that_says_why(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["bench", "framse"])
     with pytest.raises(SystemExit, match="2"):
         bench.main()
-    assert "there is no part 'framse'; there are cameras, frames, coverage, services" in capsys.readouterr().err
+    assert "there is no group 'framse'; there are cameras, frames, coverage, services" in capsys.readouterr().err
