@@ -76,7 +76,7 @@ def carry_out(step: Step, command: Sequence[str] = (sys.executable, "-m")) -> St
         file, errors = Path(folder) / "lines.json", Path(folder) / "errors.txt"
         arguments = [*command, f"bench.{step.part}", *step.arguments, "--lines", str(file)]
         with errors.open("wb") as sink:
-            process = subprocess.Popen(arguments, stderr=sink, stdin=subprocess.DEVNULL)
+            process = subprocess.Popen(arguments, stderr=sink, stdin=subprocess.DEVNULL, preexec_fn=_heed_interrupts)
             failure = _await(process, step.limit_s)
         said = errors.read_text(encoding="utf-8", errors="replace").strip()
         rows: list[Row] = []
@@ -96,6 +96,11 @@ def carry_out(step: Step, command: Sequence[str] = (sys.executable, "-m")) -> St
         rows=rows,
         code=process.returncode,
     )
+
+
+def _heed_interrupts() -> None:
+    """A shell has what it runs in the background ignore interrupts, which is inherited."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _await(process: subprocess.Popen[bytes], limit_s: float) -> str:
