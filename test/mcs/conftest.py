@@ -161,7 +161,13 @@ class Client:
 
 
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory):
+def owner_silence_s():
+    """For how long the servo waits for signs of life of MCS [s]: here that shares its interpreter with its clients."""
+    return 60.0
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory, owner_silence_s):
     """Testbed at clock factor 0, MCS, and a client.
 
     A protective stop waits ten minutes to be resumed: without a clock, five seconds are over before a busy computer
@@ -169,6 +175,7 @@ def machine(tmp_path_factory):
     """
     data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
     data["protective"]["patience_s"] = 600.0
+    data["safety"]["owner_silence_s"] = owner_silence_s
     data["planning"]["max_trajectory_points"] = MOST_POINTS
     config = tmp_path_factory.mktemp("mcs") / "mcs.yaml"
     config.write_text(yaml.safe_dump(data), encoding="utf-8")

@@ -14,6 +14,11 @@ from im_msgs.srv import ReserveGroup
 SLOW = {"speed_scale": 0.02}
 
 
+@pytest.fixture(scope="module")
+def owner_silence_s():
+    return load_config().safety.owner_silence_s
+
+
 @pytest.fixture
 def servo():
     """Process id of the servo."""
@@ -21,13 +26,13 @@ def servo():
         yield lambda: panel.servo_pid
 
 
-def test_a_node_whose_loop_stands_still_is_stopped_for_and_goes_on_afterwards(client):
+def test_a_node_whose_loop_stands_still_is_stopped_for_and_goes_on_afterwards(client, owner_silence_s):
     """Its threads live on; only what spins the node hangs."""
     client.to_motion()
     _, result = client.start_far_move(**SLOW)
 
     async def hang():
-        clock.sleep(load_config().safety.owner_silence_s + 2.0)
+        clock.sleep(owner_silence_s + 2.0)
 
     client.mcs.spawn(hang())
     answer = result()
