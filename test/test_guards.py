@@ -2,6 +2,7 @@
 
 import ast
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -11,7 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from im_core import clock
 from im_core.errors import StateError
-from im_core.ros import qos
+from im_core.ros import failures, qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.failures import few
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
@@ -110,7 +111,8 @@ def test_subscriptions_and_timers_that_raise_are_counted_and_go_on(clumsy, asker
     assert FAULT in status.message
 
 
-def test_who_floods_a_node_is_looked_for_in_the_graph_once_and_many_are_named_shortly(clumsy):
+def test_who_floods_a_node_is_looked_for_in_the_graph_once_and_many_are_named_shortly(clumsy, monkeypatch):
+    monkeypatch.setattr(failures, "clock", SimpleNamespace(monotonic=lambda: 100.0))
     asked = []
 
     def told():

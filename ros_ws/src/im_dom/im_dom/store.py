@@ -93,9 +93,10 @@ class ObjectStore:
         for work in works:
             try:
                 with self._transaction():
-                    found.append(work())
+                    answer = work()
             except Exception as error:  # it is raised where the work was asked for
-                found.append(error)
+                answer = error
+            found.append(answer)
         return found
 
     @staticmethod
