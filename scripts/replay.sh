@@ -12,18 +12,31 @@
 #   scripts/replay.sh my_bag --recalibrate --from images  from the recorded images: the spots are found again
 #   scripts/replay.sh my_bag --recalibrate --cameras ceiling_left --lens-model equidistant -o mine   a new one
 #   scripts/replay.sh --recalibrate --help                its options
+#   scripts/replay.sh my_bag --mission                    runs its nets again, without a machine: do they do the same?
+#   scripts/replay.sh my_bag --extract small_bag          only what --mission needs, into a small bag
 #
+# --mission compares firing by firing, and tells the first difference with both sides; --mission --help has its options.
 # Keys: space pauses and goes on, . steps to the next message, left and right seek by 5 s, q ends it. What was latched
 # before the place where it begins is published first. A bag whose recorder was killed is completed before. Topics that
 # steer a machine (/im/phase, /im/task_status, tokens between nets) and the events of services are published only if
 # they are named.
 # Exit codes: 0 replayed (Ctrl-C ends it early), 2 bad usage, no such bag or topic, a type that has changed; with
-# --recalibrate also 1: not the same numbers though nothing was changed, or a verdict against the new ones.
+# --recalibrate also 1: not the same numbers though nothing was changed, or a verdict against the new ones; with
+# --mission: 0 equal, 1 it differs, 2 the bag cannot be run again.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 recalibrate=false
-for argument in "$@"; do [[ "$argument" != --recalibrate ]] || recalibrate=true; done
-if ! $recalibrate && wants_help "$@"; then help; exit 0; fi
+mission=false
+rest=()
+for argument in "$@"; do
+  case "$argument" in
+    --recalibrate) recalibrate=true; rest+=("$argument") ;;
+    --mission) mission=true ;;
+    *) rest+=("$argument") ;;
+  esac
+done
+if ! $recalibrate && ! $mission && wants_help "$@"; then help; exit 0; fi
 im_env
+if $mission; then exec "$IM_ROOT/scripts/im" pnt mission ${rest[@]+"${rest[@]}"}; fi
 if $recalibrate; then exec "$IM_BRINGUP/run" im_vss recalibrate "$@"; fi
 exec "$IM_BRINGUP/replay" "$@"

@@ -38,8 +38,14 @@ class CommandHost(Protocol):
             ImError: There is none that is valid, or ``/dom`` does not answer.
         """
 
-    async def apart(self, function: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Has a function that takes long done in a thread of its own."""
+    def noted(self, key: str, compute: Callable[[], ValueT]) -> ValueT:
+        """Returns what is computed from the world outside, such as a time or a folder; JSON data.
+
+        When a mission is run again, this is what was recorded, and nothing is computed.
+        """
+
+    async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
+        """Does the same in a thread of its own, for what takes long."""
 
     def time_steps(self, times: StepTimes) -> None:
         """Has the firings of all nets timed."""

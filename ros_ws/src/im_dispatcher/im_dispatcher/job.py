@@ -5,7 +5,7 @@ its memory, so that a dispatcher that died goes on where it was and a pose costs
 first or the thousandth.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from im_core.errors import DataError, NotFoundError, StateError
@@ -39,12 +39,17 @@ class CalibrationOrder:
         return f"{self.file.group}_led"
 
 
-def order_of(arguments: Mapping[str, object], known_cameras: Sequence[str]) -> CalibrationOrder:
+def order_of(
+    arguments: Mapping[str, object],
+    known_cameras: Sequence[str],
+    load: Callable[[str], PosesFile] = load_poses,
+) -> CalibrationOrder:
     """Reads and checks what a command asks for.
 
     Args:
         arguments: Of the command, as its net declares them: ``cameras``, ``poses_file``, ``group``.
         known_cameras: Names of the cameras that exist.
+        load: Gives the poses of a file.
 
     Raises:
         NotFoundError: An unknown camera.
@@ -54,7 +59,7 @@ def order_of(arguments: Mapping[str, object], known_cameras: Sequence[str]) -> C
     """
     match arguments:
         case {"cameras": list(named), "poses_file": str(path), "group": str(group)}:
-            cameras, file = tuple(map(str, named)) or CEILING, load_poses(path)
+            cameras, file = tuple(map(str, named)) or CEILING, load(path)
         case _:
             raise DataError(f"calibrate_camera is to have cameras, poses_file and group, not {str(arguments)[:80]}")
     if file.group != group:

@@ -19,7 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from im_bringup.bag import BagReader, chosen_topics
+from im_bringup.bag import BagReader, BagWriter, chosen_topics
 from im_bringup.bag.playback import KEYS, Controls, Playback
 from im_bringup.ros.record import to_profile
 from im_core import clock
@@ -35,6 +35,8 @@ DRAIN_S = 0.5
 DRAIN_AT_MOST_S = 5.0
 _LONGEST_SLEEP_S = 0.2
 _CLOCK = "/clock"
+#: What the nets of a mission are run again from, and what shows them.
+MISSION_TOPICS = ("/pnt/events", "/pnt/nets", "/pnt/firings", "/pnt/markings")
 _ARROWS = {"\x1b[D": "left", "\x1b[C": "right"}
 
 
@@ -157,6 +159,33 @@ def keys_pressed(controls: Controls) -> Iterator[None]:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
+def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
+    """Write topics of a bag into a new one; returns the number of messages.
+
+    Args:
+        bag: The bag.
+        topics: Which; empty: what nets of a mission are run again from, and shown with.
+        folder: Folder of the new bag.
+
+    Raises:
+        DataError: A topic is not in the bag, or nothing that a mission is run again from, or the folder exists.
+        StoreError: The disk is full.
+    """
+    if not topics and MISSION_TOPICS[0] not in bag.types:
+        raise DataError(f"there is nothing on {MISSION_TOPICS[0]} in the bag, from which nets could be run again")
+    chosen = chosen_topics(bag.types, topics or [topic for topic in MISSION_TOPICS if topic in bag.types])
+    new, counts = BagWriter(folder), dict.fromkeys(chosen, 0)
+    try:
+        for topic in chosen:
+            new.add_topic(topic, bag.types[topic], bag.deliveries[topic], bag.hashes[topic])
+        for topic, stamp_ns, data in bag.messages(chosen):
+            counts[topic] += 1
+            new.write(topic, stamp_ns, data, stamp_ns, counts[topic])
+    finally:
+        new.close()
+    return sum(counts.values())
+
+
 def _renamed(texts: Sequence[str], parser: argparse.ArgumentParser) -> dict[str, str]:
     names = {}
     for text in texts:
@@ -181,7 +210,24 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all but control)"
     )
+    parser.add_argument(
+        "--extract",
+        type=Path,
+        metavar="FOLDER",
+        help="publish nothing: write the topics (default: those that --mission needs) into a small bag",
+    )
     return parser
+
+
+def _extracted(path: Path, topics: Sequence[str], folder: Path) -> int:
+    try:
+        with BagReader(path) as bag:
+            count = extract(bag, topics, folder.resolve())
+    except ImError as error:
+        print(f"replay: {error.message}", file=sys.stderr)
+        return 2
+    print(f"replay: {count} messages in {folder}")
+    return 0
 
 
 def main() -> int:
@@ -191,6 +237,8 @@ def main() -> int:
     if not 0.0 < arguments.rate <= 1000.0:
         parser.error(f"--rate {arguments.rate:g} is not in 0 ... 1000, above 0")
     names = _renamed(arguments.remap, parser)
+    if arguments.extract is not None:
+        return _extracted(arguments.bag, arguments.topics, arguments.extract)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         with BagReader(arguments.bag) as bag:

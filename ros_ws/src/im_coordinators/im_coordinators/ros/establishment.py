@@ -5,9 +5,8 @@ from std_msgs.msg import UInt64
 from im_coordinators.established import lost
 from im_core import clock
 from im_core.errors import WaitTimeoutError
-from im_core.ros.calls import pause
 from im_pnt.execution.functions import ActionContext
-from im_pnt.ros.node import PntNode
+from im_pnt.mission.host import Host
 
 HEARD_S, PAUSE_S = 10.0, 0.02
 
@@ -16,13 +15,13 @@ class Establishment:
     """Keeps in a data object of the command in which life of a task something was established for it.
 
     Args:
-        node: The coordinator.
+        host: The coordinator, or what stands for it.
         task: Who keeps what is established.
         what: Begins the name of the data object, such as ``powered``.
     """
 
-    def __init__(self, node: PntNode, task: str, what: str) -> None:
-        self._node, self._task, self._what = node, task, what
+    def __init__(self, host: Host, task: str, what: str) -> None:
+        self._host, self._task, self._what = host, task, what
 
     async def note(self, ctx: ActionContext, name: str) -> None:
         """Notes that something is being established for a command now; before it is, so that no death is missed.
@@ -33,7 +32,7 @@ class Establishment:
             ctx: What is done.
             name: Of what, such as ``left``.
         """
-        await self._node.dom.put(self._object(ctx, name), UInt64(data=self._heard() or 0))
+        await self._host.dom.put(self._object(ctx, name), UInt64(data=self._heard() or 0))
 
     async def require(self, ctx: ActionContext, name: str) -> None:
         """Sees to it that what was established for a command is still there; one that established nothing may go on.
@@ -41,15 +40,15 @@ class Establishment:
         Raises:
             StateError: It went with the life in which it was; of code ``begun_anew``.
         """
-        if await self._node.dom.is_valid(noted := self._object(ctx, name)):
-            life = (await self._node.dom.get(noted, UInt64)).data
+        if await self._host.dom.is_valid(noted := self._object(ctx, name)):
+            life = (await self._host.dom.get(noted, UInt64)).data
             if life and life != await self._life():
                 raise lost(self._task, self._what, name)
 
     async def forget(self, ctx: ActionContext, name: str) -> None:
         """Notes that it is given up."""
-        if await self._node.dom.is_valid(noted := self._object(ctx, name)):
-            await self._node.dom.invalidate(noted)
+        if await self._host.dom.is_valid(noted := self._object(ctx, name)):
+            await self._host.dom.invalidate(noted)
 
     def _object(self, ctx: ActionContext, name: str) -> str:
         return ctx.object(f"{self._what}/{name}")
@@ -60,8 +59,8 @@ class Establishment:
         while (life := self._heard()) is None:
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what=f"the heartbeat of {self._task}", seconds=HEARD_S)
-            await pause(self._node, PAUSE_S)
+            await self._host.pause(PAUSE_S)
         return life
 
     def _heard(self) -> int | None:
-        return self._node.heartbeats.incarnation(self._task)
+        return self._host.life(self._task)

@@ -5,8 +5,10 @@ import sys
 from im_coordinators.ros.establishment import Establishment
 from im_core.config import package_file
 from im_core.ros import run
-from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.mission.host import Host
 from im_pnt.ros.node import PntNode
+from im_pnt.ros.node_host import NodeHost
 from im_pnt_analysis import verify_to_load
 
 
@@ -14,15 +16,23 @@ class GripperCoordinator(PntNode):
     """Runs ``nets/gripper_coordinator.yaml``, whose actions are goals of MCS."""
 
     def __init__(self) -> None:
-        nets = [package_file("im_coordinators", "nets/gripper_coordinator.yaml")]
-        functions = {"while_powered": self.while_powered}
-        super().__init__("gripper_coordinator", nets, functions, guards={}, verifier=verify_to_load)
-        self._powered = Establishment(self, "mcs", "powered")
+        host = NodeHost()
+        made, nets = gripper_functions(host), [package_file("im_coordinators", "nets/gripper_coordinator.yaml")]
+        name, made_by = "gripper_coordinator", f"{__name__}:{gripper_functions.__name__}"
+        super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
+        host.attach(self)
 
-    async def while_powered(self, ctx: ActionContext) -> dict[str, object]:
+
+def gripper_functions(host: Host) -> Functions:
+    """The functions of the net, for a node or what stands for it."""
+    powered = Establishment(host, "mcs", "powered")
+
+    async def while_powered(ctx: ActionContext) -> dict[str, object]:
         """Nothing but what the net says, while the arm has the power that it was given for the command."""
-        await self._powered.require(ctx, str(ctx.request_arguments["gripper"]).removesuffix("_gripper"))
+        await powered.require(ctx, str(ctx.request_arguments["gripper"]).removesuffix("_gripper"))
         return {}
+
+    return Functions({"while_powered": while_powered})
 
 
 def main() -> None:

@@ -11,8 +11,10 @@ from im_core.config import package_file
 from im_core.ros import qos, run
 from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState
-from im_pnt.execution.functions import ActionContext, woken_by
+from im_pnt.execution.functions import ActionContext, Functions, woken_by
+from im_pnt.mission.host import Host
 from im_pnt.ros.node import PntNode
+from im_pnt.ros.node_host import NodeHost
 from im_pnt_analysis import verify_to_load
 
 MCS_STATE = "/mcs/state"
@@ -20,34 +22,52 @@ of_mcs = woken_by(f"topic:{MCS_STATE}")
 
 
 class MotionCoordinator(PntNode):
-    """Functions and enabling functions of ``nets/motion_coordinator.yaml``; the net decides what comes when."""
+    """Runs ``nets/motion_coordinator.yaml``."""
 
     def __init__(self) -> None:
-        super().__init__(
-            "motion_coordinator",
-            [package_file("im_coordinators", "nets/motion_coordinator.yaml")],
-            functions={
-                "group_and_owner": self.group_and_owner,
-                "to_reserve": self.to_reserve,
-                "while_reserved": self.while_reserved,
-                "destination_asked": destination_asked,
-                "path_asked": path_asked,
-                "path_to_follow": self.path_to_follow,
-                "store_position": self.store_position,
-            },
-            guards={
-                "group_held": of_mcs(lambda ctx: self._state(ctx) in HOLDING_STATES),
-                "group_powered": of_mcs(lambda ctx: self._state(ctx) in POWERED_STATES),
-                "group_in_motion": of_mcs(lambda ctx: self._state(ctx) == "motion"),
-            },
-            verifier=verify_to_load,
-        )
-        self._powered = Establishment(self, "mcs", "powered")
+        host = NodeHost()
+        made, nets = motion_functions(host), [package_file("im_coordinators", "nets/motion_coordinator.yaml")]
+        name, made_by = "motion_coordinator", f"{__name__}:{motion_functions.__name__}"
+        super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
+        host.attach(self)
         self.sources.follow(MCS_STATE, McsState, qos.LATCHED)
+
+
+def motion_functions(host: Host) -> Functions:
+    """The functions and enabling functions of the net, for a node or what stands for it."""
+    motion = MotionFunctions(host)
+    return Functions(
+        {
+            "group_and_owner": motion.group_and_owner,
+            "to_reserve": motion.to_reserve,
+            "while_reserved": motion.while_reserved,
+            "destination_asked": destination_asked,
+            "path_asked": path_asked,
+            "path_to_follow": motion.path_to_follow,
+            "store_position": motion.store_position,
+        },
+        {
+            "group_held": of_mcs(lambda ctx: motion.state(ctx) in HOLDING_STATES),
+            "group_powered": of_mcs(lambda ctx: motion.state(ctx) in POWERED_STATES),
+            "group_in_motion": of_mcs(lambda ctx: motion.state(ctx) == "motion"),
+        },
+    )
+
+
+class MotionFunctions:
+    """Functions of ``nets/motion_coordinator.yaml``; the net decides what comes when.
+
+    Args:
+        host: The node.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        self._powered = Establishment(host, "mcs", "powered")
 
     def group_and_owner(self, ctx: ActionContext) -> dict[str, object]:
         """The arm that is to move, for this node alone."""
-        return {"group": _group(ctx), "owner": self.get_fully_qualified_name()}
+        return {"group": _group(ctx), "owner": self._host.name}
 
     async def to_reserve(self, ctx: ActionContext) -> dict[str, object]:
         """The same, where slots and power that are held from now on are established for the command."""
@@ -62,20 +82,20 @@ class MotionCoordinator(PntNode):
     async def path_to_follow(self, ctx: ActionContext) -> dict[str, object]:
         """The goal of a move: the path of the command, of an arm that has not lost its power since."""
         await self._powered.require(ctx, _group(ctx))
-        return {"path": await self.dom.get(ctx.object(_path(ctx)), JointTrajectory)}
+        return {"path": await self._host.dom.get(ctx.object(_path(ctx)), JointTrajectory)}
 
     async def store_position(self, ctx: ActionContext, answer: GetGroupState.Response) -> None:
         """Stores the position that MCS measured at rest, where the command has brought the arm."""
         await self._powered.require(ctx, _group(ctx))
-        told: McsState | None = self.sources.last(MCS_STATE)
+        told: McsState | None = self._host.last(MCS_STATE)
         require_rest(answer.state.group, answer.state.at_rest, told.reason if told else "")
         name = ctx.object(str(ctx.request_arguments["position"]))
-        await self.dom.put(name, answer.state, place="motion_coordinator.pos_found")
+        await self._host.dom.put(name, answer.state, place="motion_coordinator.pos_found")
 
-    def _state(self, ctx: ActionContext) -> str:
+    def state(self, ctx: ActionContext) -> str:
         """State of the arm that is to move, as far as this node may move it."""
-        told: McsState | None = self.sources.last(MCS_STATE)
-        return state_for([] if told is None else told.groups, _group(ctx), self.get_fully_qualified_name())
+        told: McsState | None = self._host.last(MCS_STATE)
+        return state_for([] if told is None else told.groups, _group(ctx), self._host.name)
 
 
 def destination_asked(ctx: ActionContext) -> dict[str, object]:

@@ -1,11 +1,10 @@
 """Node ``/path_planning_coordinator``."""
 
 import sys
-from collections.abc import Coroutine, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import Pose, PoseStamped
-from rclpy.client import Client
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_cell.robot import load_cell
@@ -22,48 +21,63 @@ from im_coordinators.tool import ToolTarget, WristPlacement, require_position
 from im_core.config import package_file
 from im_core.errors import ImError
 from im_core.ros import run
-from im_core.ros.calls import ask_again
 from im_core.ros.status import status_to_error
 from im_msgs.msg import GroupState
 from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
-from im_pnt.execution.functions import ActionContext, idempotent, woken_by
+from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
+from im_pnt.mission.host import Host
 from im_pnt.ros.node import PntNode
+from im_pnt.ros.node_host import NodeHost
 from im_pnt_analysis import verify_to_load
 
-#: What is asked of MCS has no effect: it is asked again where an answer was lost, as of a node that has just begun [s].
-ANSWER_S, AGAIN_S = 40.0, 10.0
+STATE, KINEMATICS, CHECK = "/mcs/get_group_state", "/mcs/inverse_kinematics", "/mcs/check_path"
+SERVICES = {STATE: GetGroupState, KINEMATICS: InverseKinematics, CHECK: CheckPath}
 
 
 class PathPlanningCoordinator(PntNode):
-    """Functions of ``nets/path_planning_coordinator.yaml``; the net decides what comes when."""
+    """Runs ``nets/path_planning_coordinator.yaml``."""
 
     def __init__(self) -> None:
-        functions = {
-            "find_configuration": self.find_configuration,
-            "find_another": self.find_another,
-            "plan_direct": self.plan_direct,
-            "plan_detour": self.plan_detour,
-            "check_given": self.check_given,
-        }
-        super().__init__(
-            "path_planning_coordinator",
-            [package_file("im_coordinators", "nets/path_planning_coordinator.yaml")],
-            functions=functions,
-            guards={
-                "detour_may_help": woken_by()(lambda ctx: detour_may_help(ctx.failure)),
-                "another_may_help": woken_by()(
-                    lambda ctx: not ctx.request_arguments["joints"] and another_may_help(ctx.failure, ctx.memory)
-                ),
-            },
-            asks={name: idempotent(function) for name, function in functions.items()},
-            verifier=verify_to_load,
-        )
+        host = NodeHost()
+        made, nets = planning_functions(host), [package_file("im_coordinators", "nets/path_planning_coordinator.yaml")]
+        name, made_by = "path_planning_coordinator", f"{__name__}:{planning_functions.__name__}"
+        super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
+        host.attach(self)
+        for service, service_type in SERVICES.items():
+            host.prepare(service_type, service)
+
+
+def planning_functions(host: Host) -> Functions:
+    """The functions and enabling functions of the net, for a node or what stands for it."""
+    planning = PathPlanningFunctions(host)
+    functions = {
+        "find_configuration": planning.find_configuration,
+        "find_another": planning.find_another,
+        "plan_direct": planning.plan_direct,
+        "plan_detour": planning.plan_detour,
+        "check_given": planning.check_given,
+    }
+    guards = {
+        "detour_may_help": woken_by()(lambda ctx: detour_may_help(ctx.failure)),
+        "another_may_help": woken_by()(
+            lambda ctx: not ctx.request_arguments["joints"] and another_may_help(ctx.failure, ctx.memory)
+        ),
+    }
+    return Functions(functions, guards, {name: idempotent(function) for name, function in functions.items()})
+
+
+class PathPlanningFunctions:
+    """Functions of ``nets/path_planning_coordinator.yaml``; the net decides what comes when.
+
+    Args:
+        host: The node.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
         cell = load_cell()
         self._tucked = {name: list(side.home) for name, side in cell.sides.items()}
         self._reach = cell.gripper.reach
-        self._state = self.create_client(GetGroupState, "/mcs/get_group_state")
-        self._kinematics = self.create_client(InverseKinematics, "/mcs/inverse_kinematics")
-        self._check = self.create_client(CheckPath, "/mcs/check_path")
 
     async def find_configuration(self, ctx: ActionContext) -> None:
         """Finds joint positions for what was asked for, near to where the group is."""
@@ -88,14 +102,14 @@ class PathPlanningCoordinator(PntNode):
 
     async def check_given(self, ctx: ActionContext) -> None:
         """Stores the path that was given if it is free."""
-        given = await self.dom.get(ctx.object(str(ctx.request_arguments["path"])), JointTrajectory)
+        given = await self._host.dom.get(ctx.object(str(ctx.request_arguments["path"])), JointTrajectory)
         here = await self._here(ctx)
         require_joints(given.joint_names, here.joints, here.group)
         await self._store(ctx, here, [list(point.positions) for point in given.points])
 
     async def _here(self, ctx: ActionContext) -> GroupState:
         group = str(ctx.request_arguments["group"])
-        answer = await self._ask(self._state, GetGroupState.Request(group=group), f"the position of {group}")
+        answer = await self._ask(STATE, GetGroupState.Request(group=group), f"the position of {group}")
         here: GroupState = answer.state
         return here
 
@@ -109,10 +123,10 @@ class PathPlanningCoordinator(PntNode):
             case "position":
                 q = await self._for_tool(here, ToolTarget.asked(asked), seed)
             case _:
-                destination = await self.dom.get(ctx.object(str(asked["destination"])), PoseStamped)
+                destination = await self._host.dom.get(ctx.object(str(asked["destination"])), PoseStamped)
                 q = await self._configuration(here, destination.pose, seed)
         goal, place = _trajectory(here.joints, [q]), "path_planning_coordinator.goal_valid"
-        await self.dom.put(ctx.object(_goal_name(ctx)), goal, place=place)
+        await self._host.dom.put(ctx.object(_goal_name(ctx)), goal, place=place)
 
     async def _for_tool(self, here: GroupState, target: ToolTarget, seed: Sequence[float]) -> list[float]:
         p, o = here.wrist.position, here.wrist.orientation
@@ -124,23 +138,20 @@ class PathPlanningCoordinator(PntNode):
 
     async def _configuration(self, here: GroupState, wrist: Pose, seed: Sequence[float]) -> list[float]:
         request = InverseKinematics.Request(group=here.group, wrist=wrist, seed=seed, avoid_collisions=True)
-        return list((await self._ask(self._kinematics, request, "inverse kinematics")).q)
+        return list((await self._ask(KINEMATICS, request, "inverse kinematics")).q)
 
     async def _goal(self, ctx: ActionContext) -> list[float]:
-        goal = await self.dom.get(ctx.object(_goal_name(ctx)), JointTrajectory)
+        goal = await self._host.dom.get(ctx.object(_goal_name(ctx)), JointTrajectory)
         return list(goal.points[-1].positions)
 
     async def _store(self, ctx: ActionContext, here: GroupState, points: Sequence[Sequence[float]]) -> None:
         whole = _trajectory(here.joints, [_position(here), *points])
-        await self._ask(self._check, CheckPath.Request(group=here.group, path=whole), "a path to be checked")
+        await self._ask(CHECK, CheckPath.Request(group=here.group, path=whole), "a path to be checked")
         name, path = ctx.object(str(ctx.request_arguments["leaves"])), _trajectory(here.joints, points)
-        await self.dom.put(name, path, place="motion_coordinator.path_valid")
+        await self._host.dom.put(name, path, place="motion_coordinator.path_valid")
 
-    async def _ask(self, client: Client, request: object, what: str) -> Any:
-        def ask() -> Coroutine[object, object, Any]:
-            return self.heartbeats.wait(client.call_async(request), "mcs", AGAIN_S, what)
-
-        answer = await ask_again(ask, ANSWER_S, what)
+    async def _ask(self, service: str, request: object, what: str) -> Any:
+        answer = await self._host.ask(SERVICES[service], service, request, "mcs", what)
         if not answer.success:
             raise status_to_error(answer.status)
         return answer

@@ -15,48 +15,69 @@ from im_core.arrivals import read_data
 from im_core.config import package_file
 from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos, run
-from im_core.ros.calls import pause
 from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
 from im_msgs.srv import Calibrate, SetLight, SpotFind
-from im_pnt.execution.functions import ActionContext, idempotent, woken_by
+from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
+from im_pnt.mission.host import Host
 from im_pnt.ros.node import PntNode
+from im_pnt.ros.node_host import NodeHost
 from im_pnt_analysis import verify_to_load
 
 LIGHTS = "/testbed/lights"
+LONG_EXPOSURE = "long_exposure"
 LIGHTS_S, PAUSE_S = 5.0, 0.02
 LIGHT_FOUND = "light_found/"
 """Begins the name of a data object: whether a light was on before the command switched it on."""
 
 
 class VisionCoordinator(PntNode):
-    """Functions and enabling functions of ``nets/vision_coordinator.yaml``; the net decides what comes when."""
+    """Runs ``nets/vision_coordinator.yaml``."""
 
     def __init__(self) -> None:
-        super().__init__(
-            "vision_coordinator",
-            [package_file("im_coordinators", "nets/vision_coordinator.yaml")],
-            functions={
-                "light_on": self.light_on,
-                "light_as_found": self.light_as_found,
-                "forget_light": self.forget_light,
-                "nominal_exposure": self.nominal_exposure,
-                "longer_exposure": self.longer_exposure,
-                "store_spots": self.store_spots,
-                "keep_observation": self.keep_observation,
-                "calibration_problem": self.calibration_problem,
-                "store_calibration": self.store_calibration,
-            },
-            guards={"another_look_may_help": woken_by()(lambda ctx: another_look_may_help(ctx.failure))},
-            asks={"keep_observation": idempotent(self.keep_observation)},
-            verifier=verify_to_load,
+        host = NodeHost()
+        made, nets = vision_functions(host), [package_file("im_coordinators", "nets/vision_coordinator.yaml")]
+        name, made_by = "vision_coordinator", f"{__name__}:{vision_functions.__name__}"
+        super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
+        host.attach(self)
+        cell = load_cell()
+        self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: lights_told(message.data, cell))
+        self.fixed_parameters.declare(
+            LONG_EXPOSURE, 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
         )
-        self._cell = load_cell()
-        self._lit = Establishment(self, "testbed", "lit")
-        self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: lights_told(message.data, self._cell))
-        self._long_exposure = self.fixed_parameters.declare(
-            "long_exposure", 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
-        )
+
+
+def vision_functions(host: Host) -> Functions:
+    """The functions and enabling functions of the net, for a node or what stands for it."""
+    vision = VisionFunctions(host)
+    functions = (
+        vision.light_on,
+        vision.light_as_found,
+        vision.forget_light,
+        vision.nominal_exposure,
+        vision.longer_exposure,
+        vision.store_spots,
+        vision.keep_observation,
+        vision.calibration_problem,
+        vision.store_calibration,
+    )
+    return Functions(
+        {function.__name__: function for function in functions},
+        {"another_look_may_help": woken_by()(lambda ctx: another_look_may_help(ctx.failure))},
+        {"keep_observation": idempotent(vision.keep_observation)},
+    )
+
+
+class VisionFunctions:
+    """Functions of ``nets/vision_coordinator.yaml``; the net decides what comes when.
+
+    Args:
+        host: The node.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._host, self._cell = host, load_cell()
         self._led_offset = np.array(self._cell.led.offset)
+        self._lit = Establishment(host, "testbed", "lit")
 
     async def light_on(self, ctx: ActionContext) -> dict[str, object]:
         """Has a light on.
@@ -64,31 +85,31 @@ class VisionCoordinator(PntNode):
         How it was is kept first, and once: this is done again where it is in doubt whether it was done.
         """
         name = _light(ctx)
-        if not await self.dom.is_valid(found := ctx.object(LIGHT_FOUND + name)):
-            await self.dom.put(found, Bool(data=await self._is_lit(name)))
+        if not await self._host.dom.is_valid(found := ctx.object(LIGHT_FOUND + name)):
+            await self._host.dom.put(found, Bool(data=await self._is_lit(name)))
         await self._lit.note(ctx, name)
         return {"name": name, "on": True}
 
     async def light_as_found(self, ctx: ActionContext) -> dict[str, object]:
         """Has a light as it was before; where the command has not touched it, as it is."""
         name = _light(ctx)
-        if await self.dom.is_valid(found := ctx.object(LIGHT_FOUND + name)):
-            return {"name": name, "on": bool((await self.dom.get(found, Bool)).data)}
+        if await self._host.dom.is_valid(found := ctx.object(LIGHT_FOUND + name)):
+            return {"name": name, "on": bool((await self._host.dom.get(found, Bool)).data)}
         return {"name": name, "on": await self._is_lit(name)}
 
     async def forget_light(self, ctx: ActionContext, answer: SetLight.Response) -> None:
         """It is as it was: what comes next finds it so."""
         await self._lit.forget(ctx, _light(ctx))
-        if await self.dom.is_valid(found := ctx.object(LIGHT_FOUND + _light(ctx))):
-            await self.dom.invalidate(found)
+        if await self._host.dom.is_valid(found := ctx.object(LIGHT_FOUND + _light(ctx))):
+            await self._host.dom.invalidate(found)
 
     async def _lights(self) -> String:
         """What the testbed last said of its lights; a coordinator that has just begun waits until it hears it."""
         deadline = clock.monotonic() + LIGHTS_S
-        while (message := self.sources.last(LIGHTS)) is None:
+        while (message := self._host.last(LIGHTS)) is None:
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what=f"{LIGHTS}, to leave the lights as they are", seconds=LIGHTS_S)
-            await pause(self, PAUSE_S)
+            await self._host.pause(PAUSE_S)
         found: String = message
         return found
 
@@ -104,7 +125,7 @@ class VisionCoordinator(PntNode):
 
     def longer_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """The request for another look with more light."""
-        return {"cameras": ctx.request_arguments["cameras"], "exposure": self._long_exposure}
+        return {"cameras": ctx.request_arguments["cameras"], "exposure": self._host.parameter(LONG_EXPOSURE)}
 
     async def _require_lit(self, name: str) -> None:
         """Waits until the testbed says that a light is on; it may have been switched just now.
@@ -116,21 +137,21 @@ class VisionCoordinator(PntNode):
         while not await self._is_lit(name):
             if clock.monotonic() > deadline:
                 raise StateError(f"light {name} is off; no camera can find it before light_on", light=name)
-            await pause(self, PAUSE_S)
+            await self._host.pause(PAUSE_S)
 
     async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
         """Stores the spots that were found, if any was, of a light that was on all the time."""
         await self._lit.require(ctx, _light(ctx))
         require_spot({spot.camera: spot.cause for spot in answer.spots if not spot.found}, len(answer.spots))
         found = SpotSet(spots=answer.spots, timing_json=answer.timing_json)
-        await self.dom.put(ctx.object("spots"), found, place="vision_coordinator.spot_stored")
+        await self._host.dom.put(ctx.object("spots"), found, place="vision_coordinator.spot_stored")
 
     async def keep_observation(self, ctx: ActionContext) -> None:
         """Keeps spots and position of a pose as an observation, under the number of the pose."""
         asked = ctx.request_arguments
         pose = str(asked["pose"])
-        spots = await self.dom.get(ctx.object("spots"), SpotSet)
-        position = await self.dom.get(ctx.object("current_position"), GroupState)
+        spots = await self._host.dom.get(ctx.object("spots"), SpotSet)
+        position = await self._host.dom.get(ctx.object("current_position"), GroupState)
         rest = _rest(position)
         for spot in spots.spots:
             rest.require_shown(spot.stamp.sec * 10**9 + spot.stamp.nanosec, pose)
@@ -141,23 +162,24 @@ class VisionCoordinator(PntNode):
             spots=spots.spots,
             rest_since=position.rest_since,
         )
-        await self.dom.put(ctx.object(f"observation/{asked['number']}"), observation)
+        await self._host.dom.put(ctx.object(f"observation/{asked['number']}"), observation)
 
     async def calibration_problem(self, ctx: ActionContext) -> dict[str, object]:
         """The request for a calibration from observations that were kept."""
         asked = ctx.request_arguments
         numbers = read_data(list[int], asked["observations"], "argument observations")
         reasons = read_data(dict[str, str], asked["rejected"], "argument rejected")
-        kept = [await self.dom.get(ctx.object(f"observation/{number}"), Observation) for number in numbers]
+        kept = [await self._host.dom.get(ctx.object(f"observation/{number}"), Observation) for number in numbers]
         rejected = [Rejection(pose=pose, reason=reason) for pose, reason in reasons.items()]
         cameras, directory = read_data(list[str], asked["cameras"], "argument cameras"), str(asked["directory"])
         collected = ObservationSet(cameras=cameras, observations=kept, rejected=rejected, directory=directory)
-        await self.dom.put(ctx.object("/observations"), collected)
+        await self._host.dom.put(ctx.object("/observations"), collected)
         return {"cameras": cameras, "observations": kept, "directory": directory, "apply": True}
 
     async def store_calibration(self, ctx: ActionContext, answer: Calibrate.Response) -> None:
         """Stores the calibration."""
-        await self.dom.put(ctx.object("calibration"), answer.report, place="vision_coordinator.calibration_stored")
+        name, place = ctx.object("calibration"), "vision_coordinator.calibration_stored"
+        await self._host.dom.put(name, answer.report, place=place)
 
 
 def _light(ctx: ActionContext) -> str:

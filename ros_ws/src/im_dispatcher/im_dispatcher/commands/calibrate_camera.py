@@ -9,12 +9,13 @@ from pathlib import Path
 
 from im_cell.robot import load_cell
 from im_core import clock
+from im_core.arrivals import read_json
 from im_core.errors import ImError, StateError, StoreError
 from im_core.names import results_dir
 from im_dispatcher.command import CommandDescription, CommandHost
 from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.job import PoseLoop, order_of
-from im_dispatcher.poses_file import PosesFile
+from im_dispatcher.poses_file import PosesFile, load_poses
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes, failed, make_directory, succeeded, write_report
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt.execution.jobs import Job
@@ -41,6 +42,7 @@ class CalibrateCamera:
         self._cameras = list(load_cell().cameras)
         self._times = StepTimes()
         self._timed: int | None = None
+        self._expected: CommandDuration | None = None
         self._file: tuple[int, PosesFile] | None = None
         host.time_steps(self._times)
 
@@ -76,9 +78,11 @@ class CalibrateCamera:
         self._times.restart()
         self._timed = ctx.command.id
         ctx.memory["begun_ms"] = ctx.memory["seen_ms"] = self._clocks_ms()
-        order = await self._host.apart(order_of, ctx.command.arguments, self._cameras)
+        text = await self._host.noted_apart("poses", _poses_text, str(ctx.command.arguments.get("poses_file", "")))
+        file = read_json(PosesFile, text, "the poses")
+        order = order_of(ctx.command.arguments, self._cameras, lambda _: file)
         poses = len(order.file.poses)
-        ctx.memory["directory"] = str(make_directory(results_dir(), clock.stamp_name()))
+        ctx.memory["directory"] = self._host.noted("directory", _new_directory)
         ctx.memory["cameras"] = list(order.cameras)
         ctx.memory["light"] = order.light
         ctx.memory["loop"] = PoseLoop(poses).to_json()
@@ -93,7 +97,7 @@ class CalibrateCamera:
         pose = (await self._poses(ctx)).poses[number - 1]
         ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), pose.name
         ctx.memory["under_way"] = True
-        ctx.memory["times"] = self._times_of(ctx).to_dict()
+        ctx.memory["times"] = self._host.noted("times", lambda: self._times_of(ctx).to_dict())
         self._elapsed(ctx)
         await self._host.put_object(ctx.object("destination"), pose, place=f"{SYMBOL}.destination_valid")
         ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
@@ -140,7 +144,8 @@ class CalibrateCamera:
         solver = await self._host.get_object(ctx.object("calibration"), SolverReport)
         poses = _loop(ctx).poses
         report = succeeded(solver, await self._skipped(ctx), poses)
-        ctx.result.update(self._finish(ctx, report, await self._expected(poses)))
+        await self._expect(poses)
+        ctx.result.update(self._finish(ctx, report))
 
     async def note_failure(self, ctx: ActionContext) -> None:
         """Keeps the reason for which the command ends, before what is done to end it can fail too."""
@@ -152,6 +157,7 @@ class CalibrateCamera:
         """Writes the report of a command that failed."""
         reason = str(ctx.memory.get("reason") or _reason(ctx))
         ctx.result["message"] = reason
+        self._expected = None
         if "loop" in ctx.memory:
             skipped: list[SkippedPose] = []
             with contextlib.suppress(ImError):  # the data objects may be what failed
@@ -173,24 +179,32 @@ class CalibrateCamera:
         counts = range(1, _loop(ctx).skipped + 1)
         return [await self._host.get_object(ctx.object(f"skipped/{count}"), SkippedPose) for count in counts]
 
-    async def _expected(self, poses: int) -> CommandDuration | None:
-        """How long the command should have taken; None where its nets do not say."""
+    async def _expect(self, poses: int) -> None:
+        """Finds out how long the command should have taken, where its nets say."""
+
+        def compute() -> None:
+            self._expected = expectation(self._host.nets_for(SYMBOL), SYMBOL, poses)
+
+        self._expected = None
         try:
-            return await self._host.apart(expectation, self._host.nets_for(SYMBOL), SYMBOL, poses)
+            await self._host.noted_apart("expected", compute)
         except ImError as error:
             self._host.warn(f"no duration is expected: {error.message}")
-            return None
 
-    def _finish(
-        self, ctx: ActionContext, report: dict[str, object], expected: CommandDuration | None = None
-    ) -> dict[str, object]:
+    def _finish(self, ctx: ActionContext, report: dict[str, object]) -> dict[str, object]:
         elapsed_s, simulated_s = self._elapsed(ctx)
-        times, directory = self._times_of(ctx), str(ctx.memory["directory"])
-        timing = times.summary(elapsed_s, simulated_s)
-        if expected is not None:
-            timing["expectation"] = beside(expected, times.steps, simulated_s)
-        report = {**report, "timing": timing, "seed": self._host.seed}
-        write_report(Path(directory), report)
+        directory = str(ctx.memory["directory"])
+
+        def timing() -> dict[str, object]:
+            times = self._times_of(ctx)
+            summary = times.summary(elapsed_s, simulated_s)
+            if self._expected is not None:
+                summary["expectation"] = beside(self._expected, times.steps, simulated_s)
+            return summary
+
+        seed = self._host.noted("seed", lambda: self._host.seed)
+        report = {**report, "timing": self._host.noted("timing", timing), "seed": seed}
+        self._host.noted("report", lambda: str(write_report(Path(directory), report)))
         return {"report": report, "directory": directory}
 
     def _elapsed(self, ctx: ActionContext) -> tuple[float, float]:
@@ -211,7 +225,9 @@ class CalibrateCamera:
         return (now[0] - begun[0]) / 1000.0, (now[1] - begun[1]) / 1000.0
 
     def _clocks_ms(self) -> list[int]:
-        return [round(1000.0 * clock.monotonic()), round(1000.0 * self._host.now())]
+        return self._host.noted(
+            "clocks_ms", lambda: [round(1000.0 * clock.monotonic()), round(1000.0 * self._host.now())]
+        )
 
     def _times_of(self, ctx: ActionContext) -> StepTimes:
         """The times of a command; a dispatcher that came back takes up those of its former life."""
@@ -219,6 +235,14 @@ class CalibrateCamera:
             self._timed = ctx.command.id
             self._times.add_times(ctx.memory.get("times"))
         return self._times
+
+
+def _poses_text(path: str) -> str:
+    return load_poses(path).model_dump_json()
+
+
+def _new_directory() -> str:
+    return str(make_directory(results_dir(), clock.stamp_name()))
 
 
 def _loop(ctx: ActionContext) -> PoseLoop:

@@ -9,20 +9,25 @@ from std_msgs.msg import String
 
 from im_core.arrivals import read_json
 from im_core.ros import qos
-from im_core.ros.calls import run_in_thread
 from im_dispatcher.poses_file import PosesFile, WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
 from im_msgs.msg import CalibrationReport, Firing, Rejection
+from im_pnt.mission.host import Host
 from im_pnt.model.net import Net
 from im_pnt.ros.node import PntNode
 
 ValueT = TypeVar("ValueT")
 
 
-class NodeHost:
-    """A :class:`im_dispatcher.command.CommandHost`; commands take it before the node is made, and use it after."""
+class DispatcherHost:
+    """A :class:`im_dispatcher.command.CommandHost`; commands take it before the node is made, and use it after.
 
-    def __init__(self) -> None:
+    Args:
+        host: The node, or what stands for it.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._host, self.seed = host, 0
         self._timed: list[StepTimes] = []
 
     def attach(self, node: PntNode) -> None:
@@ -32,17 +37,21 @@ class NodeHost:
 
     async def put_object(self, name: str, value: object, place: str = "") -> None:
         """Stores a data object of a type that :data:`MESSAGES` knows."""
-        await self._node.dom.put(name, MESSAGES[type(value)](value), place)
+        await self._host.dom.put(name, MESSAGES[type(value)](value), place)
 
     async def get_object(self, name: str, kind: type[ValueT]) -> ValueT:
         """Returns a data object as a value of a type that :data:`VALUES` knows."""
         message_type, value_of = VALUES[kind]
-        value: ValueT = value_of(await self._node.dom.get(name, message_type))
+        value: ValueT = value_of(await self._host.dom.get(name, message_type))
         return value
 
-    async def apart(self, function: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Has a function that takes long done in a thread of its own."""
-        return await run_in_thread(self._node, function, *arguments)
+    def noted(self, key: str, compute: Callable[[], ValueT]) -> ValueT:
+        """Returns what is computed from the world outside."""
+        return self._host.noted(key, compute)
+
+    async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
+        """Does the same in a thread of its own."""
+        return await self._host.noted_apart(key, compute, *arguments)
 
     def time_steps(self, times: StepTimes) -> None:
         """Has the firings of all nets timed."""
@@ -58,7 +67,7 @@ class NodeHost:
 
     def warn(self, text: str) -> None:
         """Writes a line to the log."""
-        self._node.get_logger().warning(text)
+        self._host.warn(text)
 
     def _note_firing(self, message: Firing) -> None:
         name = f"{message.net}.{message.transition}"

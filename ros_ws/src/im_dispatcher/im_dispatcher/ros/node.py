@@ -15,14 +15,17 @@ from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
 from im_dispatcher.commands import calibrate_camera, installed, net_files, shipped
 from im_dispatcher.poses_file import load_poses
-from im_dispatcher.ros.host import NodeHost
+from im_dispatcher.ros.host import DispatcherHost
 from im_msgs.msg import CalibrationReport
 from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
+from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Command, Job
+from im_pnt.mission.host import Host
 from im_pnt.model.arguments import Busy
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
 from im_pnt.ros.node import CommandOutcome, OpenCommand, PntNode, ProgressListener
+from im_pnt.ros.node_host import NodeHost
 from im_pnt.verification import Verification
 from im_pnt_analysis import verify_to_load
 
@@ -41,11 +44,15 @@ class Dispatcher(PntNode):
 
     def __init__(self) -> None:
         host, commands = NodeHost(), installed()
-        functions = joined(command.functions(host) for command in commands)
-        super().__init__("dispatcher", (), functions.actions, functions.guards, functions.asks, verifier=verify_to_load)
+        command_host = DispatcherHost(host)
+        made = joined(command.functions(command_host) for command in commands)
+        made_by = f"{__name__}:{dispatcher_functions.__name__}"
+        name, verifier = "dispatcher", verify_to_load
+        super().__init__(name, (), made.actions, made.guards, made.asks, verifier=verifier, made_by=made_by)
         named = "the commands to begin with: names of those shipped, net files, folders of them; separated by commas"
         self._commands_named = self.fixed_parameters.declare("commands", ",".join(shipped()), named)
         host.attach(self)
+        command_host.attach(self)
         self._standing = {symbol: tell for command in commands for symbol, tell in command.standing.items()}
         self._resources = resources_of(load_cell())
         self._know(Needs((), self._resources))
@@ -209,7 +216,6 @@ class Dispatcher(PntNode):
         response.message = f"net {net.name} is live: {report.states} markings, bounded, never stuck"
         return response
 
-
     async def _unload_net(self, request: UnloadNet.Request, response: UnloadNet.Response) -> UnloadNet.Response:
         try:
             await self.unload_net(request.net, request.wait)
@@ -218,6 +224,14 @@ class Dispatcher(PntNode):
             return response
         response.success, response.message = True, f"net {request.net} is gone, with its commands"
         return response
+
+
+def dispatcher_functions(host: Host) -> Functions:
+    """The functions of the commands, and of the net of what they need, to run the nets of a recorded mission again."""
+    made = joined(command.functions(DispatcherHost(host)) for command in installed())
+    needs = Needs([net for net in host.nets() if net.name != cell.NAME], resources_of(load_cell()))
+    made.guards.update(WaitingLine(needs, lambda: host.executor(cell.NAME)).guards())
+    return made
 
 
 def main() -> None:

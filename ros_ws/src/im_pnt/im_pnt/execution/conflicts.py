@@ -137,6 +137,7 @@ class ConflictResolution:
         self.book = book
         self.ripe: set[int] = set()
         self.barred: frozenset[int] = frozenset()
+        self.drawn: Callable[[Sequence[str]], int] | None = None
         self.dice = random.Random()
         self._random = self.dice.random
         self._rule, self.guards, self._seed = rule, functions.guards_of(rule.net), seed
@@ -306,7 +307,9 @@ class ConflictResolution:
         return self._rule.owners(index)[0]
 
     def draw(self, contending: Sequence[int]) -> int:
-        """Takes one of several transitions by weight and probability of success."""
+        """Takes one of several transitions by weight and probability of success, or as :attr:`drawn` says."""
+        if self.drawn is not None:
+            return contending[self.drawn([self._transitions[index].name for index in contending])]
         if self._even:
             return contending[int(self._random() * len(contending))]
         weights = [self._weight(index) for index in contending]

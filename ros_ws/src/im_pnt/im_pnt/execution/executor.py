@@ -6,7 +6,7 @@ confirm later; :meth:`Executor.next_wakeup` tells when time alone has something 
 """
 
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 from im_core.clock import monotonic
@@ -15,16 +15,16 @@ from im_pnt.errors import NetError
 from im_pnt.execution.actions import Actions, CheckObjects, Runner
 from im_pnt.execution.conflicts import ConflictResolution, StrategyBook
 from im_pnt.execution.event_loop import EventLoop
-from im_pnt.execution.events import ActionEnded, Answer, Answered, CommandWritten, Event, Tiding, TokenArrived
+from im_pnt.execution.events import ActionEnded, Answer, Answered, CommandWritten, Event, TokenArrived
 from im_pnt.execution.firing import FiringRule
 from im_pnt.execution.functions import Functions
-from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job, JobKey, Request
-from im_pnt.execution.notification import Leaving, Observer, Outlet
+from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job
+from im_pnt.execution.notification import Nowhere, Observer, Outlet
 from im_pnt.execution.operator import Mode, Operator
 from im_pnt.execution.record import NetEntry, Record, plain
 from im_pnt.execution.timers import Timers
 from im_pnt.execution.values import Objects
-from im_pnt.model.net import Net, RemotePlace
+from im_pnt.model.net import Net
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,27 +73,7 @@ def rest_of(rule: FiringRule, waiting: int) -> Rest:
     return Rest(tuple(reasons))
 
 
-class _Nowhere:
-    """Takes what a net sends again that is brought back, and sends nothing."""
-
-    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
-        """Sends nothing."""
-
-    def send_tiding(
-        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
-    ) -> None:
-        """Sends nothing."""
-
-    def send_settled(
-        self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
-    ) -> None:
-        """Sends nothing."""
-
-    def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
-        """Sends nothing."""
-
-
-_NOWHERE = _Nowhere()
+_NOWHERE = Nowhere()
 
 
 class Executor:
@@ -112,6 +92,7 @@ class Executor:
         clock: Present time, monotonic [s].
         record: Takes what happens before it does, see :mod:`im_pnt.execution.record`; None: no journal.
         objects: Data objects that expressions read and store; None: there are none here.
+        draw: Says which of some contending transitions is taken, by its rank; None: their weights do, with the seed.
 
     Attributes:
         written: The net as written.
@@ -136,6 +117,7 @@ class Executor:
         clock: Callable[[], float] = monotonic,
         record: Record | None = None,
         objects: Objects | None = None,
+        draw: Callable[[Sequence[str]], int] | None = None,
     ) -> None:
         functions.check(net)
         self.written = net
@@ -144,6 +126,7 @@ class Executor:
         self.rule = FiringRule(net, outlet, observer or Observer(), clock, objects)
         self.rule.record = record
         conflicts = ConflictResolution(self.rule, functions, strategies or StrategyBook(), seed)
+        conflicts.drawn = draw
         self._timers = Timers()
         actions = Actions(self, self.rule, conflicts, runner, self._timers, clock, check_objects)
         self._loop = EventLoop(self.rule, conflicts, actions, self._timers, self._inbox, clock)
@@ -283,6 +266,22 @@ class Executor:
         if found is None:
             raise NetError(f"net {self.net.name} has no action of number {number} running", number=number)
         return found
+
+    def hindrance(self, transition: str) -> str:
+        """Says what keeps a transition of the expanded net from firing now; empty: nothing that is known."""
+        rule = self.rule
+        index = rule.number.get(transition)
+        if index is None:
+            return f"the net has no transition {transition}"
+        tokens, found = rule.tokens.marking(), rule.transitions[index]
+        for place, count in found.inputs.items():
+            if tokens.get(place, 0) < count:
+                return f"place {place} holds {tokens.get(place, 0)} tokens, and it takes {count}"
+        if found.symbol is not None and not rule.ledger.tape.has(found.symbol):
+            return f"symbol {found.symbol} is not on the tape"
+        if found.guard is not None and not self._loop.conflicts.holds(index):
+            return f"its guard {'not ' if found.guard.negated else ''}{found.guard.name} is false"
+        return ""
 
     def replay(self, entry: NetEntry) -> None:
         """Does again what an entry tells: as when it happened, but nothing is begun, sent or told.

@@ -123,6 +123,26 @@ class Outlet(Protocol):
         """Answers a request."""
 
 
+class Nowhere:
+    """Takes what a net sends that is brought back or run again, and sends nothing: it has been sent."""
+
+    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
+        """Sends nothing."""
+
+    def send_tiding(
+        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Sends nothing."""
+
+    def send_settled(
+        self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Sends nothing."""
+
+    def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
+        """Sends nothing."""
+
+
 Fired = Firing | tuple[Firing, float]
 """A firing that is not numbered yet: as far as it is known beforehand, and its duration where it has one [s]."""
 

@@ -121,9 +121,9 @@ def net_encoder(net: str) -> Callable[[NetEntry], str]:
     def encode(entry: NetEntry) -> str:
         if isinstance(entry, TransitionFired):
             transition, job = entry
-            text = fired.get(transition) if job is None else f"{prefix}{encode_json(_net_fields(entry))}]"
+            text = fired.get(transition) if job is None else f"{prefix}{encode_json(encode_net_entry(entry))}]"
             if text is None:
-                text = fired[transition] = f"{prefix}{encode_json(_net_fields(entry))}]"
+                text = fired[transition] = f"{prefix}{encode_json(encode_net_entry(entry))}]"
             return text
         if isinstance(entry, EndFired):
             number, transition, failure, data = entry
@@ -135,17 +135,22 @@ def net_encoder(net: str) -> Callable[[NetEntry], str]:
         if isinstance(entry, TokenArrived) and entry.carried is None:
             text = arrived.get((entry.place, entry.count))
             if text is None:
-                text = arrived[entry.place, entry.count] = f"{prefix}{encode_json(_net_fields(entry))}]"
+                text = arrived[entry.place, entry.count] = f"{prefix}{encode_json(encode_net_entry(entry))}]"
             return text
         try:
-            return f"{prefix}{encode_json(_net_fields(entry))}]"
+            return f"{prefix}{encode_json(encode_net_entry(entry))}]"
         except (TypeError, ValueError) as error:
             raise NetError(f"net {net}: what is to be journalled is not JSON data: {error}", net=net) from error
 
     return encode
 
 
-def _net_fields(entry: NetEntry) -> list[object]:
+def encode_net_entry(entry: NetEntry) -> list[object]:
+    """Writes an entry of a net, as :func:`decode_net_entry` reads it.
+
+    Raises:
+        NetError: JSON cannot carry the arguments of a command or request.
+    """
     match entry:
         case TransitionFired(transition, job):
             return ["fire", transition] if job is None else ["fire", transition, job]

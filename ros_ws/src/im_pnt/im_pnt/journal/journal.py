@@ -97,12 +97,19 @@ class Journal:
 
     # What the nets, the exchange and the link of the process need to be given.
 
-    def recorder(self, net: str) -> Record:
-        """Returns what an executor is given to record its events and firings."""
+    def recorder(self, net: str, told: Callable[[str], None] = lambda _: None) -> Record:
+        """Returns what an executor is given to record its events and firings.
+
+        Args:
+            net: Its net.
+            told: Is told each as it is written.
+        """
         encode, append = net_encoder(net), self._entries.append
 
         def record(entry: NetEntry) -> None:
-            append(encode(entry))
+            text = encode(entry)
+            append(text)
+            told(text)
             if type(entry) not in _FIRINGS and self._exchange is not None:
                 self._exchange.inboxes.deliveries.taken(net, entry)
 

@@ -18,8 +18,9 @@ from im_core.ros.status import status_to_error
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
+from im_pnt.mission.log import MissionLog
 from im_pnt.model.action import Action, AwaitAction, GoalAction, ServiceAction, TopicAction
-from im_pnt.ros.messages import fill, plain_fields
+from im_pnt.ros.messages import fill, packed_message, plain_fields
 
 DISCOVERY_TIMEOUT_S = 20.0
 """Time in which a server that lives is discovered, also on a busy computer [s]."""
@@ -56,12 +57,14 @@ class Surroundings:
         node: The node.
         functions: Registered builders and handlers.
         heartbeats: Tells who is alive.
+        log: Is told what is sent, and what is answered.
     """
 
-    def __init__(self, node: ManagedNode, functions: Functions, heartbeats: Heartbeats) -> None:
+    def __init__(self, node: ManagedNode, functions: Functions, heartbeats: Heartbeats, log: MissionLog) -> None:
         self.node = node
         self.functions = functions
         self.heartbeats = heartbeats
+        self.log = log
 
     async def wait(
         self, future: Any, task: str | None, timeout_s: float, what: str, there: Callable[[], bool] = lambda: True
@@ -128,39 +131,23 @@ class Surroundings:
         first = action.name.strip("/").partition("/")[0]
         return first if self.heartbeats.incarnation(first) is not None else None
 
-    async def fields(
-        self, action: ServiceAction | GoalAction | TopicAction, context: ActionContext
-    ) -> dict[str, object]:
-        """Returns the fields of what is sent.
+    async def sent(
+        self, activity: Activity, action: ServiceAction | GoalAction | TopicAction, context: ActionContext, message: Any
+    ) -> Any:
+        """Returns what is sent for an action: a message, filled, and noted.
 
         Raises:
-            NetError: The builder returned something else.
-            ImError: An expression has no value.
+            ImError: As of :func:`fields_of`, or a field does not fit.
         """
-        built: object = {}
-        if action.build:
-            built = self.functions.actions[action.build](context)
-            if inspect.isawaitable(built):
-                built = await built
-        if not isinstance(built, dict):
-            raise NetError(f"builder {action.build} returned {built!r}, not a dict of fields")
-        fields = await context.filled(action.fields)
-        assert isinstance(fields, dict)
-        return {**fields, **built}
+        filled = fill(message, await fields_of(self.functions, action, context), str(action))
+        self.log.sent(sent_key(activity), packed_message(filled))
+        return filled
 
     async def handled(
         self, action: ServiceAction | GoalAction | AwaitAction, context: ActionContext, answer: Any
     ) -> dict[str, object]:
-        """Has the registered handler read an answer, and returns the fields of it that the net reads.
-
-        Raises:
-            ImError: One of them is no finite number.
-        """
-        if action.handle:
-            outcome = self.functions.actions[action.handle](context, answer)
-            if inspect.isawaitable(outcome):
-                await outcome
-        return plain_fields(answer, context.answer_ways, f"the answer of {action.name}")
+        """Has the registered handler read an answer, and returns the fields of it that the net reads."""
+        return await handled(self.functions, action, context, answer)
 
 
 class ServiceActions:
@@ -188,13 +175,17 @@ class ServiceActions:
         action = activity.action
         assert isinstance(action, ServiceAction)
         around, (client, made) = self._surroundings, self._client(action)
-        request = fill(interface_class(action.type).Request(), await around.fields(action, context), str(action))
+        request = await around.sent(activity, action, context, interface_class(action.type).Request())
         task = around.task(action)
         what = f"transition {activity.transition}"
-        await around.until_ready(client.service_is_ready, made, task, f"the service {action.name} ({what})")
-        limit = time_left(activity, SERVICE_TIMEOUT_S)
-        waited = f"an answer of {action.name} ({what})"
-        response = await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
+
+        async def call() -> Any:
+            await around.until_ready(client.service_is_ready, made, task, f"the service {action.name} ({what})")
+            limit = time_left(activity, SERVICE_TIMEOUT_S)
+            waited = f"an answer of {action.name} ({what})"
+            return await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
+
+        response = await around.log.read(answer_key(activity), call(), packed_message)
         require_success(response, str(action))
         return await around.handled(action, context, response)
 
@@ -230,8 +221,8 @@ class TopicActions:
         """
         action = activity.action
         assert isinstance(action, TopicAction)
-        fields = await self._surroundings.fields(action, context)
-        self._publisher(action).publish(fill(interface_class(action.type)(), fields, str(action)))
+        message = await self._surroundings.sent(activity, action, context, interface_class(action.type)())
+        self._publisher(action).publish(message)
         return {}
 
     def _publisher(self, action: TopicAction) -> Publisher:
@@ -243,6 +234,52 @@ class TopicActions:
 
 
 # What they are made of, and what is read from answers.
+
+
+def sent_key(activity: Activity) -> list[object]:
+    """Under what a request, a goal or a message of an action is noted."""
+    return ["action", activity.net, activity.number]
+
+
+def answer_key(activity: Activity) -> list[object]:
+    """Under what its answer is."""
+    return ["answer", activity.net, activity.number]
+
+
+async def fields_of(
+    functions: Functions, action: ServiceAction | GoalAction | TopicAction, context: ActionContext
+) -> dict[str, object]:
+    """Returns the fields of what is sent.
+
+    Raises:
+        NetError: The builder returned something else.
+        ImError: An expression has no value.
+    """
+    built: object = {}
+    if action.build:
+        built = functions.actions[action.build](context)
+        if inspect.isawaitable(built):
+            built = await built
+    if not isinstance(built, dict):
+        raise NetError(f"builder {action.build} returned {built!r}, not a dict of fields")
+    fields = await context.filled(action.fields)
+    assert isinstance(fields, dict)
+    return {**fields, **built}
+
+
+async def handled(
+    functions: Functions, action: ServiceAction | GoalAction | AwaitAction, context: ActionContext, answer: Any
+) -> dict[str, object]:
+    """Has the registered handler read an answer, and returns the fields of it that the net reads.
+
+    Raises:
+        ImError: One of them is no finite number.
+    """
+    if action.handle:
+        outcome = functions.actions[action.handle](context, answer)
+        if inspect.isawaitable(outcome):
+            await outcome
+    return plain_fields(answer, context.answer_ways, f"the answer of {action.name}")
 
 
 def time_left(activity: Activity, default: float) -> float:

@@ -21,8 +21,8 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import Action, AwaitAction
-from im_pnt.ros.actions import Surroundings
-from im_pnt.ros.messages import plain_fields
+from im_pnt.ros.actions import Surroundings, answer_key
+from im_pnt.ros.messages import packed_message, plain_fields
 
 DEPTH = 100
 
@@ -65,7 +65,7 @@ class AwaitActions:
                 promise.set_exception(ImError(f"the wait for a {action} was cancelled", code="cancelled"))
 
         activity.when_cancelled(give_up)
-        return self._take(promise, action, context)
+        return self._take(promise, activity, action, context)
 
     def ask(self, activity: Activity, _: ActionContext) -> Answer:
         """Returns what became of a wait whose time is over: failed, even before it is known to be called off."""
@@ -76,8 +76,11 @@ class AwaitActions:
             return True
         return context.holds(action.until, plain_fields(message, context.answer_ways, str(action)))
 
-    async def _take(self, promise: Promise, action: AwaitAction, context: ActionContext) -> dict[str, object]:
-        return await self._surroundings.handled(action, context, await promise)
+    async def _take(
+        self, promise: Promise, activity: Activity, action: AwaitAction, context: ActionContext
+    ) -> dict[str, object]:
+        message = await self._surroundings.log.read(answer_key(activity), promise, packed_message)
+        return await self._surroundings.handled(action, context, message)
 
     def _listener(self, action: AwaitAction) -> "_Listener":
         key = (action.name, action.type, action.latched)

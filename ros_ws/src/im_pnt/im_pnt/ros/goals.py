@@ -23,8 +23,8 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import Action, GoalAction
-from im_pnt.ros.actions import Surroundings, failure_of, require_success, time_left
-from im_pnt.ros.messages import fill
+from im_pnt.ros.actions import Surroundings, answer_key, failure_of, require_success, time_left
+from im_pnt.ros.messages import packed_message
 
 ACCEPT_TIMEOUT_S = 30.0
 GOAL_TIMEOUT_S = 600.0
@@ -82,20 +82,24 @@ class GoalActions:
     async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> dict[str, object]:
         around, (client, made) = self._surroundings, self._client(action)
         task = around.task(action)
-        goal = fill(interface_class(action.type).Goal(), await around.fields(action, context), str(action))
-        await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
-        if activity.cancelled:
-            raise ImError(f"{action} was cancelled before it was sent", code="cancelled")
-        asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
-        accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
-        handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, client.server_is_ready)
-        if not handle.accepted:
-            raise StateError(f"{action} was rejected", action=action.name)
-        waited = f"the result of {action.name} (transition {activity.transition})"
-        result = self._follow(activity, handle)
-        left = time_left(activity, GOAL_TIMEOUT_S)
-        answer = await around.wait(result, task, left, waited, client.server_is_ready)
-        return await self._conclude(action, context, answer)
+        goal = await around.sent(activity, action, context, interface_class(action.type).Goal())
+
+        async def reach() -> Any:
+            await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
+            if activity.cancelled:
+                raise ImError(f"{action} was cancelled before it was sent", code="cancelled")
+            asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
+            accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
+            handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, client.server_is_ready)
+            if not handle.accepted:
+                raise StateError(f"{action} was rejected", action=action.name)
+            waited = f"the result of {action.name} (transition {activity.transition})"
+            result = self._follow(activity, handle)
+            left = time_left(activity, GOAL_TIMEOUT_S)
+            return await around.wait(result, task, left, waited, client.server_is_ready)
+
+        answer = await around.log.read(answer_key(activity), reach(), packed_result)
+        return await around.handled(action, context, result_of(action, answer.status, answer.result))
 
     async def ask(self, activity: Activity, context: ActionContext) -> Answer:
         """Asks the server what became of a goal that was sent in a former life of this process."""
@@ -120,7 +124,7 @@ class GoalActions:
         if answer.status == GoalStatus.STATUS_UNKNOWN:
             return Answer(Outcome.UNKNOWN, asked=f"{action.name} does not know the goal")
         try:
-            kept = await self._conclude(action, context, answer)
+            kept = await around.handled(action, context, result_of(action, answer.status, answer.result))
         except ImError as error:
             return Answer(Outcome.FAILED, error, asked=action.name)
         return Answer(Outcome.DONE, results=kept, asked=action.name)
@@ -143,14 +147,6 @@ class GoalActions:
                 return
             await pause(self._surroundings.node, CANCEL_AGAIN_S)
 
-    async def _conclude(self, action: GoalAction, context: ActionContext, answer: Any) -> dict[str, object]:
-        if answer.status == GoalStatus.STATUS_CANCELED:
-            raise failure_of(answer.result, f"{action} was cancelled", "cancelled")
-        if answer.status != GoalStatus.STATUS_SUCCEEDED:
-            raise failure_of(answer.result, f"{action} was aborted", "aborted")
-        require_success(answer.result, str(action))
-        return await self._surroundings.handled(action, context, answer.result)
-
     def _handle(self, client: ActionClient, activity: Activity) -> ClientGoalHandle:
         action = activity.action
         assert isinstance(action, GoalAction)
@@ -167,3 +163,22 @@ class GoalActions:
             client = GuardedActionClient(self._surroundings.node, interface_class(action.type), action.name)
             self._clients[action.name] = (client, monotonic())
         return self._clients[action.name]
+
+
+def packed_result(answer: Any) -> list[object]:
+    """Returns the answer to a goal as JSON data: status, type and CDR of the result."""
+    return [int(answer.status), *packed_message(answer.result)]
+
+
+def result_of(action: GoalAction, status: int, result: Any) -> Any:
+    """Returns the result of a goal that has succeeded.
+
+    Raises:
+        ImError: It has not: it was cancelled or aborted, or the result says so.
+    """
+    if status == GoalStatus.STATUS_CANCELED:
+        raise failure_of(result, f"{action} was cancelled", "cancelled")
+    if status != GoalStatus.STATUS_SUCCEEDED:
+        raise failure_of(result, f"{action} was aborted", "aborted")
+    require_success(result, str(action))
+    return result

@@ -6,10 +6,13 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
+from rclpy.serialization import serialize_message
+
 from im_core.errors import ConfigError, ImError, NotFoundError, nearest
-from im_core.ros.interfaces import interface_class
+from im_core.ros.interfaces import interface_class, type_name
 from im_pnt.errors import NetError
 from im_pnt.expression.types import ValueType, field_type
+from im_pnt.mission.log import packed
 
 _SEQUENCE = re.compile(r"(?:sequence<(?P<bounded>[^,>]+)(?:, *\d+)?>|(?P<array>[^\[]+)\[\d*\])")
 _PARTS = ("_Request", "_Response", "_Goal", "_Result")
@@ -38,6 +41,11 @@ def _fields(message: str) -> Mapping[str, ValueType]:
     if part:
         found = getattr(found, part[1:])
     return {name: field_type(text) for name, text in found.get_fields_and_field_types().items()}
+
+
+def packed_message(message: object) -> list[str]:
+    """Returns a message as JSON data."""
+    return packed(type_name(type(message)), serialize_message(message))
 
 
 def plain_fields(message: Any, ways: Sequence[tuple[str, ...]], where: str) -> dict[str, object]:

@@ -25,6 +25,7 @@ from im_pnt.expression.scope import check_net
 from im_pnt.journal.journal import Journal
 from im_pnt.journal.log import Sync
 from im_pnt.journal.state import restore_net, taken_over
+from im_pnt.mission.log import MissionLog
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
 from im_pnt.ros.actions import RosAction, ServiceActions, Surroundings, TopicActions
@@ -37,6 +38,7 @@ from im_pnt.ros.goals import GoalActions
 from im_pnt.ros.library import Library, Loader
 from im_pnt.ros.loop import NetLoop
 from im_pnt.ros.messages import RosTypes
+from im_pnt.ros.mission import MissionPublisher, NotedAnswers, NotedObjects, NotedRequests
 from im_pnt.ros.objects import DomObjects
 from im_pnt.ros.observer import NodeObserver
 from im_pnt.ros.publish import PntPublisher
@@ -65,8 +67,12 @@ class PntNode(ManagedNode):
         guards: Enabling functions that the nets name.
         asks: For actions by name, what finds out what became of them.
         verifier: Says whether nets may run together; none runs without.
+        made_by: What makes the functions for a :class:`im_pnt.mission.host.Host`, as ``module:function``, so that a
+            recorded mission can be run again; empty: nothing does.
 
     Attributes:
+        log: What the nets can be run again from.
+        objects: The data objects, for functions of nets; what these read and store is noted.
         dom: Client of the Data Object Manager.
         heartbeats: Tells who is alive.
         sources: What guards look at.
@@ -85,13 +91,16 @@ class PntNode(ManagedNode):
         asks: Mapping[str, AskFunction] | None = None,
         *,
         verifier: Verifier,
+        made_by: str = "",
         parameter_overrides: list[Parameter] | None = None,
     ) -> None:
         super().__init__(name, parameter_overrides=parameter_overrides)
         self.functions = Functions(functions, guards, asks)
         self.heartbeats = Heartbeats(self)
+        self.log = MissionLog()
         self.dom = DomClient(self)
-        self.sources = Sources(self, self.dom, self._source_changed)
+        self.objects = NotedObjects(self.dom, self.log)
+        self.sources = Sources(self, self.dom, self.log, self._source_changed)
         declare = self.fixed_parameters.declare
         self.seed = declare("seed", 0, "of the choices among transitions in conflict", span=(0, 2**31 - 1))
         journals = "" if self.get_parameter("standalone").value else str(run_dir() / "journal")
@@ -104,8 +113,10 @@ class PntNode(ManagedNode):
         self._transport = DdsTransport(self, epoch, self.heartbeats, self._observer)
         self.exchange = Exchange(name, began_at(epoch), self._transport, self._observer)
         self._publisher.nets = self.exchange.nets
-        self._objects = DomObjects(self.dom, self.spawn, self._guards_changed)
-        self._loop = NetLoop(self, self.exchange.nets, self._may_turn, self._commit, self._publisher.publish)
+        nets = self.exchange.nets
+        self._mission = MissionPublisher(self, self.log, made_by, lambda: list(nets.values()), self.sources.tell)
+        self._objects = DomObjects(self.objects, self.spawn, self._guards_changed)
+        self._loop = NetLoop(self, self.exchange.nets, self._may_turn, self._commit, self._told)
         self.commands = self._observer.commands = Commands(
             self, self.exchange.nets, lambda: self._notes.changed(), self._command_ended
         )
@@ -114,7 +125,7 @@ class PntNode(ManagedNode):
         self._notes = CommandNotes(self, noted, self.commands.numbered)
         self._library = Library([Path(file) for file in net_files], verifier)
         self.loader = Loader(self, self._library, self.exchange.nets, self._publisher)
-        around = Surroundings(self, self.functions, self.heartbeats)
+        around = Surroundings(self, self.functions, self.heartbeats, self.log)
         goals = GoalActions(around, self.spawn, lambda: self.exchange.book.prefix)
         awaits = AwaitActions(around)
         self._kinds: dict[type, RosAction] = {
@@ -123,9 +134,11 @@ class PntNode(ManagedNode):
             TopicAction: TopicActions(around),
             AwaitAction: awaits,
         }
-        questions: dict[type, Ask] = {GoalAction: goals.ask, AwaitAction: awaits.ask}
+        answers = NotedAnswers(self.log)
+        questions: dict[type, Ask] = {GoalAction: answers(goals.ask), AwaitAction: awaits.ask}
         others = {kind: actions.perform for kind, actions in self._kinds.items()}
-        self._runner = FunctionRunner(self.functions, self.exchange, self.spawn, others, questions)
+        requests = NotedRequests(self.exchange, self.log)
+        self._runner = FunctionRunner(self.functions, requests, self.spawn, others, questions)
         self._journal: Journal | None = None
         self._book = StrategyBook()
         self._looked = False
@@ -347,13 +360,14 @@ class PntNode(ManagedNode):
             seed=self.seed,
             wake=self._loop.wake,
             check_objects=lambda names, done: self.spawn(self.sources.check(names, done)),
-            record=None if journal is None else journal.recorder(net.name),
+            record=None if journal is None else journal.recorder(net.name, self.log.items.append),
             strategies=self._book,
             objects=self._objects,
         )
         if state is not None:
             restore_net(executor, state)
         (enter or self.exchange.add)(executor)
+        self._mission.loaded(executor)
         self._publisher.described(executor)
         self._publisher.marked(executor)
         self._loop.wake()
@@ -368,6 +382,7 @@ class PntNode(ManagedNode):
         """Looks at the data objects that guards and marked places speak of; nothing fires before."""
         await self._compare_objects()
         self._looked = True
+        self._mission.begin()
         self._loop.wake()
 
     async def _compare_objects(self) -> None:
@@ -382,6 +397,10 @@ class PntNode(ManagedNode):
 
     def _may_turn(self) -> bool:
         return (self.ready and self._looked and self.sources.known) or self._stopped
+
+    def _told(self) -> None:
+        self._publisher.publish()
+        self._mission.publish()
 
     def _commit(self) -> None:
         if self._journal is not None:
@@ -401,6 +420,7 @@ class PntNode(ManagedNode):
 
     def _object_changed(self, change: ObjectChange) -> None:
         self.dom.heard(change.object)
+        self.log.add("object", change.object.name, bool(change.object.valid))
         self.sources.object_changed(change)
         if self._objects.forget(change.object.name):
             self._guards_changed()

@@ -4,10 +4,10 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from im_core.errors import ImError
-from im_core.ros.dom import DomClient
 from im_core.ros.interfaces import interface_class
 from im_pnt.execution.values import Done, ObjectPendingError
 from im_pnt.expression.scope import Way
+from im_pnt.mission.host import HostObjects
 from im_pnt.ros.messages import fill, plain_fields
 
 Ways = tuple[Way, ...]
@@ -21,13 +21,13 @@ class DomObjects:
     """The objects of the Data Object Manager.
 
     Args:
-        dom: Its client.
+        dom: Where they are read and stored.
         spawn: Runs coroutines in the loop.
         known: Called when an object has been read that a guard looks at.
     """
 
     def __init__(
-        self, dom: DomClient, spawn: Callable[[Coroutine[object, object, None]], None], known: Callable[[], None]
+        self, dom: HostObjects, spawn: Callable[[Coroutine[object, object, None]], None], known: Callable[[], None]
     ) -> None:
         self._dom, self._spawn, self._known = dom, spawn, known
         self._latest: dict[tuple[str, Ways], dict[str, object] | ImError | _Reading] = {}

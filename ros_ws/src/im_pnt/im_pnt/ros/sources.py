@@ -11,6 +11,8 @@ from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import ObjectChange
 from im_pnt.errors import NetError
+from im_pnt.mission.log import MissionLog
+from im_pnt.ros.messages import packed_message
 
 
 class Sources:
@@ -19,14 +21,15 @@ class Sources:
     Args:
         node: The node.
         dom: Client of the Data Object Manager.
+        log: Is told of messages, from which guards can be asked again.
         changed: Is told of each source that has changed, as guards declare it.
 
     Attributes:
         known: Whether every object that was declared has been asked for.
     """
 
-    def __init__(self, node: ManagedNode, dom: DomClient, changed: Callable[[str], None]) -> None:
-        self._node, self._dom, self._changed = node, dom, changed
+    def __init__(self, node: ManagedNode, dom: DomClient, log: MissionLog, changed: Callable[[str], None]) -> None:
+        self._node, self._dom, self._log, self._changed = node, dom, log, changed
         self._valid: dict[str, bool] = {}
         self._last: dict[str, Any] = {}
         self.known = True
@@ -48,6 +51,12 @@ class Sources:
     def last(self, topic: str) -> Any:
         """Returns the last message of a topic that is followed, None before the first."""
         return self._last[topic]
+
+    def tell(self) -> None:
+        """Has what was heard last noted again, for who begins to listen."""
+        for topic, message in self._last.items():
+            if message is not None:
+                self._log.add("heard", topic, *packed_message(message))
 
     def valid(self, name: str) -> bool:
         """Whether a data object that a guard has declared is valid."""
@@ -105,4 +114,5 @@ class Sources:
     def _hear(self, topic: str, check: Callable[[Any], object], message: Any) -> None:
         check(message)
         self._last[topic] = message
+        self._log.add("heard", topic, *packed_message(message))
         self._changed(f"topic:{topic}")

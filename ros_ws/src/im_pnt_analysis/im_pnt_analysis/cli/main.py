@@ -23,6 +23,7 @@ PNML files of other tools. docs/nets.md tells how to write one.
   scripts/im pnt journal show dispatcher                          what a node would remember if it came back
   scripts/im pnt bag bags/demo --picture mission.svg              what a recording tells: time line, gaps, durations
   scripts/im pnt fit bags/demo --nets pick.yaml --write           delays and probabilities of nets out of recordings
+  scripts/im pnt mission bags/demo                                do its nets still do the same?
 
 Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong
 (prove: 3 it is not proved)."""
@@ -40,8 +41,12 @@ _COMMANDS = {
     "journal": "what does a node remember?",
     "bag": "what does a recording tell?",
     "fit": "take times and probabilities from recordings",
+    "mission": "does a recorded mission run as it did?",
 }
 """Modules of this folder; only the one that is called is imported, which no other has to wait for."""
+
+_OF_NODES = {"run": "im_pnt.ros.pnt_node", "mission": "im_pnt.ros.rerun"}
+"""Commands that need messages of ROS, and who has them."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,8 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser("im pnt", formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    if words[:1] == ["run"]:
-        return int(import_module("im_pnt.ros.pnt_node").main(words[1:], "im pnt run"))
+    if words[:1] and words[0] in _OF_NODES:
+        return int(import_module(_OF_NODES[words[0]]).main(words[1:], f"im pnt {words[0]}"))
     called = next((word for word in words if not word.startswith("-")), "")
     for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, formatter_class=raw)

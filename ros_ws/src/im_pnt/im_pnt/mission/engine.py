@@ -1,0 +1,124 @@
+"""How actions of a mission that is run again begin and end."""
+
+import inspect
+from collections.abc import Awaitable, Callable, Mapping
+from copy import deepcopy
+from typing import Any, Protocol
+
+from im_core import plugins
+from im_core.errors import DataError, ImError
+from im_pnt.execution.actions import ActionOwner, Ask, FunctionRunner, Perform
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.execution.jobs import Activity, Reply
+from im_pnt.execution.record import EndFired, take_data
+from im_pnt.execution.values import Objects
+from im_pnt.journal.codec import decode_net_entry
+from im_pnt.mission.life import Life
+from im_pnt.mission.script import Reading, Script, ScriptHost
+from im_pnt.model.action import FunctionAction
+
+ENDED = "its recorded end"
+
+
+class ActionsAgain(Protocol):
+    """How actions that reach other tasks are done again; made for each life of a node."""
+
+    def performers(self, script: Script, functions: Functions) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
+        """Returns what carries out the actions of each kind, and what finds out what became of them."""
+
+    def objects(self, host: ScriptHost, spawn: Callable[..., None], known: Callable[[], None]) -> Objects:
+        """Returns the data objects of expressions."""
+
+    def heard(self, kind: str, data: str) -> object:
+        """Returns a message that was heard."""
+
+
+class RerunExecutor(Executor):
+    """A net that is run again: actions end when the recording says so.
+
+    Attributes:
+        completions: How actions have ended that the recording has not come to yet, by their numbers.
+    """
+
+    completions: dict[int, Reply]
+
+    def ended(self, activity: Activity, error: ImError | None, results: dict[str, object] | None = None) -> None:
+        """Keeps how an action has ended."""
+        self.completions[activity.number] = Reply(error, results or {})
+
+
+class NotDoneAgain:
+    """Stands for actions that nets name as ``module:function``: they may move something, so they leave what they left.
+
+    Args:
+        life: The nets.
+    """
+
+    def __init__(self, life: Life) -> None:
+        self._life = life
+
+    def functions(self) -> dict[str, Callable[..., object]]:
+        """Returns what stands for actions that nets name as ``module:function``: they may move something.
+
+        Raises:
+            DataError: A net names one that only its node knows.
+        """
+        found: dict[str, Callable[..., object]] = {}
+        for net in self._life.nets.values():
+            for transition in net.transitions.values():
+                if isinstance(action := transition.action, FunctionAction):
+                    if ":" not in action.function:
+                        text = f"net {net.name} calls {action.function}; {self._life.node} does not say by made_by"
+                        raise DataError(f"{text} what makes its functions", net=net.name)
+                    later = inspect.iscoroutinefunction(plugins.load(action.function, None, "action function"))
+                    found[action.function] = forever if later else self._as_recorded
+        return found
+
+    def _as_recorded(self, context: ActionContext) -> None:
+        """Ends an action that is called at once as it ended then, and leaves what it left."""
+        match self._life.entries[context.net].next():
+            case ["end", int(number), *_]:
+                executor = self._life.executors[context.net]
+                executor.rule.called()
+                self.leave(executor.activity(number), raises=True)
+
+    def leave(self, activity: Activity, *, raises: bool) -> None:
+        """Leaves in a job what an action that is not done again has left; may raise its failure."""
+        entries = self._life.entries[activity.net]
+        for content, _ in entries.recorded[entries.reached :]:
+            match content:
+                case ["end", int(number), *_] if number == activity.number:
+                    entry = decode_net_entry(content)
+                    assert isinstance(entry, EndFired)
+                    job = activity.lineage.job
+                    if entry.data is not None and job is not None:
+                        before = deepcopy(job.recorded)
+                        take_data(job, entry.data)
+                        job.recorded = before  # what has changed since is told again
+                    if raises and entry.error is not None:
+                        raise entry.error
+                    return
+
+
+async def forever(_: ActionContext) -> None:
+    """Stands for an action that is not done again: it ends when it ended then."""
+    await Reading(ENDED)
+
+
+class Labelled(FunctionRunner):
+    """Begins actions, and tells the script which."""
+
+    def __init__(self, script: Script, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._script = script
+
+    def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
+        """Begins an action."""
+        self._script.label = activity
+        super().start(owner, activity, context)
+
+    def watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
+        """Waits for what a function has left to do."""
+        self._script.label = activity
+        super().watch(owner, activity, work)

@@ -1,0 +1,113 @@
+"""Entries of a net as they were recorded, beside those of now."""
+
+import json
+from collections.abc import Sequence
+
+from im_core.errors import DataError, ImError
+from im_pnt.errors import decode_error, encode_error
+from im_pnt.execution.jobs import Reply
+from im_pnt.journal.log import encode_json
+from im_pnt.mission.difference import first_difference
+from im_pnt.mission.stream import Turn
+
+#: Kinds of entries that arrive from outside; the others are what the net makes of them.
+INPUTS = frozenset(
+    (
+        "command",
+        "cancel",
+        "hold",
+        "request",
+        "request_cancelled",
+        "token",
+        "tiding",
+        "node_forgotten",
+        "ended",
+        "mode",
+        "pause",
+    )
+)
+#: Codes of errors whose sentences say how long something took.
+BY_TIME = frozenset(("timeout", "in_doubt"))
+
+
+class Entries:
+    """What was recorded of a net, and how much of it has happened again."""
+
+    def __init__(self) -> None:
+        self.recorded: list[tuple[list[object], Turn]] = []
+        self.reached = self.seen = 0
+
+    def next(self) -> list[object] | None:
+        """Returns what comes next; None: nothing."""
+        return self.recorded[self.reached][0] if self.reached < len(self.recorded) else None
+
+
+def plain(content: list[object]) -> list[object]:
+    """Returns an entry as it is read from a bag."""
+    copy = json.loads(encode_json(content))
+    assert isinstance(copy, list)
+    return copy
+
+
+def error_of(content: object) -> ImError | None:
+    """Returns an error that was recorded.
+
+    Raises:
+        DataError: It is none.
+    """
+    try:
+        return decode_error(content)
+    except ValueError as error:
+        raise DataError(str(error)) from error
+
+
+def alike(recorded: list[object], now: list[object]) -> bool:
+    """Whether entries differ only in the sentence of a time-out, which says how long it was."""
+    match recorded, now:
+        case ["end" | "phase", *_], ["end" | "phase", *_] if len(recorded) == len(now):
+            rank = 3
+            then, again = recorded[rank], now[rank]
+            same = recorded[:rank] == now[:rank] and recorded[rank + 1 :] == now[rank + 1 :]
+            if same and isinstance(then, list) and isinstance(again, list):
+                return then[0] == again[0] and then[0] in BY_TIME
+    return False
+
+
+def transition_of(content: Sequence[object]) -> str:
+    """Returns which transition an entry tells of; empty: none."""
+    match content:
+        case ["fire", str(name), *_] | ["end" | "phase", _, str(name), *_]:
+            return name
+    return ""
+
+
+def shown(content: Sequence[object]) -> str:
+    """Returns an entry in words."""
+    match content:
+        case ["fire", str(name), *_]:
+            return f"{name} fires"
+        case ["end", _, str(name), error, *_]:
+            return f"{name} fires" + (f": {told_of(error_of(error))}" if error else "")
+        case ["phase", _, str(name), error]:
+            return f"{name} fires: {told_of(error_of(error))}"
+    return str(content)[:200]
+
+
+def left_of(data: object) -> object:
+    """What an action has left, by name."""
+    return dict(zip(("memory", "results", "progress"), data, strict=False)) if isinstance(data, list) else data
+
+
+def told_of(error: ImError | None) -> str:
+    """Returns how an action ended, in words."""
+    return "well" if error is None else f"with failure {error.code}: {error.message}"
+
+
+def reply_difference(recorded: Reply, now: Reply) -> str:
+    """Says how ends of an action differ; empty where they do not, or only in how long something took."""
+    then, again = encode_error(recorded.error), encode_error(now.error)
+    if then != again and not (then and again and then[0] == again[0] and then[0] in BY_TIME):
+        return "its function ends otherwise"
+    if plain([recorded.results]) != plain([now.results]):
+        return f"its answer is kept otherwise: {first_difference(plain([recorded.results]), plain([now.results]))}"
+    return ""

@@ -1,0 +1,240 @@
+"""A recorded mission is run again: equal, or the first difference with both sides."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rclpy.parameter import Parameter
+from std_msgs.msg import String
+
+import im_coordinators.ros.vision as vision
+from im_bringup.bag import BagWriter, Delivery
+from im_core.errors import DataError
+from im_core.ros import qos
+from im_core.ros.guard import GuardedNode
+from im_dispatcher.commands.calibrate_camera import CalibrateCamera
+from im_dispatcher.job import PoseLoop
+from im_pnt.execution.functions import Functions
+from im_pnt.mission.difference import Difference, first_difference
+from im_pnt.mission.rerun import NodeRerun
+from im_pnt.mission.stream import streams_of
+from im_pnt.ros.node import PntNode
+from im_pnt.ros.rerun import BAD_INPUT, DIFFERS, EQUAL, RosMessages, RosWorld, main
+from im_pnt_analysis import verify_to_load
+
+BAGS = Path(__file__).parent / "data" / "bags"
+NETS = Path(__file__).parent.parent / "ros_ws/src/im_dispatcher/im_dispatcher/nets"
+SHIPPED = (NETS / "calibrate_camera.yaml").read_text(encoding="utf-8")
+
+
+def differs(capsys, *arguments) -> str:
+    """What is told of the first difference."""
+    assert main([*map(str, arguments)]) == DIFFERS
+    return capsys.readouterr().out
+
+
+def refused(capsys, *arguments) -> str:
+    assert main([*map(str, arguments)]) == BAD_INPUT
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["undisturbed", "faults"])
+def test_the_nets_of_this_installation_do_what_they_did(capsys, name):
+    assert main([str(BAGS / name)]) == EQUAL
+    told = capsys.readouterr().out
+    found = re.search(r"equal: (\d+) nets, (\d+) firings", told)
+    assert found, told
+    assert int(found[1]) == 12
+    assert int(found[2]) > 300
+
+
+@pytest.fixture
+def changed(tmp_path) -> Callable[..., Path]:
+    """``changed(old, new, ...)``: the net calibrate_camera with other text."""
+
+    def change(*pairs: str) -> Path:
+        text = SHIPPED
+        for old, new in zip(pairs[::2], pairs[1::2], strict=True):
+            assert old in text
+            text = text.replace(old, new, 1)
+        file = tmp_path / "changed.yaml"
+        file.write_text(text, encoding="utf-8")
+        return file
+
+    return change
+
+
+def test_a_changed_guard_is_the_first_difference(capsys, changed):
+    net = changed("    guard: more_poses\n", "    guard: cancelled\n")
+    told = differs(capsys, BAGS / "undisturbed", "--nets", net)
+    assert "net calibrate_camera, transition loop_again.start, command 1 (/dispatcher)" in told
+    assert "the bag:  loop_again.start fires" in told
+    assert "its guard cancelled is false" in told
+
+
+def test_a_changed_net_is_the_first_difference(capsys, changed):
+    net = changed("  light_off:\n", "  hurry: {in: [reported], out: [dark], priority: 5}\n  light_off:\n")
+    told = differs(capsys, BAGS / "undisturbed", "--nets", net)
+    assert "net calibrate_camera, transition light_off.start, command 1" in told
+    assert "now:      hurry fires" in told
+    assert "hurry goes first now" in told
+
+
+def test_a_changed_function_is_the_first_difference(capsys, monkeypatch):
+    monkeypatch.setattr(PoseLoop, "more_poses", lambda self: self.remaining > 1)
+    told = differs(capsys, BAGS / "undisturbed")
+    assert "the bag:  loop_again.start fires" in told
+    assert "now:      loop_done.start fires" in told
+
+
+def test_another_request_is_the_first_difference(capsys, monkeypatch):
+    monkeypatch.setattr(
+        CalibrateCamera, "watchers", lambda _, ctx: {"cameras": ["wall"], "light": ctx.memory["light"]}, raising=True
+    )
+    monkeypatch.setattr(CalibrateCamera.watchers, "__name__", "watchers")
+    told = differs(capsys, BAGS / "undisturbed")
+    assert "transition find_spot" in told
+    assert "another request" in told
+
+
+def test_a_function_that_judges_otherwise_is_the_first_difference(capsys, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise DataError("this spot will not do")
+
+    monkeypatch.setattr(vision, "require_spot", refuse)
+    told = differs(capsys, BAGS / "faults")
+    assert "net vision_coordinator, transition do_find_spot" in told
+    assert "this spot will not do" in told
+
+
+# Bags that cannot be run again.
+
+
+def events(folder: Path, *texts: str, topic: str = "/pnt/events") -> Path:
+    """A bag with messages of one topic."""
+    from rclpy.serialization import serialize_message
+
+    bag = BagWriter(folder)
+    bag.add_topic(topic, "std_msgs/msg/String", Delivery(reliable=True, latched=False, depth=1))
+    for number, text in enumerate(texts, 1):
+        bag.write(topic, number, serialize_message(String(data=text)))
+    bag.close()
+    return folder
+
+
+def told(number: int, *items: object) -> str:
+    head = {"node": "/n", "life": "a", "number": number, "at": 1.0, "stamp": 1.0}
+    return json.dumps({**head, "items": [list(item) for item in items]})
+
+
+BEGIN = ("node", "/n", "")
+
+
+@pytest.mark.parametrize(
+    ("texts", "sentence"),
+    [
+        (["nonsense"], "a message of /pnt/events"),
+        ([told(2)], "does not begin with the state of its nets"),
+        ([told(1, BEGIN), told(4)], "messages 2 to 3 of /n on /pnt/events are not in the bag"),
+        ([told(1, BEGIN, ("net", "front", ["fire", "go"]))], "before its state is told"),
+        ([told(1, BEGIN, ("odd",))], "is nothing that a node tells"),
+        ([told(1, BEGIN, ("state", "n", {}, "places: 3"))], "places"),
+    ],
+)
+def test_a_spoilt_bag_is_a_sentence(capsys, tmp_path, texts, sentence):
+    assert sentence in refused(capsys, events(tmp_path / "bag", *texts))
+
+
+def test_a_bag_without_events_or_a_net_that_is_not_in_it_is_a_sentence(capsys, tmp_path):
+    assert "there is nothing on /pnt/events" in refused(capsys, events(tmp_path / "bag", "x", topic="/other"))
+    assert "cannot be read" in refused(capsys, tmp_path / "nowhere")
+    net = tmp_path / "net.yaml"
+    net.write_text("net: stranger\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a, symbol: s}}\n", encoding="utf-8")
+    assert "net stranger is not in the bag" in refused(capsys, BAGS / "undisturbed", "--nets", net)
+
+
+def test_where_data_differ_first():
+    assert first_difference({"a": [1, 2]}, {"a": [1, 3]}) == "a[1]: 2, now 3"
+    assert first_difference({"a": 1}, {}) == "a: there, now missing"
+    assert first_difference([1], [1]) == ""
+
+
+# What a node tells is enough.
+
+NET = """
+net: walker
+commands: {walk: {arguments: {steps: {type: integer}}}}
+places: {ready: {tokens: 1, resource: true}, walking: , tired: }
+transitions:
+  begin: {symbol: walk, in: ready, out: walking, action: count_steps, on_failure: tired}
+  step: {in: walking, out: walking, guard: more_steps, action: step_once, on_failure: tired}
+  rest: {in: walking, out: ready, guard: not more_steps, emit: walk_done, result: {}}
+  give_up: {in: tired, out: ready, emit: walk_failed}
+"""
+
+
+def made(host):
+    """The functions of the net."""
+
+    def count_steps(ctx):
+        ctx.memory["left"] = ctx.command.arguments["steps"]
+        ctx.memory["at"] = host.noted("at", lambda: [host.executor("walker").sequence, id(object())])
+
+    async def step_once(ctx):
+        ctx.memory["left"] -= 1
+        await host.pause(0.01)
+        if ctx.memory["left"] < 0:
+            raise DataError("below the ground")
+
+    actions = {"count_steps": count_steps, "step_once": step_once}
+    return Functions(actions, {"more_steps": lambda ctx: ctx.memory["left"] != 0})
+
+
+def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_until):
+    from im_pnt.ros.node_host import NodeHost
+
+    (tmp_path / "walker.yaml").write_text(NET, encoding="utf-8")
+    texts: list[str] = []
+    listener = GuardedNode("listener")
+    listener.create_subscription(String, "/pnt/events", lambda message: texts.append(message.data), qos.EVENTS)
+    ros(listener)
+    host = NodeHost()
+    functions = made(host)
+    given = {"standalone": True, "journal_dir": str(tmp_path / "journal")}
+    node = PntNode(
+        "walker",
+        [tmp_path / "walker.yaml"],
+        functions.actions,
+        functions.guards,
+        verifier=verify_to_load,
+        made_by=f"{__name__}:made",
+        parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
+    )
+    host.attach(node)
+    ros(node)
+    outcomes = []
+
+    async def walk() -> None:
+        outcomes.extend([await node.command("walk", {"steps": steps}) for steps in (3, -1)])
+
+    wait_until(lambda: texts, "the state of the net")
+    node.spawn(walk())
+    wait_until(lambda: len(outcomes) == 2, "both walks")
+    assert [outcome.success for outcome in outcomes] == [True, False]
+    wait_until(lambda: texts and "give_up" in texts[-1], "the last events")
+
+    (stream,) = streams_of(texts)
+    compared = NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
+    assert compared.nets == {"walker"}
+    entries = [item[2][0] for turn in stream.turns for item in turn.items if item[0] == "net"]
+    firings = sum(entry in ("fire", "end") for entry in entries)
+    assert compared.firings == firings > 10
+
+    for turn in stream.turns:
+        for item in turn.items:
+            if item[0] == "net" and item[2][0] == "command":
+                item[2][3]["steps"] += 1
+    with pytest.raises(Difference, match="memory"):
+        NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
