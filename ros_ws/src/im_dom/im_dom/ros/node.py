@@ -21,8 +21,8 @@ from im_dom.store import ObjectRecord, ObjectStore
 from im_msgs.msg import ObjectChange, ObjectInfo
 from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
 
-#: How long the store may take to answer [s].
-ANSWER_S = 5.0
+#: How long the store may take to answer [s]: it waits for a disk, to which others may write, too.
+ANSWER_S = 30.0
 
 #: How long a request may wait for an object to be valid [s], and how many may.
 LONGEST_WAIT_S = 3600.0
