@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,8 +16,10 @@ from im_dispatcher.cell.needs import Needs
 from im_dispatcher.cell.net import cell_net
 from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
+from im_pnt.errors import NetError
 from im_pnt.execution.functions import Functions
-from im_pnt.model.action import RequestAction
+from im_pnt.model.action import GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.composition.holding import unheld
@@ -121,6 +124,47 @@ def test_a_shipped_command_that_needs_less_than_it_acts_on_is_refused(command: s
     coordinators = package_file("im_coordinators", "nets/motion_coordinator.yaml").parent.glob("*.yaml")
     cases = unheld([net, *map(load_net, sorted(coordinators))], thread_cpu() + 60.0)
     assert any(f"{command}.yaml:" in case.reason and sentence in case.reason and case.sequence for case in cases or ())
+
+
+COORDINATORS = package_file("im_coordinators", "nets/motion_coordinator.yaml").parent
+DIRECT = [
+    (file.stem, name)
+    for file in sorted(COORDINATORS.glob("*.yaml"))
+    for name, transition in load_net(file).transitions.items()
+    if isinstance(transition.action, ServiceAction | GoalAction | TopicAction)
+]
+OF_NO_SERVICE = {"find_pos", "do_calibrate"}
+"""They ask, and reckon: nobody needs to hold anything for it."""
+
+
+@pytest.mark.parametrize(("net", "name"), DIRECT)
+def test_what_a_coordinator_does_is_what_its_service_says_that_it_acts_on(net: str, name: str) -> None:
+    """Whoever asks for the service holds that; with less of it, or without a word of the action, the net is refused."""
+    written = load_net(COORDINATORS / f"{net}.yaml")
+    transition = written.transitions[name]
+
+    def reasons(changed: Net) -> list[str]:
+        return [case.reason for case in unheld([changed], thread_cpu() + 60.0) or ()]
+
+    assert reasons(written) == []
+    silent = {**written.transitions, name: replace(transition, acts_on=None)}
+    (reason,) = reasons(replace(written, transitions=silent))
+    assert f"transition {name} of net {net} does not say what its {transition.action} acts on" in reason
+    assert (transition.acts_on == ()) == (name in OF_NO_SERVICE)
+    for thing in transition.acts_on or ():
+        less = {
+            each.name: replace(each, acts_on=tuple(other for other in each.acts_on or () if other != thing))
+            for each in written.services.values()
+        }
+        lacking = reasons(replace(written, services=less))
+        assert any(f"transition {name} of net {net}" in each for each in lacking)
+
+
+def test_beside_commands_that_hold_things_one_that_needs_nothing_says_that_it_moves_nothing() -> None:
+    text = NET.replace("action: wave", "service: {name: /mcs/stop, type: std_srvs/srv/Trigger}")
+    with pytest.raises(NetError, match=r"wave.yaml:5: transition wave of net wave does not say what its service"):
+        Needs([parse_net(text, "wave.yaml")], ())
+    assert "wave" not in Needs([parse_net(text.replace("out: [waved]", "out: [waved], acts_on: []", 1))], ())
 
 
 def test_commands_are_named_by_name_file_or_folder(folder: Path) -> None:

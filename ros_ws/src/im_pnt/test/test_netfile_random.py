@@ -51,6 +51,7 @@ data = st.recursive(
 )
 fields = st.dictionaries(shown, data, max_size=3)
 optional = st.none() | names
+acted_on = st.none() | st.lists(shown, max_size=3).map(tuple)
 functions = optional | st.just("mine.arms:reach")
 positive = st.floats(0.01, 1e6)
 
@@ -175,10 +176,11 @@ def nets(draw_):
             *said,
             origin=name,
             result=draw_(returned(action)),
+            acts_on=draw_(acted_on) if action else None,
         )
     services = {}
     if draw_(st.booleans()):
-        services["serve"] = Service("serve", *some[:3], draw_(st.none() | schemas()))
+        services["serve"] = Service("serve", *some[:3], draw_(st.none() | schemas()), draw_(acted_on))
     begun = sorted({t.symbol for t in transitions.values() if t.symbol is not None and t.symbol_of is None})
     said = draw_(st.lists(st.sampled_from(begun), unique=True)) if begun else []
     needs = st.lists(shown, max_size=3).map(tuple)

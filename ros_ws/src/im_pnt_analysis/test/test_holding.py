@@ -264,3 +264,86 @@ transitions:
     (case,) = unheld([parse_net(text)], thread_cpu() + 10)
     assert "acts on torch, which a command of another net, whose tokens come here, does not hold" in case.reason
     assert unheld([parse_net(text.replace("remote: true", "remote: true, resource: true"))], thread_cpu() + 10) == []
+
+
+CALLS = [
+    ("service: {name: /arm/on, type: std_srvs/srv/Trigger}", "service /arm/on"),
+    ("goal: {name: /arm/go, type: p/action/Go}", "goal /arm/go"),
+    ("topic: {name: /arm/say, type: std_msgs/msg/String}", "topic /arm/say"),
+]
+CALLER = """
+net: caller
+commands: {pick: {needs: NEEDS}}
+places: {idle: {tokens: 1, resource: true}, done: }
+transitions:
+  go: {symbol: pick, in: idle, out: done, CALL, ACTS on_failure: done}
+  tell: {in: done, out: idle, emit: pick_done}
+"""
+
+
+def caller(call: str, needs: str = "[left_arm]", acts: str = "") -> Net:
+    text = CALLER.replace("CALL", call).replace("NEEDS", needs).replace("ACTS", acts)
+    return parse_net(text, "caller.yaml")
+
+
+@pytest.mark.parametrize(("call", "shown"), CALLS)
+def test_where_resources_are_spoken_of_who_tells_the_world_something_says_what_that_acts_on(call, shown):
+    report = verify([caller(call)])
+    (case,) = report.refusals
+    assert (case.kind, case.sequence) == ("unheld", ())
+    assert case.reason == (
+        f"caller.yaml:6: transition go of net caller does not say what its {shown} acts on: declare `acts_on`, "
+        "[] for nothing"
+    )
+    assert verify([caller(call, acts="acts_on: [],")]).ok
+    assert verify([caller(call, acts="acts_on: left_arm,")]).ok
+    (case,) = verify([caller(call, acts="acts_on: right_arm,")]).refusals
+    assert "acts on right_arm, which command pick does not hold; it holds left_arm" in case.reason
+
+
+@pytest.mark.parametrize(("call", "_"), CALLS)
+def test_where_nobody_speaks_of_resources_nobody_needs_to_say_what_he_acts_on(call, _):
+    assert verify([caller(call, needs="[]")]).ok
+
+
+def test_one_net_that_speaks_of_resources_makes_those_that_it_talks_to_say_what_they_act_on():
+    silent = MOVER.replace("action: go", "service: {name: /arm/go, type: std_srvs/srv/Trigger}")
+    silent = silent.replace('    acts_on: ["${arguments.group}_arm", "${arguments.cameras}"]\n', "")
+    assert verify([parse_net(silent)]).ok
+    nets = [pick('["${arguments.group}_arm"]', OWN_ARM), parse_net(silent, "mover.yaml")]
+    for report in (verify(nets), verify_to_load(nets)):
+        (case,) = report.refusals
+        assert case.reason.startswith("mover.yaml:11: transition go of net mover does not say what its service /arm/go")
+
+
+LOOKER = """
+net: looker
+places: {asked: , seen: , missed: }
+services:
+  look:
+    entry: asked
+    done: seen
+    failed: missed
+    arguments: {cameras: {type: strings, LIMITS}}
+    acts_on: ["${arguments.cameras}"]
+transitions:
+  see: {in: asked, out: seen, ACTION, on_failure: missed}
+"""
+EYE = LOOKER.replace("looker", "eye").replace("ACTION", 'action: see, acts_on: ["${arguments.cameras}"]')
+
+
+@pytest.mark.parametrize("limits", ["length: [0, 9]", "choices: [wall, table]"])
+def test_what_is_held_as_a_list_may_be_acted_on_as_that_list_and_not_as_an_element_that_it_may_lack(limits):
+    looker, eye = LOOKER.replace("LIMITS", limits), parse_net(EYE.replace("LIMITS", limits))
+
+    def cases(action: str) -> list[str]:
+        nets = [parse_net(looker.replace("ACTION", action)), eye]
+        return [case.reason for case in unheld(nets, thread_cpu() + 10) or ()]
+
+    assert cases('action: see, acts_on: ["${arguments.cameras}"]') == []
+    assert cases("request: eye.look") == []
+    assert cases('request: {to: eye.look, arguments: {cameras: "${arguments.cameras}"}}') == []
+    (reason,) = cases("action: see, acts_on: [wall]")
+    assert "acts on wall, which request look does not hold; it holds ${arguments.cameras}" in reason
+    (reason,) = cases('request: {to: eye.look, arguments: {cameras: ["wall"]}}')
+    assert "acts on wall, which request look does not hold; it holds ${arguments.cameras}" in reason

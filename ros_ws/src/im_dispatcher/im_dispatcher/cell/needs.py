@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from im_core.errors import NotFoundError
 from im_pnt.errors import NetError
-from im_pnt.model.acting import filled, named_arguments, shown
+from im_pnt.model.acting import filled, named_arguments, require_told, shown
 from im_pnt.model.arguments import CommandDeclaration
 from im_pnt.model.net import Net
 
@@ -52,7 +52,8 @@ class Needs:
         variants: By name.
 
     Raises:
-        NetError: Two nets have the same command, or an argument that decides has no choices.
+        NetError: Two nets have the same command, an argument that decides has no choices, or a transition does not say
+            what it acts on: beside commands that hold things, one that needs nothing must say that it moves nothing.
         NotFoundError: A command needs what there is not.
     """
 
@@ -61,6 +62,7 @@ class Needs:
         self.variants: dict[str, Variant] = {}
         owners: dict[str, str] = {}
         for net in nets:
+            require_told(net)
             for symbol, declared in net.commands.items():
                 if not declared.needs:
                     continue

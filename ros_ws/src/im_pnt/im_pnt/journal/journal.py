@@ -407,7 +407,7 @@ _ADDED: Mapping[str, object] = {
     "at_once": 1,
     "result": {},
     "store": {},
-    "acts_on": (),
+    "acts_on": None,
 }
 """Fields that nets have not always had, with what says nothing: then a net is what it was without them."""
 

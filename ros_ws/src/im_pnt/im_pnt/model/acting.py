@@ -7,7 +7,10 @@ import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 
+from im_pnt.errors import NetError
+from im_pnt.model.action import GoalAction, ServiceAction, TopicAction
 from im_pnt.model.arguments import ArgumentSchema, ArgumentType
+from im_pnt.model.net import Net
 
 Values = Mapping[str, frozenset[str] | None]
 """For arguments what they, or each of their elements, may be; None: anything."""
@@ -83,3 +86,37 @@ def choices_of(schema: ArgumentSchema | None, names: Sequence[str]) -> Iterator[
     deciding = [name for name in names if name in known and known[name].choices and not known[name].type.is_list]
     for chosen in itertools.product(*(known[name].choices for name in deciding)):
         yield dict(zip(deciding, chosen, strict=True))
+
+
+def speaks_of_resources(net: Net) -> bool:
+    """Whether a net says of anything what it needs or acts on."""
+    said = [each.acts_on for each in (*net.services.values(), *net.transitions.values())]
+    return any(command.needs for command in net.commands.values()) or any(said)
+
+
+def untold(net: Net) -> Iterator[str]:
+    """Yields, for each transition that tells something to the world and not what that acts on, one sentence.
+
+    A function, or a request to another net, is looked at from where it is written; who calls a service, sends a goal
+    or publishes a message is the only one to know what that moves.
+
+    Args:
+        net: The net, as written.
+    """
+    for transition in net.transitions.values():
+        if isinstance(transition.action, ServiceAction | GoalAction | TopicAction) and transition.acts_on is None:
+            where = f"{net.source}:{transition.line}: " if transition.line else ""
+            yield (
+                f"{where}transition {transition.name} of net {net.name} does not say what its {transition.action} "
+                "acts on: declare `acts_on`, [] for nothing"
+            )
+
+
+def require_told(net: Net) -> None:
+    """Checks that a net says what it acts on.
+
+    Raises:
+        NetError: A transition does not; the first that does not is named.
+    """
+    for sentence in untold(net):
+        raise NetError(sentence, net=net.name)

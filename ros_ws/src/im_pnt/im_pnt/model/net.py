@@ -160,7 +160,7 @@ class Transition:
         result: Values that its command or request returns when it ends well, by name.
         store: Values of data objects that are put when it ends well, by name.
         marks: Where its values stand, by the keys that lead there.
-        acts_on: Resources that its action acts on; ``${arguments.NAME}`` in them is an argument.
+        acts_on: Resources that its action acts on; ``${arguments.NAME}`` in them is an argument. None: not said.
     """
 
     name: str
@@ -189,7 +189,7 @@ class Transition:
     result: Mapping[str, object] = field(default_factory=dict)
     store: Mapping[str, object] = field(default_factory=dict)
     marks: Mapping[tuple[int | str, ...], Mark] = field(default_factory=dict, compare=False, repr=False)
-    acts_on: tuple[str, ...] = ()
+    acts_on: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +203,7 @@ class Service:
         failed: Place that means failure.
         arguments: What it takes; None: not said, anything.
         acts_on: Resources that it acts on, which who asks for it is to hold; ``${arguments.NAME}`` is an argument.
+            None: not said, none.
     """
 
     name: str
@@ -210,7 +211,7 @@ class Service:
     done: str
     failed: str
     arguments: ArgumentSchema | None = None
-    acts_on: tuple[str, ...] = ()
+    acts_on: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

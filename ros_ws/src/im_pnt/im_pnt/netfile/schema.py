@@ -474,8 +474,8 @@ class ServiceFile(_Part):
     arguments: Given[Arguments] = Field(
         None, description="What it takes, by name; others are refused. Without it, it takes anything."
     )
-    acts_on: Texts = Field(
-        (), description="Resources that it acts on, which who asks for it holds; ${arguments.NAME} is an argument."
+    acts_on: Given[Texts] = Field(
+        None, description="Resources that it acts on, which who asks for it holds; ${arguments.NAME} is an argument."
     )
 
     @pydantic.model_validator(mode="after")
@@ -717,10 +717,10 @@ class TransitionFile(_Part):
     topic: Given[TopicFile] = Field(None, description="Publishes a message.")
     awaited: Given[AwaitFile] = Field(None, alias="await", description="Waits for a message of a topic.")
     request: Given[RequestFile] = Field(None, description="Asks another net for a service: net.service, or its keys.")
-    acts_on: Texts = Field(
-        (),
+    acts_on: Given[Texts] = Field(
+        None,
         description="Resources that its action acts on, where the file does not tell them otherwise; "
-        "${arguments.NAME} in them is an argument.",
+        "${arguments.NAME} in them is an argument; [] is nothing.",
     )
     result: Fields = Field({}, description="Values that the command or request returns when it ends well, by name.")
     store: Fields = Field({}, description="Values of data objects that are put when it ends well, by object.")

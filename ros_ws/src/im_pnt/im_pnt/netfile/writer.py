@@ -90,7 +90,11 @@ def _service_data(service: Service) -> dict[str, object]:
     data: dict[str, object] = {"entry": service.entry, "done": service.done, "failed": service.failed}
     if service.arguments is not None:
         data["arguments"] = schema_data(service.arguments)
-    return data | _filled(acts_on=list(service.acts_on))
+    return data | _acts_on_data(service.acts_on)
+
+
+def _acts_on_data(said: tuple[str, ...] | None) -> dict[str, object]:
+    return {} if said is None else {"acts_on": list(said)}
 
 
 def _command_data(command: CommandDeclaration) -> dict[str, object]:
@@ -142,7 +146,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
     if t.action is not None and not isinstance(t.action, ValuesAction):
         kind, value = _action_data(t.action)
         data[kind] = value
-    data |= _filled(acts_on=list(t.acts_on), result=dict(t.result), store=dict(t.store))
+    data |= _acts_on_data(t.acts_on) | _filled(result=dict(t.result), store=dict(t.store))
     if t.timeout is not None:
         data["timeout"] = t.timeout
     if t.on_failure:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import evaluate
 from im_pnt.expression.template import OPENS, nodes
-from im_pnt.model.acting import Values, choices_of, named_arguments, possible, shown, values_of
+from im_pnt.model.acting import Values, choices_of, filled, named_arguments, possible, shown, values_of
 from im_pnt.model.action import RequestAction
 from im_pnt.model.arguments import ArgumentSchema
 from im_pnt.model.net import Guard, Net, Transition
@@ -25,7 +25,7 @@ class Work:
         is_request: Whether it is a request.
         choice: Those arguments.
         values: What its arguments may be.
-        held: What it holds.
+        held: What it holds; what the choice does not tell, such as the elements of a list, as it is written.
     """
 
     kind: str
@@ -60,7 +60,7 @@ class Work:
 def works_of(net: Net) -> Iterator[Work]:
     """Yields what a net can be at work for, each choice by itself."""
     for service in net.services.values():
-        yield from _works(service.name, True, service.arguments, service.acts_on)
+        yield from _works(service.name, True, service.arguments, service.acts_on or ())
     for symbol in net.symbols():
         begins = any(t.symbol == symbol and t.symbol_of is None for t in net.transitions.values())
         declared = net.commands.get(symbol)
@@ -73,8 +73,9 @@ def works_of(net: Net) -> Iterator[Work]:
 def _works(kind: str, is_request: bool, schema: ArgumentSchema | None, texts: Sequence[str]) -> Iterator[Work]:
     for choice in choices_of(schema, named_arguments(texts)):
         values = {**values_of(schema), **{name: frozenset({shown(value)}) for name, value in choice.items()}}
-        held = [possible(text, values) for text in texts]
-        yield Work(kind, is_request, choice, values, frozenset().union(*(each for each in held if each is not None)))
+        chosen = choice.keys()
+        held = (filled(text, choice) if chosen >= set(named_arguments([text])) else text for text in texts)
+        yield Work(kind, is_request, choice, values, frozenset(held))
 
 
 NOBODY = Work("", False, {}, {}, frozenset())
@@ -109,8 +110,9 @@ class Acting:
             UntoldError: It is not told by the net files.
         """
         action = transition.action
-        found = self._said(transition.acts_on, work.values, f"of '{transition.origin}'")
-        if isinstance(action, RequestAction) and not (transition.acts_on and action.build):
+        said = {text: text for text in transition.acts_on or ()}
+        found = self._said(said, work, work.values, f"of '{transition.origin}'")
+        if isinstance(action, RequestAction) and not (transition.acts_on is not None and action.build):
             found |= self._asked(action, work)
         return found
 
@@ -130,24 +132,44 @@ class Acting:
                     given = possible(argument.default, {})
                 values[name] = given if given is not None else values[name]
         made = f", whose arguments '{action.build}' makes" if action.build else ""
-        return self._said(texts, values, f"of {what}{made}")
+        return self._said({text: _as_given(text, action) for text in texts}, work, values, f"of {what}{made}")
 
     def _offered(self, action: RequestAction) -> tuple[Sequence[str], ArgumentSchema | None]:
         """Returns what a service, or a command of another net, acts on, and its arguments."""
         net = self._nets.get(action.net)
         if net is not None and action.service in net.services:
             service = net.services[action.service]
-            return service.acts_on, service.arguments
+            return service.acts_on or (), service.arguments
         if net is not None and action.service in net.commands:
             declared = net.commands[action.service]
             return declared.needs, declared.arguments
         return (), None
 
-    def _said(self, texts: Sequence[str], values: Values, of: str) -> frozenset[str]:
+    def _said(self, texts: Mapping[str, str | None], work: Work, values: Values, of: str) -> frozenset[str]:
+        """Returns what texts stand for.
+
+        Args:
+            texts: Each with what it is in the arguments of the work, where that is known.
+            work: For whom.
+            values: What the arguments in the texts may be.
+            of: Where they stand.
+
+        Raises:
+            UntoldError: One may be anything.
+        """
         found: frozenset[str] = frozenset()
-        for text in texts:
-            each = possible(text, values)
+        for text, own in texts.items():
+            each = frozenset({own}) if own is not None and own in work.held else possible(text, values)
             if each is None:
                 raise UntoldError(f"'{text}' {of} may be anything: declare `choices` of its arguments, or `acts_on`")
             found |= each - {""}
         return found
+
+
+def _as_given(text: str, action: RequestAction) -> str | None:
+    """Returns a text of who is asked in the arguments of who asks; None where these do not tell it."""
+    names = named_arguments([text])
+    if action.build is None and not action.fields:
+        return text
+    given = {name: action.fields.get(name) for name in names}
+    return filled(text, given) if all(isinstance(value, str) for value in given.values()) else None

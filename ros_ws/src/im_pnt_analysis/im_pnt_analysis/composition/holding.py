@@ -14,6 +14,7 @@ from dataclasses import replace
 
 from im_core.clock import thread_cpu
 from im_pnt.execution.jobs import ends
+from im_pnt.model.acting import speaks_of_resources, untold
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place, expand
 from im_pnt.model.net import Net, ReadFor, Role, Transition
@@ -43,7 +44,8 @@ def unheld(nets: Sequence[Net], deadline: float) -> list[Counterexample] | None:
         deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
 
     Returns:
-        For each transition that does so the first case; None where nothing in the files acts on anything.
+        For each transition that does so the first case, and one for each that does not say what it acts on where these
+        nets speak of resources; None where nothing in the files acts on anything.
 
     Raises:
         UndecidedError: It takes too long.
@@ -54,6 +56,8 @@ def unheld(nets: Sequence[Net], deadline: float) -> list[Counterexample] | None:
         for place in resource_places(net):
             owners.setdefault(place, []).append(net.name)
     found: list[Counterexample] | None = None
+    if any(map(speaks_of_resources, nets)):
+        found = [Counterexample("unheld", sentence, (), {}) for net in nets for sentence in untold(net)] or None
     for net in nets:
         own = frozenset(place for place, having in owners.items() if having == [net.name])
         holding = _Holding(net, acting, own, f"{net.name}." if len(nets) > 1 else "", deadline)
