@@ -90,8 +90,10 @@ def choices_of(schema: ArgumentSchema | None, names: Sequence[str]) -> Iterator[
 
 def speaks_of_resources(net: Net) -> bool:
     """Whether a net says of anything what it needs or acts on."""
-    said = [each.acts_on for each in (*net.services.values(), *net.transitions.values())]
-    return any(command.needs for command in net.commands.values()) or any(said)
+    needs = (command.needs for command in net.commands.values())
+    served = (service.acts_on for service in net.services.values())
+    done = (transition.acts_on for transition in net.transitions.values())
+    return any(itertools.chain(needs, served, done))
 
 
 def untold(net: Net) -> Iterator[str]:
