@@ -14,7 +14,9 @@
 #   scripts/replay.sh --recalibrate --help                its options
 #   scripts/replay.sh my_bag --mission                    runs its nets again, without a machine: do they do the same?
 #   scripts/replay.sh my_bag --extract small_bag          only what --mission needs, into a small bag
+#   scripts/replay.sh my_bag --display                    its nets on a web page, with a time line to scroll in
 #
+# --display publishes nothing: http://localhost:8080 (--port, --host) shows each moment, without a machine.
 # --mission compares firing by firing, and tells the first difference with both sides; --mission --help has its options.
 # Keys: space pauses and goes on, . steps to the next message, left and right seek by 5 s, q ends it. What was latched
 # before the place where it begins is published first. A bag whose recorder was killed is completed before. Topics that
@@ -25,18 +27,23 @@
 # --mission: 0 equal, 1 it differs, 2 the bag cannot be run again.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
-recalibrate=false
-mission=false
+doing=""
 rest=()
 for argument in "$@"; do
   case "$argument" in
-    --recalibrate) recalibrate=true; rest+=("$argument") ;;
-    --mission) mission=true ;;
+    --display | --mission | --recalibrate)
+      [[ -z "$doing" || "$doing" == "$argument" ]] || die 2 "$doing and $argument are two things to do with a bag; name one"
+      doing="$argument"
+      ;;
     *) rest+=("$argument") ;;
   esac
 done
-if ! $recalibrate && ! $mission && wants_help "$@"; then help; exit 0; fi
+if [[ -z "$doing" ]] && wants_help "$@"; then help; exit 0; fi
 im_env
-if $mission; then exec "$IM_ROOT/scripts/im" pnt mission ${rest[@]+"${rest[@]}"}; fi
-if $recalibrate; then exec "$IM_BRINGUP/run" im_vss recalibrate "$@"; fi
+set -- ${rest[@]+"${rest[@]}"}
+case "$doing" in
+  --display) exec "$IM_ROOT/scripts/im" pnt display "$@" ;;
+  --mission) exec "$IM_ROOT/scripts/im" pnt mission "$@" ;;
+  --recalibrate) exec "$IM_BRINGUP/run" im_vss recalibrate --recalibrate "$@" ;;
+esac
 exec "$IM_BRINGUP/replay" "$@"

@@ -1,12 +1,17 @@
-"""``pnt draw``: draws a net."""
+"""``pnt draw``: draws a net. ``pnt display``: shows the nets over a recording on a web page."""
 
 import argparse
+import signal
+import threading
 from pathlib import Path
 
 from im_core.errors import ImError
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.terminal import OK, write_output
 from im_pnt_display.drawing.draw import dot, draw, svg
+
+_DISPLAY = """Shows the nets of a recording on the web page that shows those of a machine, with a time line to scroll
+in: play, pause, step, and any moment at once. No machine is needed, and none is touched. Until Ctrl-C."""
 
 
 def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -27,3 +32,41 @@ def run(options: argparse.Namespace) -> int:
     write_output(output, svg(drawing) if output.suffix == ".svg" else dot(drawing), overwrite=True)
     print(f"{output}: {len(drawing.nodes)} nodes, {len(drawing.arcs)} arcs")
     return OK
+
+
+def add_display(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("display", help="show the nets over a recording", description=_DISPLAY)
+    parser.set_defaults(run=run_display)
+    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or a file of it")
+    parser.add_argument("--host", default="127.0.0.1", help="address that the page is served on (default: %(default)s)")
+    parser.add_argument(
+        "--port", type=_port, default=8080, help="TCP port, the next free one if in use; 0: any (default: %(default)s)"
+    )
+
+
+def run_display(options: argparse.Namespace) -> int:
+    """Shows a recording until SIGINT or SIGTERM."""
+    from im_pnt_analysis.timed.recording import recording_of  # the libraries of bags and of web pages take a while
+    from im_pnt_display.page.recording import RecordedNets
+    from im_pnt_display.page.server import DisplayServer
+
+    recording = recording_of(options.bag)
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    server = DisplayServer(options.host, options.port, recording=RecordedNets(options.bag.resolve().name, recording))
+    server.start()
+    try:
+        moments = f"{recording.firings} firings in {recording.moments[-1].at_s:.1f} s"
+        print(f"{options.bag}: {moments}, shown at {server.url}; Ctrl-C ends it", flush=True)
+        ended.wait()
+    finally:
+        server.stop()
+    return OK
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"{text[:60]} is no TCP port, 0 to 65535")
+    return int(text)

@@ -27,7 +27,10 @@ PNML files of other tools. docs/nets.md tells how to write one.
 
 Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong
 (prove: 3 it is not proved)."""
-_DRAW = "\n  scripts/im pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)"
+_DRAW = """
+  scripts/im pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)
+  scripts/im pnt display bags/demo                                the nets over a recording, on a web page"""
+_DRAWN = ("display", "draw")
 
 _COMMANDS = {
     "verify": "may the nets run?",
@@ -72,8 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if called not in _COMMANDS:
         for add in extensions("im_pnt.commands"):
             add(commands)
-        if called == "draw" and called not in commands.choices:
-            print("pnt: draw is a command of the package im_pnt_display, which is not installed", file=sys.stderr)
+        if called in _DRAWN and called not in commands.choices:
+            print(f"pnt: {called} is a command of the package im_pnt_display, which is not installed", file=sys.stderr)
             return BAD_INPUT
     parser.description = _DESCRIPTION.format(draw=_DRAW if "draw" in commands.choices else "")
     options = parser.parse_args(words)

@@ -14,6 +14,8 @@ from im_pnt.model.net import Net
 
 FIRINGS, NETS = "/pnt/firings", "/pnt/nets"
 _START, _END, _FAILED = 0, 1, 2
+#: A testbed whose time falls by more than this has begun anew; less is the order in which messages came [s].
+_FALL_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -161,13 +163,60 @@ def mission_of(bag: Path) -> Mission:
         if message.topic == FIRINGS:
             events.append(message.content)
         else:
-            nets[message.content.net] = _net(bag, message.content)
+            nets[message.content.net] = net_told(bag, message.content)
     if not events:
         raise DataError(f"{bag}: nothing has fired in it", file=str(bag))
+    return mission_from(events, nets)
+
+
+def mission_from(events: Sequence[Any], nets: Mapping[str, Net]) -> Mission:
+    """What firings tell.
+
+    Args:
+        events: Messages of ``/pnt/firings`` in the order in which they came, at least one.
+        nets: As they were when they were last described.
+    """
     return Mission(_firings(events, nets), _gaps(events), nets)
 
 
-def _net(bag: Path, told: Any) -> Net:
+class MissionTime:
+    """Testbed time since the first firing; where a testbed begins anew, it goes on from what was told before.
+
+    Args:
+        first: The first firing.
+
+    Attributes:
+        zero_s: Testbed time from which it counts, as of the life of the testbed that was heard last [s].
+    """
+
+    def __init__(self, first: Any) -> None:
+        self.zero_s = self._latest_s = stamp_of(first)
+
+    def of(self, firing: Any) -> float:
+        """Time of a firing, the next one in the order in which they came [s].
+
+        One without a stamp is of a node that has not heard of the time: it is of the time of those before it.
+        """
+        stamp_s = stamp_of(firing)
+        if stamp_s == 0.0:
+            return self._latest_s - self.zero_s
+        if stamp_s < self._latest_s - _FALL_S:
+            self.zero_s += stamp_s - self._latest_s
+            self._latest_s = stamp_s
+        self._latest_s = max(self._latest_s, stamp_s)
+        return stamp_s - self.zero_s
+
+
+def net_told(bag: Path, told: Any) -> Net:
+    """The net that a message of ``/pnt/nets`` describes.
+
+    Args:
+        bag: Where it is from, for complaints.
+        told: The message.
+
+    Raises:
+        DataError: It describes none.
+    """
     try:
         return read_net(told.net, told.json, told.node)
     except ImError as error:
@@ -176,14 +225,15 @@ def _net(bag: Path, told: Any) -> Net:
 
 def _firings(events: Sequence[Any], nets: Mapping[str, Net]) -> list[RecordedFiring]:
     """Starts and ends joined: the ends of a transition come in the order of its starts, command by command."""
-    first_s = _seconds(events[0])
+    time = MissionTime(events[0])
     found: list[dict[str, Any]] = []
     running: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
     ended: dict[str, list[str]] = {}
     for event in events:
+        moment_s = time.of(event)
         if event.phase not in (_START, _END, _FAILED):
             continue
-        key, moment_s = (event.net, event.transition, event.command_id), _seconds(event) - first_s
+        key = event.net, event.transition, event.command_id
         begun = running.setdefault(key, [])
         if event.phase == _START or not begun:
             firing = {
@@ -228,5 +278,6 @@ def _gaps(events: Sequence[Any]) -> list[tuple[str, int, int]]:
     return gaps
 
 
-def _seconds(event: Any) -> float:
-    return float(event.stamp.sec) + float(event.stamp.nanosec) * 1e-9
+def stamp_of(message: Any) -> float:
+    """The stamp of a message, testbed time [s]."""
+    return float(message.stamp.sec) + float(message.stamp.nanosec) * 1e-9

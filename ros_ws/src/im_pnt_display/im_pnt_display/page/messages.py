@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from pydantic import BaseModel
 
@@ -62,6 +63,30 @@ def token_counts(places: Sequence[str], tokens: Sequence[int]) -> dict[str, int]
     if len(places) != len(tokens):
         raise ImError(f"it has {len(places)} places and {len(tokens)} numbers of tokens", code="input")
     return {place: int(count) for place, count in zip(places, tokens, strict=True)}
+
+
+def firing_content(at_s: float, told: Any) -> dict[str, object]:
+    """Returns a firing for the page.
+
+    Args:
+        at_s: When it was [s].
+        told: A message of ``/pnt/firings``, or what is kept of one.
+
+    Raises:
+        ImError: A number of it is none.
+    """
+    return {
+        "time": at_s,
+        "net": told.net,
+        "transition": told.transition,
+        "sequence": int(told.sequence),
+        "phase": phase_name(told.phase),
+        "symbol": told.symbol,
+        "command": int(told.command_id),
+        "message": told.message,
+        "duration": finite("duration", told.duration),
+        "progress": finite("progress", told.progress),
+    }
 
 
 def phase_name(phase: int) -> str:

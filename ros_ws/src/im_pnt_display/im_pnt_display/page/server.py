@@ -13,12 +13,14 @@ from im_core.arrivals import read_json
 from im_core.errors import DataError, ImError, LinkError, WaitTimeoutError
 from im_core.startup import patience_s
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
+from im_pnt_display.page.recording import RecordedNets
 from im_pnt_display.page.state import Change, DisplayState
 
 STATIC = Path(__file__).parent / "static"
 VIEWER_BACKLOG = 500
 PORTS_TRIED = 20
 READ_ONLY = "this page only shows; scripts/start.sh --control lets it operate nets"
+RECORDED = "this page shows a recording; what happened is not changed"
 MOST_VIEWERS = 100
 LONGEST_REQUEST = 10_000
 """Bytes of what a viewer asks for."""
@@ -34,12 +36,20 @@ class DisplayServer:
         host: Address to listen on; it answers to that name, and to those of this computer for itself.
         port: Port; the next free one is taken where it is in use, any free one for 0.
         operate: Takes what viewers want done with nets; None: they only look.
+        recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 8080, operate: Operate | None = None) -> None:
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        operate: Operate | None = None,
+        recording: RecordedNets | None = None,
+    ) -> None:
         self.state = DisplayState()
-        self._host, self._port, self._operate = host, port, operate
+        self._host, self._port, self._operate, self._recording = host, port, operate, recording
         self.state.operable = operate is not None
+        self.state.recording = recording.overview if recording is not None else None
         self._viewers: dict[asyncio.Queue[str], None] = {}
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -99,6 +109,7 @@ class DisplayServer:
         app.router.add_get("/", _page)
         app.router.add_get("/state.json", self._give_state)
         app.router.add_get("/ws", self._view)
+        app.router.add_get("/recording.json", self._give_moment)
         app.router.add_static("/static", STATIC)
         runner = web.AppRunner(app, shutdown_timeout=1.0, keepalive_timeout=REQUEST_S)
         await runner.setup()
@@ -130,6 +141,14 @@ class DisplayServer:
     async def _give_state(self, request: web.Request) -> web.Response:
         return web.json_response(self.state.snapshot())
 
+    async def _give_moment(self, request: web.Request) -> web.Response:
+        if self._recording is None:
+            raise web.HTTPNotFound(text="this page shows running nets, no recording")
+        try:
+            return web.json_response(self._recording.moment(request.query))
+        except ImError as error:
+            raise web.HTTPBadRequest(text=error.message) from error
+
     async def _view(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._viewers) >= MOST_VIEWERS:
             raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
@@ -159,7 +178,8 @@ class DisplayServer:
                 if self._operate is not None:
                     self._operate(wanted)
                 else:
-                    self.show(self.state.answer(wanted["net"], False, READ_ONLY))
+                    why = READ_ONLY if self._recording is None else RECORDED
+                    self.show(self.state.answer(wanted["net"], False, why))
 
 
 async def _page(request: web.Request) -> web.FileResponse:

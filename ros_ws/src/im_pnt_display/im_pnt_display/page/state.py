@@ -27,6 +27,7 @@ class DisplayState:
 
     Attributes:
         operable: Whether viewers may operate nets.
+        recording: What is to be known of the recording that is shown; None: running nets are.
     """
 
     def __init__(self) -> None:
@@ -36,6 +37,7 @@ class DisplayState:
         self._firings: deque[Change] = deque(maxlen=FIRINGS_KEPT)
         self._mcs: Change | None = None
         self.operable = False
+        self.recording: Mapping[str, object] | None = None
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
         """Enters a net, or its new structure.
@@ -99,4 +101,5 @@ class DisplayState:
             "firings": list(self._firings),
             "mcs": self._mcs,
             "operable": self.operable,
+            "recording": self.recording,
         }

@@ -111,18 +111,8 @@ class DisplayNode(ManagedNode):
 
     def _fire(self, message: Firing) -> None:
         with self._warning(f"a firing of net {message.net}"):
-            firing = {
-                "time": message.stamp.sec + message.stamp.nanosec * 1e-9,
-                "net": message.net,
-                "transition": message.transition,
-                "sequence": int(message.sequence),
-                "phase": messages.phase_name(message.phase),
-                "symbol": message.symbol,
-                "command": int(message.command_id),
-                "message": message.message,
-                "duration": messages.finite("duration", message.duration),
-                "progress": messages.finite("progress", message.progress),
-            }
+            at_s = message.stamp.sec + message.stamp.nanosec * 1e-9
+            firing = messages.firing_content(at_s, message)
             self.server.show(self.server.state.firing(firing))
 
     @contextmanager

@@ -1,8 +1,9 @@
 // The page: what the server tells of, which nets are shown, and how. It is its address:
 // #nets=a,b (or nets=all) shows these nets, #overview=1&only=a.p1,b.t2 these parts, &filter=spot dims the others.
-// A counterexample that is played takes the place of the running nets.
+// A counterexample that is played takes the place of the running nets. Of a recording &t=12.5 shows that time [s].
 import { controls } from "/static/operate.js";
 import { Player, readCounterexample, shown } from "/static/player.js";
+import { Recording } from "/static/recording.js";
 import { Scene } from "/static/scene.js";
 
 const KEPT = 300, LISTED = 120, PLAYER = 52;
@@ -23,11 +24,13 @@ const scene = new Scene(byId("scene"), (key) => {
   refresh(page.overview);
 });
 const player = new Player(showStep, () => show({}));
+const recording = new Recording(showMoment, take, keepPage, (message) => say(false, message));
 
 function readPage() {
   const query = new URLSearchParams(location.hash.slice(1));
   const list = (key) => new Set((query.get(key) || "").split(",").filter(Boolean));
-  return { nets: list("nets"), only: list("only"), overview: query.get("overview") === "1", filter: query.get("filter") || "" };
+  return { nets: list("nets"), only: list("only"), overview: query.get("overview") === "1", filter: query.get("filter") || "",
+    at: Number(query.get("t")) || 0 };
 }
 
 function keepPage() {
@@ -36,6 +39,7 @@ function keepPage() {
   if (page.only.size) query.set("only", [...page.only].join(","));
   if (page.overview) query.set("overview", "1");
   if (page.filter) query.set("filter", page.filter);
+  if (recording.overview) query.set("t", recording.at.toFixed(3));
   history.replaceState(null, "", "#" + query);
 }
 
@@ -102,6 +106,24 @@ function showStep(counterexample, step) {
   const net = several ? step.fired.slice(0, dot) : counterexample.drawings[0].net;
   scene.flashPart(net, several ? step.fired.slice(dot + 1) : step.fired);
 }
+
+// The nets of a recording as they were; they are drawn again only if they are others.
+function showMoment(moment) {
+  const drawn = JSON.stringify(moment.nets) === JSON.stringify(recording.shown);
+  recording.shown = moment.nets;
+  nets.clear(); markings.clear(); commands.clear(); firings.length = 0;
+  for (const number of moment.nets) enterNet(recording.overview.drawings[number]);
+  for (const marking of moment.markings) markings.set(marking.net, marking);
+  firings.push(...moment.firings);
+  firings.forEach(noteCommand);
+  if (drawn && followed === follow() && !player.counterexample) {
+    for (const marking of moment.markings) scene.mark(marking);
+    refresh(false);
+  } else refresh(true);
+  soon();
+}
+
+function enterNet(net) { nets.set(net.net, net); }
 
 function play(counterexample) {
   staged = null;
@@ -229,15 +251,17 @@ function take(change) {
     case "snapshot":
       nets.clear(); markings.clear(); commands.clear(); refusals.clear(); firings.length = 0;
       operable = change.operable;
-      for (const net of change.nets) nets.set(net.net, net);
+      change.nets.forEach(enterNet);
       for (const marking of change.markings) markings.set(marking.net, marking);
       for (const refusal of change.refusals) refusals.set(refusal.net, refusal);
       firings.push(...change.firings);
       firings.forEach(noteCommand);
       listRefusals(); showMcs(change.mcs); refresh(true); soon();
+      if (change.recording) recording.open(change.recording, recording.overview ? recording.at : page.at);
       break;
+    case "drawing": enterNet(recording.overview.drawings[change.drawing]); refresh(true); break;
     case "mcs": showMcs(change); break;
-    case "net": nets.set(change.net, change); refresh(true); break;
+    case "net": enterNet(change); refresh(true); break;
     case "marking":
       markings.set(change.net, change);
       if (!player.counterexample) scene.mark(change);
@@ -316,5 +340,9 @@ byId("all").addEventListener("click", () => show({ nets: new Set(["all"]), overv
 byId("clear").addEventListener("click", () => show({ only: new Set(), overview: false }));
 byId("overview").addEventListener("click", () => show({ overview: !page.overview && page.only.size > 0 }));
 addEventListener("resize", () => { if (!moved) fit(); });
-addEventListener("hashchange", () => { show(readPage()); byId("filter").value = page.filter; });
+addEventListener("hashchange", () => {
+  show(readPage());
+  byId("filter").value = page.filter;
+  if (recording.overview) recording.seek({ at: recording.within(page.at) });
+});
 connect();

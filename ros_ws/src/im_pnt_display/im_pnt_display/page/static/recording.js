@@ -1,0 +1,190 @@
+// A recording: the server tells the nets at any moment and what follows it; here is the time line to scroll in.
+const byId = (id) => document.getElementById(id);
+const ROW = 13, LABELS = 250, AXIS = 18, ENOUGH = 60;
+
+export class Recording {
+  // onMoment(moment) shows the nets as they were, onChange(change) what happens next; onRest() is told that it stands
+  // still, onError(message) why it cannot go on.
+  constructor(onMoment, onChange, onRest, onError) {
+    Object.assign(this, { onMoment, onChange, onRest, onError });
+    this.overview = null;
+    this.at = 0;          // testbed time since the first firing [s]
+    this.firing = 0;      // how many have been
+    this.steps = [];      // what comes next
+    this.more = false;    // whether something comes after them
+    this.playing = false;
+    this.sought = 0;
+    byId("begin").addEventListener("click", () => this.seek({ firing: 0 }));
+    byId("back").addEventListener("click", () => this.back());
+    byId("play").addEventListener("click", () => this.play(!this.playing));
+    byId("on").addEventListener("click", () => this.on());
+    byId("end").addEventListener("click", () => this.seek({ firing: this.overview.firings }));
+    byId("seek").addEventListener("input", (event) => this.seek({ at: event.target.value }));
+    const lines = byId("timeline");
+    const there = (event) => (event.offsetX - LABELS) / this.perSecond();
+    lines.addEventListener("pointerdown", (event) => {
+      lines.setPointerCapture(event.pointerId);
+      this.seek({ at: this.within(there(event)) });
+    });
+    lines.addEventListener("pointermove", (event) => {
+      if (event.buttons === 1) this.seek({ at: this.within(there(event)) });
+      lines.title = this.told(Math.floor(event.offsetY / ROW), there(event));
+    });
+    addEventListener("resize", () => { if (this.overview) this.draw(); });
+    addEventListener("keydown", (event) => {
+      if (!this.overview || document.body.classList.contains("playing") || event.target.matches("input[type=search], select")) return;
+      const act = { " ": () => this.play(!this.playing), ArrowLeft: () => this.back(), ArrowRight: () => this.on(),
+        Home: () => this.seek({ firing: 0 }), End: () => this.seek({ firing: this.overview.firings }) }[event.key];
+      if (act) { event.preventDefault(); act(); }
+    });
+  }
+
+  // Shows a recording from a time on; again after a lost connection, where it was.
+  open(overview, at) {
+    this.overview = overview;
+    document.body.classList.add("recorded");
+    byId("name").textContent = overview.name;
+    byId("seek").max = overview.end;
+    byId("gaps").textContent = overview.gaps.join("; ");
+    this.draw();
+    this.seek({ at: this.within(at) });
+  }
+
+  within(at) { return Math.min(Math.max(at, 0), this.overview.end); }
+
+  async load(place) {
+    const answer = await fetch(`/recording.json?${new URLSearchParams(place)}`);
+    if (!answer.ok) throw new Error(await answer.text());
+    return answer.json();
+  }
+
+  // Goes to {at: seconds} or {firing: number}; of several that are asked for quickly the last one counts.
+  async seek(place) {
+    if (!("at" in place)) this.play(false);
+    const sought = ++this.sought;
+    if ("at" in place) this.at = Number(place.at);
+    this.tell();
+    try {
+      const moment = await this.load(place);
+      if (sought !== this.sought) return;
+      Object.assign(this, { at: moment.at, firing: moment.firing, steps: moment.steps, more: moment.more });
+      this.onMoment(moment);
+    } catch (error) {
+      this.onError(error.message);
+    }
+    this.tell();
+  }
+
+  // Fetches what comes after the steps that are here.
+  async extend() {
+    if (this.extending || !this.more) return;
+    this.extending = true;
+    const sought = this.sought;
+    try {
+      const moment = await this.load({ firing: this.steps.at(-1)?.firing ?? this.firing });
+      if (sought !== this.sought) return;
+      this.steps.push(...moment.steps);
+      this.more = moment.more;
+    } catch (error) {
+      this.play(false);
+      this.onError(error.message);
+    } finally {
+      this.extending = false;
+    }
+  }
+
+  take() {
+    const step = this.steps.shift();
+    this.firing = step.firing;
+    step.changes.forEach((change) => this.onChange(change));
+    return step.at;
+  }
+
+  back() { this.seek({ firing: Math.max(this.firing - 1, 0) }); }
+
+  async on() {
+    this.play(false);
+    if (!this.steps.length) await this.extend();
+    for (const before = this.firing; this.steps.length && this.firing === before;) this.at = this.take();
+    this.tell();
+    this.onRest();
+  }
+
+  async play(yes) {
+    if (yes === this.playing) return;
+    if (yes && this.at >= this.overview.end) await this.seek({ firing: 0 });
+    this.playing = yes;
+    byId("play").textContent = yes ? "❚❚" : "▶";
+    byId("play").title = yes ? "pause (space)" : "play (space)";
+    if (!yes) { this.onRest(); return; }
+    let last = performance.now();
+    const tick = (now) => {
+      if (!this.playing) return;
+      const until = this.within(this.at + (now - last) / 1000 * Number(byId("rate").value));
+      last = now;
+      while (this.steps.length && this.steps[0].at <= until) this.take();
+      if (this.steps.length || !this.more) this.at = until;
+      if (this.steps.length < ENOUGH) this.extend();
+      this.tell();
+      if (this.at >= this.overview.end && !this.steps.length && !this.more) this.play(false);
+      requestAnimationFrame(tick);
+    };
+    requestAnimationFrame(tick);
+  }
+
+  // Says where it is, in numbers and on the time line.
+  tell() {
+    byId("seek").value = this.at;
+    byId("at").textContent = `${this.at.toFixed(3)} of ${this.overview.end.toFixed(1)} s`;
+    byId("count").textContent = `firing ${this.firing} of ${this.overview.firings}`;
+    const lines = byId("timeline"), pen = lines.getContext("2d");
+    pen.setTransform(1, 0, 0, 1, 0, 0);
+    pen.drawImage(this.picture, 0, 0);
+    pen.scale(devicePixelRatio, devicePixelRatio);
+    pen.fillStyle = "#b3261e";
+    pen.fillRect(LABELS + this.at * this.perSecond() - 0.75, 0, 1.5, this.overview.rows.length * ROW);
+  }
+
+  perSecond() { return (byId("timeline").clientWidth - LABELS - 14) / (this.overview.end || 1); }
+
+  // Draws the time line, once for a size: a row for each action, a bar for each time that it ran.
+  draw() {
+    const lines = byId("timeline"), { rows, bars, end } = this.overview, height = rows.length * ROW + AXIS;
+    lines.style.height = `${height}px`;
+    const width = lines.clientWidth;
+    this.picture = document.createElement("canvas");
+    for (const canvas of [lines, this.picture])
+      Object.assign(canvas, { width: width * devicePixelRatio, height: height * devicePixelRatio });
+    const pen = this.picture.getContext("2d"), scale = this.perSecond();
+    pen.scale(devicePixelRatio, devicePixelRatio);
+    pen.fillStyle = "white";
+    pen.fillRect(0, 0, width, height);
+    pen.font = "10px Arial, 'Liberation Sans', Helvetica, sans-serif";
+    rows.forEach((label, row) => {
+      pen.fillStyle = row % 2 ? "#f8fafc" : "#edf2f7";
+      pen.fillRect(0, row * ROW, width, ROW);
+      pen.fillStyle = "#1d2b3a";
+      pen.fillText(label, 6, row * ROW + 10, LABELS - 10);
+    });
+    for (const [row, begin, stop, failed] of bars) {
+      pen.fillStyle = failed ? "#b3261e" : stop === null ? "#8a3fb0" : "#2b6cb0";
+      pen.fillRect(LABELS + begin * scale, row * ROW + 2, Math.max(((stop ?? end) - begin) * scale, 1), ROW - 4);
+    }
+    const raw = 80 / scale, power = 10 ** Math.floor(Math.log10(raw)), tick = [1, 2, 5, 10].find((n) => n * power >= raw) * power;
+    pen.fillStyle = "#66737f";
+    for (let at = 0; at <= end; at += tick) {
+      pen.fillRect(LABELS + at * scale, rows.length * ROW, 1, 4);
+      pen.fillText(`${+at.toPrecision(6)} s`, LABELS + at * scale + 3, rows.length * ROW + 13);
+    }
+    this.tell();
+  }
+
+  // What ran there, in words.
+  told(row, at) {
+    const near = 2 / this.perSecond(), { rows, bars, end } = this.overview;
+    const found = bars.find((bar) => bar[0] === row && bar[1] - near <= at && at <= (bar[2] ?? end) + near);
+    if (!found) return rows[row] ?? "";
+    const [, begin, stop, failed, command] = found, took = stop === null ? "not ended" : `${(stop - begin).toFixed(3)} s`;
+    return `${rows[row]}: at ${begin.toFixed(3)} s, ${took}${failed ? ", failed" : ""}, command ${command}`;
+  }
+}

@@ -1,0 +1,184 @@
+"""The nets over a recorded mission on the page: the marking at any moment is the one that the nets had."""
+
+import asyncio
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from im_bringup.bag import BagReader, BagWriter
+from im_pnt_analysis.cli import main
+from im_pnt_analysis.cli.terminal import BAD_INPUT
+from im_pnt_analysis.timed.mission import mission_of
+from im_pnt_analysis.timed.recording import Described, RecordedMarking, recording_of
+from im_pnt_display import DisplayServer
+from im_pnt_display.page.recording import FIRINGS_AHEAD, RecordedNets
+from im_pnt_display.page.server import RECORDED
+
+BAGS = Path(__file__).parent / "data" / "bags"
+NAMES = sorted(path.name for path in BAGS.iterdir() if path.is_dir())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_firings_lead_to_each_marking_that_was_recorded(name):
+    recording = recording_of(BAGS / name)
+    states, compared = recording.states(0), 0
+    for moment in recording.moments:
+        if isinstance(marking := moment.event, RecordedMarking):
+            before = states[marking.net].marking
+            assert before.sequence == marking.sequence
+            assert before.tokens == marking.tokens, f"{marking.net} at {moment.at_s:.3f} s"
+            compared += 1
+        recording.advance(states, moment)
+    assert compared > 100
+    assert {state.description for state in states.values()} == set(range(len(recording.descriptions)))
+
+
+@pytest.mark.parametrize("share", [0.35, 0.6, 0.85])
+def test_a_bag_whose_end_is_missing_shows_what_it_holds(tmp_path, share):
+    """As long as its recorder lived, it is the same: nets, markings and firings."""
+    whole, copy = recording_of(BAGS / "faults"), BagWriter(tmp_path / "faults")
+    with BagReader(BAGS / "faults") as bag:
+        for topic, kind in bag.types.items():
+            copy.add_topic(topic, kind, bag.deliveries[topic], bag.hashes[topic])
+        for number, (topic, stamp_ns, data) in enumerate(bag.messages(bag.types)):
+            copy.write(topic, stamp_ns, data)
+            if number % 50 == 0:
+                copy.flush()
+    copy.close()
+    (part,) = (tmp_path / "faults").glob("*.mcap")
+    part.write_bytes(part.read_bytes()[: int(share * part.stat().st_size)])
+    (tmp_path / "faults" / "metadata.yaml").unlink()
+    cut = recording_of(tmp_path / "faults")
+    assert 0 < len(cut.moments) < len(whole.moments)
+    assert cut.moments == whole.moments[: len(cut.moments)]
+    assert [cut.descriptions[number].net for number in range(12)] == [each.net for each in whole.descriptions]
+
+
+@pytest.fixture(scope="module")
+def shown():
+    recording = recording_of(BAGS / "faults")
+    server = DisplayServer(port=0, recording=RecordedNets("faults", recording))
+    server.start()
+    yield recording, server
+    server.stop()
+
+
+def asked(server, path, **headers):
+    async def ask():
+        async with aiohttp.ClientSession() as session, session.get(server.url + path, headers=headers) as answer:
+            return answer.status, await answer.text()
+
+    return asyncio.run(ask())
+
+
+def moment(server, **place):
+    (((key, value),)) = place.items()
+    status, text = asked(server, f"recording.json?{key}={value}")
+    assert status == 200, text
+    return json.loads(text)
+
+
+def markings(changes) -> Mapping[str, object]:
+    return {change["net"]: change for change in changes if change["kind"] == "marking"}
+
+
+def test_a_viewer_learns_of_the_whole_recording(shown):
+    recording, server = shown
+    overview = json.loads(asked(server, "state.json")[1])["recording"]
+    mission = mission_of(BAGS / "faults")
+    assert (overview["name"], overview["firings"]) == ("faults", recording.firings)
+    assert len(overview["drawings"]) == 12
+    assert overview["gaps"] == []
+    bars = {(overview["rows"][row], begin, end, failed) for row, begin, end, failed, _ in overview["bars"]}
+    assert bars == {
+        (f"{firing.net}.{firing.transition}", firing.begin_s, firing.end_s, firing.failed)
+        for firing in mission.firings
+        if firing.end_s is None or firing.end_s > firing.begin_s
+    }
+    assert any(failed for *_, failed in bars)
+
+
+def test_what_follows_a_moment_leads_to_the_next_one(shown):
+    recording, server = shown
+    at, played = moment(server, firing=0), {}
+    while True:
+        played = markings(at["markings"])
+        for step in at["steps"]:
+            played |= markings(step["changes"])
+        if not at["more"]:
+            break
+        there = at["steps"][-1]["firing"]
+        assert there == at["firing"] + FIRINGS_AHEAD
+        at = moment(server, firing=there)
+        assert markings(at["markings"]) == played
+    assert at["steps"][-1]["firing"] == recording.firings
+    assert played == markings(moment(server, at=recording.moments[-1].at_s)["markings"])
+
+
+def test_a_moment_has_the_actions_that_run_and_the_firings_before_it(shown):
+    recording, server = shown
+    number = next(
+        recording.firings_until(rank + 1)
+        for rank, each in enumerate(recording.moments)
+        if not isinstance(each.event, RecordedMarking | Described) and each.event.transition == "move_manip"
+    )
+    at = moment(server, firing=number)
+    assert markings(at["markings"])["motion_coordinator"]["active"] == ["move_manip"]
+    assert at["firings"][-1]["transition"] == "move_manip"
+    assert len(at["firings"]) == min(number, 300)
+
+
+@pytest.mark.parametrize(
+    ("query", "sentence"),
+    [
+        ("", "a moment is asked for by 'at', its time in seconds, or by 'firing', a number"),
+        ("at=nan", "'nan' is no time in seconds"),
+        ("at=soon", "'soon' is no time in seconds"),
+        ("firing=-1", "'-1' is no number of a firing"),
+        ("firing=1000000", "there is no firing 1000000"),
+        ("firing=" + "9" * 5000, "is no number of a firing"),
+    ],
+)
+def test_what_is_no_moment_is_said_to_be_none(shown, query, sentence):
+    status, text = asked(shown[1], f"recording.json?{query}")
+    assert status == 400
+    assert sentence in text
+
+
+def test_a_recording_is_guarded_as_running_nets_are(shown):
+    port = shown[1].url.rpartition(":")[2].strip("/")
+    for headers in ({"Host": "evil.example"}, {"Host": f"localhost:{port}", "Origin": "http://evil.example"}):
+        assert asked(shown[1], "recording.json?at=0", **headers)[0] == 403
+
+
+def test_nothing_is_operated_in_a_recording(shown):
+    async def talk():
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{shown[1].url}ws") as viewer:
+            snapshot = await viewer.receive_json(timeout=60.0)
+            await viewer.send_json({"net": "cell", "request": "pause", "argument": ""})
+            return snapshot, await viewer.receive_json(timeout=60.0)
+
+    snapshot, answer = asyncio.run(talk())
+    assert snapshot["operable"] is False
+    assert (answer["success"], answer["message"]) == (False, RECORDED)
+
+
+def test_running_nets_have_no_recording():
+    server = DisplayServer(port=0)
+    server.start()
+    try:
+        assert asked(server, "recording.json?at=0")[0] == 404
+        assert json.loads(asked(server, "state.json")[1])["recording"] is None
+    finally:
+        server.stop()
+
+
+def test_the_command_says_what_cannot_be_shown(tmp_path, capsys):
+    assert main(["display", str(tmp_path / "nowhere")]) == BAD_INPUT
+    assert "nowhere" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["display", str(BAGS / "faults"), "--port", "99999"])
+    assert "99999 is no TCP port, 0 to 65535" in capsys.readouterr().err
