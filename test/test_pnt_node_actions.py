@@ -112,7 +112,7 @@ class Hardware(ManagedNode):
         self.create_service(SetBool, "/hardware/switch", self._switch)
         self.create_service(SetBool, "/hardware/slow", self._slow)
         self.create_service(GetObject, "/dom/get", self._get)
-        self.changes = self.create_publisher(ObjectChange, "/dom/changes", qos.EVENTS)
+        self.changes = self.create_publisher(ObjectChange, "/dom/changes", qos.LATCHED_EVENTS)
         self.refusals = 0
         ActionServer(self, FollowJointTrajectory, "/hardware/follow", self._trajectory)
         self.code = 0
@@ -342,6 +342,7 @@ def test_a_data_place_is_marked_only_if_the_object_is_valid_and_unmarked_when_it
         wait_until(lambda: node.exchange.nets["worker"].marking().get("path_valid"), "the mark of the data place")
         (scope,) = node.commands.scopes()
         named.append(f"{scope}/path")
+        hardware.valid = False
         change = ObjectChange()
         change.object.name = named[0]
         hardware.changes.publish(change)

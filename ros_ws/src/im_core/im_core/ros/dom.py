@@ -159,15 +159,21 @@ class DomClient:
                 raise status_to_error(answer.status)
 
     async def is_valid(self, name: str) -> bool:
-        """Whether there is a valid object of that name."""
-        known = self._known.get(name)
-        if known is not None and known.valid:
+        """Whether there is a valid object of that name.
+
+        An answer may be overtaken by a change, which arrives on another topic: what was heard meanwhile is newer.
+        """
+        asked = self._known.get(name)
+        if asked is not None and asked.valid:
             return True
         request = GetObject.Request(name=name, metadata_only=True)
         answer = await self._call(self._get, request, f"to look at '{name}'")
         if answer.success:
             self.heard(answer.object)
-        return bool(answer.success)
+        known = self._known.get(name)
+        if known is None or known is asked:
+            return bool(answer.success)
+        return known.valid
 
     async def invalidate(self, name: str) -> None:
         """Declare an object invalid.

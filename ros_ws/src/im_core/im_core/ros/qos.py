@@ -28,6 +28,9 @@ LATCHED_MANY = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)
 #: Events that must not be lost.
 EVENTS = _reliable(500)
 
+#: Events that also reach who was just being discovered, the newest of them whoever comes later.
+LATCHED_EVENTS = _reliable(500, DurabilityPolicy.TRANSIENT_LOCAL)
+
 #: Heartbeats and other state that is repeated.
 STATUS = _reliable(50)
 

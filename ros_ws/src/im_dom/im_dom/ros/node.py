@@ -48,7 +48,7 @@ class DomNode(ManagedNode):
         if self._store.aside:
             self._reminders.add("store", self._store.aside)
         self._worker = Worker(self, "the objects' store", ANSWER_S, self._store.together)
-        self._changes = self.create_publisher(ObjectChange, "/dom/changes", qos.EVENTS)
+        self._changes = self.create_publisher(ObjectChange, "/dom/changes", qos.LATCHED_EVENTS)
         self.create_service(PutObject, "/dom/put", self._put, qos_profile=qos.QUEUED_SERVICE)
         self.create_service(GetObject, "/dom/get", self._get, qos_profile=qos.QUEUED_SERVICE)
         self.create_service(ListObjects, "/dom/list", self._list, qos_profile=qos.QUEUED_SERVICE)

@@ -155,6 +155,11 @@ class FiringRule:
         self._words = frozenset(t.symbol for t in reading if t.symbol_of is ReadFor.COMMAND)
         shown = [place for place in self.net.places.values() if place.object_scope is ObjectScope.GLOBAL]
         self.shared_objects = frozenset(place.data_object for place in shown if place.data_object)
+        self._withdrawable = [
+            (place.name, place.data_object)
+            for place in self.net.places.values()
+            if place.data_object is not None and place.on_invalid
+        ]
         emitted = {each for transition in self.transitions for each in transition.emit}
         self._answered = {s for s in self.readers if any(ends(each, s) is not None for each in emitted)}
         self.call: tuple[int, float] | None = None
@@ -527,23 +532,22 @@ class FiringRule:
         Args:
             name: Its name in the DOM.
         """
-        for place in self.net.places.values():
-            if place.data_object is not None and place.on_invalid:
-                index = self.number[f"{place.name}.withdrawn"]
-                while self.enabling.tokens[self.place[place.name]]:
-                    of_it = [job for job in self.owners(index) if self.object_name(place.data_object, job) == name]
-                    if not of_it:
-                        break
-                    self.fire(index, of_it[0])
+        for place, stands_for in self._withdrawable:
+            index = self.number[f"{place}.withdrawn"]
+            while self.enabling.tokens[self.place[place]]:
+                of_it = [job for job in self.owners(index) if self.object_name(stands_for, job) == name]
+                if not of_it:
+                    break
+                self.fire(index, of_it[0])
 
     def shown_objects(self) -> set[str]:
         """Returns the data objects whose loss of validity would move a token now, by their names in the DOM."""
         shown: set[str] = set()
-        for place in self.net.places.values():
-            number = self.place[place.name]
-            if place.data_object is not None and place.on_invalid and self.enabling.tokens[number]:
+        for place, stands_for in self._withdrawable:
+            number = self.place[place]
+            if self.enabling.tokens[number]:
                 jobs = {lineage.job for lineage in self.tokens.queues.get(number, (NO_LINEAGE,))}
-                shown.update(self.object_name(place.data_object, job) for job in jobs)
+                shown.update(self.object_name(stands_for, job) for job in jobs)
         return shown
 
     def object_name(self, name: str, job: Job | None) -> str:

@@ -18,7 +18,7 @@ from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.packets import began_at, new_epoch
 from im_pnt.execution.actions import Ask, FunctionRunner
 from im_pnt.execution.conflicts import StrategyBook
-from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged, ObjectInvalidated
+from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import AskFunction, Functions, GuardFunction
 from im_pnt.expression.scope import check_net
@@ -45,6 +45,7 @@ from im_pnt.ros.publish import PntPublisher
 from im_pnt.ros.scopes import CommandScopes
 from im_pnt.ros.sources import Sources
 from im_pnt.ros.transport import DdsTransport
+from im_pnt.ros.validity import Validity
 from im_pnt.verification import Verification, Verifier, accept
 
 __all__ = ["CommandOutcome", "OpenCommand", "PntNode", "ProgressListener"]
@@ -115,6 +116,7 @@ class PntNode(ManagedNode):
         self._publisher.nets = self.exchange.nets
         nets = self.exchange.nets
         self._mission = MissionPublisher(self, self.log, made_by, lambda: list(nets.values()), self.sources.tell)
+        self._validity = Validity(self, self.dom, nets, self._object_settled)
         self._objects = DomObjects(self.objects, self.spawn, self._guards_changed)
         self._loop = NetLoop(self, self.exchange.nets, self._may_turn, self._commit, self._told)
         self.commands = self._observer.commands = Commands(
@@ -143,7 +145,7 @@ class PntNode(ManagedNode):
         self._book = StrategyBook()
         self._looked = False
         self._execute: ExecuteServer | None = None
-        self.create_subscription(ObjectChange, "/dom/changes", self._object_changed, qos.EVENTS)
+        self.create_subscription(ObjectChange, "/dom/changes", self._object_changed, qos.LATCHED_EVENTS)
         self.heartbeats.on_return("dom", lambda: self.spawn(self._compare_objects()))
 
     # For subclasses.
@@ -390,15 +392,14 @@ class PntNode(ManagedNode):
         self.dom.forget_known()
         self._objects.stale()
         await self.sources.look()
-        for executor in list(self.exchange.nets.values()):
-            for name in await self.sources.lost(executor.rule.shown_objects()):
-                executor.post(ObjectInvalidated(name))
-            executor.post(GuardsChanged())
+        await self._validity.compare()
+        self._guards_changed()
 
     def _may_turn(self) -> bool:
         return (self.ready and self._looked and self.sources.known) or self._stopped
 
     def _told(self) -> None:
+        self._validity.turned()
         self._publisher.publish()
         self._mission.publish()
 
@@ -420,10 +421,17 @@ class PntNode(ManagedNode):
 
     def _object_changed(self, change: ObjectChange) -> None:
         self.dom.heard(change.object)
-        self.log.add("object", change.object.name, bool(change.object.valid))
-        self.sources.object_changed(change)
-        if self._objects.forget(change.object.name):
+        name, valid = change.object.name, bool(change.object.valid)
+        if self._validity.shows(name) or self.sources.follows(name):
+            self._validity.look(name)
+        else:
+            self._object_settled(name, valid)
+
+    def _object_settled(self, name: str, valid: bool) -> None:
+        """Takes what is known of an object that has changed."""
+        self.log.add("object", name, valid)
+        self.sources.object_changed(name, valid)
+        if self._objects.forget(name):
             self._guards_changed()
-        if not change.object.valid:
-            for executor in self.exchange.nets.values():
-                executor.post(ObjectInvalidated(change.object.name))
+        if not valid:
+            self._validity.lost(name)

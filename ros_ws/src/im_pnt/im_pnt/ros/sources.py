@@ -9,7 +9,6 @@ from rclpy.qos import QoSProfile
 from im_core.errors import DataError, ImError, nearest
 from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
-from im_msgs.msg import ObjectChange
 from im_pnt.errors import NetError
 from im_pnt.mission.log import MissionLog
 from im_pnt.ros.messages import packed_message
@@ -85,19 +84,14 @@ class Sources:
                 self._node.get_logger().warning(f"data object {name} counts as not valid: {error.message}")
         self.known = True
 
-    async def lost(self, names: Iterable[str]) -> list[str]:
-        """Returns those of some data objects that are not valid."""
-        try:
-            return [name for name in names if not await self._dom.is_valid(name)]
-        except ImError as error:
-            self._node.get_logger().warning(f"whether data objects are still valid is not known: {error.message}")
-            return []
+    def follows(self, name: str) -> bool:
+        """Whether a guard has declared a data object."""
+        return name in self._valid
 
-    def object_changed(self, change: ObjectChange) -> None:
-        """Takes a change of a data object."""
-        name = change.object.name
+    def object_changed(self, name: str, valid: bool) -> None:
+        """Takes the validity of a data object that has changed."""
         if name in self._valid:
-            self._valid[name] = bool(change.object.valid)
+            self._valid[name] = valid
             self._changed(f"data:{name}")
 
     async def check(self, names: Iterable[str], done: Callable[[ImError | None], None]) -> None:

@@ -1,0 +1,90 @@
+"""The token in a place and the validity of the data object for which it stands: they never disagree for long."""
+
+from collections.abc import Callable, Mapping
+
+from im_core.errors import ImError
+from im_core.ros.calls import pause
+from im_core.ros.dom import DomClient
+from im_core.ros.node import ManagedNode
+from im_pnt.execution.events import ObjectInvalidated
+from im_pnt.execution.executor import Executor
+
+#: After so long what ``/dom`` has not answered is asked for again [s].
+AGAIN_S = 1.0
+
+
+class Validity:
+    """Has tokens go to ``on_invalid`` whose data object is not valid.
+
+    What ``/dom`` tells of changes may come late (the object was put again since), or never (one of both was dead, or
+    had not discovered the other). So it only says which object is to be looked at; the answer of ``/dom`` counts. Looked
+    at is also each object that a token has come to stand for, and each that one stands for when this node begins or
+    ``/dom`` has come back.
+
+    Args:
+        node: The node.
+        dom: Client of the Data Object Manager.
+        nets: The nets by name; looked at anew each time.
+        settled: Is told of an object that was to be looked at, and whether it is valid.
+    """
+
+    def __init__(
+        self, node: ManagedNode, dom: DomClient, nets: Mapping[str, Executor], settled: Callable[[str, bool], None]
+    ) -> None:
+        self._node, self._dom, self._nets, self._settled = node, dom, nets, settled
+        self._shown: set[str] = set()
+        self._wanted: dict[str, None] = {}
+        self._looking = False
+
+    def shows(self, name: str) -> bool:
+        """Whether a token stands for an object, by its name in the DOM, and would go if that were not valid."""
+        return any(name in executor.rule.shown_objects() for executor in self._nets.values())
+
+    def turned(self) -> None:
+        """Has those objects looked at that tokens stand for now, and did not before the nets fired."""
+        shown = self._all_shown()
+        for name in shown - self._shown:
+            self.look(name)
+        self._shown = shown
+
+    def look(self, name: str) -> None:
+        """Has an object looked at, soon."""
+        self._wanted[name] = None
+        if not self._looking:
+            self._looking = True
+            self._node.spawn(self._look())
+
+    def lost(self, name: str) -> None:
+        """Has the tokens go that stand for an object which is not valid."""
+        for executor in self._nets.values():
+            executor.post(ObjectInvalidated(name))
+
+    async def compare(self) -> None:
+        """Looks at all objects that tokens stand for; ends when ``/dom`` has answered."""
+        for name in sorted(self._all_shown()):
+            while (valid := await self._valid(name)) is None:
+                await pause(self._node, AGAIN_S)
+            if not valid:
+                self._settled(name, False)
+
+    async def _look(self) -> None:
+        while self._wanted:
+            name = next(iter(self._wanted))
+            del self._wanted[name]
+            if (valid := await self._valid(name)) is None:
+                self._wanted[name] = None
+                await pause(self._node, AGAIN_S)
+            else:
+                self._settled(name, valid)
+        self._looking = False
+
+    async def _valid(self, name: str) -> bool | None:
+        """Whether an object is valid; None where ``/dom`` does not tell."""
+        try:
+            return await self._dom.is_valid(name)
+        except ImError as error:
+            self._node.get_logger().warning(f"whether data object {name} is valid is not known yet: {error.message}")
+            return None
+
+    def _all_shown(self) -> set[str]:
+        return {name for executor in self._nets.values() for name in executor.rule.shown_objects()}
