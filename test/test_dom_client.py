@@ -121,6 +121,24 @@ def test_a_change_that_arrives_late_is_no_news(three):
     assert dom.calls == calls
 
 
+def test_an_answer_that_a_change_has_overtaken_is_no_news(three, monkeypatch):
+    """Answers and changes come on topics of their own: that an object was valid may be heard after that it is not."""
+    _, mine, other = three
+    other.do(other.dom.put("b", String(data="one")))
+    call_dom = mine.dom._call
+
+    async def overtaken(*arguments):
+        answer = await call_dom(*arguments)
+        change = ObjectChange()
+        change.object.name, change.object.version, change.object.valid = "b", 1, False
+        mine.dom.heard(change.object)
+        return answer
+
+    mine.dom.forget_known()
+    monkeypatch.setattr(mine.dom, "_call", overtaken)
+    assert not mine.do(mine.dom.is_valid("b"))
+
+
 def test_what_is_below_a_name_is_forgotten_and_told_of(three, wait_until):
     _, mine, other = three
     for name in ("boss/1/a", "boss/1/b", "boss/12/a"):

@@ -5,7 +5,8 @@ import rclpy
 from std_msgs.msg import String
 
 from im_core.ros.run import spin_in_thread
-from im_dom.ros.node import DomNode
+from im_dom.ros.node import DomNode, to_info
+from im_msgs.msg import ObjectChange
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 from support.loop import in_loop
@@ -56,6 +57,17 @@ transitions:
   leave: {in: there, out: moved, guard: never}
   back: {in: moved, out: there, guard: never}
 """
+MOVED_IN = """
+net: moved_in
+places:
+  before: {tokens: 1}
+  there: {data_object: {name: letters, scope: global}, on_invalid: [gone]}
+  gone:
+transitions:
+  move: {in: before, out: there}
+  leave: {in: there, out: before, guard: never}
+  back: {in: gone, out: before, guard: never}
+"""
 LEFT_BEHIND = ("boss/20200131-142501-7/goal", "boss/20200131-142501-70/goal")
 KEPT = ("last_move", "boss/notes", "bosses/20200131-142501-7/goal")
 
@@ -70,6 +82,7 @@ class Cast:
             ("mover", MOVER),
             ("watcher", WATCHER),
             ("keeper", KEEPER),
+            ("moved_in", MOVED_IN),
         ):
             (folder / f"{net}.yaml").write_text(text)
         self.folder = folder
@@ -163,3 +176,30 @@ def test_when_dom_has_died_tokens_follow_what_has_become_of_its_objects(cast, wa
         in_loop(cast.dom, cast.dom.store.invalidate, "notes", "test", 0)
         cast.dom.incarnation += 1
         wait_until(lambda: keeper.exchange.nets["keeper"].marking() == {"moved": 1}, "the token to move")
+
+
+def test_a_token_that_no_action_has_brought_goes_when_its_object_is_not_valid(cast, wait_until):
+    wait_until(lambda: cast.dom.ready, "the Data Object Manager")
+    node = cast.node("moved_in", {}, {"never": lambda ctx: False})
+    with spin_in_thread(node):
+        wait_until(lambda: node._looked, "the node to have looked at the objects")
+        wait_until(lambda: node.exchange.nets["moved_in"].marking() == {"gone": 1}, "the token to move")
+
+
+def test_a_token_stays_when_its_object_was_put_again_before_the_change_is_heard(cast, wait_until, monkeypatch):
+    """The answer to a put may overtake what is told of the invalidation before it."""
+    wait_until(lambda: cast.dom.ready, "the Data Object Manager")
+    cast.put("notes")
+    keeper = cast.node("keeper", {}, {"never": lambda ctx: False})
+    settled = []
+    with spin_in_thread(keeper):
+        wait_until(lambda: keeper._looked, "the node to have looked at the objects")
+        settle = keeper._validity._settled
+        monkeypatch.setattr(keeper._validity, "_settled", lambda *what: (settle(*what), settled.append(what)))
+        record = in_loop(cast.dom, cast.dom.store.invalidate, "notes", "test", 0)
+        cast.put("notes")
+        late = ObjectChange(object=to_info(record))
+        in_loop(keeper, keeper._object_changed, late)
+        wait_until(lambda: ("notes", True) in settled, "the object to be looked at")
+        wait_until(lambda: not keeper.exchange.nets["keeper"].due, "the net to be at rest")
+        assert keeper.exchange.nets["keeper"].marking() == {"there": 1}

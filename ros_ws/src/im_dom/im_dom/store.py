@@ -21,6 +21,9 @@ LARGEST = 64 * MEBIBYTE
 KEPT_VERSIONS, KEPT_BYTES = 8, LARGEST
 """How many versions of an object are kept, and how many bytes the older ones of it may have; the newest always is."""
 
+KEPT_REQUESTS = 10_000
+"""How many requests to append are remembered, so that one that is made again has no second effect."""
+
 COLUMNS = "name, version, type, hash, valid, place, source, command, stamp_ns, length(data)"
 _OF_A_COMMAND = re.compile(r"[A-Za-z][A-Za-z0-9_]*/\d+-\d+-\d+(?=/)")
 
@@ -183,6 +186,56 @@ class ObjectStore:
             ).fetchone()
         return _record(row)
 
+    def append(
+        self,
+        name: str,
+        kind: str,
+        extend: Callable[[bytes], bytes],
+        source: str,
+        stamp_ns: int,
+        *,
+        request: str = "",
+    ) -> ObjectRecord:
+        """Store an object as it has grown; as with :meth:`put`, the version before is kept.
+
+        Args:
+            name: Its name.
+            kind: Its ROS type.
+            extend: Returns its data with what is appended.
+            source: Who appends.
+            stamp_ns: Testbed time [ns].
+            request: Names the request; one that had its effect before, among the last :data:`KEPT_REQUESTS`, has none.
+
+        Returns:
+            The object; its place and command are those that it was put for.
+
+        Raises:
+            NotFoundError: There is none of that name.
+            StateError: It is not valid.
+            DataError: It is of another type, or would be too large; or as ``extend`` raises.
+        """
+        with self._transaction():
+            if request and (version := self._appended(name, request)) is not None:
+                return replace(self.record(name), version=version)
+            record, data = self.get(name, kind)
+            longer = extend(data)
+            after = self.put(
+                name, kind, longer, record.place, source, stamp_ns, kind_hash=record.hash, command=record.command
+            )
+            if request:
+                with self._doing("written"):
+                    self._db.execute("INSERT INTO appended VALUES (?, ?, ?)", (name, request, after.version))
+                    self._db.execute("DELETE FROM appended WHERE rowid <= last_insert_rowid() - ?", (KEPT_REQUESTS,))
+            return after
+
+    def _appended(self, name: str, request: str) -> int | None:
+        """The version that a request to append has made; None if it has not had its effect yet."""
+        with self._doing("read"):
+            row = self._db.execute(
+                "SELECT version FROM appended WHERE name = ? AND request = ?", (name, request)
+            ).fetchone()
+        return None if row is None else int(row[0])
+
     def record(self, name: str, version: int = 0) -> ObjectRecord:
         """What is known of an object.
 
@@ -276,7 +329,7 @@ class ObjectStore:
         """
         gone = [replace(record, valid=False) for record in self.records(prefix) if record.valid]
         with self._transaction(), self._doing("written"):
-            for table in ("objects", "older"):
+            for table in ("objects", "older", "appended"):
                 self._db.execute(f"DELETE FROM {table} WHERE substr(name, 1, ?) = ?", (len(prefix), prefix))
         return gone
 

@@ -93,19 +93,20 @@ class PathPlanningFunctions:
     async def plan_direct(self, ctx: ActionContext) -> None:
         """Stores the joint-interpolated path to the goal if it is free."""
         here, goal = await self._here(ctx), await self._goal(ctx)
-        await self._store(ctx, here, [goal])
+        await self._store(ctx, here, [goal], "plan_done")
 
     async def plan_detour(self, ctx: ActionContext) -> None:
         """Stores the path with the arm tucked on the way if it is free."""
         here, goal = await self._here(ctx), await self._goal(ctx)
-        await self._store(ctx, here, detour(_position(here), goal, self._tucked[here.group]))
+        points = detour(_position(here), goal, self._tucked[here.group])
+        await self._store(ctx, here, points, "plan_done")
 
     async def check_given(self, ctx: ActionContext) -> None:
         """Stores the path that was given if it is free."""
         given = await self._host.dom.get(ctx.object(str(ctx.request_arguments["path"])), JointTrajectory)
         here = await self._here(ctx)
         require_joints(given.joint_names, here.joints, here.group)
-        await self._store(ctx, here, [list(point.positions) for point in given.points])
+        await self._store(ctx, here, [list(point.positions) for point in given.points], "check_done")
 
     async def _here(self, ctx: ActionContext) -> GroupState:
         group = str(ctx.request_arguments["group"])
@@ -144,11 +145,13 @@ class PathPlanningFunctions:
         goal = await self._host.dom.get(ctx.object(_goal_name(ctx)), JointTrajectory)
         return list(goal.points[-1].positions)
 
-    async def _store(self, ctx: ActionContext, here: GroupState, points: Sequence[Sequence[float]]) -> None:
+    async def _store(
+        self, ctx: ActionContext, here: GroupState, points: Sequence[Sequence[float]], place: str
+    ) -> None:
         whole = _trajectory(here.joints, [_position(here), *points])
         await self._ask(CHECK, CheckPath.Request(group=here.group, path=whole), "a path to be checked")
         name, path = ctx.object(str(ctx.request_arguments["leaves"])), _trajectory(here.joints, points)
-        await self._host.dom.put(name, path, place="motion_coordinator.path_valid")
+        await self._host.dom.put(name, path, place=f"path_planning_coordinator.{place}")
 
     async def _ask(self, service: str, request: object, what: str) -> Any:
         answer = await self._host.ask(SERVICES[service], service, request, "mcs", what)

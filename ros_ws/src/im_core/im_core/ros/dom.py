@@ -1,5 +1,6 @@
 """Client of the Data Object Manager."""
 
+import uuid
 from array import array
 from dataclasses import dataclass
 from itertools import count
@@ -17,7 +18,7 @@ from im_core.ros.interfaces import decoded, type_name
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import status_to_error
 from im_msgs.msg import ObjectInfo
-from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
+from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 
 #: Objects of which a client remembers whether they are valid; more are asked for again.
 MOST_KNOWN = 1000
@@ -60,6 +61,7 @@ class DomClient:
         self._node = node
         self._known: dict[str, _Known] = {}
         self._put = node.create_client(PutObject, "/dom/put", qos_profile=qos.QUEUED_SERVICE)
+        self._append = node.create_client(AppendObject, "/dom/append", qos_profile=qos.QUEUED_SERVICE)
         self._get = node.create_client(GetObject, "/dom/get", qos_profile=qos.QUEUED_SERVICE)
         self._invalidate = node.create_client(InvalidateObject, "/dom/invalidate", qos_profile=qos.QUEUED_SERVICE)
         self._list = node.create_client(ListObjects, "/dom/list", qos_profile=qos.QUEUED_SERVICE)
@@ -112,6 +114,33 @@ class DomClient:
         )
         answer = await self._ask(self._put, request, f"to store '{name}'", len(data))
         self.heard(answer.object, (type(message), data))
+        return int(answer.object.version)
+
+    async def append(self, name: str, message: object) -> int:
+        """Append to the sequences of an object those of a message of its type; its other fields stay as they are.
+
+        It outlives the loss of power when this returns; place and command stay those for which the object was put.
+
+        Args:
+            name: Its name.
+            message: What is appended, as a message of the object's type.
+
+        Returns:
+            The version that the object has then.
+
+        Raises:
+            ImError: There is none, it is not valid, or it was refused.
+        """
+        data = serialize_message(message)
+        request = AppendObject.Request(
+            name=name,
+            type=type_name(type(message)),
+            data=array("B", data),
+            source=self._node.task_name,
+            request=uuid.uuid4().hex,  # an answer may be lost, and the request be made again
+        )
+        answer = await self._ask(self._append, request, f"to append to '{name}'", len(data))
+        self.heard(answer.object)
         return int(answer.object.version)
 
     async def get(self, name: str, message_type: type[MessageT], timeout_s: float = 0.0) -> MessageT:

@@ -3,6 +3,7 @@
 import sys
 from array import array
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
 
@@ -16,10 +17,11 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.reminders import Reminders
 from im_core.ros.status import ok_status, to_status
 from im_core.ros.worker import Worker
-from im_dom.ros.types import as_json, check_message
+from im_dom.places import Places
+from im_dom.ros.types import as_json, check_message, extended
 from im_dom.store import ObjectRecord, ObjectStore
-from im_msgs.msg import ObjectChange, ObjectInfo
-from im_msgs.srv import GetObject, InvalidateObject, ListObjects, PutObject
+from im_msgs.msg import NetDescription, ObjectChange, ObjectInfo
+from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 
 #: How long the store may take to answer [s]: it waits for a disk, to which others may write, too.
 ANSWER_S = 30.0
@@ -28,8 +30,13 @@ ANSWER_S = 30.0
 LONGEST_WAIT_S = 3600.0
 MOST_WAITING = 1000
 
+#: How long the net of a place may take to be described, as to a node that has just begun [s].
+DESCRIBED_S = 5.0
+
 ResultT = TypeVar("ResultT")
-AnswerT = TypeVar("AnswerT", PutObject.Response, GetObject.Response, InvalidateObject.Response)
+AnswerT = TypeVar(
+    "AnswerT", PutObject.Response, AppendObject.Response, GetObject.Response, InvalidateObject.Response
+)
 
 
 class DomNode(ManagedNode):
@@ -41,6 +48,8 @@ class DomNode(ManagedNode):
         self._worker: Worker | None = None
         self._reminders = Reminders(self)
         self._awaited: dict[Promise, str] = {}
+        self._places = Places()
+        self._undescribed: list[Promise] = []
 
     def phase_configure(self) -> None:
         """Open the store and offer the services."""
@@ -49,7 +58,9 @@ class DomNode(ManagedNode):
             self._reminders.add("store", self._store.aside)
         self._worker = Worker(self, "the objects' store", ANSWER_S, self._store.together)
         self._changes = self.create_publisher(ObjectChange, "/dom/changes", qos.LATCHED_EVENTS)
+        self.create_subscription(NetDescription, "/pnt/nets", self._described, qos.LATCHED_MANY)
         self.create_service(PutObject, "/dom/put", self._put, qos_profile=qos.QUEUED_SERVICE)
+        self.create_service(AppendObject, "/dom/append", self._append, qos_profile=qos.QUEUED_SERVICE)
         self.create_service(GetObject, "/dom/get", self._get, qos_profile=qos.QUEUED_SERVICE)
         self.create_service(ListObjects, "/dom/list", self._list, qos_profile=qos.QUEUED_SERVICE)
         self.create_service(InvalidateObject, "/dom/invalidate", self._invalidate, qos_profile=qos.QUEUED_SERVICE)
@@ -84,7 +95,53 @@ class DomNode(ManagedNode):
                 command=request.command,
             )
 
+        try:
+            await self._require_place(request.place)
+        except ImError as error:
+            response.status = to_status(error)
+            return response
         return await self._answer(response, put, changed=True)
+
+    async def _append(self, request: AppendObject.Request, response: AppendObject.Response) -> AppendObject.Response:
+        def append() -> ObjectRecord:
+            more = bytes(request.data)
+
+            def extend(data: bytes) -> bytes:
+                return extended(request.name, request.type, data, more)
+
+            check_message(request.name, request.type, more)
+            return self.store.append(
+                request.name, request.type, extend, request.source, self._now_ns(), request=request.request
+            )
+
+        return await self._answer(response, append, changed=True)
+
+    async def _require_place(self, place: str) -> None:
+        """Make sure that a place exists; one whose net was not described yet is waited for.
+
+        Raises:
+            NotFoundError: It does not.
+        """
+        deadline = clock.monotonic() + DESCRIBED_S
+        while place:
+            try:
+                self._places.require(place)
+                return
+            except NotFoundError:
+                left = deadline - clock.monotonic()
+                if left <= 0.0 or len(self._undescribed) >= MOST_WAITING:
+                    raise
+            described = self.promise()
+            self._undescribed.append(described)
+            with suppress(WaitTimeoutError):
+                await wait(self, described, left, f"the net of place {place} to be described")
+
+    def _described(self, description: NetDescription) -> None:
+        self._places.describe(description.net, description.json)
+        waiting, self._undescribed = self._undescribed, []
+        for promise in waiting:
+            if not promise.done():
+                promise.set_result(None)
 
     async def _get(self, request: GetObject.Request, response: GetObject.Response) -> GetObject.Response:
         def get() -> ObjectRecord:

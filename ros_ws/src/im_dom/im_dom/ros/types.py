@@ -4,6 +4,7 @@ import array
 import functools
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,9 @@ from im_core.ros.interfaces import decoded, interface_class
 
 #: CDR ends with at most so many bytes that mean nothing.
 PADDING = 3
+
+#: Type of a field that is a sequence.
+_SEQUENCE = re.compile(r"sequence<.*?(?:, (?P<most>\d+))?>")
 
 #: A larger object is given out as it is, not as text [bytes].
 LARGEST_AS_TEXT = MEBIBYTE
@@ -43,6 +47,40 @@ def check_message(name: str, kind: str, data: bytes) -> str:
         text = f"data object '{name}' is no {kind}: {surplus} of its {len(data)} bytes follow after the end of one"
         raise DataError(text, object=name, type=kind)
     return type_hash(kind)
+
+
+def extended(name: str, kind: str, data: bytes, more: bytes) -> bytes:
+    """A message whose sequences have grown by those of another of its type; its other fields stay as they are.
+
+    Args:
+        name: Of the object, for errors.
+        kind: ROS type of both.
+        data: The message (CDR).
+        more: The other one (CDR).
+
+    Returns:
+        The longer message (CDR).
+
+    Raises:
+        DataError: The type has no sequences, one would be longer than its type allows, or the bytes do not decode.
+    """
+    message, added = _decoded(name, kind, data), _decoded(name, kind, more)
+    found = {field: _SEQUENCE.fullmatch(of) for field, of in message.get_fields_and_field_types().items()}
+    sequences = {field: match for field, match in found.items() if match}
+    if not sequences:
+        raise DataError(f"data object '{name}' is a {kind}, which has no sequence to append to", object=name, type=kind)
+    for field, match in sequences.items():
+        present, further = getattr(message, field), getattr(added, field)
+        length, most = len(present) + len(further), match["most"]
+        if most is not None and length > int(most):
+            text = f"data object '{name}': {field} would have {length} elements; at most {most} are allowed"
+            raise DataError(text, object=name, field=field, length=length, allowed=int(most))
+        if isinstance(present, bytes):
+            setattr(message, field, present + further)
+        else:
+            present.extend(further)
+    longer: bytes = serialize_message(message)
+    return longer
 
 
 @functools.cache

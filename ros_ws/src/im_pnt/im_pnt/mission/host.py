@@ -19,6 +19,9 @@ class HostObjects(Protocol):
     async def put(self, name: str, message: object, place: str = "") -> int:
         """Stores an object; returns its version."""
 
+    async def append(self, name: str, message: object) -> int:
+        """Appends to the sequences of an object those of a message of its type; returns its version."""
+
     async def is_valid(self, name: str) -> bool:
         """Whether there is a valid object of that name."""
 

@@ -169,6 +169,11 @@ class ScriptObjects:
         self._script.sent(["put", name], self._messages.packed(message))
         return int(await self._script.wait(["put", name]))
 
+    async def append(self, name: str, message: object) -> int:
+        """Compares what is appended with what was."""
+        self._script.sent(["append", name], self._messages.packed(message))
+        return int(await self._script.wait(["append", name]))
+
     async def is_valid(self, name: str) -> bool:
         """Whether the object was valid then."""
         return bool(await self._script.wait(["valid", name]))

@@ -167,6 +167,11 @@ class NotedObjects:
         self._log.sent(["put", name], packed_message(message))
         return await self._log.read(["put", name], self._dom.put(name, message, place), int)
 
+    async def append(self, name: str, message: object) -> int:
+        """Appends to an object; raises as the client does."""
+        self._log.sent(["append", name], packed_message(message))
+        return await self._log.read(["append", name], self._dom.append(name, message), int)
+
     async def is_valid(self, name: str) -> bool:
         """Whether there is a valid object of that name."""
         return await self._log.read(["valid", name], self._dom.is_valid(name), bool)

@@ -169,4 +169,5 @@ def _heading(net: Net) -> dict[str, object]:
         "description": net.description,
         "symbols": net.symbols(),
         "services": sorted(net.services),
+        "places": sorted(net.places),
     }
