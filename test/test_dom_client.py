@@ -7,7 +7,9 @@ import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
+from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Int32, String, UInt8MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core import clock
 from im_core.errors import DataError, ImError, WaitTimeoutError
@@ -19,8 +21,8 @@ from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_dom.ros.node import DomNode
-from im_msgs.msg import ObjectChange
-from im_msgs.srv import GetObject, PutObject
+from im_msgs.msg import NetDescription, ObjectChange
+from im_msgs.srv import AppendObject, GetObject, PutObject
 
 
 class CountingDom(DomNode):
@@ -213,6 +215,101 @@ def test_older_versions_are_read_and_the_newest_is_what_is_meant(three):
     assert other.do(other.dom.get("a", String)).data == "two"
     with pytest.raises(ImError, match="there is no version of data object 'a' '3'"):
         other.do(other.dom.version("a", String, 3))
+
+
+def test_an_object_grows_by_the_sequences_of_a_message_of_its_type(three, wait_until):
+    _, mine, other = three
+    begun = JointTrajectory(joint_names=["a"], points=[JointTrajectoryPoint(positions=[1.0])])
+    begun.header.frame_id = "world"
+    mine.do(mine.dom.put("path", begun))
+    further = JointTrajectory(points=[JointTrajectoryPoint(positions=[value]) for value in (2.0, 3.0)])
+    assert other.do(other.dom.append("path", further)) == 2
+    wait_until(lambda: ("path", 2, True) in mine.changes, "the change")
+    found = mine.do(mine.dom.get("path", JointTrajectory))
+    assert (found.header.frame_id, found.joint_names) == ("world", ["a"])
+    assert [list(point.positions) for point in found.points] == [[1.0], [2.0], [3.0]]
+    assert mine.do(mine.dom.version("path", JointTrajectory, 1)) == begun
+
+
+def test_what_does_not_fit_is_not_appended(three):
+    _, mine, _ = three
+    mine.do(mine.dom.put("a", String(data="one")))
+    with pytest.raises(ImError, match="'a' is a std_msgs/msg/String, which has no sequence to append to"):
+        mine.do(mine.dom.append("a", String(data="two")))
+    with pytest.raises(ImError, match="'a' is a std_msgs/msg/String, not a std_msgs/msg/UInt8MultiArray"):
+        mine.do(mine.dom.append("a", UInt8MultiArray(data=b"two")))
+    garbled = AppendObject.Request(name="a", type="std_msgs/msg/String", data=b"\0\1\0\0\xff\xff\xff\x7fabc")
+    assert "do not decode" in ask(mine, mine.dom._append, garbled).status.message
+    limited = SolidPrimitive(type=1, dimensions=[1.0, 2.0, 3.0])
+    mine.do(mine.dom.put("box", limited))
+    with pytest.raises(ImError, match="'box': dimensions would have 4 elements; at most 3 are allowed"):
+        mine.do(mine.dom.append("box", SolidPrimitive(type=1, dimensions=[4.0])))
+    assert mine.do(mine.dom.get("box", SolidPrimitive)) == limited
+
+
+def test_an_append_whose_answer_was_lost_is_made_again_without_a_second_effect(three, monkeypatch):
+    _, mine, _ = three
+    mine.do(mine.dom.put("a", UInt8MultiArray(data=b"1")))
+    call_once, answers = dom_client.call, []
+
+    async def lost(node, client, request, *arguments):
+        answer = await call_once(node, client, request, *arguments)
+        answers.append(answer.object.version)
+        if len(answers) == 1:
+            raise WaitTimeoutError(what="an answer that was lost", seconds=0.0)
+        return answer
+
+    monkeypatch.setattr(dom_client, "call", lost)
+    assert mine.do(mine.dom.append("a", UInt8MultiArray(data=b"2"))) == 2
+    assert answers == [2, 2]
+    monkeypatch.undo()
+    assert bytes(mine.do(mine.dom.get("a", UInt8MultiArray)).data) == b"12"
+
+
+def test_an_object_for_a_place_that_does_not_exist_is_refused(three, monkeypatch):
+    _, mine, other = three
+    monkeypatch.setattr("im_dom.ros.node.DESCRIBED_S", 0.2)
+    with pytest.raises(ImError, match="there is no net 'cell'"):
+        mine.do(mine.dom.put("a", String(), place="cell.there"))
+    described = other.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED)
+    described.publish(NetDescription(net="cell", node="/other", json='{"places": ["there"]}'))
+    monkeypatch.setattr("im_dom.ros.node.DESCRIBED_S", 60.0)
+    assert mine.do(mine.dom.put("a", String(), place="cell.there")) == 1
+    monkeypatch.setattr("im_dom.ros.node.DESCRIBED_S", 0.2)
+    with pytest.raises(ImError, match="there is no place of net cell 'ther'; did you mean 'there'"):
+        mine.do(mine.dom.put("a", String(), place="cell.ther"))
+
+
+def test_json_is_taken_as_it_is_given_out(three):
+    _, mine, _ = three
+    pose = PoseStamped()
+    pose.header.frame_id, pose.pose.position.x, pose.pose.position.y = "world", 1.5, float("nan")
+    mine.do(mine.dom.put("a", pose))
+    found = ask(mine, mine.dom._get, GetObject.Request(name="a", as_json=True))
+    kind = "geometry_msgs/msg/PoseStamped"
+    assert ask(mine, mine.dom._put, PutObject.Request(name="b", type=kind, json=found.json)).success
+    assert ask(mine, mine.dom._get, GetObject.Request(name="b", as_json=True)).json == found.json
+    kind, fields = "trajectory_msgs/msg/JointTrajectory", '{"points": [{"positions": [1, 2]}]}'
+    assert ask(mine, mine.dom._put, PutObject.Request(name="c", type=kind, json=fields)).success
+    assert ask(mine, mine.dom._append, AppendObject.Request(name="c", type=kind, json=fields)).object.version == 2
+    assert [list(point.positions) for point in mine.do(mine.dom.get("c", JointTrajectory)).points] == [[1, 2], [1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ('{"dta": "x"}', "there is no field of std_msgs/msg/String 'dta'; did you mean 'data'"),
+        ('{"data": 3}', "std_msgs/msg/String.data (string) cannot be 3"),
+        ('{"data": ["x"]}', "std_msgs/msg/String.data (string) cannot be ['x']"),
+        ('{"data": {"x": 1}}', "std_msgs/msg/String.data (string) cannot be {'x': 1}"),
+        ("[]", "the JSON of data object 'a'"),
+    ],
+)
+def test_json_that_is_no_message_of_the_type_is_refused(three, fields, sentence):
+    _, mine, _ = three
+    answer = ask(mine, mine.dom._put, PutObject.Request(name="a", type="std_msgs/msg/String", json=fields))
+    assert not answer.success
+    assert sentence in answer.status.message
 
 
 def test_who_waits_for_an_object_gets_it_when_it_is_put_and_else_hears_why_not(three):

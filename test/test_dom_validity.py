@@ -9,7 +9,6 @@ import sys
 import pytest
 import rclpy
 from rclpy.parameter import Parameter
-from support.keeper import OBJECTS
 
 from im_core import clock
 from im_core.errors import WaitTimeoutError
@@ -19,6 +18,7 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Marking
 from im_msgs.srv import InvalidateObject, ListObjects
+from support.keeper import OBJECTS
 
 #: How long a process may take to come back and have looked at all [s].
 PATIENCE_S = 120.0

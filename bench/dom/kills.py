@@ -79,8 +79,9 @@ def kill_once(folder: Path, seed: int) -> int:
 
 
 def _change(store: ObjectStore, draw: random.Random) -> Callable[[], tuple[ObjectRecord, bytes]]:
-    name, length, invalid = draw.choice(NAMES), draw.choice((5, 300, 20_000)), draw.random() < 0.2
-    data = draw.randbytes(length)
+    name, length, kind = draw.choice(NAMES), draw.choice((5, 300, 20_000)), draw.random()
+    data, known = draw.randbytes(length), {record.name for record in store.records()}
+    asked = str(draw.random())
 
     def put() -> tuple[ObjectRecord, bytes]:
         return store.put(name, KIND, data, "", "killed", 0), data
@@ -89,7 +90,15 @@ def _change(store: ObjectStore, draw: random.Random) -> Callable[[], tuple[Objec
         record = store.invalidate(name, "killed", 0)
         return record, store.get(name, version=record.version)[1]
 
-    return invalidate if invalid and name in {record.name for record in store.records()} else put
+    def append() -> tuple[ObjectRecord, bytes]:
+        if not store.record(name).valid:  # by what is done together with this
+            return put()
+        grown = store.get(name)[1] + data[:5]
+        return store.append(name, KIND, lambda present: present + data[:5], "killed", 0, request=asked), grown
+
+    if name not in known or kind < 0.6:
+        return put
+    return invalidate if kind < 0.8 else append
 
 
 def work(folder: Path, seed: int, say: Callable[[str], object]) -> None:

@@ -45,9 +45,7 @@ class Keeper(PntNode):
         parameters = [Parameter(name, value=value) for name, value in settings.items()]
         guards = {"never": lambda ctx: False}
         functions = {"make": self.make}
-        super().__init__(
-            "keeper", [file], functions, guards, verifier=verify_to_load, parameter_overrides=parameters
-        )
+        super().__init__("keeper", [file], functions, guards, verifier=verify_to_load, parameter_overrides=parameters)
 
     async def make(self, ctx) -> None:
         """Stores an object."""

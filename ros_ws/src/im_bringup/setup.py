@@ -23,6 +23,7 @@ setup(
             "agent=im_bringup.ros.agent:main",
             "bootstrap=im_bringup.ros.bootstrap:main",
             "calibrate_camera=im_bringup.ros.calibrate_camera:main",
+            "data_objects=im_bringup.ros.data_objects:main",
             "interfaces=im_bringup.ros.interfaces:main",
             "record=im_bringup.ros.record:main",
             "recover=im_bringup.ros.recover:main",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dom import store as objects
-from im_dom.store import KEPT_VERSIONS, LARGEST, ObjectStore
+from im_dom.store import KEPT_VERSIONS, LARGEST, ObjectRecord, ObjectStore
 
 KIND = "std_msgs/msg/String"
 
@@ -117,7 +117,7 @@ def test_a_file_of_another_version_is_set_aside_too(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "dom.sqlite")) as db:
         db.execute("CREATE TABLE objects (name TEXT PRIMARY KEY)")
     store = ObjectStore(tmp_path / "dom.sqlite")
-    assert "is of another version of this software (0, not 2)" in store.aside
+    assert "is of another version of this software (0, not 3)" in store.aside
 
 
 def test_a_file_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -199,6 +199,62 @@ def test_what_is_done_together_is_answered_one_by_one() -> None:
     assert isinstance(broken, ZeroDivisionError)
     assert read[1] == b"abc"
     assert last[1] == b"1"
+
+
+def append(store: ObjectStore, more: bytes, request: str = "", name: str = "path") -> ObjectRecord:
+    return store.append(name, KIND, lambda data: data + more, "appender", 8, request=request)
+
+
+@given(st.lists(st.tuples(st.binary(max_size=9), st.integers(0, 5)), max_size=9))
+def test_each_request_to_append_has_its_effect_once(asked: list[tuple[bytes, int]]) -> None:
+    """However often it is made, and whatever comes between; against a list."""
+    store = ObjectStore()
+    put(store, data=b"begun ")
+    model, made = [b"begun "], dict[int, int]()
+    for more, number in asked:
+        version = append(store, more, f"request {number}").version
+        if number not in made:
+            model.append(model[-1] + more)
+            made[number] = len(model)
+        assert version == made[number]
+    record, data = store.get("path")
+    assert (data, record.version) == (model[-1], len(model))
+
+
+def test_an_object_that_grows_stays_what_it_was_put_for() -> None:
+    store = ObjectStore()
+    store.put("path", KIND, b"1", "net.place", "planner", 7, kind_hash="RIHS01_aa", command="node/20260131-142501-7")
+    found = append(store, b"2")
+    assert (found.place, found.command, found.hash) == ("net.place", "node/20260131-142501-7", "RIHS01_aa")
+    assert (found.source, found.stamp_ns, found.version) == ("appender", 8, 2)
+    assert store.get("path", version=1)[1] == b"1"
+
+
+def test_what_cannot_grow_is_as_it_was() -> None:
+    store = ObjectStore()
+    with pytest.raises(NotFoundError, match="data object 'path'"):
+        append(store, b"2")
+    put(store, data=b"1")
+    with pytest.raises(DataError, match="at most 67108864"):
+        append(store, bytes(LARGEST))
+    with pytest.raises(DataError, match="is a std_msgs/msg/String, not a std_msgs/msg/Bool"):
+        store.append("path", "std_msgs/msg/Bool", bytes, "appender", 8)
+    assert (store.get("path")[1], store.record("path").version) == (b"1", 1)
+    store.invalidate("path", "someone", 9)
+    with pytest.raises(StateError, match="is not valid; someone"):
+        append(store, b"2")
+
+
+def test_requests_to_append_are_remembered_up_to_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(objects, "KEPT_REQUESTS", 2)
+    store = ObjectStore()
+    put(store, data=b"")
+    for number in range(3):
+        append(store, b"x", str(number))
+    append(store, b"x", "1")
+    assert store.get("path")[1] == b"xxx"
+    append(store, b"x", "0")
+    assert store.get("path")[1] == b"xxxx"
 
 
 def test_what_is_done_together_is_on_the_disk_as_one_when_it_is_answered(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from im_core import clock
-from im_core.errors import DataError, ImError, StateError, WaitTimeoutError
+from im_core.errors import DataError, ImError, NotFoundError, StateError, WaitTimeoutError
 from im_core.names import run_dir
 from im_core.ros import qos, run
 from im_core.ros.calls import wait
@@ -18,7 +18,7 @@ from im_core.ros.reminders import Reminders
 from im_core.ros.status import ok_status, to_status
 from im_core.ros.worker import Worker
 from im_dom.places import Places
-from im_dom.ros.types import as_json, check_message, extended
+from im_dom.ros.types import as_json, check_message, extended, from_json
 from im_dom.store import ObjectRecord, ObjectStore
 from im_msgs.msg import NetDescription, ObjectChange, ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
@@ -34,9 +34,7 @@ MOST_WAITING = 1000
 DESCRIBED_S = 5.0
 
 ResultT = TypeVar("ResultT")
-AnswerT = TypeVar(
-    "AnswerT", PutObject.Response, AppendObject.Response, GetObject.Response, InvalidateObject.Response
-)
+AnswerT = TypeVar("AnswerT", PutObject.Response, AppendObject.Response, GetObject.Response, InvalidateObject.Response)
 
 
 class DomNode(ManagedNode):
@@ -83,7 +81,7 @@ class DomNode(ManagedNode):
 
     async def _put(self, request: PutObject.Request, response: PutObject.Response) -> PutObject.Response:
         def put() -> ObjectRecord:
-            data = bytes(request.data)
+            data = _told(request)
             return self.store.put(
                 request.name,
                 request.type,
@@ -104,7 +102,7 @@ class DomNode(ManagedNode):
 
     async def _append(self, request: AppendObject.Request, response: AppendObject.Response) -> AppendObject.Response:
         def append() -> ObjectRecord:
-            more = bytes(request.data)
+            more = _told(request)
 
             def extend(data: bytes) -> bytes:
                 return extended(request.name, request.type, data, more)
@@ -239,6 +237,20 @@ class DomNode(ManagedNode):
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
+
+
+def _told(request: PutObject.Request | AppendObject.Request) -> bytes:
+    """The message of a request, which says it in one of two ways.
+
+    Raises:
+        DataError: It says it in both, or its JSON does not fit the type.
+        NotFoundError: Its type is not known.
+    """
+    if not request.json:
+        return bytes(request.data)
+    if request.data:
+        raise DataError(f"data object '{request.name}' is given as data and as JSON; one of both", object=request.name)
+    return from_json(request.name, request.type, request.json)
 
 
 def to_info(record: ObjectRecord) -> ObjectInfo:

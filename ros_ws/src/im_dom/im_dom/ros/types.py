@@ -5,6 +5,7 @@ import functools
 import json
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from ament_index_python import PackageNotFoundError, get_package_share_directory
 from rclpy.serialization import serialize_message
 
+from im_core.arrivals import read_json
 from im_core.errors import DataError, NotFoundError
 from im_core.files import MEBIBYTE, read_text
 from im_core.ros.interfaces import decoded, interface_class
@@ -21,6 +23,9 @@ PADDING = 3
 
 #: Type of a field that is a sequence.
 _SEQUENCE = re.compile(r"sequence<.*?(?:, (?P<most>\d+))?>")
+
+#: Type of a field that is a sequence or an array, and that of its elements.
+_ELEMENTS = re.compile(r"sequence<(?P<sequence>.*?)(?:, \d+)?>|(?P<array>[^<\[]+)\[\d+\]")
 
 #: A larger object is given out as it is, not as text [bytes].
 LARGEST_AS_TEXT = MEBIBYTE
@@ -109,6 +114,54 @@ def as_json(name: str, kind: str, data: bytes) -> str:
         text = f"data object '{name}' has {len(data)} bytes; at most {LARGEST_AS_TEXT} are given as text"
         raise DataError(text, object=name, size=len(data), allowed=LARGEST_AS_TEXT)
     return json.dumps(_plain(_decoded(name, kind, data)))
+
+
+def from_json(name: str, kind: str, text: str) -> bytes:
+    """The message (CDR) whose fields are told as :func:`as_json` tells them; those that are not keep their defaults.
+
+    Raises:
+        DataError: It is no JSON, or a field does not fit.
+        NotFoundError: No such type is installed, or it has no such field.
+    """
+    if len(text) > LARGEST_AS_TEXT:
+        said = f"data object '{name}' is told in {len(text)} characters; at most {LARGEST_AS_TEXT} are read"
+        raise DataError(said, object=name, size=len(text), allowed=LARGEST_AS_TEXT)
+    fields = read_json(dict[str, Any], text, f"the JSON of data object '{name}'")
+    data: bytes = serialize_message(_filled(interface_class(kind)(), fields, kind))
+    return data
+
+
+def _filled(message: Any, fields: Mapping[str, Any], where: str) -> Any:
+    types = message.get_fields_and_field_types()
+    message._check_fields = True  # a wrong type would else be met by the serialiser, which ends the process
+    for field, value in fields.items():
+        if field not in types:
+            raise NotFoundError(kind=f"field of {where}", name=field, known=types)
+        try:
+            setattr(message, field, _fitting(getattr(message, field), types[field], value, f"{where}.{field}"))
+        except (AssertionError, TypeError, ValueError, OverflowError) as error:
+            raise DataError(f"{where}.{field} ({types[field]}) cannot be {value!r}", field=field) from error
+    return message
+
+
+def _fitting(present: Any, kind: str, value: Any, where: str) -> Any:
+    if isinstance(value, dict) and hasattr(present, "get_fields_and_field_types"):
+        return _filled(type(present)(), value, where)
+    if isinstance(value, list):
+        found = _ELEMENTS.fullmatch(kind)
+        element = (found["sequence"] or found["array"]) if found else ""
+        if "/" not in element:
+            return [_number(element, each) for each in value]
+        make = interface_class(element.replace("/", "/msg/"))
+        return [_filled(make(), each, f"{where}[{number}]") for number, each in enumerate(value)]
+    return _number(kind, value)
+
+
+def _number(kind: str, value: Any) -> Any:
+    """JSON writes 1 where a message wants 1.0, and has no number that is not finite."""
+    if kind in ("float", "double") and not isinstance(value, bool):
+        return float(value)
+    return bytes([value]) if kind == "octet" else value
 
 
 def _decoded(name: str, kind: str, data: bytes) -> Any:

@@ -17,9 +17,9 @@ class Validity:
     """Has tokens go to ``on_invalid`` whose data object is not valid.
 
     What ``/dom`` tells of changes may come late (the object was put again since), or never (one of both was dead, or
-    had not discovered the other). So it only says which object is to be looked at; the answer of ``/dom`` counts. Looked
-    at is also each object that a token has come to stand for, and each that one stands for when this node begins or
-    ``/dom`` has come back.
+    had not discovered the other). So it only says which object is to be looked at; the answer of ``/dom`` counts.
+    Looked at is also each object that a token has come to stand for, and each that one stands for when this node begins
+    or ``/dom`` has come back.
 
     Args:
         node: The node.
