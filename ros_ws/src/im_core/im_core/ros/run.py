@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
+from weakref import WeakSet
 
 import rclpy
 from rclpy.action import ActionClient, ActionServer
@@ -25,6 +26,7 @@ from im_core import scheduling
 from im_core.errors import ImError
 from im_core.loop_watch import LoopWatch
 from im_core.pulse import Pulse
+from im_core.ros.backlog import readers, take_backlog
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import ManagedNode
 from im_core.ros.one_reader import shared_readers
@@ -47,7 +49,9 @@ _gathered: ContextVar[list[Program] | None] = ContextVar("gathered", default=Non
 
 
 class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc]  # of C++: it has no types
-    """The events executor; a task that raised would end its process by a segmentation fault.
+    """The events executor, mended: what came while it began to listen is heard, and a task that raises ends nothing.
+
+    A task that raised would end its process by a segmentation fault; for the rest see :mod:`im_core.ros.backlog`.
 
     Args:
         context: The context of its nodes.
@@ -57,6 +61,26 @@ class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc
     def __init__(self, context: rclpy.Context, note: Callable[[Exception], None]) -> None:
         rclpy_implementation.EventsExecutor.__init__(self, context)
         self._note = note
+        self._listened: WeakSet[Any] = WeakSet()
+
+    def add_node(self, node: rclpy.node.Node) -> bool:
+        """As in rclpy."""
+        added: bool = rclpy_implementation.EventsExecutor.add_node(self, node)
+        if added:
+            self._look_into_new_readers()
+        return added
+
+    def wake(self) -> None:
+        """As in rclpy: look at what the nodes have now; from any thread."""
+        rclpy_implementation.EventsExecutor.wake(self)
+        self._look_into_new_readers()
+
+    def _look_into_new_readers(self) -> None:
+        """Have each new reader looked into after the executor has begun to listen to it, which waits in its queue."""
+        new = [reader for node in self.get_nodes() for reader in readers(node) if reader not in self._listened]
+        self._listened.update(new)
+        for reader in new:
+            self.create_task(take_backlog, reader, self)
 
     def create_task(self, callback: Any, *args: Any, **options: Any) -> Task:
         """As in rclpy; the result of a task that raised is None."""

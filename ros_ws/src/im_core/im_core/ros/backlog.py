@@ -1,0 +1,92 @@
+"""What reached a reader while an executor began to listen to it, and of which nobody was told.
+
+Where the events executor asks to be told of messages, requests and answers, ``rmw_fastrtps`` first counts what is there
+already, and then has itself told of what comes. Of what arrives between the two nobody is told until the next message
+of the same reader, which for a latched topic, a request or an answer may never come. So each reader is looked into once
+after the executor has begun to listen; what comes later is told.
+"""
+
+from collections.abc import Iterator
+from itertools import chain
+from typing import Any
+
+from rclpy.action import ActionClient, ActionServer
+from rclpy.client import Client
+from rclpy.exceptions import InvalidHandle
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+
+
+def readers(node: Node) -> Iterator[Any]:
+    """What of a node takes messages: its subscriptions, services, clients and actions."""
+    yield from chain(tuple(node.subscriptions), tuple(node.services), tuple(node.clients))
+    yield from (waitable for waitable in tuple(node.waitables) if isinstance(waitable, ActionClient | ActionServer))
+
+
+def take_backlog(reader: Any, executor: Any) -> None:
+    """Take everything that waits in a reader, as the executor would; in the loop.
+
+    Args:
+        reader: One of :func:`readers`; of one that was destroyed nothing is taken.
+        executor: The events executor that listens to it.
+
+    Raises:
+        Exception: What a callback raised; what waits behind that is taken with the next message.
+    """
+    try:
+        if isinstance(reader, Subscription):
+            _hear(reader)
+        elif isinstance(reader, Service):
+            _serve(reader)
+        elif isinstance(reader, Client):
+            _complete(reader, executor)
+        else:
+            _act(reader, executor)
+    except InvalidHandle:
+        return
+
+
+def _hear(subscription: Any) -> None:
+    handle = subscription.handle
+    with handle:
+        while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            alone = subscription._callback_type is Subscription.CallbackType.MessageOnly
+            subscription.callback(taken[0] if alone else taken)
+
+
+def _serve(service: Any) -> None:
+    handle = service.handle
+    with handle:
+        while (taken := handle.service_take_request(service.srv_type.Request))[1] is not None:
+            request, header = taken
+            service.send_response(service.callback(request, service.srv_type.Response()), header)
+
+
+def _complete(client: Any, executor: Any) -> None:
+    handle = client.handle
+    with handle:
+        while (taken := handle.take_response(client.srv_type.Response))[0] is not None:
+            header, response = taken
+            try:
+                future = client.get_pending_request(header.request_id.sequence_number)
+            except KeyError:  # nobody waits for it any more
+                continue
+            future._set_executor(executor)
+            future.set_result(response)
+
+
+def _act(action: Any, executor: Any) -> None:
+    """An action takes what a wait set says that is there; one that has not waited says so of everything."""
+    n = action.get_num_entities()
+    counts = (n.num_subscriptions, n.num_guard_conditions, n.num_timers, n.num_clients, n.num_services, n.num_events)
+    context = executor.context.handle
+    wait_set = _rclpy.WaitSet(*counts, context)
+    with context, wait_set, action:
+        action.add_to_wait_set(wait_set)
+        action.is_ready(wait_set)
+        if isinstance(action, ActionServer):
+            action._is_goal_expired = False  # whether it is time to forget goals is a timer's business
+        while any((taken := action.take_data()).values()):
+            executor.create_task(action.execute, taken)
