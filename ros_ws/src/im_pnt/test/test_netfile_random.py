@@ -124,6 +124,11 @@ def returned(action):
     return st.dictionaries(shown, data | st.sampled_from(EXPRESSIONS), min_size=least, max_size=2)
 
 
+def can_be_emptied(place):
+    """Whether a transition may empty a place: its tokens are nobody's, and there are never more than some."""
+    return place.resource is True and not place.remote and place.capacity is not None and place.capacity < 6
+
+
 @st.composite
 def nets(draw_):
     """Nets of every kind that an author could write."""
@@ -177,6 +182,7 @@ def nets(draw_):
             origin=name,
             result=draw_(returned(action)),
             acts_on=draw_(acted_on) if action else None,
+            resets=tuple(each for each in some if can_be_emptied(places[each]) and draw_(st.booleans()))[:2],
         )
     services = {}
     if draw_(st.booleans()):
@@ -268,6 +274,10 @@ CONSISTENCY = (
     "has no finite mean",
     "'places' is missing",
     "'transitions' is missing",
+    "may hold what belongs to a command",
+    "must have a `capacity`",
+    "names a place twice",
+    "ways together; at most",
 )
 """What a schema cannot say: names that must exist, numbers that depend on others, parts that an include may have."""
 

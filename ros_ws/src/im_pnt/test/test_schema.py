@@ -24,7 +24,7 @@ KEYS = {
     "ServiceFile": "entry done failed arguments acts_on",
     "CommandFile": "description arguments needs busy priority",
     "ArgumentFile": "type unit minimum maximum choices length default help",
-    "TransitionFile": "in out inhibitors guard symbol emit action service goal topic await request result store "
+    "TransitionFile": "in out inhibitors resets guard symbol emit action service goal topic await request result store "
     "acts_on on_failure on_doubt timeout tries retry_of delay success weight strategy priority",
     "SymbolFile": "name of expires",
     "StrategyFile": "successes failures decay",

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from im_pnt.model.action import FunctionAction, ValuesAction
 from im_pnt.model.delay import Delay
 from im_pnt.model.net import Guard, Net, Place, Transition
-from im_pnt.netfile import load_net
+from im_pnt.netfile import load_net, parse_net
 from im_pnt_display import dot, draw, svg
 from im_pnt_display.drawing.layout import NodeBox, layered
 
@@ -163,3 +163,10 @@ def test_expressions_are_shown_as_they_are_written():
     assert {f"[{guard}]", "x = ${answers.look.x}", 'spot := {"x": 1}'} <= shown
     assert any(text.startswith('all = {"y": [1, "${1 + 1') and text.endswith("...") for text in shown)
     assert str(guard) in dot(drawing)
+
+
+def test_an_arc_that_empties_a_place_is_drawn_as_such():
+    places = "{a: 1, c: {capacity: 2, resource: true}}"
+    drawing = draw(parse_net(f"net: n\nplaces: {places}\ntransitions: {{t: {{in: a, out: [a, c], resets: c}}}}\n"))
+    assert '"c" -> "t" [arrowhead=normalnormal];' in dot(drawing)
+    assert "stroke-dasharray=\"7 2 1 2\"" in svg(drawing)

@@ -467,6 +467,7 @@ class EventLoop:
             transition.symbol is not None
             or (transition.guard is not None and read_objects(transition.guard.name))
             or end.emit
+            or transition.resets
             or not all(weight == 1 and self._is_plain(place) for place, weight in arcs)
             or any(rule.net.places[place].data_object for place in end.outputs if call is not None)
         ):

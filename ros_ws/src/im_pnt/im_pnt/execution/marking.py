@@ -209,6 +209,8 @@ class Tokens:
     def take_inputs(self, transition: int, owner: Job | None) -> Lineage:
         """Takes the input tokens of an enabled transition: those of a job, and where it has none, those of nobody.
 
+        The places that it empties are places of resources, whose tokens are nobody's.
+
         Args:
             transition: The transition.
             owner: One of :meth:`owners`.
@@ -232,6 +234,8 @@ class Tokens:
                 if not self._named[place]:
                     del self.queues[place], self._named[place]
             self.enabling.take_tokens(place, weight)
+        for place in self._compiled.resets[transition]:
+            self.enabling.take_tokens(place, self.enabling.tokens[place])
         return NO_LINEAGE if owner is None and failure is None else Lineage(owner, failure)
 
     def peek_inputs(self, transition: int, owner: Job | None) -> Lineage:

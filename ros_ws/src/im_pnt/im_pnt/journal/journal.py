@@ -408,6 +408,7 @@ _ADDED: Mapping[str, object] = {
     "result": {},
     "store": {},
     "acts_on": None,
+    "resets": (),
 }
 """Fields that nets have not always had, with what says nothing: then a net is what it was without them."""
 

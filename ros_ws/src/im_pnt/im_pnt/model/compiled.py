@@ -21,7 +21,9 @@ class Compiled:
         inputs: For each transition its input arcs.
         outputs: For each transition its output arcs.
         inhibitors: For each transition its inhibitor arcs; it is disabled at that many tokens or more.
-        change: For each transition the net change of each place it changes (a column of the incidence matrix).
+        resets: For each transition the places that it empties when it has taken its tokens.
+        change: For each transition the net change of each place it changes (a column of the incidence matrix), but for
+            what its resets take: that depends on the marking.
         consumers: For each place the transitions that take from it, with weight.
         inhibited: For each place the transitions that it inhibits, with weight.
     """
@@ -32,6 +34,7 @@ class Compiled:
     inputs: tuple[IndexedArcs, ...]
     outputs: tuple[IndexedArcs, ...]
     inhibitors: tuple[IndexedArcs, ...]
+    resets: tuple[tuple[int, ...], ...]
     change: tuple[IndexedArcs, ...]
     consumers: tuple[IndexedArcs, ...]
     inhibited: tuple[IndexedArcs, ...]
@@ -62,6 +65,10 @@ class Compiled:
         after = list(vector)
         for place, change in self.change[transition]:
             after[place] += change
+        if self.resets[transition]:
+            given = dict(self.outputs[transition])
+            for place in self.resets[transition]:
+                after[place] = given.get(place, 0)
         return tuple(after)
 
 
@@ -87,6 +94,7 @@ def compile_net(net: Net) -> Compiled:
         tuple(inputs),
         tuple(outputs),
         tuple(inhibitors),
+        tuple(tuple(number[name] for name in t.resets) for t in transitions),
         tuple(_change(taken, given) for taken, given in zip(inputs, outputs, strict=True)),
         _by_place(inputs, len(number)),
         _by_place(inhibitors, len(number)),

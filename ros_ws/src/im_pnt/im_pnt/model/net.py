@@ -138,6 +138,7 @@ class Transition:
         outputs: Tokens it gives when its action has confirmed.
         remote_outputs: Tokens it gives to places of other nets.
         inhibitors: It is disabled while the place holds that many tokens or more.
+        resets: Places that it empties when it has taken its tokens.
         guard: Enabling function.
         symbol: Symbol it needs from the input tape.
         symbol_of: COMMAND: the symbol is a word to a command under way; NOBODY: it begins none; None: whichever fits.
@@ -190,6 +191,7 @@ class Transition:
     store: Mapping[str, object] = field(default_factory=dict)
     marks: Mapping[tuple[int | str, ...], Mark] = field(default_factory=dict, compare=False, repr=False)
     acts_on: tuple[str, ...] | None = None
+    resets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

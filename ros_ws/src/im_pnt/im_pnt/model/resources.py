@@ -55,6 +55,7 @@ def _outcomes(net: Net) -> Iterator[Mapping[str, int]]:
             change = Counter(outputs)
             change.subtract(transition.inputs)
             yield change
+        yield from ({name: -1} for name in transition.resets)
     for place in net.places.values():
         if place.on_invalid:
             change = Counter(place.on_invalid)

@@ -49,6 +49,9 @@ from im_pnt.netfile.schema import (
 from im_pnt.netfile.text import checked, complaint_at, read_data
 from im_pnt.netfile.tries import written_out
 
+MOST_WAYS = 256
+"""In which a transition may find the places that it empties: verification looks at each by itself."""
+
 
 def read_net(root: Value, *, foreign: bool = False) -> Net:
     """Reads a net.
@@ -257,7 +260,29 @@ class _Reader:
             store=file.store,
             marks=_marks(find(self._root, here).value),
             acts_on=file.acts_on,
+            resets=self._resets((*here, "resets"), file.resets),
         )
+
+    def _resets(self, location: Location, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Checks what a transition empties: places whose tokens are nobody's, and which have a bound."""
+        ways = 1
+        for rank, name in enumerate(names):
+            at: Location = (*location, rank)
+            self._known(at, name)
+            place = self._file.places[name]
+            if not place.resource or place.remote:
+                sentence = f"'{name}' may hold what belongs to a command; it must be `resource: true`, and not `remote`"
+                raise self._error(at, sentence)
+            if place.capacity is None:
+                sentence = f"'{name}' must have a `capacity`: of places without bound it is undecidable what they reach"
+                raise self._error(at, sentence)
+            ways *= place.capacity + 1
+        if len(set(names)) < len(names):
+            raise self._error(location, "names a place twice")
+        if ways > MOST_WAYS:
+            sentence = f"these places can hold tokens in {ways} ways together; at most {MOST_WAYS} can be verified"
+            raise self._error(location, sentence)
+        return names
 
     def _arcs(self, location: Location, arcs: Mapping[str, int]) -> tuple[dict[str, int], dict[RemotePlace, int]]:
         """Tells places here from those of other nets, whose names have a dot."""

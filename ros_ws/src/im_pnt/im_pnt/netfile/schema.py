@@ -699,6 +699,7 @@ class TransitionFile(_Part):
         description="Tokens it gives when its action has confirmed; net.place is a place of another net.",
     )
     inhibitors: Arcs = Field({}, description="It is disabled while one of these places holds that many tokens or more.")
+    resets: Texts = Field((), description="Places that it empties when it has taken its tokens.")
     guard: Given[
         Annotated[
             str,

@@ -32,6 +32,7 @@ def written_out(transition: Transition, tries: int, escalate: str | None) -> tup
             name=f"{name}_{number + 1}",
             inputs={place: 1},
             inhibitors={},
+            resets=(),
             guard=Guard(cancelled, negated=True),
             symbol=None,
             symbol_of=None,

@@ -139,6 +139,8 @@ def transition_data(transition: Transition) -> dict[str, object]:
         data["in"] = arcs_data(t.inputs)
     if t.inhibitors:
         data["inhibitors"] = arcs_data(t.inhibitors)
+    if t.resets:
+        data["resets"] = list(t.resets)
     if t.guard is not None:
         data["guard"] = str(t.guard)
     if t.outputs or t.remote_outputs:

@@ -71,6 +71,7 @@ def _unseen(net: Net) -> Iterator[str]:
     transitions = net.transitions.values()
     kept = {
         "inhibitor arcs of transitions": [t.name for t in transitions if t.inhibitors],
+        "reset arcs of transitions": [t.name for t in transitions if t.resets],
         "capacities of places": [place.name for place in net.places.values() if place.capacity is not None],
         "tape symbols of transitions": [t.name for t in transitions if t.symbol],
         "guards of transitions": [t.name for t in transitions if t.guard],
@@ -108,6 +109,7 @@ def _with_our_names(net: Net) -> tuple[Net, tuple[str, ...]]:
                 inputs=arcs(t.inputs),
                 outputs=arcs(t.outputs),
                 inhibitors=arcs(t.inhibitors),
+                resets=tuple(places[name] for name in t.resets),
             )
             for t in net.transitions.values()
         },

@@ -12,6 +12,8 @@ given nets is modelled, each by its most general behaviour:
   time.
 
 Tokens and requests for a given net are on their way for a while: they are on ``p.underway`` before they are on ``p``.
+
+A transition that empties places is there once for each number of tokens that it may find (:mod:`.resets`).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,6 +27,7 @@ from im_pnt_analysis.composition.arguments import check_arguments
 from im_pnt_analysis.composition.assumptions import Assumptions
 from im_pnt_analysis.composition.flat_net import FlatNet
 from im_pnt_analysis.composition.requests import ServiceCalls
+from im_pnt_analysis.composition.resets import stop_above_capacity, ways_to_empty
 
 _DISTURBANCES = (Role.WITHDRAWN, Role.CANCEL, Role.LOST)
 
@@ -46,6 +49,8 @@ class Composition:
             ``{tokens}`` in it.
         debts: For places that must be able to become empty again, for a net assumes it, what is said when they cannot.
         watching: Transitions that fire only where such a promise is broken, and are none of the nets'.
+        ways: Transitions that are one way to fire another, which is none of the composition, with the name of that.
+        emptied: Places that transitions empty; above their capacities nothing fires.
     """
 
     net: Net
@@ -59,6 +64,8 @@ class Composition:
     promises: Mapping[str, str]
     debts: Mapping[str, str]
     watching: frozenset[str]
+    ways: Mapping[str, str]
+    emptied: frozenset[str]
 
 
 def compose(nets: Sequence[Net]) -> Composition:
@@ -83,6 +90,8 @@ def compose(nets: Sequence[Net]) -> Composition:
     for net in by_name.values():
         composer.add(net)
     composer.close()
+    emptied = {flat.qualified(net.name, p) for net in nets for t in net.transitions.values() for p in t.resets}
+    stop_above_capacity(flat, emptied)
     name = "+".join(by_name)
     return Composition(
         Net(name, flat.places, flat.transitions, rest=tuple(sorted(flat.rest)), source=name),
@@ -96,6 +105,8 @@ def compose(nets: Sequence[Net]) -> Composition:
         composer.assumed.promises,
         composer.assumed.debts,
         frozenset(composer.assumed.watching),
+        composer.ways,
+        frozenset(emptied),
     )
 
 
@@ -107,6 +118,7 @@ class _Composer:
         self.disturbances: set[str] = set()
         self.entries: set[str] = set()
         self.fed: set[str] = set()
+        self.ways: dict[str, str] = {}
 
     def add(self, net: Net) -> None:
         """Adds the places and transitions of a net."""
@@ -119,7 +131,10 @@ class _Composer:
         for transition in net.transitions.values():
             for connected in self.calls.connected(net, self._qualified(net, transition)):
                 for part in self.assumed.kept(net, transition, connected):
-                    self._add_part(part)
+                    for way in ways_to_empty(part, flat.places):
+                        if way is not part:
+                            self.ways[way.name] = part.name
+                        self._add_part(way)
 
     def _add_part(self, part: Transition) -> None:
         flat = self.flat
@@ -145,6 +160,7 @@ class _Composer:
             outputs=outputs,
             remote_outputs={},
             inhibitors=flat.arcs(net.name, transition.inhibitors),
+            resets=tuple(flat.qualified(net.name, place) for place in transition.resets),
         )
 
     def _remote_target(self, net: Net, transition: Transition, other: str, place: str) -> str | None:

@@ -299,7 +299,7 @@ class _Holding:
         return self._kept.get(transition, frozenset())
 
     def _find_kept(self) -> Mapping[str, frozenset[str]]:
-        compiled = compile_net(self.whole)
+        compiled = compile_net(_losing(self.whole))
         kept: dict[str, set[str]] = {}
         for flow in p_semiflows(compiled, deadline=self.deadline).flows:
             marked = {place: self.whole.places[place].tokens for place in flow if self.whole.places[place].tokens}
@@ -311,3 +311,11 @@ class _Holding:
                     if all(flow.get(phase, 0) >= flow[place] for phase in phases):
                         kept.setdefault(origin, set()).add(place)
         return {origin: frozenset(places) for origin, places in kept.items()}
+
+
+def _losing(net: Net) -> Net:
+    """Returns a net in which places that transitions empty may lose their tokens at any time, and no arc resets."""
+    emptied = dict.fromkeys(place for t in net.transitions.values() for place in t.resets)
+    lost = {f"{place} loses": Transition(f"{place} loses", {place: 1}) for place in emptied}
+    kept = {name: replace(t, resets=()) for name, t in net.transitions.items()}
+    return replace(net, transitions={**kept, **lost})

@@ -1,6 +1,6 @@
 """Answers that need every reachable marking and every firing between them."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -73,11 +73,11 @@ class ReachabilityGraph:
         """Returns the first marking from which none of a set can be reached."""
         return int(np.argmin(reaching(self.begins, self.targets, goal)))
 
-    def where_enabled(self, transition: int) -> Mask:
-        """Returns the markings that enable a transition."""
-        found = self._found
+    def where_one_is_enabled(self, transitions: Sequence[int]) -> Mask:
+        """Returns the markings that enable one of some transitions."""
+        found, which = self._found, list(transitions)
         parts = [
-            found.packing.enabled(found.words[:, begin : min(begin + _CHUNK, found.count)])[transition]
+            found.packing.enabled(found.words[:, begin : min(begin + _CHUNK, found.count)])[which].any(axis=0)
             for begin in range(0, found.count, _CHUNK)
         ]
         return np.concatenate(parts)

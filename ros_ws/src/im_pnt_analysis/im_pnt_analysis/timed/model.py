@@ -208,6 +208,7 @@ class _Builder:
         self.assumptions: dict[str, None] = {}
         self._probability: dict[int, float] = {}
         self._timed_ends: set[int] = set()
+        self._timer_named: dict[str, int] = {}
 
     def add(self, index: int, transition: Transition) -> None:
         """Decides what a transition of the flat net is; START comes before its END and FAILED."""
@@ -218,6 +219,11 @@ class _Builder:
         if transition.role is Role.START:
             self._start(index, transition)
         elif transition.role is Role.PLAIN and transition.delay is not None and transition.delay.mean > 0.0:
+            if (meant := self.composition.ways.get(transition.name)) is not None:
+                raise NetError(
+                    f"transition {meant} waits for a time and empties places: what comes to these meanwhile does not "
+                    "begin its time anew, which cannot be told here; let another transition empty them"
+                )
             self.timer_of[index] = len(self.timers)
             self.timers.append(TimedActivity(transition.name, transition.delay, None, ((index, 1.0),)))
             return
@@ -242,7 +248,7 @@ class _Builder:
         """Sets up what follows the beginning of an action."""
         if start.timeout is not None:
             self.assumptions["no action is cut short by its time-out"] = None
-        name = start.name.removesuffix(".start")
+        name = next(place for place in start.outputs if place.endswith(".active")).removesuffix(".active")
         end, failed = self.transitions[f"{name}.end"], self.transitions[f"{name}.failed"]
         active = f"{name}.active"
         if set(end.inputs) != {active}:
@@ -256,9 +262,11 @@ class _Builder:
         self._probability.update(outcomes)
         if start.delay is not None and start.delay.mean > 0.0:
             self._timed_ends.update(outcome for outcome, _ in outcomes)
-            self.timer_of[index] = len(self.timers)
-            taken = tuple(pair for pair in outcomes if pair[1] > 0.0)
-            self.timers.append(TimedActivity(name, start.delay, self.number[active], taken))
+            known = self._timer_named.setdefault(name, len(self.timers))
+            self.timer_of[index] = known
+            if known == len(self.timers):
+                taken = tuple(pair for pair in outcomes if pair[1] > 0.0)
+                self.timers.append(TimedActivity(name, start.delay, self.number[active], taken))
 
     def _weight(self, transition: Transition) -> float:
         weight = transition.weight

@@ -125,10 +125,10 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
         search: Finished.
         deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
-    found, compiled = search.found, problem.compiled
-    watching = problem.composition.watching
-    fired = zip(compiled.transitions, found.fired, strict=True)
-    never = [name for name, has in fired if not has and name not in watching]
+    found, ways = search.found, problem.ways
+    if _stopped(report, problem, search):
+        return
+    never = [name for name, numbers in ways.items() if not any(found.fired[number] for number in numbers)]
     dead = stuck(search, problem.busy, may_end=problem.may_end)
     report.answer(
         EXPLICIT,
@@ -151,7 +151,7 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
         return
     graph = ReachabilityGraph(search)
     live = graph.live_transitions()
-    own = [lives for name, lives in zip(compiled.transitions, live, strict=True) if name not in watching]
+    own = [counterexamples.lives(graph, live, numbers) for numbers in ways.values()]
     report.answer(
         _COMPONENTS,
         live=all(own),
@@ -173,6 +173,18 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
         if thread_cpu() > deadline:
             break
     report.answer(_COMPONENTS, resources_return=not report.refusals)
+
+
+_BEYOND = "a place that a transition empties exceeds its capacity, beyond which nothing is looked at"
+
+
+def _stopped(report: Report, problem: Problem, search: Search) -> bool:
+    """Refuses nets in which a place that is emptied exceeds its capacity; returns whether they are such."""
+    overflow = counterexamples.overflow(problem, search.found, emptied=True)
+    if overflow is not None:
+        report.refuse(overflow)
+        report.leave(_BEYOND)
+    return overflow is not None
 
 
 def _answer_bounds(report: Report, problem: Problem, search: Search, deadline: float) -> None:
@@ -202,6 +214,8 @@ def answer_from_part(report: Report, problem: Problem, search: Search, deadline:
         deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
     found = search.found
+    if _stopped(report, problem, search):
+        return
     method = f"{EXPLICIT} of some markings"
     dead = stuck(search, problem.busy, may_end=problem.may_end)
     if dead:
@@ -212,7 +226,7 @@ def answer_from_part(report: Report, problem: Problem, search: Search, deadline:
         bounds, _ = place_bounds(found)
         if max(bounds, default=0) > 1:
             report.answer(method, safe=False)
-    if found.fired.all():
+    if all(any(found.fired[number] for number in numbers) for numbers in problem.ways.values()):
         report.answer(method, quasi_live=True, never_enabled=[], never_enabled_transitions=0)
     _refuse(report, problem, search, dead)
 
@@ -242,8 +256,13 @@ def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: f
     """
     compiled = problem.compiled
     found = explore(compiled, problem.initial, deadline=deadline)
-    watching, live = problem.composition.watching, found.live_transitions
+    live = _live(problem, found)
     bounds = found.place_bounds
+    if bounds is not None and problem.is_beyond(bounds):
+        report.answer(_DIAGRAMS, place_bounds=bounds)
+        refuse_overflow(report, problem)
+        report.leave(_BEYOND)
+        return
     most = None if bounds is None else max(bounds.values(), default=0)
     report.answer(
         _DIAGRAMS,
@@ -256,8 +275,8 @@ def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: f
         bounded=None if bounds is None else True,
         unbounded_places=None if bounds is None else [],
         safe=None if most is None else most <= 1,
-        live=found.live if live is None else {*compiled.transitions} == watching | {*live},
-        live_transitions=None if live is None else len({*live} - watching),
+        live=found.live if live is None else len(live) == len(problem.ways),
+        live_transitions=None if live is None else len(live),
         reversible=found.reversible,
         terminal_sccs=1 if found.reversible else None,
     )
@@ -275,7 +294,25 @@ def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: f
     _deadlocks(report, problem, found, why)
 
 
+def _live(problem: Problem, found: SymbolicAnswers) -> list[str] | None:
+    """Returns the transitions that live; None where that is not known.
+
+    One of whose ways each may end for ever may live all the same, as long as another is left; who goes back to the
+    beginning always lives if it ever fires.
+    """
+    if found.live_transitions is None:
+        return None
+    alive = {*found.live_transitions}
+    named = problem.compiled.transitions
+    live = [name for name, numbers in problem.ways.items() if any(named[number] in alive for number in numbers)]
+    split = len(problem.ways) + len(problem.composition.watching) < len(named)
+    return None if split and not found.reversible and len(live) < len(problem.ways) else live
+
+
 def _deadlocks(report: Report, problem: Problem, found: SymbolicAnswers, why: str) -> None:
+    if found.deadlock_marking is not None and problem.is_beyond(found.deadlock_marking):
+        report.leave(_BEYOND, "has_deadlock", "deadlock_states")
+        return
     report.answer(_DIAGRAMS, has_deadlock=found.has_deadlock, deadlock_states=found.deadlock_states)
     for name in ("has_deadlock", "deadlock_states"):
         report.leave(f"{why}; decision diagrams: {found.unknown.get(name, '')}", name)
@@ -334,6 +371,9 @@ def answer_from_stubborn_sets(report: Report, problem: Problem, states: int, dea
         deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s].
     """
     found = find_deadlock(problem.compiled, problem.initial, deadline, states)
+    if found.found and problem.is_beyond(problem.compiled.marking(found.marking)):
+        report.leave(_BEYOND, "has_deadlock", "deadlock_states")
+        return
     report.answer(_STUBBORN_SETS, has_deadlock=found.found)
     if found.found is False:
         report.answer(_STUBBORN_SETS, deadlock_states=0)
@@ -346,5 +386,22 @@ def answer_from_stubborn_sets(report: Report, problem: Problem, states: int, dea
 
 def _never(report: Report, problem: Problem, method: str, found: tuple[str, ...] | None) -> None:
     if found is not None:
-        names = [name for name in found if name not in problem.composition.watching]
+        disabled, named = {*found}, problem.compiled.transitions
+        names = [name for name, ways in problem.ways.items() if all(named[way] in disabled for way in ways)]
         report.answer(method, quasi_live=not names, never_enabled=names, never_enabled_transitions=len(names))
+
+
+def refuse_overflow(report: Report, problem: Problem) -> None:
+    """Refuses a place that gets more tokens than its capacity, where it is known how many and not how.
+
+    Args:
+        report: Has the bounds of the places, if they were found; gets the refusals.
+        problem: The nets.
+    """
+    for name, most in (report.place_bounds or {}).items():
+        capacity = problem.compiled.net.places[name].capacity
+        if capacity is not None and most is not None and most > capacity:
+            reason = counterexamples.too_many(problem, name, most)
+            kind = "assumption" if name in problem.composition.promises else "overflow"
+            unknown = f"{reason}; no firing sequence that leads there was found in time"
+            report.refuse(Counterexample(kind, unknown, (), {}))

@@ -25,11 +25,17 @@ def growth(found: StateSpace, grown: Growth) -> Counterexample:
     )
 
 
-def overflow(problem: Problem, found: StateSpace) -> Counterexample | None:
-    """Finds the first marking in which a place holds more than its capacity."""
+def overflow(problem: Problem, found: StateSpace, *, emptied: bool = False) -> Counterexample | None:
+    """Finds the first marking in which a place holds more than its capacity.
+
+    Args:
+        problem: The nets.
+        found: Some of their markings, or all.
+        emptied: Whether to look only at places that transitions empty.
+    """
     first: tuple[int, int] | None = None
     for place, declared in enumerate(problem.compiled.net.places.values()):
-        if declared.capacity is not None:
+        if declared.capacity is not None and (not emptied or declared.name in problem.composition.emptied):
             over = found.packing.holds(found.words[:, : found.count], place, declared.capacity + 1).nonzero()[0]
             if len(over) and (first is None or over[0] < first[0]):
                 first = (int(over[0]), place)
@@ -38,14 +44,17 @@ def overflow(problem: Problem, found: StateSpace) -> Counterexample | None:
     number, place = first
     declared = problem.compiled.net.places[problem.compiled.places[place]]
     tokens = found.vector(number)[place]
-    promise = problem.composition.promises.get(declared.name)
-    reason = f"place {declared.name} gets {tokens} tokens, more than its capacity of {declared.capacity}"
-    return Counterexample(
-        "overflow" if promise is None else "assumption",
-        reason if promise is None else promise.format(tokens=tokens),
-        found.sequence(number),
-        found.marking(number),
-    )
+    kind = "assumption" if declared.name in problem.composition.promises else "overflow"
+    reason = too_many(problem, declared.name, tokens)
+    return Counterexample(kind, reason, found.sequence(number), found.marking(number))
+
+
+def too_many(problem: Problem, name: str, tokens: int) -> str:
+    """Says that a place gets more tokens than its capacity."""
+    promise, capacity = problem.composition.promises.get(name), problem.compiled.net.places[name].capacity
+    if promise is not None:
+        return promise.format(tokens=tokens)
+    return f"place {name} gets {tokens} tokens, more than its capacity of {capacity}"
 
 
 def deadlock(problem: Problem, sequence: tuple[str, ...], vector: tuple[int, ...]) -> Counterexample:
@@ -76,11 +85,20 @@ def lost_entries(
     problem: Problem, found: StateSpace, graph: ReachabilityGraph, live: list[bool]
 ) -> Iterator[Counterexample]:
     """Finds commands and services that can become impossible for ever."""
-    for transition, name in enumerate(problem.compiled.transitions):
-        if name in problem.composition.entries and found.fired[transition] and not live[transition]:
-            lost = graph.first_without_return(graph.where_enabled(transition))
+    for name, ways in problem.ways.items():
+        if problem.composition.entries.isdisjoint(problem.compiled.transitions[way] for way in ways):
+            continue
+        if any(found.fired[way] for way in ways) and not lives(graph, live, ways):
+            lost = graph.first_without_return(graph.where_one_is_enabled(ways))
             reason = f"after this {name} can never fire again"
             yield Counterexample("lost_command", reason, found.sequence(lost), found.marking(lost))
+
+
+def lives(graph: ReachabilityGraph, live: list[bool], ways: tuple[int, ...]) -> bool:
+    """Whether a transition can always be enabled again, in one of its ways."""
+    return any(live[way] for way in ways) or (
+        len(ways) > 1 and graph.always_reaches(graph.where_one_is_enabled(ways))
+    )
 
 
 def unpaid_debts(problem: Problem, found: StateSpace, graph: ReachabilityGraph) -> Iterator[Counterexample]:

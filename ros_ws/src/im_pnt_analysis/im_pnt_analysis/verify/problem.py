@@ -6,7 +6,7 @@ fire, changing nothing, is what they would do by themselves, and, at rest, what 
 exactly if the nets are stuck in it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from im_pnt.model.compiled import Compiled, compile_net
@@ -38,6 +38,21 @@ class Problem:
     kinds: tuple[int, ...]
     busy: tuple[int, ...]
     may_end: bool
+
+    @property
+    def ways(self) -> dict[str, tuple[int, ...]]:
+        """For each transition of the nets the ways in which it is in the composition, by their numbers."""
+        ways: dict[str, tuple[int, ...]] = {}
+        for number, name in enumerate(self.compiled.transitions):
+            meant = self.composition.ways.get(name, name)
+            if name not in self.composition.watching:
+                ways[meant] = (*ways.get(meant, ()), number)
+        return ways
+
+    def is_beyond(self, marking: Mapping[str, int]) -> bool:
+        """Whether a place that transitions empty exceeds its capacity: what the nets do then is not looked at."""
+        places = self.composition.net.places
+        return any(marking.get(name, 0) > (places[name].capacity or 0) for name in self.composition.emptied)
 
     @property
     def closed(self) -> bool:

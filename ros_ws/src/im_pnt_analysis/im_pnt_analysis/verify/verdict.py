@@ -24,6 +24,7 @@ from im_pnt_analysis.verify.answers import (
     answer_holding,
     conserve,
     describe,
+    refuse_overflow,
     solve_bounds,
 )
 from im_pnt_analysis.verify.problem import Problem, problem_of
@@ -134,6 +135,8 @@ class _Verification:
         if self.report.has_deadlock is None and self.problem.closed:
             self.progress("stubborn sets")
             answer_from_stubborn_sets(self.report, self.problem, self.limits.states, self.deadline)
+        if not self.report.refusals:
+            refuse_overflow(self.report, self.problem)
         if self.report.refusals:
             self.report.leave(REFUSED, "resources_return")
         self.report.leave(reason if self.report.bounded is not False else "the net is unbounded")

@@ -136,7 +136,13 @@ def dot(drawing: Drawing) -> str:
         mark = [str(node.tokens)] if node.tokens else []
         label = "\\n".join(_quoted(line) for line in (node.label, *mark, *node.notes))
         lines.append(f'  "{_quoted(node.name)}" [shape={shape} label="{label}"];')
-    styles = {"flow": "", "failure": " style=dashed", "either": " style=bold", "inhibitor": " arrowhead=odot"}
+    styles = {
+        "flow": "",
+        "failure": " style=dashed",
+        "either": " style=bold",
+        "inhibitor": " arrowhead=odot",
+        "reset": " arrowhead=normalnormal",
+    }
     for arc in drawing.arcs:
         weight = f' label="{arc.weight}"' if arc.weight > 1 else ""
         ends = f'"{_quoted(arc.source)}" -> "{_quoted(arc.target)}"'
@@ -163,6 +169,7 @@ def _svg_arc(arc: DrawnArc, points: list[Point]) -> str:
         "failure": 'stroke="#b33" stroke-dasharray="4 3" marker-end="url(#tip)"',
         "either": 'stroke="#b33" marker-end="url(#tip)"',
         "inhibitor": 'stroke="#555" stroke-dasharray="1 3"',
+        "reset": 'stroke="#555" stroke-dasharray="7 2 1 2" marker-end="url(#tip)"',
     }[arc.kind]
     line = f'<path fill="none" {style} d="{path(points)}"/>'
     x, y = points[-1]

@@ -61,8 +61,8 @@ class DrawnNode:
 class DrawnArc:
     """An arc of a drawing.
 
-    ``kind`` is ``flow``, ``failure`` (dashed), ``either`` (taken on success and on failure) or ``inhibitor`` (ends in a
-    circle).
+    ``kind`` is ``flow``, ``failure`` (dashed), ``either`` (taken on success and on failure), ``inhibitor`` (ends in a
+    circle) or ``reset`` (empties the place; dashes and dots).
     """
 
     source: str
@@ -128,6 +128,7 @@ def _distinct(net: Net) -> tuple[Net, dict[str, str]]:
             inputs=arcs(t.inputs),
             outputs=arcs(t.outputs),
             inhibitors=arcs(t.inhibitors),
+            resets=tuple(new[name] for name in t.resets),
             on_failure=arcs(t.on_failure),
             on_doubt=arcs(t.on_doubt),
         )
@@ -221,6 +222,8 @@ def _arcs(net: Net) -> Iterator[DrawnArc]:
             yield DrawnArc(place, t.name, weight, "flow")
         for place, weight in t.inhibitors.items():
             yield DrawnArc(place, t.name, weight, "inhibitor")
+        for place in t.resets:
+            yield DrawnArc(place, t.name, 1, "reset")
         failure = dict(t.on_failure or ({net.escalate: 1} if t.action is not None and net.escalate else {}))
         for place, weight in t.outputs.items():
             both = failure.get(place) == weight
