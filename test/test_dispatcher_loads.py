@@ -8,6 +8,7 @@ import rclpy
 from im_core.errors import ImError
 from im_core.ros.run import spin_in_thread
 from im_dispatcher.ros.node import Dispatcher
+from im_msgs.srv import LoadNet
 from im_pnt.netfile import parse_net
 
 GRAB = """
@@ -75,3 +76,27 @@ def test_a_net_is_proved_together_with_what_its_commands_need_of_the_cell(dispat
     assert done(dispatcher, dispatcher.unload_net("grab")) is None
     assert dispatcher.exchange.nets.keys() == {"cell", "demo"}
     assert "grab" not in dispatcher.exchange.nets["cell"].written.transitions
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({}, "load_net needs either net_file or net_yaml"),
+        ({"net_file": "/a.yaml", "net_yaml": "net: a"}, "load_net needs either net_file or net_yaml"),
+        ({"net_file": "/nowhere/a.yaml"}, "/nowhere/a.yaml"),
+        ({"net_yaml": "net: [", "wait": 0.0}, "net:1:"),
+        ({"net_yaml": GRAB, "wait": float("nan")}, "wait is nan s; a time of 0 or more is allowed"),
+        ({"net_yaml": GRAB, "wait": -1.0}, "wait is -1 s"),
+        ({"net_yaml": GRAB.replace("NEED", "left_arn").replace("ASKED", "cell.demo")}, "did you mean 'left_arm'"),
+    ],
+)
+def test_a_net_that_cannot_be_loaded_is_refused_in_a_sentence(dispatcher, fields, sentence):
+    answer = LoadNet.Response()
+
+    async def load():
+        await dispatcher._load_net(LoadNet.Request(**fields), answer)
+
+    assert done(dispatcher, load()) is None
+    assert not answer.success
+    assert sentence in answer.message
+    assert "\n" not in answer.message

@@ -2,6 +2,7 @@
 
 import pytest
 
+from im_bringup.ros import run_command
 from im_bringup.ros.run_command import show
 from im_core.errors import DataError
 from im_core.ros.status import to_status
@@ -41,3 +42,23 @@ def test_results_are_printed_as_they_are_asked_for(capsys):
     assert show(result, "im run close_gripper", False, begun=True) == 0
     assert show(result, "im run close_gripper", True, begun=True) == 0
     assert capsys.readouterr().out == 'im run close_gripper: done: {"width": 0.02}\n{"width": 0.02}\n'
+
+
+@pytest.mark.parametrize(
+    ("texts", "sentence"),
+    [
+        (["--attach", "-5"], "-5 is no number of a command; im run lists those under way"),
+        (["--cancel", "99999999999"], "99999999999 is no number of a command"),
+        (["--pause", "0"], "0 is no number of a command"),
+        (["--resume", "move"], "move is no number of a command"),
+        (["--cancel", "3", "--pause", "4"], "--pause: not allowed with argument --cancel"),
+        (["--attach", "3", "move"], "the command comes first: im run move ..."),
+        (["--json"], "--json goes with --attach"),
+    ],
+)
+def test_what_is_no_number_and_what_contradicts_itself_is_bad_usage(texts, sentence, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["im run", *texts])
+    with pytest.raises(SystemExit) as ended:
+        run_command.main()
+    assert ended.value.code == 2
+    assert sentence in capsys.readouterr().err

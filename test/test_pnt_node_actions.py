@@ -510,6 +510,31 @@ def test_a_command_is_listed_paused_resumed_attached_to_and_cancelled_by_its_num
     assert f"no command has the number {number}" in control(hardware, number, "cancel").message
 
 
+@pytest.mark.parametrize(
+    ("goal", "sentence"),
+    [
+        ({"attach": True}, "to attach needs the number or the symbol of a command"),
+        ({"attach": True, "symbol": "mvoe"}, "no command 'mvoe'; did you mean 'move'"),
+        ({"attach": True, "symbol": "switch", "command_id": 4_000_000}, "no command has the number 4000000"),
+        ({"symbol": "switch", "command_id": 7}, "command_id 7 is that of a command to attach to; say attach"),
+        ({"symbol": "swich"}, "no command 'swich'; did you mean 'switch'"),
+        ({"symbol": "switch", "arguments": '["on"]'}, "the JSON object of the command's arguments"),
+        ({"symbol": "switch", "arguments": '{"on": true}', "priority": 11}, "priority 11 is not between -10 and 10"),
+    ],
+)
+def test_a_goal_that_is_none_is_refused_in_a_sentence(client, goal, sentence):
+    handle = completed(client[0].send_goal_async(ExecuteCommand.Goal(**goal)))
+    assert sentence in completed(handle.get_result_async()).result.status.message
+
+
+def test_to_attach_to_a_number_is_not_to_attach_to_another_command(client):
+    steps = []
+    completed(execute(client[0], "switch", '{"on": true}', steps).get_result_async())
+    wrong = ExecuteCommand.Goal(attach=True, symbol="move", command_id=steps[0].command_id)
+    result = completed(completed(client[0].send_goal_async(wrong)).get_result_async()).result
+    assert result.status.message == f"number {steps[0].command_id} is switch, not move"
+
+
 def call(hardware, kind, name, **fields):
     found = hardware.create_client(kind, f"/worker/{name}")
     try:

@@ -5,14 +5,23 @@ from pathlib import Path
 import pytest
 import rclpy
 from rclpy.node import Node
-from std_msgs.msg import Float64, UInt8
+from std_msgs.msg import Float64, String, UInt8
 
 from im_bringup.machine import start
 from im_bringup.ros import agent
+from im_bringup.tasks.deployment import options_text
 from im_cell.robot import load_cell
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import qos
-from im_core.startup import PHASE_TOPIC, START_TIMEOUT, TIMEOUT_TOPIC, StartupPhase, patience_s
+from im_core.startup import (
+    OPTIONS_TOPIC,
+    PHASE_TOPIC,
+    START_TIMEOUT,
+    TIMEOUT_TOPIC,
+    UNPROVED,
+    StartupPhase,
+    patience_s,
+)
 from im_mcs.limits.configuration import load_config
 from im_mcs.testbed import TestbedInterface
 from im_sim.cameras import process as cameras
@@ -68,12 +77,12 @@ def test_the_cameras_for_their_host_and_for_the_truth(tmp_path):
 def test_the_agent_of_another_host_waits_for_the_time_and_tells_it_to_all_it_starts(
     ros, monkeypatch, small_deployment, wait_until
 ):
-    text = small_deployment.read_text()
-    small_deployment.write_text(text.replace("    gripper_coordinator:\n", "  far:\n    gripper_coordinator:\n", 1))
+    text = small_deployment.read_text().replace("    gripper_coordinator:\n", "  far:\n    gripper_coordinator:\n", 1)
+    small_deployment.write_text(text)
     started = []
 
     def note_start(self):
-        started.append(self.environment[START_TIMEOUT])
+        started.append((self.environment[START_TIMEOUT], self.environment[UNPROVED]))
         return []
 
     monkeypatch.setattr(agent.Agent, "start", note_start)
@@ -83,13 +92,18 @@ def test_the_agent_of_another_host_waits_for_the_time_and_tells_it_to_all_it_sta
     ros(node, bootstrap)
     phases = bootstrap.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
     times = bootstrap.create_publisher(Float64, TIMEOUT_TOPIC, qos.LATCHED)
+    options = bootstrap.create_publisher(String, OPTIONS_TOPIC, qos.LATCHED)
     phases.publish(UInt8(data=int(StartupPhase.LOAD)))
     times.publish(Float64(data=float("nan")))
     wait_until(lambda: node.failures.counts, "the complaint about a time that is none")
-    assert not started
+    options.publish(String(data='{"factor": 0.0}'))
+    wait_until(lambda: sum(node.failures.counts.values()) > 1, "the complaint about options that are none")
     times.publish(Float64(data=240.0))
+    told = start.deployments.load(small_deployment).with_values(0.0, 7, None, unproved=True)
+    assert not started
+    options.publish(String(data=options_text(told)))
     wait_until(lambda: started, "the start of the tasks")
     phases.publish(UInt8(data=int(StartupPhase.SHUTDOWN)))
     wait_until(lambda: node.finished, "the end of the agent")
     node.shut_down()
-    assert started == ["240.0"]
+    assert started == [("240.0", "1")]

@@ -4,7 +4,7 @@ import pytest
 
 from im_bringup.tasks import deployment
 from im_core.config import package_file, parse_model
-from im_core.errors import ConfigError, NotFoundError
+from im_core.errors import ConfigError, DataError, NotFoundError
 
 TASK = "{package: im_dom, executable: dom, node: /%s, parameters: %s}"
 
@@ -151,3 +151,38 @@ def test_commands_are_names_and_files_relative_to_the_deployment(tmp_path):
 def test_every_command_that_is_shipped_is_in_the_default_deployment():
     shipped = {path.stem for path in package_file("im_dispatcher", "nets/move.yaml").parent.glob("*.yaml")}
     assert set(deployment.load(deployment.default_path()).commands) == shipped
+
+
+def test_what_a_start_was_given_reaches_other_hosts_as_it_is():
+    parameters = '{seed: "${seed}", f: "${clock_factor}"}'
+    text = machine({"localhost": {"a": {"one": "{}"}}, "far": {"b": {"two": parameters}}})
+    given = parsed(text).with_values(0.5, 11, 9090, 0.002, control=True, unproved=True)
+    told = deployment.with_options_text(parsed(text), deployment.options_text(given))
+    assert told == given
+    (two,) = told.on_host("far")["b"]
+    assert told.parameters_of(two.task)["seed"] == 11
+    assert told.parameters_of(two.task)["f"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("{", DataError, "/im/start_options"),
+        ("[1]", DataError, "/im/start_options"),
+        ('{"seed": 3}', DataError, "are not the options of a start"),
+        (deployment.options_text(parsed(machine({"localhost": {"a": {"one": "{}"}}}))).replace("3", "-3"), ConfigError,
+         "seed: -3"),
+    ],
+)  # fmt: skip
+def test_what_is_told_of_a_start_and_is_none_is_refused(text, error, message):
+    with pytest.raises(error, match=message):
+        deployment.with_options_text(parsed(machine({"localhost": {"a": {"one": "{}"}}})), text)
+
+
+def test_a_folder_of_calibrations_of_this_host_is_not_for_a_task_of_another():
+    reads = {"vss": '{calibration: "${calibration}"}'}
+    deployment.require_calibration_here(parsed(machine({"localhost": {"a": reads}})), "/kept")
+    there = parsed(machine({"localhost": {"b": {"one": "{}"}}, "far": {"a": reads}}))
+    deployment.require_calibration_here(there, None)
+    with pytest.raises(ConfigError, match=r"--calibration /kept is a folder of this host, .* 'vss'.*on host 'far'"):
+        deployment.require_calibration_here(there, "/kept")

@@ -7,6 +7,7 @@ from enum import IntEnum
 
 PHASE_TOPIC = "/im/phase"
 TIMEOUT_TOPIC = "/im/start_timeout"
+OPTIONS_TOPIC = "/im/start_options"
 STATUS_TOPIC = "/im/task_status"
 
 #: Longest wait for the machine to be ready unless ``start`` is told another [s]; where that is said once for all starts

@@ -11,7 +11,7 @@ from im_core.bag import open_bag, unreadable_bag
 from im_core.errors import DataError
 
 #: Topics that start and end machines, and that carry tokens between nets: recorded, but replayed only by name.
-CONTROL_TOPICS = ("/im/phase", "/im/start_timeout", "/im/task_status")
+CONTROL_TOPICS = ("/im/phase", "/im/start_timeout", "/im/start_options", "/im/task_status")
 CONTROL_SUFFIXES = ("/tokens",)
 
 

@@ -88,6 +88,7 @@ def main() -> int:
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     try:
         deployment = deployments.with_options(deployments.load(path), arguments)
+        deployments.require_calibration_here(deployment, arguments.calibration)
         check_calibration(deployment, path)
     except ImError as error:
         print(f"start: {error.message}", file=sys.stderr)

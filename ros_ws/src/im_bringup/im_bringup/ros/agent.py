@@ -11,11 +11,11 @@ from pathlib import Path
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
-from std_msgs.msg import Float64, UInt8
+from std_msgs.msg import Float64, String, UInt8
 
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
-from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.deployment import Deployment, with_options_text
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
@@ -24,7 +24,7 @@ from im_core.errors import DataError
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
-from im_core.startup import PHASE_TOPIC, START_TIMEOUT, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase
+from im_core.startup import OPTIONS_TOPIC, PHASE_TOPIC, START_TIMEOUT, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
 #: How often the agent looks at its processes while they start, and from then on [s].
@@ -35,7 +35,7 @@ class AgentNode(GuardedNode):
     """Starts the tasks of its host when the bootstrap is there, and stops them when it says so.
 
     Args:
-        deployment: The deployment, the same as the bootstrap's.
+        deployment: The deployment, the same as the bootstrap's but for what its start was given.
         host: Name of this host in it.
     """
 
@@ -45,15 +45,19 @@ class AgentNode(GuardedNode):
         self.log: RcutilsLogger = self.get_logger()
         run_dir = names.run_dir().resolve() / host
         shutil.rmtree(run_dir / "journal", ignore_errors=True)  # a new machine is a new mission
-        self._agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))
+        commands(deployment, host, run_dir)  # what is missing is said now, and not when all others start
+        self._deployment, self._host, self._run_dir = deployment, host, run_dir
+        self._agent = Agent((), os.environ)
         spared = [Path(deployment.calibration)] if deployment.calibration else []
         self._upkeep = Upkeep(run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
         self._upkeep.start()
         self._phase: StartupPhase | None = None
         self._timeout_s: float | None = None
+        self._told: Deployment | None = None
         self._started = False
         self.finished = False
         self.create_subscription(Float64, TIMEOUT_TOPIC, self._take_timeout, qos.LATCHED)
+        self.create_subscription(String, OPTIONS_TOPIC, self._take_options, qos.LATCHED)
         self.create_subscription(UInt8, PHASE_TOPIC, self._follow, qos.LATCHED)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -72,17 +76,23 @@ class AgentNode(GuardedNode):
         self._timeout_s = message.data
         self._advance()
 
+    def _take_options(self, message: String) -> None:
+        self._told = with_options_text(self._deployment, message.data)
+        self._advance()
+
     def _follow(self, message: UInt8) -> None:
         self._phase = member(StartupPhase, message.data, f"on {PHASE_TOPIC} phase")
         self._advance()
 
     def _advance(self) -> None:
-        """Do what the bootstrap asks for; nothing starts before it has told how long a start may take."""
+        """Do what the bootstrap asks for; nothing starts before it has told what its start was given."""
         if self._phase is StartupPhase.SHUTDOWN:
             self.finished = self._started
-        elif not self._started and self._phase is not None and self._timeout_s is not None:
+        elif not self._started and None not in (self._phase, self._timeout_s, self._told):
+            assert self._told is not None
             self._started = True
-            self._agent.environment[START_TIMEOUT] = repr(self._timeout_s)
+            told = {**environment(os.environ, self._run_dir, self._told), START_TIMEOUT: repr(self._timeout_s)}
+            self._agent = Agent(commands(self._told, self._host, self._run_dir), told)
             for event in self._agent.start():
                 self.log.info(str(event))
         if self._phase is StartupPhase.START:

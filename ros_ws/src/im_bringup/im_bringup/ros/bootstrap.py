@@ -8,7 +8,7 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.impl.rcutils_logger import RcutilsLogger
-from std_msgs.msg import Float64, UInt8
+from std_msgs.msg import Float64, String, UInt8
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.bootstrap import Bootstrap
@@ -17,7 +17,7 @@ from im_bringup.machine.nets import MachineNets
 from im_bringup.machine.record import MachineRecord
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import MARKER, Agent, Died, commands, environment
-from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.deployment import Deployment, options_text
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.registry import Progress, TaskRecord
 from im_bringup.tasks.upkeep import Upkeep
@@ -29,7 +29,7 @@ from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
 from im_core.ros.reminders import Reminders
 from im_core.shm import ProcessId
-from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase, start_timeout_s
+from im_core.startup import OPTIONS_TOPIC, PHASE_TOPIC, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase, start_timeout_s
 from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
 from im_msgs.msg import TaskRecord as TaskRecordMessage
 from im_msgs.srv import QueryTask
@@ -72,6 +72,8 @@ class BootstrapNode(GuardedNode):
         self.create_service(QueryTask, "/bootstrap/query_task", self._query)
         self._timeout_publisher = self.create_publisher(Float64, TIMEOUT_TOPIC, qos.LATCHED)
         self._timeout_publisher.publish(Float64(data=start_timeout_s()))
+        self._options_publisher = self.create_publisher(String, OPTIONS_TOPIC, qos.LATCHED)
+        self._options_publisher.publish(String(data=options_text(deployment)))
         self._announce(StartupPhase.LOAD)
         self._bootstrap.start(clock.monotonic())
         self._upkeep.start()

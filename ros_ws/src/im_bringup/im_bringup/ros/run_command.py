@@ -6,6 +6,7 @@ A dispatcher that dies and is started again goes on with its commands; this clie
 import argparse
 import contextlib
 import json
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
@@ -39,6 +40,7 @@ from im_msgs.srv import ControlCommand, ListCommands
 LIST = "/dispatcher/commands"
 CONTROLS = ("cancel", "pause", "resume")
 ANSWER_S = 10.0
+MOST_NUMBER = 2**32 - 1
 
 
 class CommandClient(DispatcherClient):
@@ -163,15 +165,26 @@ def main() -> int:
         "not run, 130 interrupted.",
     )
     parser.add_argument("name", nargs="?", metavar="NAME", help="the command; none: list what there is")
-    parser.add_argument("--attach", type=int, metavar="NUMBER", help="wait for a command that is under way")
-    parser.add_argument("--json", action="store_true", help="with --attach: print its results as JSON")
+    one = parser.add_mutually_exclusive_group()
+    one.add_argument("--attach", type=_command_number, metavar="NUMBER", help="wait for a command that is under way")
     for request in CONTROLS:
-        parser.add_argument(f"--{request}", type=int, metavar="NUMBER", help=f"{request} a command by its number")
+        one.add_argument(f"--{request}", type=_command_number, metavar="NUMBER", help=f"{request} a command")
+    parser.add_argument("--json", action="store_true", help="with --attach: print its results as JSON")
     texts = sys.argv[1:]
     named = bool(texts) and not texts[0].startswith("-")
     options = parser.parse_args(texts[:1] if named else texts)
+    if options.name is not None and not named:
+        parser.error(f"the command comes first: im run {options.name} ...; a number stands for one that was begun")
+    if options.json and options.attach is None:
+        parser.error("--json goes with --attach, or behind the name of a command")
     progress = sys.stderr if "--json" in texts else sys.stdout
     return talk(lambda: CommandClient(progress), lambda client: _do(client, options, texts[1:]), "im run")
+
+
+def _command_number(text: str) -> int:
+    if not re.fullmatch("[0-9]{1,10}", text) or not 0 < int(text) <= MOST_NUMBER:
+        raise argparse.ArgumentTypeError(f"{text[:60]} is no number of a command; im run lists those under way")
+    return int(text)
 
 
 def _do(client: CommandClient, options: argparse.Namespace, texts: Sequence[str]) -> int:

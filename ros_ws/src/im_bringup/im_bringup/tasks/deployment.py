@@ -1,19 +1,22 @@
 """The deployment file: which task runs in which process on which host."""
 
 import argparse
+import json
 import re
 import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import pydantic
 
 from im_bringup.tasks.upkeep import Keep
 from im_core import config
+from im_core.arrivals import read_json
 from im_core.config import Model
-from im_core.errors import ConfigError, NotFoundError
+from im_core.errors import ConfigError, DataError, NotFoundError
+from im_core.startup import OPTIONS_TOPIC
 
 Scalar = bool | int | float | str
 ParameterValue = Scalar | list[Scalar]
@@ -191,10 +194,59 @@ class Deployment(Model):
             raise ConfigError(f"{fault.field}: {shown}: {fault.words}", field=fault.field) from error
 
 
+_EVERYWHERE = {
+    "factor": "clock_factor",
+    "seed": "seed",
+    "port": "port",
+    "period": "period",
+    "control": "control",
+    "unproved": "unproved",
+}
+"""Options of ``start`` that mean the same on every host, with the field that each gives."""
+
+
 def with_options(deployment: Deployment, options: argparse.Namespace) -> Deployment:
     """The deployment with the values that a command line gives; arguments and errors as of ``with_values``."""
-    names = ("factor", "seed", "port", "period", "calibration", "control", "unproved")
-    return deployment.with_values(**{name: getattr(options, name) for name in names})
+    return deployment.with_values(**{name: getattr(options, name) for name in (*_EVERYWHERE, "calibration")})
+
+
+def options_text(deployment: Deployment) -> str:
+    """What the bootstrap tells the agents of other hosts that ``start`` may have been given, in JSON."""
+    return json.dumps({name: getattr(deployment, field) for name, field in _EVERYWHERE.items()})
+
+
+def with_options_text(deployment: Deployment, text: str) -> Deployment:
+    """The deployment of another host with what the bootstrap has told.
+
+    Raises:
+        DataError: It is no JSON with these options.
+        ConfigError: A value is out of range.
+    """
+    told = read_json(dict[str, Any], text, OPTIONS_TOPIC)
+    if told.keys() != _EVERYWHERE.keys():
+        raise DataError(f"{text[:200]} are not the options of a start: {', '.join(_EVERYWHERE)}")
+    return deployment.with_values(**told)  # it checks them
+
+
+def require_calibration_here(deployment: Deployment, folder: str | None) -> None:
+    """Checks that a folder of calibrations is where the tasks are that read it.
+
+    Args:
+        deployment: The deployment.
+        folder: As ``start`` is given it, on this host; None: it is not.
+
+    Raises:
+        ConfigError: A task on another host would read it.
+    """
+    here = deployment.local_host()
+    for placed in deployment.tasks() if folder is not None else ():
+        said = (value for value in placed.task.parameters.values() if isinstance(value, str))
+        if placed.host != here and any("calibration" in _REFERENCE.findall(value) for value in said):
+            raise ConfigError(
+                f"--calibration {folder} is a folder of this host, and task '{placed.name}', which reads it, is on "
+                f"host '{placed.host}': name one of that host as `calibration` in its deployment file",
+                field="calibration",
+            )
 
 
 def default_path() -> Path:

@@ -1,11 +1,12 @@
 """Node ``/dispatcher``."""
 
 import json
+import math
 import sys
 from collections.abc import Callable, Sequence
 
 from im_cell.robot import load_cell
-from im_core.errors import ImError, StateError
+from im_core.errors import ArgumentError, ImError, StateError
 from im_core.ros import run
 from im_core.ros.calls import run_in_thread
 from im_dispatcher.cell import net as cell
@@ -205,7 +206,10 @@ class Dispatcher(PntNode):
 
     async def _load_net(self, request: LoadNet.Request, response: LoadNet.Response) -> LoadNet.Response:
         try:
+            if bool(request.net_yaml) == bool(request.net_file):
+                raise ArgumentError("load_net needs either net_file or net_yaml")
             read, told = (parse_net, request.net_yaml) if request.net_yaml else (load_net, request.net_file)
+            require_wait(request.wait)
             net = await run_in_thread(self, read, told, timeout_s=READ_S)
             report = await self.load_net(net, request.wait)
         except ImError as error:
@@ -218,12 +222,23 @@ class Dispatcher(PntNode):
 
     async def _unload_net(self, request: UnloadNet.Request, response: UnloadNet.Response) -> UnloadNet.Response:
         try:
+            require_wait(request.wait)
             await self.unload_net(request.net, request.wait)
         except ImError as error:
             response.success, response.message = False, error.message
             return response
         response.success, response.message = True, f"net {request.net} is gone, with its commands"
         return response
+
+
+def require_wait(seconds: float) -> None:
+    """Checks how long a client would have a net wait for its rest.
+
+    Raises:
+        ArgumentError: It is no time.
+    """
+    if not 0.0 <= seconds < math.inf:
+        raise ArgumentError(f"wait is {seconds:g} s; a time of 0 or more is allowed")
 
 
 def dispatcher_functions(host: Host) -> Functions:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import KeyValue
 
 from im_core.clock import stamp_name, wall
-from im_core.errors import NotFoundError, StateError
+from im_core.errors import ArgumentError, NotFoundError, StateError
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import ok_status, to_status
@@ -199,13 +199,23 @@ class Commands:
             number: Number of the command; 0: the oldest of its symbol.
 
         Raises:
-            StateError: There is none, and it is not known how one has ended.
+            StateError: There is none, and it is not known how one has ended; or it is one of another symbol.
+            NotFoundError: No net knows the symbol, and none has ended of it.
+            ArgumentError: Neither number nor symbol is given.
         """
         if number:
-            if number not in self._open and number in self.ended:
+            over = number not in self._open and number in self.ended
+            found = self.ended[number].symbol if over else self.get(number).job.command.symbol
+            if symbol not in ("", found):
+                raise StateError(f"number {number} is {found}, not {symbol}", command_id=number, command=found)
+            if over:
                 return _outcome(self.ended[number])
             job: Job | None = self.get(number).job
         else:
+            if not symbol:
+                raise ArgumentError("to attach needs the number or the symbol of a command")
+            if self.ended.last(symbol) is None:
+                self.reader(symbol)
             job = self.running(symbol)
         if job is not None:
             if started is not None:

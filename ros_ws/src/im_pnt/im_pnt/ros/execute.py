@@ -174,6 +174,9 @@ class ExecuteServer:
             if asked.attach:
                 outcome = await self._commands.attach(asked.symbol, tell, started, asked.command_id)
             else:
+                if asked.command_id:
+                    text = f"command_id {asked.command_id} is that of a command to attach to; say attach, or leave it 0"
+                    raise ArgumentError(text)
                 if asked.priority not in PRIORITIES:
                     text = f"priority {asked.priority} is not between {PRIORITIES[0]} and {PRIORITIES[-1]}"
                     raise ArgumentError(text)
