@@ -250,6 +250,29 @@ def test_commands_with_nothing_in_common_run_at_once_and_one_that_needs_what_is_
     assert (turn.inv() * turned).magnitude() == near(0.0, 1e-2)
 
 
+def test_a_gripper_closes_from_cold_until_it_holds_what_is_between_its_jaws(machine):
+    from im_msgs.srv import PutInJaws
+
+    force, stiffness = 40.0, 1e4
+
+    def put(width):
+        thing = {"gripper": "right_gripper", "width": width, "stiffness": stiffness, "mass": 0.2}
+        answer = machine.call(PutInJaws, "/testbed/put_in_jaws", **thing)
+        assert answer.success, answer.message
+
+    assert machine.execute("open_gripper", group="right")().success
+    put(0.05)
+    try:
+        around = machine.execute("close_gripper", group="right", force=force)()
+        assert around.success, around.status.message
+        squeezed = near(0.05 - force / stiffness, 1e-3)
+        assert json.loads(around.results) == {"width": squeezed, "force": near(force, 4.0), "gripped": True}
+    finally:
+        put(0.0)
+    empty = machine.execute("close_gripper", group="right", width=0.03)()
+    assert json.loads(empty.results) == {"width": near(0.03, 2e-3), "force": near(0.0, 1.0), "gripped": False}
+
+
 def test_arguments_that_a_schema_does_not_allow_are_refused_before_anything_begins(machine):
     refused = machine.execute("open_gripper", group="right", width=0.5)()
     assert (refused.success, refused.status.code) == (False, "argument")
