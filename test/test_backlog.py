@@ -1,8 +1,9 @@
-"""What arrives while a node begins to listen is heard, though the middleware tells nobody of it."""
+"""No answer is lost where a node begins to listen, of which the middleware tells nobody, or where its loop is late."""
 
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from im_core.ros import qos
+from im_core.ros.calls import call_blocking
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer
 from im_core.ros.node import ManagedNode
 from im_msgs.action import ExecuteCommand
@@ -76,3 +78,42 @@ def test_a_goal_that_comes_while_a_node_begins_to_listen_is_carried_out(early, p
     assert heard(late) == "asked\n"
     wait_until(asked.done, "the goal to be accepted")
     assert asked.result().accepted
+
+
+class Slow(ManagedNode):
+    """A node whose loop waits until it may go on."""
+
+    def __init__(self):
+        super().__init__("slow")
+        self.held_up, self.may_go_on = threading.Event(), threading.Event()
+
+    def hold_up(self):
+        self.held_up.set()
+        assert self.may_go_on.wait(60.0), "it was held up for ever"
+
+
+def test_answers_to_others_push_out_none_of_a_client_whose_loop_is_late(early, ros, wait_until):
+    slow, other = ros(Slow()), ros(ManagedNode("other"))
+    its_client, others_client = (node.create_client(Trigger, "/early/asked") for node in (slow, other))
+    wait_until(lambda: its_client.service_is_ready() and others_client.service_is_ready(), "the service")
+    slow.executor.create_task(slow.hold_up)
+    assert slow.held_up.wait(60.0)
+    answer = its_client.call_async(Trigger.Request())
+    for _ in range(50):
+        call_blocking(others_client, Trigger.Request(), 60.0, "an answer to another")
+    slow.may_go_on.set()
+    wait_until(answer.done, "the answer")
+
+
+def test_goals_of_others_push_out_no_answer_to_a_client_whose_loop_is_late(early, ros, wait_until):
+    slow, other = ros(Slow()), ros(ManagedNode("other"))
+    its_client, others = (GuardedActionClient(node, ExecuteCommand, "/early/execute") for node in (slow, other))
+    wait_until(lambda: its_client.server_is_ready() and others.server_is_ready(), "the action")
+    slow.executor.create_task(slow.hold_up)
+    assert slow.held_up.wait(60.0)
+    accepted = its_client.send_goal_async(ExecuteCommand.Goal())
+    for _ in range(50):
+        asked = others.send_goal_async(ExecuteCommand.Goal())
+        wait_until(asked.done, "another's goal to be accepted")
+    slow.may_go_on.set()
+    wait_until(accepted.done, "the goal to be accepted")

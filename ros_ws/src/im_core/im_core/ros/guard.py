@@ -13,6 +13,7 @@ from typing import Any
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
+from rclpy.client import Client
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
@@ -38,6 +39,9 @@ STANDSTILL_S = 5.0
 
 #: How long the result of a goal that has ended can be asked for [s].
 RESULT_KEPT_S = 60
+
+#: The services of an action, as other services.
+_ACTION_SERVICES = dict.fromkeys((f"{name}_service_qos_profile" for name in ("goal", "result", "cancel")), qos.SERVICES)
 
 
 class GuardedNode(Node):
@@ -184,6 +188,17 @@ class GuardedNode(Node):
         self.guard_service(service)
         return service
 
+    def create_client(
+        self,
+        srv_type: type[Any],
+        srv_name: str,
+        *,
+        qos_profile: QoSProfile = qos.SERVICES,
+        callback_group: CallbackGroup | None = None,
+    ) -> Client:
+        """As in rclpy, with a queue for many answers: every client is sent those to all others, too."""
+        return super().create_client(srv_type, srv_name, qos_profile=qos_profile, callback_group=callback_group)
+
     def guard_service(self, service: Service) -> None:
         """Guard a service that was not made by :meth:`create_service`; it may do what one made there may."""
         _Answers(self, service)
@@ -215,7 +230,14 @@ class GuardedActionServer(ActionServer):
         self._told = partial(type_name, action_type)
         self._events = ActionEvents(node, action_type, action_name) if node.tells_contents else None
         ActionServer.__init__(
-            self, node, action_type, action_name, execute_callback, result_timeout=RESULT_KEPT_S, **options
+            self,
+            node,
+            action_type,
+            action_name,
+            execute_callback,
+            result_timeout=RESULT_KEPT_S,
+            **_ACTION_SERVICES,
+            **options,
         )
 
     def register_goal_callback(self, goal_callback: Callable[[Any], Any] | None) -> None:
@@ -290,7 +312,7 @@ class GuardedActionClient(ActionClient):
     def __init__(self, node: GuardedNode, action_type: Any, action_name: str) -> None:
         self._guard, self._what = node, f"action client {action_name}"
         self._asking = threading.Lock()
-        ActionClient.__init__(self, node, action_type, action_name)
+        ActionClient.__init__(self, node, action_type, action_name, **_ACTION_SERVICES)
 
     def send_goal_async(self, *arguments: Any, **options: Any) -> Future:
         """As in rclpy."""

@@ -40,7 +40,8 @@ SENSOR = qos_profile_sensor_data
 #: Images: reliable, so that every subscriber matches, and a short queue, for they are large.
 IMAGES = _reliable(5)
 
-#: Services that many clients may call at once: the default queue of 10 loses what comes in a burst.
+#: Services that many clients may call at once, and their clients: the default queue of 10 loses what comes in a burst.
+#: Each client is sent the answers to all of them; a loop that is late would find its own pushed out.
 SERVICES = _reliable(200)
 
 #: What services and actions tell of what they carry; some of it is large.
