@@ -7,7 +7,7 @@ none of a message file, and readers of ``ros2msg`` refuse them.
 import functools
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,11 +90,17 @@ def definition_of(name: str) -> str:
 
 
 def _file(name: str, package: str, path: str) -> str:
-    for prefix in prefixes():
-        file: Path = prefix / "share" / package / path
-        if file.is_file():
+    for folder in _folders(package):
+        if (file := folder / path).is_file():
             return read_text(file)
     raise DataError(f"the type {name} is not defined in any sourced workspace", type=name)
+
+
+@functools.lru_cache(maxsize=1024)
+def _folders(package: str) -> Sequence[Path]:
+    """Where workspaces have what a package shares; there is a prefix for each package, and most have none of it."""
+    folders = (prefix / "share" / package for prefix in prefixes())
+    return [folder for folder in folders if folder.is_dir()]
 
 
 def _contained(name: str, text: str) -> Iterator[str]:
@@ -104,6 +110,7 @@ def _contained(name: str, text: str) -> Iterator[str]:
             yield _existing(part)
 
 
+@functools.lru_cache(maxsize=1024)
 def _read(name: str, text: str) -> tuple[Any, Any]:
     """Constants, by name, type and value, and fields, by name and description, of a definition."""
     try:
