@@ -40,7 +40,7 @@ def refused(capsys, *arguments) -> str:
     return capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["undisturbed", "faults"])
+@pytest.mark.parametrize("name", ["undisturbed", "faults", "cancelled", "killed"])
 def test_the_nets_of_this_installation_do_what_they_did(capsys, name):
     assert main([str(BAGS / name)]) == EQUAL
     told = capsys.readouterr().out

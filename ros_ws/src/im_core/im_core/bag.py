@@ -19,6 +19,8 @@ from im_core.errors import DataError, printable
 from im_core.files import FileError, check_regular
 
 _PACKED = "*.zstd"
+#: Endings of the files of a bag.
+_FILES = (".mcap", ".db3", ".zstd", ".yaml")
 _IDL_PART = re.compile("^=+\nIDL: .*\n", re.MULTILINE)
 
 unpacking.install()
@@ -55,6 +57,8 @@ def open_bag(bag: Path) -> Reader:
     """
     try:
         folder = bag if bag.is_dir() else None
+        if folder and not any(path.suffix in _FILES for path in folder.iterdir()):
+            raise FileError(bag, no_bag_in(folder))
         for path in folder.iterdir() if folder else (bag,):
             if not path.is_dir():
                 check_regular(path, path.stat())
@@ -70,6 +74,12 @@ def open_bag(bag: Path) -> Reader:
     return reader
 
 
+def no_bag_in(folder: Path) -> str:
+    """Says of a folder without files of a bag where one could be."""
+    bags = sorted(path.name for path in folder.iterdir() if path.is_dir() and any(path.glob("*.mcap")))
+    return f"is a folder of bags; name one: {', '.join(bags[:8])}" if bags else "there is no bag in it"
+
+
 def topics_of(bag: Path) -> dict[str, str]:
     """Type of each topic of a bag.
 
@@ -83,15 +93,19 @@ def topics_of(bag: Path) -> dict[str, str]:
         return {connection.topic: connection.msgtype for connection in reader.connections}
 
 
-def messages_of(bag: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[BagMessage]:
+def messages_of(
+    bag: Path, wanted: Mapping[str, Collection[str]], fields: Mapping[str, Collection[str]] | None = None
+) -> Iterator[BagMessage]:
     """The messages of some topics, in order of the time of recording.
 
     Args:
         bag: Folder of the bag, or a file of it.
         wanted: Topics, and which types each may have.
+        fields: Of types that may have changed since: the fields that are read.
 
     Raises:
-        DataError: The bag cannot be read, has no such topic, or one of another type; says what there is.
+        DataError: The bag cannot be read, has no such topic, one of another type, or of a type that it does not define
+            or defines without such a field; says what there is.
     """
     with closing(open_bag(bag)) as reader:
         chosen = [connection for connection in reader.connections if connection.topic in wanted]
@@ -104,7 +118,15 @@ def messages_of(bag: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[Ba
             if connection.msgtype not in (types := wanted[connection.topic]):
                 allowed = " or ".join(types)
                 raise DataError(f"{bag}: topic '{connection.topic}' is {connection.msgtype}, not {allowed}")
-        messages = _decoded(reader, chosen)
+        store = _types(bag, chosen)
+        for name, read in (fields or {}).items():
+            if name in store.types and (missing := sorted({*read} - {field for field, _ in store.fielddefs[name][1]})):
+                raise DataError(
+                    f"{bag}: {name} is defined there without '{missing[0]}': it was recorded with another version of "
+                    "this workspace, which can read it",
+                    type=name,
+                )
+        messages = _decoded(reader, chosen, store)
         while True:
             try:
                 message = next(messages)
@@ -115,17 +137,23 @@ def messages_of(bag: Path, wanted: Mapping[str, Collection[str]]) -> Iterator[Ba
             yield message
 
 
-def _decoded(reader: Reader, connections: Sequence[Connection]) -> Iterator[BagMessage]:
-    store = _types(connections)
+def _decoded(reader: Reader, connections: Sequence[Connection], store: Typestore) -> Iterator[BagMessage]:
     for connection, logged_ns, data in reader.messages(connections=connections):
         content = store.deserialize_cdr(data, connection.msgtype)
         yield BagMessage(connection.topic, connection.msgtype, content, logged_ns)
 
 
-def _types(connections: Sequence[Connection]) -> Typestore:
-    """Types of Jazzy, and others as the bag defines them."""
+def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
+    """Types of Jazzy, and others as the bag defines them.
+
+    Raises:
+        DataError: It does not define one.
+    """
     store = get_typestore(Stores.ROS2_JAZZY)
     for connection in connections:
+        if connection.msgtype not in store.types and not connection.msgdef.data.strip():
+            text = f"there is no definition of {connection.msgtype} in it, by which {connection.topic} could be read"
+            raise DataError(f"{bag}: {text}", type=connection.msgtype)
         store.register({name: spec for name, spec in _defined(connection).items() if name not in store.types})
     return store
 

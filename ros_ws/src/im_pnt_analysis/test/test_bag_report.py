@@ -120,3 +120,30 @@ def test_a_bag_without_firings_is_refused_in_a_sentence(tmp_path, capsys):
         mission_of(tmp_path / "bag")
     assert main(["bag", str(tmp_path / "nowhere")]) == BAD_INPUT
     assert "nowhere" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("definition", "sentence"),
+    [
+        (
+            "builtin_interfaces/Time stamp\nstring net\nstring transition\n",
+            "im_msgs/msg/Firing is defined there without 'command_id': it was recorded with another version",
+        ),
+        ("", "there is no definition of im_msgs/msg/Firing in it, by which /pnt/firings could be read"),
+    ],
+)
+def test_a_type_that_has_changed_or_is_not_defined_is_said_to_be(tmp_path, definition, sentence):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(definition, "im_msgs/msg/Firing"))
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection("/pnt/firings", "im_msgs/msg/Firing", msgdef=definition, rihs01="-")
+    with pytest.raises(DataError, match=sentence):
+        mission_of(tmp_path / "bag")
+
+
+def test_a_folder_without_a_bag_is_said_to_be_one(bag, tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match="empty: there is no bag in it"):
+        mission_of(tmp_path / "empty")
+    with pytest.raises(DataError, match="is a folder of bags; name one: bag"):
+        mission_of(tmp_path)

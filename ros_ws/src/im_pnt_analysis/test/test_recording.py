@@ -1,5 +1,7 @@
 """The marking of every net at any moment of a recording: what was published, and what firings have made of it since."""
 
+from types import SimpleNamespace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from im_core.errors import DataError
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.netfile import parse_net
-from im_pnt_analysis.timed.mission import Mission
+from im_pnt_analysis.timed.mission import Mission, MissionTime
 from im_pnt_analysis.timed.recording import Described, Description, Moment, NetRecording, RecordedMarking
 
 JOB = """
@@ -20,7 +22,6 @@ transitions:
   regret: {in: bad, out: idle, emit: job_failed}
   forget: {in: unknown, out: idle}
 """
-SECOND_NS = 1_000_000_000
 
 
 def fired(transition, sequence, phase=Phase.END):
@@ -31,10 +32,10 @@ def marked(sequence, **tokens):
     return RecordedMarking("job_net", sequence, tokens, "automatic", False, ())
 
 
-def recording(*events, apart_s=1.0, texts=(JOB,)):
+def recording(*events, texts=(JOB,)):
     descriptions = [Description(parse_net(text, "net"), "/node") for text in texts]
     told = [Described("job_net", 0), *events]
-    moments = [Moment(rank * apart_s, round(rank * apart_s * SECOND_NS), event) for rank, event in enumerate(told)]
+    moments = [Moment(float(rank), event) for rank, event in enumerate(told)]
     return NetRecording(descriptions, moments, Mission([], [], {}))
 
 
@@ -80,9 +81,9 @@ def test_a_recorded_marking_is_taken_as_it_is():
 
 def test_what_comes_late_changes_nothing():
     """Two topics of one turn may come in either order: a marking before its firing, or after the next one."""
-    early = recording(marked(0, idle=1), fired("read", 1), marked(2, end=1), fired("work", 2), apart_s=0.01)
+    early = recording(marked(0, idle=1), fired("read", 1), marked(2, end=1), fired("work", 2))
     assert tokens(early, 2) == {"end": 1}
-    late = recording(marked(0, idle=1), fired("read", 1), fired("tell", 2), marked(1, begin=1), apart_s=0.01)
+    late = recording(marked(0, idle=1), fired("read", 1), fired("tell", 2), marked(1, begin=1))
     assert late.states(3) == late.states(2)
 
 
@@ -120,3 +121,13 @@ def test_moments_are_found_by_time_and_by_firing():
     assert [firing.transition for _, firing in shown.firings_before(3, 1)] == ["work"]
     with pytest.raises(DataError, match="there is no firing 3: the recording has 2"):
         shown.position_of(3)
+
+
+def test_time_goes_on_where_a_testbed_begins_anew():
+    def told(net, stamp_s):
+        whole = int(stamp_s)
+        return SimpleNamespace(net=net, stamp=SimpleNamespace(sec=whole, nanosec=round((stamp_s - whole) * 1e9)))
+
+    firings = [("a", 5.0), ("b", 25.0), ("a", 8.0), ("c", 0.0), ("b", 2.0), ("a", 3.0), ("b", 4.0)]
+    time = MissionTime(told(*firings[0]))
+    assert [time.of(told(*each)) for each in firings] == [0.0, 20.0, 3.0, 20.0, 20.0, 21.0, 22.0]

@@ -244,6 +244,8 @@ def main() -> int:
         with BagReader(arguments.bag) as bag:
             chosen = known_topics(bag, chosen_topics(bag.types, arguments.topics), bool(arguments.topics))
             topics = [topic for topic in chosen if not (arguments.clock and topic == _CLOCK)]
+            if not any(bag.counts[topic] for topic in topics):
+                raise DataError(f"there is nothing in {arguments.bag} that could be replayed")
             chosen_topics(bag.types, names)
             replay = Replay(GuardedNode("replay"), bag, topics, names)
             if arguments.clock:

@@ -10,12 +10,16 @@ from typing import Any
 from im_core.bag import messages_of, open_bag
 from im_core.errors import DataError, ImError
 from im_pnt.description import read_net
+from im_pnt.execution.notification import Firing
 from im_pnt.model.net import Net
 
 FIRINGS, NETS = "/pnt/firings", "/pnt/nets"
+#: What is read of their messages.
+FIELDS = {
+    "im_msgs/msg/Firing": ("stamp", *Firing._fields),
+    "im_msgs/msg/NetDescription": ("net", "node", "json"),
+}
 _START, _END, _FAILED = 0, 1, 2
-#: A testbed whose time falls by more than this has begun anew; less is the order in which messages came [s].
-_FALL_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -159,7 +163,7 @@ def mission_of(bag: Path) -> Mission:
         wanted[NETS] = ("im_msgs/msg/NetDescription",)
     nets: dict[str, Net] = {}
     events = []
-    for message in messages_of(bag, wanted):
+    for message in messages_of(bag, wanted, FIELDS):
         if message.topic == FIRINGS:
             events.append(message.content)
         else:
@@ -191,18 +195,22 @@ class MissionTime:
 
     def __init__(self, first: Any) -> None:
         self.zero_s = self._latest_s = stamp_of(first)
+        self._of_net: dict[str, float] = {}
 
     def of(self, firing: Any) -> float:
         """Time of a firing, the next one in the order in which they came [s].
 
-        One without a stamp is of a node that has not heard of the time: it is of the time of those before it.
+        Those of one net come in their order, so that a time which falls there is another testbed's. One without a stamp
+        is of a node that has not heard of the time: it is of the time of those before it.
         """
         stamp_s = stamp_of(firing)
         if stamp_s == 0.0:
             return self._latest_s - self.zero_s
-        if stamp_s < self._latest_s - _FALL_S:
+        if stamp_s < self._of_net.get(firing.net, stamp_s):
             self.zero_s += stamp_s - self._latest_s
             self._latest_s = stamp_s
+            self._of_net.clear()
+        self._of_net[firing.net] = stamp_s
         self._latest_s = max(self._latest_s, stamp_s)
         return stamp_s - self.zero_s
 

@@ -18,7 +18,7 @@ from im_pnt.execution.notification import Firing, Phase
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import expand
 from im_pnt.model.net import Net
-from im_pnt_analysis.timed.mission import FIRINGS, NETS, Mission, MissionTime, mission_from, net_told, stamp_of
+from im_pnt_analysis.timed.mission import FIELDS, FIRINGS, NETS, Mission, MissionTime, mission_from, net_told, stamp_of
 
 MARKINGS = "/pnt/markings"
 _WANTED = {
@@ -26,10 +26,12 @@ _WANTED = {
     MARKINGS: ("im_msgs/msg/Marking",),
     NETS: ("im_msgs/msg/NetDescription",),
 }
+_FIELDS = {
+    **FIELDS,
+    "im_msgs/msg/Marking": ("stamp", "net", "sequence", "places", "tokens", "mode", "paused", "proposed"),
+}
 #: Every so many moments the whole state is kept, from which that of any other moment is a few firings away.
 _KEPT_EVERY = 256
-#: What two topics tell of one turn of a node may come in either order within this time [ns].
-_ORDER_NS = 200_000_000
 #: How the expanded net calls the transition of each phase behind its name; the first one that tokens enable has fired.
 _PHASES: Mapping[int, Sequence[str]] = {
     Phase.START: (".start",),
@@ -89,12 +91,10 @@ class Moment(NamedTuple):
 
     Attributes:
         at_s: Testbed time since the first firing; it never falls [s].
-        logged_ns: When it was recorded [ns].
         event: What.
     """
 
     at_s: float
-    logged_ns: int
     event: Firing | RecordedMarking | Described
 
 
@@ -105,12 +105,14 @@ class NetState:
     Attributes:
         description: Number of its description; None: it is never described.
         marking: As it was recorded, or as firings have left it since.
-        at_ns: When it became so [ns].
+        fired: Number of the firing that was heard last.
+        marked: That of the marking that was heard last.
     """
 
     description: int | None
     marking: RecordedMarking
-    at_ns: int
+    fired: int
+    marked: int
 
 
 class NetRecording:
@@ -197,29 +199,35 @@ class NetRecording:
         return states
 
     def advance(self, states: dict[str, NetState], moment: Moment) -> None:
-        """Takes a moment into the states of the nets."""
+        """Takes a moment into the states of the nets.
+
+        Of one life of a net each topic comes in its order, but one may be behind the other: a marking that firings have
+        overtaken is passed over, as is a firing after which a marking was heard already.
+        """
         event = moment.event
         state = states.get(event.net) or self._begun(event.net)
         if isinstance(event, Described):
             states[event.net] = replace(state, description=event.description)
             return
-        told, now = state.marking.sequence, moment.logged_ns
-        late = event.sequence <= told and now - state.at_ns < _ORDER_NS
         if isinstance(event, RecordedMarking):
-            if event.sequence >= told or not late:
-                states[event.net] = NetState(state.description, event, now)
-        elif not late:
-            if event.sequence <= told:  # the net has begun anew
+            if event.sequence < state.marked:  # the net has begun anew, or came back from its journal
+                state = NetState(state.description, event, event.sequence, event.sequence)
+            elif event.sequence >= state.marking.sequence:
+                state = replace(state, marking=event, marked=event.sequence)
+        else:
+            if event.sequence <= state.fired:
                 state = self._begun(event.net, state.description)
-            marking = state.marking._replace(sequence=event.sequence, tokens=self._fired(state, event))
-            states[event.net] = NetState(state.description, marking, now)
-        states.setdefault(event.net, state)
+            marking = state.marking
+            if event.sequence > marking.sequence:
+                marking = marking._replace(sequence=event.sequence, tokens=self._fired(state, event))
+            state = replace(state, marking=marking, fired=event.sequence)
+        states[event.net] = state
 
     def _begun(self, net: str, description: int | None = None) -> NetState:
         """A net of which nothing was told but what it is."""
         number = self._first.get(net) if description is None else description
         tokens = {} if number is None else self._rules[number].initial
-        return NetState(number, RecordedMarking(net, 0, tokens, "automatic", False, ()), 0)
+        return NetState(number, RecordedMarking(net, 0, tokens, "automatic", False, ()), 0, 0)
 
     def _fired(self, state: NetState, firing: Firing) -> Mapping[str, int]:
         tokens = state.marking.tokens
@@ -268,22 +276,22 @@ def recording_of(bag: Path) -> NetRecording:
     moments: list[Moment] = []
     time: MissionTime | None = None
     at_s = 0.0
-    for message in messages_of(bag, _WANTED):
+    for message in messages_of(bag, _WANTED, _FIELDS):
         told = message.content
         if message.topic == FIRINGS:
             firings.append(told)
             time = time or MissionTime(told)
             at_s = max(at_s, time.of(told))
-            moments.append(Moment(at_s, message.logged_ns, _firing(bag, told)))
+            moments.append(Moment(at_s, _firing(bag, told)))
         elif message.topic == MARKINGS:
             if time is not None:
                 at_s = max(at_s, stamp_of(told) - time.zero_s)
-            moments.append(Moment(at_s, message.logged_ns, _marking(told)))
+            moments.append(Moment(at_s, _marking(told)))
         else:
             number = numbers.setdefault((told.net, told.node, told.json), len(descriptions))
             if number == len(descriptions):
                 descriptions.append(Description(net_told(bag, told), told.node))
-            moments.append(Moment(at_s, message.logged_ns, Described(told.net, number)))
+            moments.append(Moment(at_s, Described(told.net, number)))
     if not firings:
         raise DataError(f"{bag}: nothing has fired in it", file=str(bag))
     nets = {description.net.name: description.net for description in descriptions}
