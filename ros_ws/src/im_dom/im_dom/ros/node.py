@@ -15,7 +15,7 @@ from im_core.ros.calls import wait
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.ros.reminders import Reminders
-from im_core.ros.status import ok_status, to_status
+from im_core.ros.status import OK, ok_status, to_status
 from im_core.ros.worker import Worker
 from im_dom.places import Places
 from im_dom.ros.types import as_json, check_message, extended, from_json
@@ -48,6 +48,7 @@ class DomNode(ManagedNode):
         self._awaited: dict[Promise, str] = {}
         self._places = Places()
         self._undescribed: list[Promise] = []
+        self._change = ObjectChange()  # a new one would be filled with an object that nobody needs, at each change
 
     def phase_configure(self) -> None:
         """Open the store and offer the services."""
@@ -215,11 +216,11 @@ class DomNode(ManagedNode):
 
     async def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:
         try:
-            response.object = to_info(await self._ask(operation))
+            fill_info(response.object, await self._ask(operation))
         except ImError as error:
             response.success, response.status = False, to_status(error)
             return response
-        response.success, response.status = True, ok_status()
+        response.success, response.status.code = True, OK
         if changed:
             self._tell(response.object)
         return response
@@ -230,7 +231,8 @@ class DomNode(ManagedNode):
         return await self._worker.run(work)
 
     def _tell(self, info: ObjectInfo) -> None:
-        self._changes.publish(ObjectChange(object=info))
+        self._change.object = info
+        self._changes.publish(self._change)
         for promise in [promise for promise, name in self._awaited.items() if name == info.name]:
             if not promise.done():
                 promise.set_result(None)
@@ -255,19 +257,17 @@ def _told(request: PutObject.Request | AppendObject.Request) -> bytes:
 
 def to_info(record: ObjectRecord) -> ObjectInfo:
     """The message of a record."""
-    info = ObjectInfo(
-        name=record.name,
-        type=record.type,
-        type_hash=record.hash,
-        version=record.version,
-        valid=record.valid,
-        place=record.place,
-        source=record.source,
-        command=record.command,
-        size=record.size,
-    )
-    info.stamp.sec, info.stamp.nanosec = divmod(record.stamp_ns, 10**9)
+    info = ObjectInfo()
+    fill_info(info, record)
     return info
+
+
+def fill_info(info: ObjectInfo, record: ObjectRecord) -> None:
+    """Has a message tell of a record."""
+    info.name, info.type, info.type_hash = record.name, record.type, record.hash
+    info.version, info.valid, info.size = record.version, record.valid, record.size
+    info.place, info.source, info.command = record.place, record.source, record.command
+    info.stamp.sec, info.stamp.nanosec = divmod(record.stamp_ns, 10**9)
 
 
 def main() -> None:
