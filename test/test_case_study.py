@@ -1,6 +1,7 @@
 """The case study of the paper, section 7, on the whole machine: through every level, and what can go wrong."""
 
 import contextlib
+import itertools
 import json
 import math
 import os
@@ -94,15 +95,40 @@ def test_the_nets_are_the_program(first_run):
 
     _, firings = first_run
     ended = [(f.net, f.transition) for f in firings if f.phase == Firing.END]
-    assert ended.count(("calibrate_camera", "read_next_pos")) == FEW
+    read = [("calibrate_camera", name) for name in ("read_first_pos", "read_next_pos")]
+    assert sum(map(ended.count, read)) == FEW
     assert ended.count(("motion_coordinator", "move_manip")) == FEW
     assert ended.count(("calibrate_camera", "loop_done")) + ended.count(("calibrate_camera", "skip_done")) == 1
     assert ended.count(("motion_coordinator", "validate_path")) == 0
     order = [ended.index(("calibrate_camera", name)) for name in ("init_calib", "power_up", "move_robot", "find_spot")]
     assert order == sorted(order)
+    the_arm_goes_on_while_the_light_is_searched(firings)
     for net in {f.net for f in firings}:
         numbers = [f.sequence for f in firings if f.net == net]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), f"firings of {net} were lost"
+
+
+def the_arm_goes_on_while_the_light_is_searched(firings):
+    """A pose is exposed when nothing is left of the one before, and the arm never moves while it is exposed."""
+    from im_msgs.msg import Firing
+
+    told = [(f.transition, f.phase) for f in firings if f.net == "calibrate_camera"]
+    looks = [place for place, each in enumerate(told) if each == ("look", Firing.START)]
+    assert len(looks) == FEW
+    for begin, end in itertools.pairwise(looks):
+        pose = told[begin:end]
+        looked, goes, searches, kept = (
+            pose.index(each)
+            for each in (
+                ("look", Firing.END),
+                ("move_robot", Firing.START),
+                ("find_spot", Firing.START),
+                ("keep_observation", Firing.END),
+            )
+        )
+        assert looked < goes < pose.index(("move_robot", Firing.END))
+        assert looked < searches < kept
+        assert pose.index(("find_pos", Firing.END)) < goes
 
 
 def test_calibration_reaches_the_standard_interfaces(first_run, machine):

@@ -40,6 +40,7 @@ from im_msgs.srv import (
     ReserveGroup,
     SetLight,
     SpotFind,
+    SpotLook,
 )
 from support.loop import in_loop
 
@@ -100,7 +101,7 @@ class Cell(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("mcs")
-        self.problems, self.moves, self.looks, self.paths = [], 0, 0, []
+        self.problems, self.moves, self.paths = [], 0, []
         self.hidden, self.late = set(), set()
         self.together, self.under_way = 1, []
         self.lights, self.switched = {"left_led": False, "right_led": True}, []
@@ -116,6 +117,7 @@ class Cell(ManagedNode):
         self.create_service(CheckPath, "/mcs/check_path", self._succeed)
         self.create_service(GetGroupState, "/mcs/get_group_state", self._state)
         self.create_service(InverseKinematics, "/mcs/inverse_kinematics", self._configuration)
+        self.create_service(SpotLook, "/vss/spot_look", self._look)
         self.create_service(SpotFind, "/vss/spot_find", self._spots)
         self.create_service(Calibrate, "/vss/calibrate", self._calibrate)
         self._move = [ActionServer(self, Move, f"/{arm}/move", partial(self._moved, arm)) for arm in ARMS]
@@ -161,12 +163,16 @@ class Cell(ManagedNode):
         goal.succeed()
         return Move.Result(success=True, state=self._rest(arm))
 
+    def _look(self, request, response):
+        response.success, response.look = True, str(self.moves)
+        return response
+
     def _spots(self, request, response):
-        self.looks += 1
-        response.success = True
+        """What was seen at the look, wherever the arm is meanwhile."""
+        response.success, seen = True, int(request.look)
         for camera in request.cameras:
-            spot = Spot(camera=camera, found=self.moves not in self.hidden, cause="blocked", u=float(self.moves))
-            spot.stamp.sec = self.moves - (self.moves in self.late)
+            spot = Spot(camera=camera, found=seen not in self.hidden, cause="blocked", u=float(seen))
+            spot.stamp.sec = seen - (seen in self.late)
             response.spots.append(spot)
         return response
 
@@ -346,7 +352,7 @@ def test_a_pose_costs_at_most_eleven_calls_whichever_it_is(cast, wait_until):
     assert cast.cell.switched == [("left_led", True), ("left_led", False)]
     poses = cast.dom.poses()
     assert len(poses) == POSES - 1
-    costs = [len(pose) for pose in poses]
+    costs = [len(pose) for pose in poses[1:]]  # with the first there is none before it to be kept
     assert max(costs) <= MOST_CALLS
     assert max(costs) - min(costs) <= 1, costs  # whether an object is valid is asked, or was heard in time
     (problem,) = cast.cell.problems

@@ -30,6 +30,7 @@ from im_msgs.srv import (
     Snap,
     SpotFind,
     SpotFindStereo,
+    SpotLook,
     VisionQuery,
 )
 from im_vss.catalogue import load_catalogue
@@ -41,6 +42,7 @@ REQUESTS = {
     "snap": (Snap, {"cameras": ["table"]}),
     "spot_find": (SpotFind, {"cameras": ["ceiling_left"]}),
     "spot_find_stereo": (SpotFindStereo, {"cameras": CEILING}),
+    "spot_look": (SpotLook, {"cameras": ["ceiling_left"]}),
     "circle_find": (CircleFind, {"camera": "ceiling_left", "region": REGION}),
     "line_find": (LineFind, {"camera": "ceiling_left", "region": REGION}),
     "fiducial_pose": (FiducialPose, {"cameras": ["ceiling_right"]}),

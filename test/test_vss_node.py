@@ -72,8 +72,8 @@ class Reflecting:
     def __init__(self, take, place, share):
         self.take_frames, self.share, (self.u, self.v) = take, share, np.round(place).astype(int)
 
-    def __call__(self, order):
-        taken = self.take_frames(order)
+    def __call__(self, order, exposed):
+        taken = self.take_frames(order, exposed)
         return replace(taken, frames={name: self._with(*pair) for name, pair in taken.frames.items()})
 
     def _with(self, off, on):

@@ -22,6 +22,7 @@ from im_msgs.srv import (
     Snap,
     SpotFind,
     SpotFindStereo,
+    SpotLook,
 )
 from im_vss.ros.ports import Port
 
@@ -29,6 +30,7 @@ CEILING = ["ceiling_left", "ceiling_right"]
 KNOWN = [*CEILING, "wall", "table", "wrist_left"]
 NOT_A_LENGTH = st.floats(max_value=0.0) | st.sampled_from([math.nan, math.inf])
 NOT_FINITE = st.sampled_from([math.nan, math.inf, -math.inf])
+TEXT = st.text(min_size=1, max_size=30).filter(lambda name: "\0" not in name)
 UNKNOWN = st.text(max_size=30).filter(lambda name: name not in KNOWN and "\0" not in name)
 EXPOSURE = st.floats().filter(lambda s: s != 0.0 and not 0.0045 <= s <= 0.45)
 SOME = st.sampled_from([[], ["wall", "wall"]]) | st.lists(UNKNOWN, min_size=1, max_size=3)
@@ -53,7 +55,8 @@ def set_target(message, values):
 #: For each Service: a request that is right, and what is wrong for each of its fields (or how a value is put in).
 WRONG = {
     "snap": (Snap, {"cameras": ["wall"]}, {"cameras": SOME, "exposure": EXPOSURE}),
-    "spot_find": (SpotFind, {"cameras": ["wall"]}, {"cameras": SOME, "exposure": EXPOSURE}),
+    "spot_find": (SpotFind, {"cameras": ["wall"]}, {"cameras": SOME, "exposure": EXPOSURE, "look": TEXT}),
+    "spot_look": (SpotLook, {"cameras": ["wall"]}, {"cameras": SOME, "exposure": EXPOSURE}),
     "spot_find_stereo": (SpotFindStereo, {"cameras": CEILING}, {"cameras": TWO, "exposure": EXPOSURE}),
     "circle_find": (
         CircleFind,
@@ -169,7 +172,7 @@ def refused(machine):
         with pytest.raises(ImError) as caught:
             vsm.request(service, port.request(message))
         assert len(caught.value.message) > 15
-        assert caught.value.code in ("config", "data", "limit", "not_found", "state", "unobservable")
+        assert caught.value.code in ("config", "data", "limit", "look_forgotten", "not_found", "state", "unobservable")
         after = state()
         assert all(a is b for a, b in zip(before[2], after[2], strict=True))
         assert (after[:2], after[3:]) == (before[:2], before[3:])

@@ -1,7 +1,7 @@
 """Images, and what takes them: orders for exposures, the frames they bring, and the contract of a frame source."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +12,13 @@ from im_cell.robot import Cell
 from im_cell.sensor import SensorControls, SensorNoise
 
 Image = NDArray[np.uint8]
+
+Exposed = Callable[[tuple[int, ...]], None]
+"""Is told the testbed times of the middle of each exposure [ns], when the last shutter has closed."""
+
+
+def nobody(stamps_ns: tuple[int, ...]) -> None:
+    """Whom it does not concern when shutters close."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +133,12 @@ class FrameSource(ABC):
         """Start again what died; what it died of, empty if nothing did."""
 
     @abstractmethod
-    def take_frames(self, order: SnapOrder) -> FrameSet:
+    def take_frames(self, order: SnapOrder, exposed: Exposed = nobody) -> FrameSet:
         """Expose and read out.
+
+        Args:
+            order: What to expose.
+            exposed: Called once, when all is exposed and before it is read out: what moves from then on is in no image.
 
         Raises:
             ImError: The cameras cannot deliver; the message says who is missing.

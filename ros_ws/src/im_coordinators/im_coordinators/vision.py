@@ -7,13 +7,13 @@ from im_core.errors import DataError, ImError
 #: Spots that were too faint, or too near to something else, may show in a longer exposure.
 LOOK_AGAIN_CAUSES = ("too faint", "candidates")
 
+#: Codes of the failure to see the light: where a longer exposure may show it, and where nothing can.
+TOO_FAINT, NOT_FOUND = "spot_too_faint", "spot_not_found"
+
 
 def another_look_may_help(failure: ImError | None) -> bool:
     """Whether a longer exposure may show the spots that a look has missed."""
-    causes = failure.facts.get("causes") if failure is not None else None
-    if not isinstance(causes, list) or not causes:
-        return False
-    return all(any(hope in str(cause) for hope in LOOK_AGAIN_CAUSES) for cause in causes)
+    return failure is not None and failure.code == TOO_FAINT
 
 
 def require_spot(missed: Mapping[str, str], cameras: int) -> None:
@@ -24,8 +24,10 @@ def require_spot(missed: Mapping[str, str], cameras: int) -> None:
         cameras: How many looked.
 
     Raises:
-        DataError: None does; its facts say why.
+        DataError: None does, code :data:`TOO_FAINT` or :data:`NOT_FOUND`; its facts say why.
     """
     if len(missed) == cameras:
         named = "; ".join(f"{camera}: {cause}" for camera, cause in missed.items())
-        raise DataError(f"no camera sees the light: {named}", code="spot_not_found", causes=[*missed.values()])
+        hope = missed and all(any(hope in cause for hope in LOOK_AGAIN_CAUSES) for cause in missed.values())
+        code = TOO_FAINT if hope else NOT_FOUND
+        raise DataError(f"no camera sees the light: {named}", code=code, causes=[*missed.values()])

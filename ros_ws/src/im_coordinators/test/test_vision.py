@@ -14,14 +14,15 @@ from im_core.errors import DataError, ImError
         (["blocked: nothing brighter than the noise"], False),
         (["too faint: snr 3.1 < 6", "light is off"], False),
         ([], False),
-        ("too faint", False),
     ],
 )
-def test_only_what_exposure_can_mend_is_looked_at_again(causes: object, expected: bool) -> None:
-    assert another_look_may_help(ImError("", code="spot_not_found", causes=causes)) is expected
+def test_only_what_exposure_can_mend_is_looked_at_again(causes: list[str], expected: bool) -> None:
+    with pytest.raises(DataError, match="no camera sees the light") as caught:
+        require_spot({str(number): cause for number, cause in enumerate(causes)}, len(causes))
+    assert another_look_may_help(caught.value) is expected
 
 
-def test_without_causes_nothing_is_looked_at_again() -> None:
+def test_without_spots_that_were_missed_nothing_is_looked_at_again() -> None:
     assert not another_look_may_help(None)
     assert not another_look_may_help(ImError("the camera is gone"))
 

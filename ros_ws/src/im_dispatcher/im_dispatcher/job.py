@@ -18,7 +18,9 @@ CEILING = ("ceiling_left", "ceiling_right")
 FEWEST_POSES = 12
 
 #: Failures that concern one pose only; everything else concerns the machine.
-POSE_FAILURES = frozenset({"unreachable", "collision", "limit", "not_settled", "spot_not_found", "unusable"})
+POSE_FAILURES = frozenset(
+    {"unreachable", "collision", "limit", "not_settled", "spot_not_found", "spot_too_faint", "unusable"}
+)
 
 
 @dataclass(frozen=True)
@@ -78,19 +80,38 @@ def order_of(
     return CalibrationOrder(cameras, file)
 
 
+@dataclass(frozen=True)
+class PoseVisit:
+    """A pose that is visited.
+
+    Attributes:
+        number: Of the pose, from 1.
+        longer: Whether it is exposed as for a light that was too faint.
+    """
+
+    number: int
+    longer: bool = False
+
+
 @dataclass
 class PoseLoop:
-    """Loop over the poses of one command.
+    """Loop over the poses of one command: the arm is at one, or on its way there, while another is still looked at.
 
     Attributes:
         poses: How many there are.
         taken: How many have been visited, the present one included.
         skipped: How many of these were left out.
+        again: Poses that are visited once more before the others.
+        present: Where the arm is, or is going to; None where it is not known to be at a pose.
+        looked: The pose in whose images the light is searched.
     """
 
     poses: int
     taken: int = 0
     skipped: int = 0
+    again: tuple[PoseVisit, ...] = ()
+    present: PoseVisit | None = None
+    looked: PoseVisit | None = None
 
     @property
     def remaining(self) -> int:
@@ -102,33 +123,65 @@ class PoseLoop:
         """Share of the poses that have been visited, 0..1."""
         return self.taken / self.poses
 
+    @property
+    def looked_number(self) -> int:
+        """Number of the pose in whose images the light is searched.
+
+        Raises:
+            StateError: None was looked at.
+        """
+        if self.looked is None:
+            raise StateError("no pose has been looked at")
+        return self.looked.number
+
+    @property
+    def looked_progress(self) -> float:
+        """Share of the poses that have been visited when that one was, 0..1."""
+        return self.looked_number / self.poses
+
     def more_poses(self) -> bool:
         """Enabling function of loop_again; negated, of loop_done."""
-        return self.remaining > 0
+        return bool(self.again) or self.remaining > 0
 
     def next_pose(self) -> int:
-        """Count the loop variable down and give the number of the next pose, from 1.
+        """Go on to the next pose, and give its number, from 1: one to be visited again, or one more is taken.
 
         Raises:
             DataError: None is left.
         """
-        if self.remaining == 0:
+        if not self.more_poses():
             raise DataError("all poses have been visited")
-        self.taken += 1
-        return self.taken
+        if self.again:
+            self.present, *others = self.again
+            self.again = tuple(others)
+        else:
+            self.taken += 1
+            self.present = PoseVisit(self.taken)
+        return self.present.number
 
-    def give_back(self) -> None:
-        """Take back that the present pose was taken.
+    def look(self) -> PoseVisit:
+        """The present pose is looked at; returns it.
 
         Raises:
-            DataError: None has been taken.
+            DataError: There is none.
         """
-        if self.taken == 0:
+        if self.present is None:
             raise DataError("no pose has been taken yet")
-        self.taken -= 1
+        self.looked = self.present
+        return self.present
+
+    def give_back(self) -> None:
+        """The present pose, if there is one, is to be visited again."""
+        self._visit_again(self.present)
+        self.present = None
+
+    def give_back_looked(self, longer: bool = False) -> None:
+        """What was looked at, if anything, is to be visited again; ``longer``: exposed as for a light that is faint."""
+        if self.looked is not None:
+            self._visit_again(PoseVisit(self.looked.number, longer or self.looked.longer))
 
     def skip(self) -> int:
-        """Leave out the present pose; returns how many were.
+        """Leave out a pose; returns how many were.
 
         Raises:
             DataError: None has been taken.
@@ -139,12 +192,13 @@ class PoseLoop:
         return self.skipped
 
     def dispensable(self, failure_code: str) -> bool:
-        """Whether a failure concerns the present pose only, and enough poses remain without it."""
+        """Whether a failure concerns one pose only, and enough poses remain without it."""
         return failure_code in POSE_FAILURES and self.poses - self.skipped - 1 >= FEWEST_POSES
 
-    def to_json(self) -> list[int]:
+    def to_json(self) -> list[object]:
         """The loop as JSON data."""
-        return [self.poses, self.taken, self.skipped]
+        visits = [[[visit.number, visit.longer] for visit in some] for some in (self.again, *self._hands())]
+        return [self.poses, self.taken, self.skipped, *visits]
 
     @classmethod
     def from_json(cls, data: object) -> "PoseLoop":
@@ -154,6 +208,25 @@ class PoseLoop:
             StateError: There is none.
         """
         match data:
-            case [int(poses), int(taken), int(skipped)]:
-                return cls(poses, taken, skipped)
+            case [int(poses), int(taken), int(skipped), [*again], [*present], [*looked]]:
+                visits, (arm,), (eye,) = _visits(again), _visits(present) or (None,), _visits(looked) or (None,)
+                return cls(poses, taken, skipped, visits, arm, eye)
         raise StateError("no calibrate_camera command is running")
+
+    def _hands(self) -> tuple[tuple[PoseVisit, ...], ...]:
+        return tuple(() if visit is None else (visit,) for visit in (self.present, self.looked))
+
+    def _visit_again(self, visit: PoseVisit | None) -> None:
+        if visit is not None and visit.number not in (other.number for other in self.again):
+            self.again = (*self.again, visit)
+
+
+def _visits(data: Sequence[object]) -> tuple[PoseVisit, ...]:
+    found = []
+    for visit in data:
+        match visit:
+            case [int(number), bool(longer)]:
+                found.append(PoseVisit(number, longer))
+            case _:
+                raise StateError(f"{visit!r} is no pose of a loop")
+    return tuple(found)

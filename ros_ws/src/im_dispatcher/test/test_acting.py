@@ -59,9 +59,9 @@ class Played:
                 return {"group": group, "joints": [0.0] * 9}
             case "validate_path":
                 return {"group": group, "path": asked["path"]}
-            case "find_spot":
+            case "look" | "find_spot":
                 return {"cameras": self.dice.sample(["ceiling_left", "wall", "table"], 2), "light": f"{group}_led"}
-            case "loop_again" | "loop_done":
+            case "keep_observation":
                 return {"number": 1, "pose": "first"}
             case "compute_calibration":
                 return {**CALIBRATION, "group": group, "cameras": ["wall"]}
@@ -76,7 +76,8 @@ class Played:
             for each in value if isinstance(value, list) else [value]:
                 self.done.add((f"{activity.net}.{activity.transition}", ctx.command.id, f"{before}{each}{after}"))
         self.fail()
-        return {"stalled": self.toss(ctx), "position": 0.0, "effort": 0.0, "found": self.toss(ctx), "cause": "dark"}
+        answer = {"stalled": self.toss(ctx), "position": 0.0, "effort": 0.0, "found": self.toss(ctx), "cause": "dark"}
+        return {**answer, "look": "7"}
 
     def run(self, symbol: str) -> None:
         arguments = drawn(self.needs.declared(symbol).arguments, self.dice)

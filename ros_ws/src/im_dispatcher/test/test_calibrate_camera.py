@@ -3,7 +3,7 @@
 import asyncio
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -78,6 +78,11 @@ class Play:
         outcome = self._functions[name](ActionContext(SYMBOL, name, Lineage(self.job, failure), shared={"calibration"}))
         return asyncio.run(outcome) if asyncio.iscoroutine(outcome) else outcome
 
+    def guard(self, name: str) -> Callable[[ImError], bool]:
+        """An enabling function, of the failure that has put a token on an input place."""
+        judge = CalibrateCamera(self.host).functions.guards[name]
+        return lambda failure: judge(ActionContext(SYMBOL, name, Lineage(self.job, failure), shared=set()))
+
     def pose(self) -> str:
         """Takes the next pose; returns where it leads."""
         self("read_next_pos")
@@ -94,21 +99,45 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
 
 
 def test_a_command_begins_with_its_poses_and_its_light(play: Play) -> None:
-    assert play("watchers") == {"cameras": ["ceiling_left", "ceiling_right"], "light": "left_led"}
+    seen = {"cameras": ["ceiling_left", "ceiling_right"], "light": "left_led"}
+    assert play("watchers") == seen
+    play.pose()
+    assert play("present_look") == {**seen, "longer": False}
 
 
 def test_a_pose_costs_one_call_and_no_more_memory_than_the_one_before(play: Play) -> None:
-    sizes = []
+    sizes, name = [], play.pose()
     for number in range(1, 41):
-        before = len(play.host.calls)
-        name = play.pose()
-        assert play("present_pose") == {"number": number, "pose": name}
-        assert play.host.calls[before:] == [f"{SYMBOL}/1/destination"]
+        before, seen = len(play.host.calls), name
+        play("present_look")
+        if number < 40:  # the arm goes on before the images are searched
+            name = play.pose()
+            assert play.host.calls[before:] == [f"{SYMBOL}/1/destination"]
+        assert play("looked_pose") == {"number": number, "pose": seen}
         sizes.append(len(json.dumps(play.job.memory)))
     assert max(sizes[9:]) == min(sizes[9:])
     assert COMMAND.standing[SYMBOL](play.job) == "pose 40 of 40"
     with pytest.raises(DataError, match="all poses have been visited"):
         play.pose()
+
+
+def test_a_pose_whose_light_is_too_faint_is_visited_once_more_and_exposed_longer(play: Play) -> None:
+    faint, may_help = ImError("too faint", code="spot_too_faint"), play.guard("another_visit_may_help")
+    play.pose()
+    play("present_look")
+    names = [play.pose()]
+    assert may_help(faint)
+    play("visit_again", faint)
+    assert play("present_look")["longer"] is False
+    names.append(play.pose())
+    assert play("present_look")["longer"] is True
+    assert not may_help(faint)
+    assert may_help(ImError("gone", code="look_forgotten"))
+    assert not may_help(ImError("hidden", code="spot_not_found"))
+    play("skip_look", faint)
+    names.append(play.pose())
+    assert names == ["p02", "p01", "p03"]
+    assert play.host.objects[f"{SYMBOL}/1/skipped/1"] == SkippedPose("p01", "too faint")
 
 
 @pytest.mark.parametrize("deaths", [(), (1, 20, 39), tuple(range(40))])
@@ -139,6 +168,11 @@ def test_a_pose_in_doubt_is_visited_again_and_one_that_was_not_begun_is_not_give
         play("take_up", StateError("mcs has begun anew", code=BEGUN_ANEW))
     names += [play.pose(), play.pose()]
     assert names == ["p02", "p02", "p03"]
+    play("present_look")
+    play.pose()
+    play("note_unkept", StateError("the light went out", code=BEGUN_ANEW))  # while the arm went on to the fourth
+    play("take_up", StateError("the light went out", code=BEGUN_ANEW))
+    assert [play.pose() for _ in range(3)] == ["p03", "p04", "p05"]
 
 
 def test_time_without_a_machine_counts_for_nothing(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:

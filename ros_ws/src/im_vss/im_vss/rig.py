@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from im_core.errors import StateError
 from im_vss.camera_book import CameraBook
 from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import Scanner
+from im_vss.looks import Looks
 from im_vss.monitor import Monitors, Screen
 from im_vss.settings import VssSettings
 
@@ -74,6 +76,7 @@ class Rig:
         mount: Where a frame of the robot that carries a camera is now: rotation frame -> world, shape (3, 3), and
             origin, shape (3,) [m]; None if that is not known.
         laser: The laser scanner; None where there is none.
+        looks: Images in which the light is searched while the arms go on.
     """
 
     settings: VssSettings
@@ -87,6 +90,7 @@ class Rig:
     why_dark: Callable[[], str] = lambda: ""
     mount: Callable[[str], tuple[NDArray[np.float64], NDArray[np.float64]] | None] = lambda frame: None
     laser: LaserRig | None = None
+    looks: Looks[Any] = field(default_factory=Looks)
 
     def order(
         self,

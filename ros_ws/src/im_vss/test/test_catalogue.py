@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from im_cell.frames import Frame, FrameSet
+from im_cell.frames import Frame, FrameSet, nobody
 from im_cell.robot import load_cell
 from im_core.errors import ConfigError, NotFoundError
 from im_vss.camera_book import CameraBook
@@ -24,7 +24,7 @@ class Cameras:
     def __init__(self):
         self.orders = []
 
-    def take_frames(self, order):
+    def take_frames(self, order, exposed=nobody):
         self.orders.append(order)
         frames = {}
         for camera in order.cameras:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from im_cell.frames import Frame, FrameSet
+from im_cell.frames import Frame, FrameSet, nobody
 from im_cell.laser_model import LaserModel
 from im_cell.link import LaserBeam
 from im_cell.robot import load_cell
@@ -49,7 +49,7 @@ class Cameras:
     def __init__(self, scanner):
         self.scanner, self.orders, self.seen, self.meanwhile = scanner, [], [], lambda: None
 
-    def take_frames(self, order):
+    def take_frames(self, order, exposed=nobody):
         self.orders.append(order)
         self.seen.append(self.scanner.reading())
         self.meanwhile()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from im_cell.camera_covariance import CameraCovariance
-from im_cell.frames import Frame, FrameSet
+from im_cell.frames import Frame, FrameSet, nobody
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.monitor import Curve, Marker, Monitors
@@ -37,7 +37,7 @@ class Camera:
     def __init__(self, plates):
         self.plates = plates
 
-    def take_frames(self, order):
+    def take_frames(self, order, exposed=nobody):
         frame = Frame(CAMERA, self.plates.image(1), 1000, order.blank_light[0])
         return FrameSet({CAMERA: (frame,)}, {"expose_s": 0.0})
 

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from bench.calibration.synthetic import Design, make_scene
-from im_cell.frames import FrameSet
+from im_cell.frames import FrameSet, nobody
 from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError, StateError
@@ -29,7 +29,7 @@ class SlowCameras:
     def __init__(self):
         self.go, self.inside, self.most = threading.Event(), 0, 0
 
-    def take_frames(self, order):
+    def take_frames(self, order, exposed=nobody):
         self.inside += 1
         self.most = max(self.most, self.inside)
         self.go.wait(60.0)

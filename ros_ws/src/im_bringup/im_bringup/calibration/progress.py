@@ -1,5 +1,6 @@
 """The firings of a command's net as lines for the terminal: one for each pose of the loop, one for each other step."""
 
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 
@@ -13,19 +14,28 @@ class FiringPhase(IntEnum):
     DOUBT = 4
 
 
-#: The net ``calibrate_camera``: what takes the next pose, what ends one, and what needs no line of its own.
-FIRST = "read_next_pos"
-LAST = frozenset({"loop_again", "loop_done", "skip_unreached", "skip_unseen", "skip_unusable", "note_failure"})
+#: The net ``calibrate_camera``: what takes the next pose, what is done for the one that the arm has left, what ends a
+#: pose, and what needs no line of its own.
+FIRST = frozenset({"read_first_pos", "read_next_pos"})
+BEHIND = frozenset({"find_spot", "keep_observation"})
+LAST = frozenset({"keep_observation", "visit_again", "skip_unreached", "skip_unseen", "skip_unusable", "note_failure"})
 ABORTS = "abort_"
-QUIET = frozenset({"skip_again", "skip_done"})
+QUIET = frozenset({"begin_pose", "stay", "loop_again", "loop_done", "skip_again", "skip_done"})
+
+
+@dataclass
+class _Pose:
+    number: int
+    steps: list[str] = field(default_factory=list)
 
 
 class ProgressLines:
     """Turns firings of the net ``calibrate_camera`` into lines; the steps of a pose are told together."""
 
     def __init__(self) -> None:
-        self._pose = self._total = 0
-        self._steps: list[str] | None = None
+        self._last = self._total = 0
+        self._poses: list[_Pose] = []
+        """Those that have not ended: the one that the arm has left, before the one where it is."""
 
     def line(self, transition: str, phase: FiringPhase, message: str, fraction: float, duration_s: float) -> str | None:
         """The line that a firing completes, or None.
@@ -44,29 +54,36 @@ class ProgressLines:
         if phase is FiringPhase.DOUBT:
             return _told(fraction, f"{transition} is in doubt: {message}")
         step = f"{transition} failed: {message}" if phase is FiringPhase.FAILED else f"{transition} {duration_s:.2f} s"
-        if self._steps is None:
+        if not self._poses:
             return _told(fraction, step) if phase is FiringPhase.FAILED else None
-        if (transition in LAST and phase is FiringPhase.END) or transition.startswith(ABORTS):
-            if transition in LAST and fraction > 0.0:  # an aborted pose is not part of the fraction
-                self._total = round(self._pose / fraction)
-            line = self._pose_line(fraction)
-            self._steps = None
-            return line
-        if transition != FIRST:
-            self._steps.append(step)
+        if (phase is FiringPhase.END and transition in LAST | QUIET) or transition.startswith(ABORTS):
+            return self._ended(transition, fraction)
+        if transition in FIRST and phase is FiringPhase.FAILED:  # that pose is not begun
+            self._last -= 1
+            self._poses.pop()
+            if not self._poses:
+                return _told(fraction, step)
+        if transition not in FIRST or phase is FiringPhase.FAILED:
+            self._poses[0 if transition in BEHIND else -1].steps.append(step)
         return None
 
     def _begun(self, transition: str, fraction: float) -> str | None:
-        if transition == FIRST:
-            self._pose, self._steps = self._pose + 1, []
+        if transition in FIRST:
+            self._last += 1
+            self._poses.append(_Pose(self._last))
             return None
-        if self._steps is not None or transition in LAST | QUIET:
+        if self._poses or transition in LAST | QUIET:
             return None
         return _told(fraction, transition)
 
-    def _pose_line(self, fraction: float) -> str:
+    def _ended(self, transition: str, fraction: float) -> str | None:
+        if transition in QUIET:
+            return None
+        pose = self._poses.pop(0)
+        if transition in LAST and fraction > 0.0:  # an aborted pose is not part of the fraction
+            self._total = self._total or round(pose.number / fraction)
         total = f" of {self._total}" if self._total else ""
-        return _told(fraction, f"pose {self._pose}{total}: {', '.join(self._steps or [])}")
+        return _told(fraction, f"pose {pose.number}{total}: {', '.join(pose.steps)}")
 
 
 def _told(fraction: float, text: str) -> str:

@@ -53,6 +53,7 @@ def vision_functions(host: Host) -> Functions:
         vision.light_on,
         vision.light_as_found,
         vision.forget_light,
+        vision.look_exposure,
         vision.nominal_exposure,
         vision.longer_exposure,
         vision.store_spots,
@@ -62,7 +63,7 @@ def vision_functions(host: Host) -> Functions:
     )
     return Functions(
         {function.__name__: function for function in functions},
-        {"another_look_may_help": woken_by()(lambda ctx: another_look_may_help(ctx.failure))},
+        {"another_look_may_help": woken_by()(_another_look_may_help)},
         {"keep_observation": idempotent(vision.keep_observation)},
     )
 
@@ -117,11 +118,18 @@ class VisionFunctions:
         """Whether a light is on; one that the cell does not have is not."""
         return lights_told((await self._lights()).data, self._cell).get(name, False)
 
+    async def look_exposure(self, ctx: ActionContext) -> dict[str, object]:
+        """The request for a look, of a light that is on."""
+        await self._lit.require(ctx, _light(ctx))
+        await self._require_lit(_light(ctx))
+        exposure = self._host.parameter(LONG_EXPOSURE) if ctx.request_arguments["longer"] else 0.0
+        return {"cameras": ctx.request_arguments["cameras"], "exposure": exposure}
+
     async def nominal_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """The request for a spot as it was asked for."""
         await self._lit.require(ctx, _light(ctx))
         await self._require_lit(_light(ctx))
-        return {"cameras": ctx.request_arguments["cameras"], "exposure": ctx.request_arguments["exposure"]}
+        return {name: ctx.request_arguments[name] for name in ("cameras", "exposure", "look")}
 
     def longer_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """The request for another look with more light."""
@@ -180,6 +188,11 @@ class VisionFunctions:
         """Stores the calibration."""
         name, place = ctx.object("calibration"), "vision_coordinator.calibration_stored"
         await self._host.dom.put(name, answer.report, place=place)
+
+
+def _another_look_may_help(ctx: ActionContext) -> bool:
+    """Where the arm still is what was looked at."""
+    return not ctx.request_arguments["look"] and another_look_may_help(ctx.failure)
 
 
 def _light(ctx: ActionContext) -> str:

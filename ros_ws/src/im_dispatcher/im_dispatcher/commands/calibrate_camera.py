@@ -29,6 +29,9 @@ POSES = "calibration_poses"
 #: Code of the failure of whoever needs what was established in a former life of the task that kept it.
 BEGUN_ANEW = "begun_anew"
 
+#: Codes of the failure to find the light: with more of it there may be a spot, or there are no images any more.
+TOO_FAINT, FORGOTTEN = "spot_too_faint", "look_forgotten"
+
 
 class CalibrateCamera:
     """The functions of the command.
@@ -54,17 +57,22 @@ class CalibrateCamera:
             for action in (
                 self.init_calib,
                 self.read_next_pos,
+                self.visit_again,
                 self.skip_pose,
+                self.skip_look,
+                self.note_unkept,
                 self.take_up,
                 self.write_report,
                 self.note_failure,
                 self.report_failure,
             )
         }
-        requests = (self.watchers, self.present_pose, self.collected)
+        requests = (self.present_look, self.watchers, self.looked_pose, self.collected)
         builders = {build.__name__: build for build in requests}
         guards = {
             "more_poses": woken_by()(_more_poses),
+            "goes_on": woken_by()(_goes_on),
+            "another_visit_may_help": woken_by()(_another_visit_may_help),
             "pose_dispensable": woken_by()(_dispensable),
             "begun_anew": woken_by()(_begun_anew),
         }
@@ -96,36 +104,48 @@ class CalibrateCamera:
         done, number = loop.progress, loop.next_pose()
         pose = (await self._poses(ctx)).poses[number - 1]
         ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), pose.name
-        ctx.memory["under_way"] = True
         ctx.memory["times"] = self._host.noted("times", lambda: self._times_of(ctx).to_dict())
         self._elapsed(ctx)
         await self._host.put_object(ctx.object("destination"), pose, place=f"{SYMBOL}.destination_valid")
         ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
 
+    def present_look(self, ctx: ActionContext) -> dict[str, object]:
+        """Which cameras are to look, for what, and how: the pose where the arm is is the one that is looked at."""
+        loop = _loop(ctx)
+        visit = loop.look()
+        ctx.memory["loop"], ctx.memory["looked"] = loop.to_json(), ctx.memory["pose"]
+        return {**self.watchers(ctx), "longer": visit.longer}
+
     def watchers(self, ctx: ActionContext) -> dict[str, object]:
-        """Which cameras are to look, and for what."""
+        """Which cameras have looked, and for what."""
         return {"cameras": ctx.memory["cameras"], "light": ctx.memory["light"]}
 
-    def present_pose(self, ctx: ActionContext) -> dict[str, object]:
+    def looked_pose(self, ctx: ActionContext) -> dict[str, object]:
         """Whose spots and position are to be kept."""
+        loop, pose = _loop(ctx), ctx.memory["looked"]
+        ctx.progress(f"pose {pose} observed", loop.looked_progress)
+        return {"number": loop.looked_number, "pose": pose}
+
+    async def visit_again(self, ctx: ActionContext) -> None:
+        """Has the pose that was looked at visited again, with more light where it was too faint."""
         loop = _loop(ctx)
-        ctx.progress(f"{loop.taken - loop.skipped} observations", loop.progress)
-        return {"number": loop.taken, "pose": ctx.memory["pose"]}
+        loop.give_back_looked(longer=ctx.failure is not None and ctx.failure.code == TOO_FAINT)
+        ctx.memory["loop"] = loop.to_json()
+        ctx.progress(f"pose {ctx.memory['looked']} is visited again: {_reason(ctx)}", loop.looked_progress)
 
     async def skip_pose(self, ctx: ActionContext) -> None:
-        """Leaves out this pose and says why."""
-        loop, reason = _loop(ctx), _reason(ctx)
-        skipped = SkippedPose(str(ctx.memory["pose"]), reason)
-        await self._host.put_object(ctx.object(f"skipped/{loop.skip()}"), skipped)
-        ctx.memory["loop"] = loop.to_json()
-        ctx.progress(f"pose {skipped.pose} skipped: {reason}", loop.progress)
+        """Leaves out the pose where the arm is, or was to be, and says why."""
+        await self._skip(ctx, str(ctx.memory["pose"]), _loop(ctx).progress)
+
+    async def skip_look(self, ctx: ActionContext) -> None:
+        """Leaves out the pose that was looked at and says why."""
+        await self._skip(ctx, str(ctx.memory["looked"]), _loop(ctx).looked_progress)
 
     async def take_up(self, ctx: ActionContext) -> None:
         """Gives the present pose back, if there is one: it is visited again."""
-        if ctx.memory.get("under_way"):
-            loop = _loop(ctx)
-            loop.give_back()
-            ctx.memory["loop"], ctx.memory["under_way"] = loop.to_json(), False
+        loop = _loop(ctx)
+        loop.give_back()
+        ctx.memory["loop"] = loop.to_json()
 
     async def collected(self, ctx: ActionContext) -> dict[str, object]:
         """What is to be calibrated from: the numbers of the poses that were observed, and why others were not."""
@@ -153,6 +173,13 @@ class CalibrateCamera:
         ctx.memory["reason"] = reason
         ctx.progress(f"{'establishing again' if _begun_anew(ctx) else 'giving up'}: {reason}")
 
+    async def note_unkept(self, ctx: ActionContext) -> None:
+        """The same, and that nothing is kept of the pose that was looked at: who goes on goes there again."""
+        loop = _loop(ctx)
+        loop.give_back_looked()
+        ctx.memory["loop"] = loop.to_json()
+        await self.note_failure(ctx)
+
     async def report_failure(self, ctx: ActionContext) -> None:
         """Writes the report of a command that failed."""
         reason = str(ctx.memory.get("reason") or _reason(ctx))
@@ -168,6 +195,12 @@ class CalibrateCamera:
                 ctx.result["message"] = f"{reason}; there is no report: {error.message}"
 
     # What they share.
+
+    async def _skip(self, ctx: ActionContext, pose: str, progress: float) -> None:
+        loop, reason = _loop(ctx), _reason(ctx)
+        await self._host.put_object(ctx.object(f"skipped/{loop.skip()}"), SkippedPose(pose, reason))
+        ctx.memory["loop"] = loop.to_json()
+        ctx.progress(f"pose {pose} skipped: {reason}", progress)
 
     async def _poses(self, ctx: ActionContext) -> PosesFile:
         """The poses of a command; a dispatcher that came back reads them again."""
@@ -251,6 +284,16 @@ def _loop(ctx: ActionContext) -> PoseLoop:
 
 def _more_poses(ctx: ActionContext) -> bool:
     return _loop(ctx).more_poses()
+
+
+def _goes_on(ctx: ActionContext) -> bool:
+    return _more_poses(ctx) and not ctx.cancelled
+
+
+def _another_visit_may_help(ctx: ActionContext) -> bool:
+    """Whether a light was too faint, for the first time, or the images are gone with the process that had them."""
+    code, looked = ctx.failure.code if ctx.failure is not None else "", _loop(ctx).looked
+    return code == FORGOTTEN or (code == TOO_FAINT and looked is not None and not looked.longer)
 
 
 def _dispensable(ctx: ActionContext) -> bool:

@@ -4,7 +4,7 @@ import threading
 
 from pydantic import ValidationError
 
-from im_cell.frames import Frame, FrameSet, FrameSource, FrameSourceSetup, SnapOrder
+from im_cell.frames import Exposed, Frame, FrameSet, FrameSource, FrameSourceSetup, SnapOrder, nobody
 from im_cell.robot.truth import FILE_NAME
 from im_cell.sensor import SensorControls
 from im_core import clock, names
@@ -77,7 +77,7 @@ class CameraHost(FrameSource):
         finally:
             self._lock.release()
 
-    def take_frames(self, order: SnapOrder) -> FrameSet:
+    def take_frames(self, order: SnapOrder, exposed: Exposed = nobody) -> FrameSet:
         """Expose and read out.
 
         Raises:
@@ -101,7 +101,7 @@ class CameraHost(FrameSource):
             self._requested.post()
             timeout_s = len(order.blank_light) * order.timeout_s + _RENDER_BUDGET_S
             try:
-                reply = self._receive(self._number, timeout_s)
+                reply = self._receive(self._number, timeout_s, exposed)
             except WaitTimeoutError:
                 self._child.stop()
                 raise
@@ -161,8 +161,8 @@ class CameraHost(FrameSource):
                 raise ImError.restored(reply.error["code"], reply.error["message"], reply.error["facts"])
             self._ready = True
 
-    def _receive(self, number: int, timeout_s: float) -> CameraReply:
-        """The reply to a request; older ones are dropped."""
+    def _receive(self, number: int, timeout_s: float, exposed: Exposed = nobody) -> CameraReply:
+        """The last reply to a request; older ones are dropped."""
         deadline = clock.monotonic() + timeout_s
         while clock.monotonic() < deadline:
             message = self._replies.receive()
@@ -172,8 +172,11 @@ class CameraHost(FrameSource):
                 self._replied.wait(_SLICE_S)
                 continue
             reply = CameraReply.from_json(message)
-            if reply.number == number:
+            if reply.number != number:
+                continue
+            if not reply.exposed:
                 return reply
+            exposed(reply.stamps_ns)
         what = "the camera process to answer" if number else "the camera process to be ready"
         raise WaitTimeoutError(what=what, seconds=timeout_s)
 

@@ -80,7 +80,7 @@ class CameraProcess:
             give_back_zeros()
 
     def _serve(self, request: CameraRequest) -> CameraReply:
-        """Carry out an order.
+        """Carry out an order; tell when all is exposed, for then the arms may go on.
 
         Raises:
             ImError: The testbed does not expose.
@@ -91,6 +91,8 @@ class CameraProcess:
         begin = clock.monotonic()
         exposures = [self._link.expose(ticks, light, request.timeout_s, laser) for light, laser in request.strobes]
         exposed = clock.monotonic()
+        stamps_ns = tuple(exposure.stamp_ns for exposure in exposures)
+        self._send(CameraReply(request.number, stamps_ns, exposed=True))
         self._bank.lap()
         for frame, exposure in enumerate(exposures):
             for camera in request.cameras:
@@ -100,7 +102,7 @@ class CameraProcess:
                 self._bank.read_out(camera, mean, exposure.start_tick, frame, out, sensor)
         return CameraReply(
             request.number,
-            stamps_ns=tuple(exposure.stamp_ns for exposure in exposures),
+            stamps_ns,
             timing={"expose_s": exposed - begin, **self._bank.lap()},
         )
 

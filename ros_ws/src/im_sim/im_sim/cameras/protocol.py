@@ -92,17 +92,21 @@ class CameraRequest:
 class CameraReply:
     """The camera process's answer; ``number`` 0 is its first message: it is ready.
 
+    A request is answered twice: when all is exposed, and when the images are there.
+
     Attributes:
         number: Number of the request.
         stamps_ns: Testbed time of the middle of each exposure [ns].
         timing: Where the time went, by step [s].
         error: Code, message and facts of what went wrong; None if all is well.
+        exposed: Whether it says that all is exposed, and nothing else yet.
     """
 
     number: int
     stamps_ns: tuple[int, ...] = ()
     timing: dict[str, float] | None = None
     error: dict[str, Any] | None = None
+    exposed: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """As a message of a ring."""

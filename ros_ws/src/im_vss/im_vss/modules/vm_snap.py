@@ -3,7 +3,7 @@
 from functools import partial
 from typing import ClassVar
 
-from im_cell.frames import FrameSet, SnapOrder
+from im_cell.frames import Exposed, FrameSet, SnapOrder, nobody
 from im_vss.managers.vmm import Lease
 from im_vss.modules.module import VisionModule
 
@@ -13,10 +13,10 @@ class VmSnap(VisionModule):
 
     name: ClassVar[str] = "vm_snap"
 
-    def snap(self, lease: Lease, order: SnapOrder) -> FrameSet:
-        """Expose all cameras of the order together and read them out.
+    def snap(self, lease: Lease, order: SnapOrder, exposed: Exposed = nobody) -> FrameSet:
+        """Expose all cameras of the order together, tell `exposed`, and read them out.
 
         Raises:
             ImError: See :meth:`VisionModule.run` and :meth:`im_cell.frames.FrameSource.take_frames`.
         """
-        return self.run(lease, partial(self.rig.source.take_frames, order))
+        return self.run(lease, partial(self.rig.source.take_frames, order, exposed))

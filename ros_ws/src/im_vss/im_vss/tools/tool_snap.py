@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from im_cell.frames import FrameSet
+from im_cell.frames import Exposed, FrameSet, nobody
 from im_vss.managers import VisionClient
 from im_vss.tools.tool import Tool
 
@@ -19,6 +19,7 @@ class ToolSnap(Tool):
         exposure_s: float,
         blank_light: tuple[bool, ...],
         blank_laser: tuple[bool, ...] = (),
+        exposed: Exposed = nobody,
     ) -> FrameSet:
         """Expose one frame for each element of `blank_light`, all cameras together.
 
@@ -28,11 +29,12 @@ class ToolSnap(Tool):
             exposure_s: Length of each exposure [s]; 0: the one that is set.
             blank_light: For each frame, whether the wrist lights are strobed off.
             blank_laser: For each frame, whether the laser is; empty: in none.
+            exposed: Called when all is exposed, before the images are there.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
         """
         order = self.rig.order(cameras, exposure_s, blank_light, blank_laser)
         with self.modules.use("vm_snap", client) as (vm_snap, lease):
-            frames: FrameSet = vm_snap.snap(lease, order)
+            frames: FrameSet = vm_snap.snap(lease, order, exposed)
         return frames

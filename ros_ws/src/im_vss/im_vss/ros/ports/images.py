@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 from im_msgs.msg import Ellipse, Fiducial, LineSegment
-from im_msgs.srv import CircleFind, FiducialPose, LineFind, Snap, SpotFind, SpotFindStereo
+from im_msgs.srv import CircleFind, FiducialPose, LineFind, Snap, SpotFind, SpotFindStereo, SpotLook
 from im_vss.edges import EllipseFit, LineFit
 from im_vss.ros.messages import (
     from_region,
@@ -24,6 +24,7 @@ from im_vss.services.svc_line_find import LineFindRequest, LineFindResult
 from im_vss.services.svc_snap import SnapRequest, SnapResult
 from im_vss.services.svc_spot_find import SpotFindRequest, SpotFindResult
 from im_vss.services.svc_spot_find_stereo import SpotFindStereoRequest, SpotFindStereoResult
+from im_vss.services.svc_spot_look import SpotLookRequest
 
 
 class SnapPort(Port):
@@ -50,14 +51,28 @@ class SpotFindPort(Port):
     kind: ClassVar[type] = SpotFind
 
     def request(self, message: SpotFind.Request) -> SpotFindRequest:
-        """Cameras and exposure."""
-        return SpotFindRequest(tuple(message.cameras), message.exposure)
+        """Cameras and exposure, or a look."""
+        return SpotFindRequest(tuple(message.cameras), message.exposure, message.look)
 
     def answer(self, result: SpotFindResult, response: SpotFind.Response) -> None:
         """A spot, or the cause of its absence, and the candidates, for each camera."""
         response.spots = [to_spot(spot) for spot in result.spots]
         response.candidates = [to_candidates(spot) for spot in result.spots]
         response.timing_json = json.dumps(result.timing)
+
+
+class SpotLookPort(Port):
+    """`im_msgs/srv/SpotLook`."""
+
+    kind: ClassVar[type] = SpotLook
+
+    def request(self, message: SpotLook.Request) -> SpotLookRequest:
+        """Cameras and exposure."""
+        return SpotLookRequest(tuple(message.cameras), message.exposure)
+
+    def answer(self, result: str, response: SpotLook.Response) -> None:
+        """The name of the look."""
+        response.look = result
 
 
 class SpotFindStereoPort(Port):

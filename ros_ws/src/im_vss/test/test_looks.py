@@ -1,0 +1,124 @@
+"""Looks: what is found in images that were exposed before, while the arms go on."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from im_cell.frames import Frame, FrameSet
+from im_cell.robot import load_cell
+from im_core.errors import DataError, LinkError, NotFoundError, StateError, WaitTimeoutError
+from im_vss.camera_book import CameraBook
+from im_vss.catalogue import load_catalogue
+from im_vss.looks import FORGOTTEN, MOST_LOOKS, Look, Looks
+from im_vss.rig import Rig
+from im_vss.services.svc_spot_find import SpotFindRequest
+from im_vss.services.svc_spot_look import SpotLookRequest
+from im_vss.settings import load_settings
+from im_vss.vsm import VisionServicesManager
+
+CELL = load_cell()
+CAMERA = "ceiling_left"
+LIGHT = np.array([0.1, 0.2, 1.0])
+
+
+class Cameras:
+    """Expose at once, and have no image before they are let; the arm goes on as soon as it is exposed."""
+
+    def __init__(self):
+        self.go, self.failure, self.shut, self.at = threading.Event(), None, 0, LIGHT
+
+    def take_frames(self, order, exposed):
+        self.shut += 1
+        stamps = tuple(1000 * self.shut + number for number in range(len(order.blank_light)))
+        exposed(stamps)
+        self.at = LIGHT + 1.0
+        assert self.go.wait(60.0)
+        if self.failure is not None:
+            raise self.failure
+        black = np.full((480, 640), 40, np.uint8)
+        frames = tuple(Frame(CAMERA, black, *told) for told in zip(stamps, order.blank_light, strict=True))
+        return FrameSet({CAMERA: frames}, {})
+
+
+class Screen:
+    def raw(self, frame):
+        pass
+
+    def display(self, camera, image, stamp_ns):
+        pass
+
+    def spot(self, camera, place, stamp_ns):
+        pass
+
+
+@pytest.fixture
+def cameras():
+    return Cameras()
+
+
+@pytest.fixture
+def vsm(cameras, tmp_path):
+    settings = load_settings(CELL)
+    book = CameraBook(CELL, settings.cameras, tmp_path)
+    rig = Rig(settings, CELL, book, cameras, Screen(), light_position=lambda _: cameras.at)
+    vsm = VisionServicesManager(rig, load_catalogue())
+    yield vsm
+    cameras.go.set()
+    vsm.close()
+
+
+def test_a_look_is_answered_when_all_is_exposed_and_its_result_is_there_later_as_often_as_asked(vsm, cameras):
+    name = vsm.request("spot_look", SpotLookRequest((CAMERA,)))
+    assert not cameras.go.is_set()
+    cameras.go.set()
+    found = [vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name)) for _ in range(2)]
+    assert found[0] is found[1]
+    assert [(spot.camera, spot.stamp_ns) for spot in found[0].spots] == [(CAMERA, 1001)]
+    assert cameras.shut == 1
+
+
+def test_the_light_is_searched_where_it_was_when_it_was_exposed(vsm, cameras):
+    name = vsm.request("spot_look", SpotLookRequest((CAMERA,)))
+    cameras.go.set()
+    (spot,) = vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name)).spots
+    disc = spot.finding.region
+    assert (disc.u, disc.v) == pytest.approx(tuple(vsm.services["spot_find"].rig.book[CAMERA].model.project(LIGHT)))
+
+
+def test_what_fails_after_the_exposure_is_told_to_whoever_asks_for_the_result(vsm, cameras):
+    cameras.failure = LinkError("the cameras are gone")
+    name = vsm.request("spot_look", SpotLookRequest((CAMERA,)))
+    cameras.go.set()
+    with pytest.raises(LinkError, match="the cameras are gone"):
+        vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name))
+
+
+def test_what_cannot_be_exposed_is_no_look(vsm, cameras):
+    with pytest.raises(NotFoundError, match="nose"):
+        vsm.request("spot_look", SpotLookRequest(("nose",)))
+    assert cameras.shut == 0
+
+
+def test_a_look_that_is_not_known_or_by_other_cameras_is_refused():
+    looks = Looks()
+    with pytest.raises(StateError, match="look 7 is not known: its images are gone") as caught:
+        looks.found("7", (CAMERA,), 1.0)
+    assert caught.value.code == FORGOTTEN
+    looks.keep("7", Look((CAMERA,)))
+    with pytest.raises(DataError, match="look 7 was by ceiling_left, not by wall"):
+        looks.found("7", ("wall",), 1.0)
+    with pytest.raises(WaitTimeoutError, match="the light to be found in the images of look 7"):
+        looks.found("7", (CAMERA,), 0.01)
+
+
+def test_of_many_looks_the_oldest_are_forgotten():
+    looks = Looks()
+    for number in range(MOST_LOOKS + 1):
+        look = Look((CAMERA,))
+        look.found.set_result(number)
+        looks.keep(str(number), look)
+    assert looks.found(str(MOST_LOOKS), (CAMERA,), 0.0) == MOST_LOOKS
+    assert looks.found("1", (CAMERA,), 0.0) == 1
+    with pytest.raises(StateError, match="look 0 is not known"):
+        looks.found("0", (CAMERA,), 0.0)
