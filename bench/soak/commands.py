@@ -13,13 +13,16 @@ from rclpy.action import ActionClient
 
 from im_bringup.machine import record as machine
 from im_bringup.ros.calibrate_camera import CalibrateCameraClient
+from im_cell.robot import load_cell
 from im_core import clock, config
 from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros.guard import GuardedActionClient
 from im_msgs.action import ExecuteCommand
 
 ANSWER_S = 600.0
-_FEWEST = 12
+_FEW = 18  # enough remain where the way of the arm hides its light at some
+_NEAR_RAD = 0.2
+_CART_JOINTS = 3
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class Commander(CalibrateCameraClient):
         self._random = random.Random(seed)
         self._execute: ActionClient = GuardedActionClient(self, ExecuteCommand, "/dispatcher/execute")
         self._folder = tempfile.TemporaryDirectory(prefix="im_soak_")
+        self._cell = load_cell()
         poses = config.package_file("im_dispatcher", "poses/ceiling_40.yaml")
         self._poses: dict[str, Any] = yaml.safe_load(poses.read_text(encoding="utf-8"))
 
@@ -68,8 +72,8 @@ class Commander(CalibrateCameraClient):
 
     def any_command(self) -> Outcome:
         """One of what a day brings."""
-        kinds = (self._short, self._grip, self._cancelled, self._refused)
-        (kind,) = self._random.choices(kinds, weights=(3, 3, 2, 2))
+        kinds = (self._short, self._plain, self._cancelled, self._refused)
+        (kind,) = self._random.choices(kinds, weights=(3, 4, 2, 2))
         return kind()
 
     def _short(self) -> Outcome:
@@ -83,23 +87,41 @@ class Commander(CalibrateCameraClient):
     def _refused(self) -> Outcome:
         return self._outcome("unknown camera", {"cameras": ["nowhere"]}, lambda result: "nowhere" in said(result))
 
-    def _grip(self) -> Outcome:
-        symbol = self._random.choice(("open_gripper", "close_gripper"))
-        return self._outcome(symbol, {}, self._gripped, symbol=symbol)
+    def _plain(self) -> Outcome:
+        """A command that needs no pose of the calibration; each works from cold."""
+        side = self._random.choice(("left", "right"))
+        width = round(self._random.uniform(0.0, self._cell.gripper.stroke), 3)
+        commands: dict[str, dict[str, object]] = {
+            "move": {"group": side, "joints": self._somewhere(side)},
+            "home": {"group": side},
+            "demo": {},
+            "look": {"camera": "ceiling_left", "light": "left_led"},
+            "open_gripper": {"group": side},
+            "close_gripper": {"group": side, "width": width},
+        }
+        symbol = self._random.choice(sorted(commands))
+        right = self._seen if symbol == "look" else self._succeeded
+        return self._outcome(symbol, commands[symbol], right, symbol=symbol)
 
     @staticmethod
-    def _gripped(result: Any) -> bool:
-        """Between commands the power is off, and /mcs says so."""
-        return bool(result.success) or "is refused in state" in said(result)
+    def _seen(result: Any) -> bool:
+        """Whether the light is in sight depends on where the last command left the arm."""
+        return bool(result.success) or "spot" in said(result)
+
+    def _somewhere(self, side: str) -> list[float]:
+        """A position of each joint [m or rad], the arm's near those at home."""
+        home = self._cell.sides[side].home
+        near = [self._random.uniform(-_NEAR_RAD, _NEAR_RAD) for _ in home[_CART_JOINTS:]]
+        return [*home[:_CART_JOINTS], *(round(at + by, 3) for at, by in zip(home[_CART_JOINTS:], near, strict=True))]
 
     @staticmethod
     def _succeeded(result: Any) -> bool:
         return bool(result.success)
 
     def _some_poses(self) -> str:
-        first = self._random.randrange(len(self._poses["poses"]) - _FEWEST)
+        first = self._random.randrange(len(self._poses["poses"]) - _FEW)
         path = Path(self._folder.name) / f"from_{first}.yaml"
-        some = {**self._poses, "poses": self._poses["poses"][first : first + _FEWEST]}
+        some = {**self._poses, "poses": self._poses["poses"][first : first + _FEW]}
         path.write_text(yaml.safe_dump(some), encoding="utf-8")
         return str(path)
 
