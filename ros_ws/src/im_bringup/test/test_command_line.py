@@ -67,6 +67,7 @@ def test_a_command_without_a_schema_takes_json():
         ("", "--poses-file"),
         ("--poses-file a --count 1.5", "1.5 is not a whole number"),
         ("--poses-file a --joints one", "one is not a number"),
+        ("--poses-file a --joints nan", "nan is not a number"),
         ("--poses-file a --slow yes", "yes is not true or false"),
     ],
 )

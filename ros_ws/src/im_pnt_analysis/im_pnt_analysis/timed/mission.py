@@ -61,6 +61,11 @@ class RecordedFiring:
     failed: bool
     after: str
 
+    @property
+    def on_time_line(self) -> bool:
+        """Whether there is something to see of it in time: it lasted, it has not ended, or it failed, if at once."""
+        return self.failed or self.end_s is None or self.end_s > self.begin_s
+
 
 @dataclass(frozen=True)
 class ActionTimes:

@@ -72,7 +72,7 @@ def plot_steady(name: str, state: SteadyState, output: Path) -> None:
 
 
 def plot_mission(mission: Mission, output: Path) -> None:
-    """Draws a row for each transition that took time, and a bar for each of its firings.
+    """Draws a row for each transition that took time or failed, and a bar for each of its firings.
 
     Args:
         mission: What fired.
@@ -81,12 +81,13 @@ def plot_mission(mission: Mission, output: Path) -> None:
     Raises:
         ImError: The file cannot be written.
     """
-    bars = [firing for firing in mission.firings if firing.end_s is not None and firing.end_s > firing.begin_s]
+    bars = [firing for firing in mission.firings if firing.end_s is not None and firing.on_time_line]
     labels = list(dict.fromkeys(f"{firing.net}.{firing.transition}" for firing in bars))
     figure, axes = _figure(len(labels))
     for firing in bars:
         row, length = labels.index(f"{firing.net}.{firing.transition}"), (firing.end_s or 0.0) - firing.begin_s
-        axes.barh(row, length, left=firing.begin_s, height=0.7, color=_MEASURED if firing.failed else _EXPECTED)
+        colour = _MEASURED if firing.failed else _EXPECTED
+        axes.barh(row, length, left=firing.begin_s, height=0.7, color=colour, edgecolor=colour)  # 0 s show, too
     axes.set_yticks(range(len(labels)), labels)
     axes.set_xlabel("testbed time [s]; failed firings are light")
     _write(figure, output)

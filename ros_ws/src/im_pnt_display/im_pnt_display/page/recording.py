@@ -30,7 +30,7 @@ class RecordedNets:
     def __init__(self, name: str, recording: NetRecording) -> None:
         self._recording = recording
         mission = recording.mission
-        lasting = [firing for firing in mission.firings if firing.end_s is None or firing.end_s > firing.begin_s]
+        lasting = [firing for firing in mission.firings if firing.on_time_line]
         rows = {label: row for row, label in enumerate(dict.fromkeys(f"{f.net}.{f.transition}" for f in lasting))}
         self.overview: Mapping[str, object] = {
             "name": name,
