@@ -20,3 +20,14 @@ def memory_mib(pids: Iterable[int]) -> float:
             continue
         total += next((int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:")), 0)
     return total / 1024.0
+
+
+def program(pid: int) -> str:
+    """What a process runs: the module of Python, else its script; empty if it has ended."""
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8", errors="replace").split("\0")[1:]
+    except OSError:
+        return ""
+    if "-m" in words:
+        return words[words.index("-m") + 1]
+    return next((Path(word).name for word in words if not word.startswith("-")), "")

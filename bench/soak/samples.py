@@ -2,15 +2,15 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
 from scipy import stats
 
 from bench.figures import Line
-from bench.usage import memory_mib
+from bench.usage import memory_mib, program
 from im_core import names
 
 WEEK_S = 7 * 86_400.0
@@ -30,6 +30,7 @@ class Sample:
         threads: Threads.
         shm: Files in ``/dev/shm`` that they have in their memory, each once [MiB].
         disk: Folder of logs, journals and data objects [MiB].
+        memory_of: PSS of each process, by its program and number [MiB].
     """
 
     kind: str
@@ -40,6 +41,7 @@ class Sample:
     threads: float
     shm: float
     disk: float
+    memory_of: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -103,15 +105,17 @@ class Trend:
 def sample(pids: Iterable[int], kind: str, at_s: float, duration_s: float) -> Sample:
     """Look at processes, and at the folders of the machine of this ROS domain."""
     found = list(pids)
+    memory_of = {f"{program(pid)} {pid}": memory_mib([pid]) for pid in found}
     return Sample(
         kind,
         at_s,
         duration_s,
-        memory_mib(found),
+        sum(memory_of.values()),
         float(sum(_entries(pid, "fd") for pid in found)),
         float(sum(_entries(pid, "task") for pid in found)),
         _mib(_SHM / name for name in {name for pid in found for name in _mapped(pid)}),
         _mib(path for path in names.run_dir().rglob("*") if path.is_file()),
+        memory_of,
     )
 
 
@@ -132,6 +136,7 @@ def lines(samples: Sequence[Sample]) -> list[Line]:
     for quantity in QUANTITIES:
         trend = Trend.through(at_s, [getattr(each, quantity.name) for each in used])
         result += _of(quantity.name, quantity.unit, trend, quantity.week)
+    result += _of_each_process(used)
     kinds = {each.kind for each in used}
     means = {kind: float(np.mean([each.duration_s for each in used if each.kind == kind])) for kind in kinds}
     trend = Trend.through(at_s, [each.duration_s / means[each.kind] for each in used])
@@ -150,9 +155,25 @@ def _of(name: str, unit: str, trend: Trend, bar: float) -> list[Line]:
     ]
 
 
-def table(samples: Sequence[Sample]) -> list[dict[str, float | str]]:
+def _of_each_process(samples: Sequence[Sample]) -> list[Line]:
+    """What each process that lived throughout takes, and how that grows: which of them it is."""
+    at_s = [each.at_s for each in samples]
+    throughout = (
+        [name for name in samples[0].memory_of if all(name in each.memory_of for each in samples)] if samples else []
+    )
+    result = []
+    for name in throughout:
+        trend = Trend.through(at_s, [each.memory_of[name] for each in samples])
+        if math.isfinite(trend.low):
+            week = [WEEK_S * slope for slope in (trend.slope, trend.low, trend.high)]
+            grows = f"in a week {week[0]:+.3g}, 95 %: {week[1]:+.3g} to {week[2]:+.3g}"
+            result.append(Line(f"  of {name.rpartition(' ')[0]}, mean", trend.mean, "MiB", against=grows))
+    return result
+
+
+def table(samples: Sequence[Sample]) -> list[dict[str, object]]:
     """All samples, for the file of the figures."""
-    return [{field.name: getattr(each, field.name) for field in fields(Sample)} for each in samples]
+    return [{each.name: getattr(one, each.name) for each in fields(Sample)} for one in samples]
 
 
 def _entries(pid: int, folder: str) -> int:

@@ -52,6 +52,15 @@ def test_kinds_of_commands_that_differ_are_no_trend_and_one_that_slows_down_is()
     assert judged(slower)["duration over the mean of its kind"].met is False
 
 
+def test_the_process_that_grows_is_named():
+    grown = [replace(each, memory_of={"servo 7": 90.0, "vss 9": 180.0 + each.at_s}) for each in run()]
+    grown[-1].memory_of["vss 10"] = 1.0  # that of a process which was started again
+    told = {line.name.strip(): line for line in lines(grown) if line.name.startswith("  of ")}
+    assert sorted(told) == ["of servo, mean", "of vss, mean"]
+    assert told["of vss, mean"].against.startswith(f"in a week {WEEK_S:+.3g}")
+    assert told["of servo, mean"].value == pytest.approx(90.0)
+
+
 def test_scatter_is_no_growth_and_a_short_run_proves_nothing():
     noisy = judged(run(noise=5.0))["memory"]
     assert noisy.met
@@ -82,4 +91,5 @@ def test_a_sample_is_of_the_processes_that_are_named(tmp_path, monkeypatch):
     assert after.descriptors - before.descriptors == 5
     assert (after.at_s, after.duration_s) == (1.0, 2.0)
     assert after.threads >= 1
+    assert sum(after.memory_of.values()) == after.memory > 10.0
     assert after.disk == pytest.approx(1.0)
