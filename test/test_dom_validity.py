@@ -91,7 +91,7 @@ def scene(tmp_path_factory):
     rclpy.try_shutdown()
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_token_and_the_validity_of_its_object_agree_after_kills_at_seeded_moments(scene, seed):
     onlooker, processes = scene
     draw = random.Random(seed)
