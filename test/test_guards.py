@@ -1,6 +1,7 @@
 """Whatever a callback raises: it is said, counted on ``/diagnostics``, answered, and the node goes on."""
 
 import ast
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,8 +13,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from im_core import clock
 from im_core.errors import StateError
-from im_core.ros import failures, qos
-from im_core.ros.calls import call_blocking
+from im_core.ros import failures, guard, qos
+from im_core.ros.calls import call_blocking, pause
 from im_core.ros.failures import few
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.ros.node import ManagedNode
@@ -187,6 +188,32 @@ def test_goals_whose_callbacks_raise_are_rejected_or_aborted(clumsy, asker, wait
     assert "surrogates" in unsayable.result.status.message
     kept = clumsy.server._goal_handles.values()
     assert [handle.request for handle in kept] == [None, None]  # what was asked does not add up
+
+
+def test_a_result_whose_answer_was_lost_is_asked_for_again(ros, asker, monkeypatch, wait_until):
+    """As where the asking process was stopped for longer than the lease of discovery: the server takes it for gone."""
+    ended = threading.Event()
+
+    async def work(goal):
+        while not ended.is_set():
+            await pause(server, 0.01)
+        goal.succeed()
+        return ExecuteCommand.Result(success=True)
+
+    server = ros(ManagedNode("diligent"))
+    actions = GuardedActionServer(server, ExecuteCommand, "/diligent/do", work)
+    lost = []
+    answer = actions._send_result_response
+    monkeypatch.setattr(actions, "_send_result_response", lambda *told: answer(*told) if lost else lost.append(told))
+    monkeypatch.setattr(guard, "RESULT_AGAIN_S", 0.2)
+    client = GuardedActionClient(asker, ExecuteCommand, "/diligent/do")
+    assert client.wait_for_server(60.0)
+    sent = client.send_goal_async(ExecuteCommand.Goal())
+    result = wait_until(lambda: sent.done() and sent.result(), "the server to take a goal").get_result_async()
+    ended.set()
+    assert wait_until(lambda: result.done() and result.result(), "the result").result.success
+    assert len(lost) == 1
+    client.destroy()
 
 
 def test_coroutines_alarms_and_tasks_that_raise_leave_the_loop_turning(clumsy, wait_until):

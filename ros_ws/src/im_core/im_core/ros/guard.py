@@ -14,7 +14,7 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalRespons
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
-from rclpy.clock import Clock
+from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -36,6 +36,9 @@ INTERNAL = "internal"
 
 #: How long the loop of a node may stand still [s]; longer is a hang, and the agent ends the process.
 STANDSTILL_S = 5.0
+
+#: After this time without a result it is asked for again [s].
+RESULT_AGAIN_S = 10.0
 
 #: How long the result of a goal that has ended can be asked for [s].
 RESULT_KEPT_S = 60
@@ -301,7 +304,9 @@ class GuardedActionServer(ActionServer):
 class GuardedActionClient(ActionClient):
     """An action client whose callback for feedback may raise, and which any thread may ask.
 
-    rclpy notes what was asked only after it was sent: an answer that comes before that is dropped.
+    rclpy notes what was asked only after it was sent: an answer that comes before that is dropped. A result is asked
+    for again and again: the answer of a server to a process that was silent for longer than the lease of discovery,
+    as one that was stopped, is lost.
 
     Args:
         node: Its node.
@@ -312,7 +317,10 @@ class GuardedActionClient(ActionClient):
     def __init__(self, node: GuardedNode, action_type: Any, action_name: str) -> None:
         self._guard, self._what = node, f"action client {action_name}"
         self._asking = threading.Lock()
+        self._awaited: dict[Future, Any] = {}  # the goals whose results are awaited
         ActionClient.__init__(self, node, action_type, action_name, **_ACTION_SERVICES)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._again = node.create_timer(RESULT_AGAIN_S, self._ask_again, clock=steady)
 
     def send_goal_async(self, *arguments: Any, **options: Any) -> Future:
         """As in rclpy."""
@@ -323,7 +331,20 @@ class GuardedActionClient(ActionClient):
     def _get_result_async(self, goal_handle: Any) -> Future:
         with self._asking:
             future: Future = ActionClient._get_result_async(self, goal_handle)
+            self._awaited[future] = goal_handle
         return future
+
+    def _ask_again(self) -> None:
+        with self._asking:
+            self._awaited = {future: goal for future, goal in self._awaited.items() if not future.done()}
+            for future, goal in self._awaited.items():
+                again: Future = ActionClient._get_result_async(self, goal)
+                again.add_done_callback(partial(_pass_on, future))
+
+    def destroy(self) -> None:
+        """As in rclpy."""
+        self._guard.destroy_timer(self._again)
+        ActionClient.destroy(self)
 
     def _cancel_goal_async(self, goal_handle: Any) -> Future:
         with self._asking:
@@ -339,6 +360,11 @@ class GuardedActionClient(ActionClient):
             await ActionClient.execute(self, taken_data)
         except Exception as error:  # the other goals go on
             self._guard.note_failure(self._what, error)
+
+
+def _pass_on(awaited: Future, answered: Future) -> None:
+    if not awaited.done():
+        awaited.set_result(answered.result())
 
 
 class _Raised:
