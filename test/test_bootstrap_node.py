@@ -170,7 +170,8 @@ def test_after_kill_of_the_bootstrap_stop_leaves_nothing(small_machine, script):
     assert leftovers.processes() == []
     assert unused(used) == []
     again = script("stop")
-    assert (again.returncode, again.stdout) == (0, f"stop: no machine runs in ROS domain {machine.domain()}\n")
+    assert again.returncode == 0
+    assert "had to be killed" not in again.stdout  # what others have left of Fast DDS meanwhile it may find
 
 
 def test_a_bootstrap_that_is_killed_is_started_again_with_its_machine(small_machine, wait_until):
