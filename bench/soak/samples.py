@@ -88,6 +88,12 @@ class Trend:
     low: float
     high: float
 
+    @property
+    def in_a_week(self) -> str:
+        """Growth in a week and its 95 % interval, in words."""
+        estimate, low, high = (WEEK_S * slope for slope in (self.slope, self.low, self.high))
+        return f"{estimate:+.3g}, 95 %: {low:+.3g} to {high:+.3g}"
+
     @classmethod
     def through(cls, at_s: Sequence[float], values: Sequence[float]) -> "Trend":
         """Least squares; the interval is Student's, of the scatter about the line."""
@@ -146,12 +152,10 @@ def lines(samples: Sequence[Sample]) -> list[Line]:
 def _of(name: str, unit: str, trend: Trend, bar: float) -> list[Line]:
     if not math.isfinite(trend.low):
         return [Line(f"{name}, in a week", None, unit, against="too few commands: three after the warm-up are needed")]
-    week = [WEEK_S * slope for slope in (trend.slope, trend.low, trend.high)]
-    estimate = f"estimate {week[0]:+.3g}, 95 %: {week[1]:+.3g} to {week[2]:+.3g}"
-    sure = max(0.0, week[1])
+    sure = max(0.0, WEEK_S * trend.low)
     return [
         Line(f"{name}, mean", trend.mean, unit),
-        Line("  surely grown in a week", sure, unit, bar=bar, against=estimate),
+        Line("  surely grown in a week", sure, unit, bar=bar, against=f"estimate {trend.in_a_week}"),
     ]
 
 
@@ -165,8 +169,7 @@ def _of_each_process(samples: Sequence[Sample]) -> list[Line]:
     for name in throughout:
         trend = Trend.through(at_s, [each.memory_of[name] for each in samples])
         if math.isfinite(trend.low):
-            week = [WEEK_S * slope for slope in (trend.slope, trend.low, trend.high)]
-            grows = f"in a week {week[0]:+.3g}, 95 %: {week[1]:+.3g} to {week[2]:+.3g}"
+            grows = f"in a week {trend.in_a_week}"
             result.append(Line(f"  of {name.rpartition(' ')[0]}, mean", trend.mean, "MiB", against=grows))
     return result
 

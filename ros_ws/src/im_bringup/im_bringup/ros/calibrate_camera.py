@@ -15,15 +15,8 @@ from rclpy.action import ActionClient
 
 from im_bringup.calibration.progress import FiringPhase, ProgressLines
 from im_bringup.calibration.summary import summary
-from im_bringup.ros.dispatcher import (
-    ACCEPT_S,
-    ACTION,
-    DONE,
-    FAILED,
-    SILENCE_S,
-    DispatcherClient,
-    talk,
-)
+from im_bringup.ros.dispatcher import ACCEPT_S, ACTION, GOES_ON, SILENCE_S, DispatcherClient
+from im_bringup.ros.interruptible import DONE, FAILED, talk
 from im_core import clock
 from im_core.errors import ImError, require_text
 from im_core.ros import qos
@@ -120,7 +113,7 @@ def main() -> int:
         response = client.calibrate(cameras, poses)
         return show(response, arguments.json, clock.monotonic() - began)
 
-    return talk(lambda: CalibrateCameraClient(progress), calibrate, "calibrate_camera")
+    return talk(lambda: CalibrateCameraClient(progress), calibrate, "calibrate_camera", GOES_ON)
 
 
 def show(response: Any, as_json: bool, seconds: float) -> int:

@@ -6,16 +6,14 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from im_bringup.machine import record as machine
-from im_bringup.ros.interruptible import InterruptibleNode, spun
+from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
 from im_core import clock
-from im_core.errors import ImError, WaitTimeoutError
+from im_core.errors import WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.status import status_to_error
 from im_msgs.msg import ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 
-DONE, FAILED, NOT_RUNNING, INTERRUPTED = 0, 1, 3, 130
 #: Longest wait for /dom to be found, and for an answer [s].
 TIMEOUT_S = 60.0
 _POLL_S = 0.02
@@ -56,21 +54,12 @@ class DomCommand(InterruptibleNode):
 def main() -> int:
     """Run the command."""
     options = _parser().parse_args()
-    try:
-        machine.read_running()
-    except ImError as error:
-        print(f"im dom: {error.message}", file=sys.stderr)
-        return NOT_RUNNING
-    try:
-        with spun(DomCommand) as node:
-            options.do(node, options)
-    except KeyboardInterrupt:
-        print("im dom: no longer waiting", file=sys.stderr)
-        return INTERRUPTED
-    except ImError as error:
-        print(f"im dom: {error.message}", file=sys.stderr)
-        return NOT_RUNNING if isinstance(error, WaitTimeoutError) else FAILED
-    return DONE
+
+    def do(node: DomCommand) -> int:
+        options.do(node, options)
+        return DONE
+
+    return talk(DomCommand, do, "im dom")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,15 +1,14 @@
 """What every client of the Dispatcher does: it waits for it, and notices that it is gone or was started again."""
 
 import math
-import sys
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.record import MachineRecord
-from im_bringup.ros.interruptible import InterruptibleNode, spun
+from im_bringup.ros.interruptible import InterruptibleNode
 from im_core import clock
-from im_core.errors import ImError, LinkError, WaitTimeoutError
+from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import TaskStatus
@@ -23,8 +22,8 @@ ALONE_S = 6.0
 _POLL_S = 0.02
 #: Time after which a goal that met the server of a former life is sent again [s].
 ACCEPT_S = 2.0
-
-DONE, FAILED, USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
+#: What goes on where a user no longer waits.
+GOES_ON = "; the machine goes on with the command"
 
 
 class DispatcherClient(InterruptibleNode):
@@ -74,33 +73,6 @@ class DispatcherClient(InterruptibleNode):
     def _hear(self, message: TaskStatus) -> None:
         if message.name == "dispatcher":
             self._heard, self._incarnation = clock.monotonic(), message.incarnation
-
-
-ClientT = TypeVar("ClientT", bound=DispatcherClient)
-
-
-def talk(make: Callable[[], ClientT], use: Callable[[ClientT], int], who: str) -> int:
-    """Have a client of the running machine do something, and say in one sentence why it could not; the exit code.
-
-    Args:
-        make: Makes the client, once ROS is there.
-        use: Does it, while the client spins; returns the exit code.
-        who: Name of the program, for messages.
-    """
-    try:
-        machine.read_running()
-    except ImError as error:
-        print(f"{who}: {error.message}", file=sys.stderr)
-        return NOT_RUNNING
-    try:
-        with spun(make) as client:
-            return use(client)
-    except KeyboardInterrupt:
-        print(f"{who}: no longer waiting; the machine goes on with the command", file=sys.stderr)
-        return INTERRUPTED
-    except ImError as error:
-        print(f"{who}: {error.message}", file=sys.stderr)
-        return NOT_RUNNING if isinstance(error, WaitTimeoutError) else FAILED
 
 
 def _starting(record: MachineRecord | None) -> bool:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from typing import TypeVar
@@ -10,8 +11,12 @@ from typing import TypeVar
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
+from im_bringup.machine import record as machine
+from im_core.errors import ImError, WaitTimeoutError
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
+
+DONE, FAILED, USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
 
 
 class InterruptibleNode(GuardedNode):
@@ -53,3 +58,28 @@ def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
             yield node
     finally:
         rclpy.try_shutdown()
+
+
+def talk(make: Callable[[], NodeT], use: Callable[[NodeT], int], who: str, goes_on: str = "") -> int:
+    """Have a client of the running machine do something, and say in one sentence why it could not; the exit code.
+
+    Args:
+        make: Makes the client, once ROS is there.
+        use: Does it, while the client spins; returns the exit code.
+        who: Name of the program, for messages.
+        goes_on: What goes on where the user waits no longer, a sentence's second half.
+    """
+    try:
+        machine.read_running()
+    except ImError as error:
+        print(f"{who}: {error.message}", file=sys.stderr)
+        return NOT_RUNNING
+    try:
+        with spun(make) as client:
+            return use(client)
+    except KeyboardInterrupt:
+        print(f"{who}: no longer waiting{goes_on}", file=sys.stderr)
+        return INTERRUPTED
+    except ImError as error:
+        print(f"{who}: {error.message}", file=sys.stderr)
+        return NOT_RUNNING if isinstance(error, WaitTimeoutError) else FAILED

@@ -19,14 +19,11 @@ from im_bringup.ros.dispatcher import (
     ACCEPT_S,
     ACTION,
     DISCOVERY_S,
-    DONE,
-    FAILED,
-    INTERRUPTED,
+    GOES_ON,
     SILENCE_S,
-    USAGE,
     DispatcherClient,
-    talk,
 )
+from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, USAGE, talk
 from im_core.arrivals import read_json
 from im_core.errors import ArgumentError, NotFoundError, StateError, StoreError, WaitTimeoutError, require_text
 from im_core.files import write_whole
@@ -178,7 +175,7 @@ def main() -> int:
     if options.json and options.attach is None:
         parser.error("--json goes with --attach, or behind the name of a command")
     progress = sys.stderr if "--json" in texts else sys.stdout
-    return talk(lambda: CommandClient(progress), lambda client: _do(client, options, texts[1:]), "im run")
+    return talk(lambda: CommandClient(progress), lambda client: _do(client, options, texts[1:]), "im run", GOES_ON)
 
 
 def _command_number(text: str) -> int:
