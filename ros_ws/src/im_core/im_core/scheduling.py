@@ -1,5 +1,6 @@
 """What a process of the real-time chain asks of the scheduler."""
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -8,8 +9,7 @@ _PR_SET_TIMERSLACK = 29
 #: Pages stay that were touched, now and later (MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT). Without the last one all of
 #: every library becomes resident, and 32 MiB for each copy of OpenBLAS: 90 MiB in the servo alone.
 _MCL_TOUCHED = 7
-_FAVOURED_NICENESS = -15
-_TURNS_PRIORITY = 10
+_FAVOURED_NICENESS = -5  # three times the share of an ordinary process
 _CORE = "IM_SERVO_CORE"
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
@@ -34,35 +34,30 @@ def keep_off() -> None:
 def prefer(priority: int, paced: bool) -> bool:
     """Go before other processes: touched memory locked, garbage collector quiet, as much priority as is permitted.
 
-    A paced process sleeps every tick and gets SCHED_FIFO. One that runs as fast as it goes would starve the rest of
-    the computer that way, as soon as two machines share it. It gets SCHED_RR on one core, the same for all such
-    processes (servo and physics take turns in any case, machines by time slices), which leaves the others free; a
-    single core is only favoured by niceness. Where neither is permitted, a paced process goes to the core of
-    :func:`reserve`.
+    A paced process sleeps every tick and gets SCHED_FIFO; where it is not permitted, it goes to the core of
+    :func:`reserve`. One that runs as fast as it goes would starve the rest of the computer that way, as soon as two
+    machines share it, and it has no deadline: it gets the larger share of whatever core it is on, where that is
+    permitted. Servo and physics are left on cores of their own: much of each tick of one runs beside the other's.
 
     Args:
-        priority: Of SCHED_FIFO or SCHED_RR, 1 to 99; of the latter all processes have the same.
+        priority: Of SCHED_FIFO, 1 to 99.
         paced: Whether the process sleeps until a deadline in every tick.
 
     Returns:
-        Whether SCHED_FIFO or SCHED_RR is in force.
+        Whether SCHED_FIFO is in force.
     """
     gc.collect()
     gc.freeze()
     _LIBC.mlockall(_MCL_TOUCHED)
     _LIBC.prctl(_PR_SET_TIMERSLACK, 1)
-    try:
-        cores = os.sched_getaffinity(0)
-        if not paced and len(cores) == 1:
+    if not paced:
+        with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, _FAVOURED_NICENESS)
-            return False
-        if paced:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        else:
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_TURNS_PRIORITY))
-            os.sched_setaffinity(0, {max(cores)})
+        return False
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
-        if paced and _CORE in os.environ:
+        if _CORE in os.environ:
             os.sched_setaffinity(0, {int(os.environ[_CORE])})
         return False
     return True
