@@ -262,12 +262,14 @@ def test_commands_with_nothing_in_common_run_at_once_and_one_that_needs_what_is_
         second = machine.execute("open_gripper", group="left", width=0.06)
         beside = machine.execute("close_gripper", group="right", width=0.03)()
         under_way = listed()
+        whom = f"open_gripper needs left_arm, which move (number {under_way['move'].command_id}) has"
+        machine.wait_for(lambda: ("waiting", whom) in {(t.state, t.message) for t in second.told}, "whom it waits for")
     finally:
         plans("resume")
     assert beside.success, beside.status.message
     assert json.loads(beside.results) == {"width": near(0.03, 2e-3), "force": near(0.0, 1.0), "gripped": False}
     assert {name: each.state for name, each in under_way.items()} == {"move": "running", "open_gripper": "waiting"}
-    assert "left_arm" in under_way["open_gripper"].message
+    assert under_way["open_gripper"].message == whom
     moved, opened = first(), second()
     assert moved.success, moved.status.message
     assert json.loads(opened.results)["width"] == near(0.06, 2e-3)

@@ -114,11 +114,12 @@ class Machine:
         )
 
     def execute(self, symbol, **arguments):
-        """Gives a command; a function that waits for its end."""
+        """Gives a command; a function that waits for its end, with ``told``: what is told of it until then."""
         from im_msgs.action import ExecuteCommand
 
         self.wait_for(self._execute.server_is_ready, "the dispatcher")
-        sent = self._execute.send_goal_async(ExecuteCommand.Goal(symbol=symbol, arguments=json.dumps(arguments)))
+        goal, told = ExecuteCommand.Goal(symbol=symbol, arguments=json.dumps(arguments)), []
+        sent = self._execute.send_goal_async(goal, feedback_callback=lambda message: told.append(message.feedback))
         self.wait_for(sent.done, f"{symbol} to be taken")
         ended = sent.result().get_result_async()
 
@@ -126,6 +127,7 @@ class Machine:
             self.wait_for(ended.done, f"{symbol} to end", COMMAND_S)
             return ended.result().result
 
+        result.told = told
         return result
 
     def trigger(self, name):

@@ -22,7 +22,7 @@ class CommandParser(argparse.ArgumentParser):
 
     def __init__(self, told: Mapping[str, Any]) -> None:
         self._schema: Schema = told.get("arguments", {})
-        needs = ", ".join(told.get("needs", ()))
+        needs = ", ".join(re.sub(r"\$\{arguments\.(\w+)\}", r"<\1>", need) for need in told.get("needs", ()))
         holds = f"Needs {needs}; where others hold that, it {_BUSY[told['busy']]}." if needs else None
         super().__init__(
             prog=f"im run {told['symbol']}", description=told.get("description"), epilog=holds, allow_abbrev=False
@@ -160,11 +160,11 @@ def _help(schema: Schema, one: Schema) -> str:
     low, high, unit = one.get("minimum"), one.get("maximum"), schema.get("unit")
     if low is not None or high is not None:
         parts.append(f"{'' if low is None else f'{low:g}'}..{'' if high is None else f'{high:g}'}")
-    least, most = schema.get("minItems"), schema.get("maxItems")
-    if most is not None:
-        parts.append(f"{most} of them" if least == most else f"{least} to {most} of them")
     if unit:
         parts.append(f"[{unit}]")
+    least, most = schema.get("minItems"), schema.get("maxItems")
+    if most is not None:
+        parts.append(f"({most} values)" if least == most else f"({least} to {most} values)")
     if schema.get("default") not in (None, "", []):
         parts.append(f"(default: {json.dumps(schema['default'])})")
     return " ".join(parts)

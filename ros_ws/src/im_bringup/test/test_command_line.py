@@ -84,7 +84,8 @@ def test_help_tells_what_the_schema_tells(capsys):
     with pytest.raises(SystemExit):
         CommandParser(MOVE).read(["--help"])
     told = " ".join(capsys.readouterr().out.split())
-    for text in ("Moves an arm.", "left|right", 'which arm (default: "left")', "-6.3..6.3 9 of them [rad]", "it waits"):
+    joints, needs = "-6.3..6.3 [rad] (9 values)", "Needs <group>_arm; where others hold that, it waits"
+    for text in ("Moves an arm.", "left|right", 'which arm (default: "left")', joints, needs):
         assert text in told
 
 

@@ -141,11 +141,11 @@ class CommandClient(DispatcherClient):
         if not self._number:
             self._number = int(feedback.command_id)
             self._tell(f"number {self._number}")
-        share = f"[{100 * feedback.progress:3.0f} %]" if feedback.progress > 0 else "[  - %]"
+        share = f"[{100 * feedback.progress:3.0f} %] " if feedback.progress > 0 else ""
         state = "" if feedback.state == "running" else f"{feedback.state}: "
         text = feedback.message or feedback.step
         if text or state:
-            self._tell(f"{share} {state}{text}".rstrip(": "))
+            self._tell(f"{share}{state}{text}".rstrip(": "))
 
     def _tell(self, line: str) -> None:
         if line != self._line:
@@ -238,9 +238,9 @@ def print_list(commands: Sequence[Mapping[str, Any]], under_way: Sequence[Comman
     for told in commands:
         print(f"{told['symbol']:{width}}  {told['description']}".rstrip())
     for state in under_way:
-        share = f"{100 * state.progress:.0f} %" if state.progress >= 0 else "- %"
-        line = f"{state.symbol} {state.arguments} {state.state} {share} {state.message}"
-        print(f"number {state.command_id}: {line}".rstrip())
+        share = f" {100 * state.progress:.0f} %" if state.progress >= 0 else ""
+        message = f": {state.message}" if state.message else ""
+        print(f"number {state.command_id}: {state.symbol} {state.arguments} {state.state}{share}{message}")
 
 
 if __name__ == "__main__":

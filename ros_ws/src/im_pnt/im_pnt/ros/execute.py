@@ -25,7 +25,7 @@ from im_pnt.execution.executor import Executor
 from im_pnt.model.net import Net
 from im_pnt.ros.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 
-CANCEL_CHECK_S = 0.1
+LOOK_S = 0.1
 
 #: Priorities that a client may add to what a command declares.
 PRIORITIES = range(-10, 11)
@@ -160,14 +160,19 @@ class ExecuteServer:
             feedback.command_id = number
             tell("", "", -1.0)
 
-        alarm = self._node.alarms.after(CANCEL_CHECK_S, lambda: look())
+        alarm = self._node.alarms.after(LOOK_S, lambda: look())
 
         def look() -> None:
             nonlocal alarm
+            command = next((each for each in self._commands.open() if each.job.command.id in numbers), None)
             if goal.is_cancel_requested and numbers:
                 self._control.cancel(numbers[0])
-            else:
-                alarm = self._node.alarms.after(CANCEL_CHECK_S, look)
+                return
+            if command is not None:
+                waits_for = self._control.explained(command)[1]
+                if command.state != feedback.state or waits_for not in ("", feedback.message):  # no firing tells that
+                    tell("", waits_for or command.text, -1.0)
+            alarm = self._node.alarms.after(LOOK_S, look)
 
         try:
             asked = goal.request
