@@ -70,9 +70,8 @@ check "stubs of the messages" "$IM_VENV/bin/python" scripts/message_stubs.py "$I
 check mypy "$IM_VENV/bin/python" -m mypy "${packages[@]}"
 tests unit ros_ws/src bench --numprocesses auto --dist loadgroup
 if ((!quick)); then
-  # Two machines at a time, file by file. One that fails is run once more, and named: at the begin of a node /dom was
-  # seen to be waited for in vain, in one of some 1,700; why is not known (docs/reliability.md).
-  tests "node and end-to-end" test --numprocesses 2 --dist loadfile --no-loadscope-reorder --reruns 1 -rR
+  # Two machines at a time, file by file.
+  tests "node and end-to-end" test --numprocesses 2 --dist loadfile --no-loadscope-reorder
 fi
 
 say ""

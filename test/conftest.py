@@ -1,4 +1,7 @@
-"""Fixtures of the tests with nodes and processes. Every session has a ROS domain and a run folder of its own."""
+"""Fixtures of the tests with nodes and processes.
+
+Every session has a ROS domain of its own, every file a run folder: what one leaves in its stores no other finds.
+"""
 
 import contextlib
 import fcntl
@@ -81,6 +84,13 @@ def pytest_unconfigure(config):
     leftovers.end_all(timeout_s=2.0)
     leftovers.remove_shared_memory()
     shutil.rmtree(config.stash[FOLDER], ignore_errors=True)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _run_folder(request):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IM_RUN_DIR", str(request.config.stash[FOLDER] / "run" / request.path.stem))
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -6,6 +6,7 @@ promise is kept for which it waits.
 """
 
 import heapq
+import inspect
 from collections import deque
 from collections.abc import Callable, Coroutine, Generator
 from dataclasses import dataclass
@@ -81,6 +82,13 @@ class Coroutines:
         """Runs every coroutine that can go on until it waits; in the loop."""
         while self._ready:
             self._run(self._ready.popleft())
+
+    def close(self) -> None:
+        """Drops all coroutines, of a node that ends; those that have not begun never will."""
+        while self._ready:
+            work = self._ready.popleft()
+            if inspect.getcoroutinestate(work) == inspect.CORO_CREATED:
+                work.close()
 
     def _run(self, work: Work) -> None:
         try:

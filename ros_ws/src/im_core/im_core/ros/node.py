@@ -163,6 +163,12 @@ class ManagedNode(GuardedNode):
         self._wake_timer.cancel()
         self._coroutines.step()
 
+    def destroy_node(self) -> None:
+        """Drops the coroutines that would go on."""
+        self._coroutines.close()
+        destroy: Callable[[], None] = super().destroy_node  # rclpy says no types
+        destroy()
+
     def _run_task(self, work: Coroutine[Any, Any, Any]) -> Task:
         assert self.executor is not None, "coroutines begin in callbacks, which an executor calls"
         return self.executor.create_task(work)

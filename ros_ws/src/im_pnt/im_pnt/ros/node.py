@@ -199,8 +199,7 @@ class PntNode(ManagedNode):
         """Gives back the journal; it stays on the disk."""
         if self._journal is not None:
             self._journal.close()
-        destroy: Callable[[], None] = super().destroy_node  # rclpy says no types
-        destroy()
+        super().destroy_node()
 
     async def load_net(self, net: Net, patience_s: float = 0.0, beside: Sequence[Net] = ()) -> Verification:
         """Verifies a net, alone and with those it talks to, and takes it into execution.
