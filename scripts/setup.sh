@@ -90,6 +90,7 @@ step() {
 # why_not PYTHON: prints why this Python cannot be used; nothing if it can.
 why_not() {
   [[ -x "$(command -v "$1" 2>/dev/null)" ]] || { echo "$1 is not there"; return; }
+  [[ ! "$(dirname "$(command -v "$1")")" -ef "$IM_VENV/bin" ]] || { echo "$1 is of the environment that is made anew"; return; }
   "$1" - 2>/dev/null <<'PY' || echo "$1 does not run"
 import importlib.util, os, sys, sysconfig
 wanted = (3, 12) if os.environ.get("IM_PYTHON_OF_ROS") else (3, 11)

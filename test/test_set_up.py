@@ -39,6 +39,23 @@ def test_a_missing_python_is_named(computer):
     assert (done.returncode, "IM_PYTHON=/no/python cannot be used" in done.stderr) == (4, True)
 
 
+def test_the_environment_is_not_made_of_the_one_that_it_replaces(computer):
+    """Whoever works in it has its Python first on the PATH."""
+    computer.add_compilers()
+    computer.add_python("python3.11")
+    made = computer.root / ".venv" / "bin"
+    assert computer.run("setup").returncode == 0
+    shutil.copy(made / "python", made / "python3.11")
+    (computer.root / "requirements.lock").write_text("another==1\n")
+    done = computer.run("setup", PATH=f"{made}:{computer.bin}")
+    assert done.returncode == 0, done.stderr
+    assert [call.split()[0] for call in computer.calls if "-m venv" in call] == [str(computer.bin / "python3.11")] * 2
+    (computer.root / "requirements.lock").write_text("yet_another==1\n")
+    done = computer.run("setup", IM_PYTHON=str(made / "python"))
+    assert (done.returncode, "is of the environment that is made anew" in done.stderr) == (4, True), done.stderr
+    assert made.exists()
+
+
 def test_a_full_disk_is_named(computer, python):
     computer.add_compilers()
     computer.write("df", "echo head; echo 'disk 9000 8000 1000 90% /'")
