@@ -66,6 +66,8 @@ class StateManager:
     """State and owner of every group, and what power and brakes are told.
 
     Attributes:
+        state: State of the machine: the highest that any group is in; estopped after an emergency stop.
+        states: States of the groups that are not cold; another object after every change.
         joints: Names of all joints.
         cause: Why MCS is in its state, though nobody asked for it; or empty.
         lost: Whether that is an emergency stop because the testbed was lost: it is over when the testbed is back.
@@ -100,24 +102,15 @@ class StateManager:
         self._settings = settings
         self._stopped = False
         self._states: dict[str, State] = {}
+        self._judge_states()
         self._needing: set[str] = set()
         self._running: list[_Running] = []
         self._answer_ticks = round(settings.answer_timeout_s / settings.period_s)
         self._patience = 0
 
-    @property
-    def state(self) -> State:
-        """State of the machine: the highest that any group is in; estopped after an emergency stop."""
-        return State.ESTOPPED if self._stopped else highest(self._states.values())
-
     def state_of(self, group: str) -> State:
         """State of a group: cold unless it is reserved; estopped after an emergency stop."""
         return State.ESTOPPED if self._stopped else self._states.get(group, State.COLD)
-
-    @property
-    def states(self) -> dict[str, State]:
-        """States of the groups that are not cold."""
-        return {group: self.state_of(group) for group in self._states}
 
     @property
     def power(self) -> bool:
@@ -132,8 +125,8 @@ class StateManager:
     @property
     def wants_time(self) -> bool:
         """Whether a transition is under way, or the testbed has yet to obey an emergency stop."""
-        obeyed = not self.measured.power and bool(self.measured.brakes.all())
-        return self.busy or (self._patience > 0 and not obeyed)
+        m = self.measured
+        return self.busy or (self._patience > 0 and (m.power or not m.brakes.all()))
 
     def check(self, event: Event, group: str = "") -> State:
         """Where ``event`` leads from here.
@@ -220,6 +213,7 @@ class StateManager:
             self.reservations.release(group)
             raise StateError(f"group '{group}' cannot be reserved: a slot of it gives no reading", group=group)
         self._states[group] = target
+        self._judge_states()
 
     def take_over(self, group: str, owner: str, lease_s: float, sender: Sender) -> str:
         """Reserve a group for another owner than it has; arguments as :meth:`reserve`.
@@ -248,6 +242,7 @@ class StateManager:
     def _free(self, group: str) -> None:
         self.reservations.release(group)
         del self._states[group]
+        self._judge_states()
 
     def renew(self, owner: str) -> None:
         """Let the leases of an owner run anew.
@@ -344,10 +339,17 @@ class StateManager:
 
     def _enter(self, groups: Sequence[str], state: State) -> None:
         self._states.update(dict.fromkeys(groups, state))
+        self._judge_states()
+
+    def _judge_states(self) -> None:
+        """Keep what is looked at several times in every tick and changes seldom."""
+        self.states = dict.fromkeys(self._states, State.ESTOPPED) if self._stopped else self._states.copy()
+        self.state = State.ESTOPPED if self._stopped else highest(self._states.values())
 
     def tick(self) -> None:
         """Go on with the transitions that are under way; free what a dead client has reserved."""
-        self._patience = max(0, self._patience - 1)
+        if self._patience > 0:
+            self._patience -= 1
         self._free_lapsed()
         for running in tuple(self._running):
             if running not in self._running:
@@ -380,6 +382,7 @@ class StateManager:
         self.lost = False
         if not self._stopped:
             self._stopped = True
+            self._judge_states()
             self.cause = reason
             self._patience = self._answer_ticks
             self._needing.clear()
@@ -414,9 +417,9 @@ class StateManager:
 
     def _free_lapsed(self) -> None:
         """Free groups that need no power and whose lease has run out."""
-        for group, state in tuple(self._states.items()):
-            idle = state is State.RESERVED and not self._stopped and group not in self.under_way()
-            if idle and self.reservations.has_lapsed(group, self.measured.stamp_ns):
+        for group, state in self.states.items():
+            lapsed = state is State.RESERVED and self.reservations.has_lapsed(group, self.measured.stamp_ns)
+            if lapsed and group not in self.under_way():
                 self._free(group)
 
     # what a transition does over several ticks: each yields once a tick
@@ -509,6 +512,7 @@ class StateManager:
         self._states.clear()
         self.cause, self.lost = "", False
         self._stopped = False
+        self._judge_states()
 
     @staticmethod
     def _ticks(count: int) -> Generator[None, None, None]:
