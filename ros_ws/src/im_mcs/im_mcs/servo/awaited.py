@@ -20,18 +20,20 @@ class AwaitedOwners:
 
     def __init__(self, patience_s: float) -> None:
         self._patience_s = patience_s
-        self._idle: dict[str, tuple[State, float]] = {}
+        self._idle: dict[str, State] = {}
+        self._since: dict[str, float] = {}
+        self._until = -math.inf
 
     def update(self, idle: Mapping[str, State]) -> None:
         """Take the groups that are reserved and do nothing, with their states; one that is new is awaited from now."""
+        if idle == self._idle:
+            return
         now, known = clock.monotonic(), self._idle
-        self._idle = {
-            group: known[group] if group in known and known[group][0] is state else (state, now)
-            for group, state in idle.items()
-        }
+        self._since = {group: self._since[group] if known.get(group) is state else now for group, state in idle.items()}
+        self._idle = dict(idle)
+        self._until = max(self._since.values(), default=-math.inf) + self._patience_s
 
     @property
     def present(self) -> bool:
         """Whether somebody is awaited."""
-        newest = max((since for _, since in self._idle.values()), default=-math.inf)
-        return clock.monotonic() - newest < self._patience_s
+        return clock.monotonic() < self._until

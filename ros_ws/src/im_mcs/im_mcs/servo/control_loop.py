@@ -59,11 +59,6 @@ class ControlLoop:
         self._saturations = saturations
         self._limiter = SetpointLimiter(limits, period_s, plan_s, config.safety.jerk_factor, saturations)
 
-    @property
-    def wants_time(self) -> bool:
-        """Whether something moves or settles."""
-        return bool(self.torque_streams) or any(group.wants_time for group in self.engaged)
-
     def moving(self, groups: Container[str]) -> str | None:
         """One of the groups that has a goal."""
         moving = (g.name for g in self.engaged if g.goals or self.torque_streams.goal(g.name) is not None)

@@ -127,10 +127,12 @@ class Mcs:
         for finding in self.loop.run(m, self.v):
             self._react(finding)
         self._finish()
-        loop, manager, grippers = self.loop, self.manager, self.grippers
-        self.wants_time = manager.wants_time or grippers.moving or loop.wants_time or abandoned
+        loop = self.loop
+        busy = {name for name, group in self.groups.items() if group.wants_time}
+        urgent = abandoned or self.grippers.moving or bool(loop.torque_streams)
+        self.wants_time = urgent or bool(busy) or self.manager.wants_time
+        self.held = self._hold(busy, urgent)
         tau, setpoint = loop.tau, loop.setpoint
-        self.held = self._hold(abandoned)
         try:
             self._write()
             for finding in loop.look_around(m, self.v, self._collision):  # while the testbed moves on
@@ -263,14 +265,14 @@ class Mcs:
             self.manager.shut_down(f"the process that owns the servo gave no sign of life for {bound_s:g} s")
         return abandoned
 
-    def _hold(self, abandoned: bool) -> bool:
+    def _hold(self, busy: set[str], urgent: bool) -> bool:
         """Whether time stands for an owner who is awaited: only motions and transitions of other groups wait."""
         if self._awaited is None:
             return False
-        manager, loop = self.manager, self.loop
-        busy = manager.under_way() | {name for name, group in self.groups.items() if group.wants_time}
+        manager = self.manager
+        busy = busy | manager.under_way()
         self._awaited.update({name: state for name, state in manager.states.items() if name not in busy})
-        urgent = abandoned or self.grippers.moving or bool(loop.torque_streams) or manager.state is State.ESTOPPED
+        urgent = urgent or manager.state is State.ESTOPPED
         return self.wants_time and not urgent and self._awaited.present
 
     def _write(self) -> None:

@@ -124,16 +124,15 @@ class ControlledGroup:
     @property
     def moving(self) -> bool:
         """Whether the setpoint moves, a motion is being prepared, or a lease, a patience or a goal tolerance runs."""
+        if not self.still or self._rates.protective is not None:
+            return True
+        waits = self._queue and self._end_known()
+        if waits and (not self._rates.paused or any(queued.trajectory is None for queued in self._queue)):
+            return True
         current = self._current
-        if self._rates.protective is not None:
-            return True
-        if any(queued.trajectory is None for queued in self._queue) and self._end_known():
-            return True
         if current is not None and (current.lease is not None or (self.planner.finished and current.judges_goal)):
             return True
-        if self._queue and not self._rates.paused and self._end_known():
-            return True
-        return not self.still or (not self.planner.finished and self._rates.of(current) > 0.0 and not self._waits())
+        return not self.planner.finished and self._rates.of(current) > 0.0 and not self._waits()
 
     # what may be asked of it
 
