@@ -225,18 +225,23 @@ link_packages() {
   build --base-paths "$IM_WS/src" --packages-skip im_msgs --symlink-install
 }
 
-# What the machine imports is compiled to bytecode now, and not by a dozen processes at once when it starts first. Of all
-# that is installed that is a third.
-import_programs() (
+# What the machine imports is compiled to bytecode now, and not by a dozen processes at once when it starts first; where
+# the user wants none written, they would do it at each start. Of all that is installed that is a third.
+import_modules() (
+  unset PYTHONDONTWRITEBYTECODE
   set +u
   # shellcheck disable=SC1091
   source "$IM_WS/install/setup.bash"
-  "$IM_VENV/bin/python" - <<'PY'
-from importlib.metadata import entry_points
+  "$IM_VENV/bin/python" - "$IM_WS"/src/im_*/ <<'PY'
+import sys
+from importlib import import_module
+from pathlib import Path
+from pkgutil import walk_packages
 
-for program in entry_points(group="console_scripts"):
-    if program.value.startswith("im_"):
-        program.load()
+for folder in map(Path, sys.argv[1:]):
+    for module in walk_packages([str(folder / folder.name)], f"{folder.name}."):
+        if not module.name.endswith(".__main__"):
+            import_module(module.name)
 PY
 )
 
@@ -324,7 +329,7 @@ if [[ "$(cat "$BUILT" 2>/dev/null)" != "$wanted" ]]; then
   ready_messages
   packages="$(find "$IM_WS/src" -name package.xml -not -path '*/im_msgs/*' | wc -l)"
   step "linking $packages Python packages" built link_packages
-  step "importing every program once" : import_programs
+  step "importing every module once" : import_modules
   write_stamp "$BUILT" "$wanted"
 fi
 say "setup: ready after $(seconds_since "$began")"

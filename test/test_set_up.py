@@ -85,6 +85,14 @@ def test_a_second_run_does_nothing(computer):
     assert (done.returncode, done.stdout.count("\n"), len(computer.calls)) == (0, 1, calls), done.stdout
 
 
+def test_bytecode_is_made_once_even_for_whoever_wants_programs_to_write_none(computer):
+    computer.add_compilers()
+    computer.add_python("python3.11", 'echo "${PYTHONDONTWRITEBYTECODE-unset}: $*" >>"${0%/*}/bytecode"')
+    assert computer.run("setup", PYTHONDONTWRITEBYTECODE="1").returncode == 0
+    calls = (computer.root / ".venv" / "bin" / "bytecode").read_text().splitlines()
+    assert [call for call in calls if call.startswith("unset: ")] == [f"unset: - {computer.root}/ros_ws/src/im_*/"]
+
+
 @pytest.mark.parametrize(("it_has", "built"), [(["tf2_msgs", "control_msgs"], []), (["tf2_msgs"], ["control_msgs"])])
 def test_on_a_sourced_ros_only_what_it_lacks_is_built_and_as_it_builds_it(computer, it_has, built):
     computer.add_compilers()
