@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure, FigureBase
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
@@ -40,6 +39,7 @@ def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target
     """
     count = len(calibration.cameras)
     figure = _figure(4.2 * (count + 1), 4.3)
+    _keep_room(figure, wspace=0.25)
     for c, camera in enumerate(calibration.cameras):
         axes = figure.add_subplot(1, count + 1, c + 1)
         used = calibration.used[c]
@@ -60,7 +60,7 @@ def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target
         axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="du [px]", ylabel="dv [px]")
         axes.locator_params(nbins=5)
         note = f", {outside} rejected beyond the frame" if outside else ""
-        axes.set_title(f"{camera.name}\n{camera.spots_used} spots, {camera.rms_px:.3f} px RMS{note}", fontsize=9)
+        _title(axes, f"{camera.name}\n{camera.spots_used} spots, {camera.rms_px:.3f} px RMS{note}")
         _grid(axes)
     _plot_chi2(figure.add_subplot(1, count + 1, count + 1), calibration)
     figure.suptitle("Residuals and the 95 % ellipses of the stated image and position noise", fontsize=11)
@@ -78,6 +78,7 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
     count = len(calibration.cameras)
     columns = max(count, 2)
     figure = _figure(4.6 * columns, 6.7)
+    _keep_room(figure, wspace=0.16, hspace=0.3)
     grid = figure.add_gridspec(2, columns, height_ratios=(1.35, 1.0))
     for c, camera in enumerate(calibration.cameras):
         axes = figure.add_subplot(grid[0, c])
@@ -86,7 +87,7 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
         left_out = problem.spots[c][_left_out(calibration, problem, c)]
         axes.plot(*left_out.T, "x", color=REJECTED, markersize=6, label="rejected")
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="u [px]", ylabel="v [px]")
-        axes.set_title(f"{camera.name}: {camera.spots_used} spots in the image", fontsize=9)
+        _title(axes, f"{camera.name}: {camera.spots_used} spots in the image")
         _grid(axes)
         if c == 0:
             axes.legend(fontsize=8, loc="upper right", framealpha=0.9)
@@ -101,7 +102,7 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
         axes.set(aspect="equal", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
         axes.margins(0.08)
         seen_from = "from above" if j == 1 else "from the side"
-        axes.set_title(f"LED positions {seen_from}, and the workspace (frame)", fontsize=9)
+        _title(axes, f"LED positions {seen_from}, and the workspace (frame)")
         _grid(axes)
     figure.suptitle("Coverage of the images and of the workspace", fontsize=11)
     _save(figure, target)
@@ -115,9 +116,10 @@ def plot_geometry(calibration: Calibration, problem: CalibrationProblem, target:
         problem: What it was made from.
         target: Where the PNG goes.
     """
-    figure = _figure(15.0, 7.0, gap=0.12)
-    grid = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.35))
+    figure = _figure(15.0, 7.0)
+    grid = figure.add_gridspec(1, 2, left=0.0, right=1.0, bottom=0.0, top=1.0, wspace=0.0, width_ratios=(1.0, 1.35))
     scene, maps = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
+    scene.subplots_adjust(left=0.0, right=1.0, bottom=0.02, top=0.9)
     draw_scene(scene.add_subplot(projection="3d"), calibration, problem)
     draw_expected(maps, calibration.expected)
     figure.suptitle("Geometry, and the errors to expect (one standard deviation)", fontsize=11)
@@ -138,7 +140,7 @@ def _plot_chi2(axes: Axes, calibration: Calibration) -> None:
     axes.set(xlabel="squared length of a residual [sigma²]", ylabel="share of the spots below", ylim=(0.0, 1.02))
     axes.set_xlim(left=0.0)
     figures = f"chi2/dof {calibration.chi2_per_dof:.3f}, p {calibration.p_value:.2g}"
-    axes.set_title(f"{figures}\n{calibration.points_used} poses", fontsize=9)
+    _title(axes, f"{figures}\n{calibration.points_used} poses")
     axes.legend(fontsize=8, loc="lower right")
     _grid(axes)
 
@@ -147,10 +149,31 @@ def _left_out(calibration: Calibration, problem: CalibrationProblem, c: int) -> 
     return np.asarray(problem.detected[c] & ~calibration.used[c])
 
 
-def _figure(width: float, height: float, gap: float = 0.04) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=110, layout=ConstrainedLayoutEngine(h_pad=gap))
+def _figure(width: float, height: float) -> Figure:
+    """An empty figure, ``width`` x ``height`` [inch]."""
+    figure = Figure(figsize=(width, height), dpi=110)
     FigureCanvasAgg(figure)
     return figure
+
+
+def _keep_room(figure: Figure, wspace: float, hspace: float = 0.0) -> None:
+    """Keeps room for titles and labels; a layout engine finds it by measuring all twice, and draws it twice.
+
+    Args:
+        figure: All of it holds axes.
+        wspace: Room between two columns, in widths of one.
+        hspace: Room between two rows, in heights of one.
+    """
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(
+        left=0.7 / width, right=1.0 - 0.1 / width, bottom=0.5 / height, top=1.0 - 0.65 / height, wspace=wspace,
+        hspace=hspace,
+    )  # fmt: skip
+
+
+def _title(axes: Axes, text: str) -> None:
+    """Writes above axes, at a height of its own: to find one, all their ticks and labels would be measured."""
+    axes.set_title(text, fontsize=9, y=1.0)
 
 
 def _grid(axes: Axes) -> None:
@@ -160,7 +183,7 @@ def _grid(axes: Axes) -> None:
 
 
 def _save(figure: Figure, target: io.BytesIO) -> None:
-    figure.savefig(target, format="png", metadata={"Software": None})
+    figure.savefig(target, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 3})
 
 
 def draw_expected(figure: FigureBase, expected: ExpectedError) -> None:
@@ -174,13 +197,14 @@ def draw_expected(figure: FigureBase, expected: ExpectedError) -> None:
         ("Triangulation", expected.triangulation_mm, expected.triangulation_rms_mm, "mm"),
         ("Reprojection", expected.reprojection_px, expected.reprojection_rms_px, "px"),
     )
+    figure.subplots_adjust(left=0.08, right=0.94, bottom=0.08, top=0.88, wspace=0.35, hspace=0.3)
     known = [error for error in errors if not np.isnan(error[2])]
     for column, (name, values, whole, unit) in enumerate(known):
         for row, third in enumerate((2, 1)):
             axes = figure.add_subplot(2, len(known), row * len(known) + column + 1)
             _draw_map(figure, axes, expected.points, values, third, unit)
             seen_from = "from above" if third == 2 else "from the side"
-            axes.set_title(f"{name}, {seen_from}" + f"; {whole:.3g} {unit} RMS" * (row == 0), fontsize=9)
+            _title(axes, f"{name}, {seen_from}" + f"; {whole:.3g} {unit} RMS" * (row == 0))
 
 
 def _draw_map(figure: FigureBase, axes: Axes, points: Array, values: Array, third: int, unit: str) -> None:
@@ -195,6 +219,7 @@ def _draw_map(figure: FigureBase, axes: Axes, points: Array, values: Array, thir
     picture = axes.pcolormesh(across, up, np.sqrt(squares / np.where(counts > 0.0, counts, np.nan)), cmap="viridis")
     figure.colorbar(picture, ax=axes, shrink=0.85, label=f"RMS over {'xyz'[third]} [{unit}]")
     axes.set(aspect="equal", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
+    axes.locator_params(nbins=5)
     axes.tick_params(labelsize=8)
 
 
@@ -221,13 +246,13 @@ def draw_scene(axes: Axes3D, calibration: Calibration, problem: CalibrationProbl
     everything = np.vstack((points, problem.workspace.low, problem.workspace.high, stands))
     low, high = everything.min(axis=0) - 0.1, everything.max(axis=0) + 0.1
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=0.88)
+    axes.set_box_aspect(high - low, zoom=0.84)
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.tick_params(labelsize=7)
     for axis, count in ((axes.xaxis, 5), (axes.yaxis, 3), (axes.zaxis, 6)):
         axis.set_major_locator(MaxNLocator(count))
     axes.view_init(elev=18.0, azim=-50.0)
-    axes.set_title("Cameras, poses (tick: wrist z axis) and workspace", fontsize=9)
+    _title(axes, "Cameras, poses (tick: wrist z axis) and workspace")
     axes.legend(fontsize=7, loc="upper left")
 
 
