@@ -68,6 +68,7 @@ class Feedback:
         period_s: Servo period [s].
 
     Attributes:
+        deadband: Errors that are not integrated, shape (n,) [rad or m].
         smooth_error: Error without most of its noise, shape (n,) [rad or m].
         holding: Whether the arm is at rest.
     """
@@ -79,15 +80,17 @@ class Feedback:
         integral_limit: NDArray[np.float64],
         period_s: float,
     ) -> None:
-        p = self.parameters = parameters
+        p = parameters
         self._kp = inertia * p.bandwidth_rad_s**2
         self._kd = 2.0 * p.damping * p.bandwidth_rad_s * inertia
         self._ki_dt = self._kp * p.integral_rad_s * period_s
         self._integral_limit, self._least_integral = integral_limit, -integral_limit
         # numpy is quicker with two arrays than with a number and an array
         self._smoothing = np.full_like(inertia, 1.0 - math.exp(-period_s / _SMOOTHING_S))
-        self._deadband = np.full_like(inertia, p.deadband)
+        self.deadband = np.full_like(inertia, p.deadband)
+        self._least_error = -self.deadband
         self._rest_deadband = np.full_like(inertia, p.rest_deadband)
+        self._least_change = -self._rest_deadband
         self._rate = VelocityEstimator(len(inertia), period_s, p.derivative_bandwidth_rad_s)
         self._zero = np.zeros_like(inertia)
         self.reset()
@@ -105,7 +108,7 @@ class Feedback:
     def update(self, error: NDArray[np.float64]) -> NDArray[np.float64]:
         """The answer to an error, shape (n,)."""
         if self.holding:
-            error = self.smooth_error + beyond(error - self.smooth_error, self._rest_deadband)
+            error = self.smooth_error + beyond(error - self.smooth_error, self._least_change, self._rest_deadband)
         else:
             self.smooth_error = self.smooth_error + self._smoothing * (error - self.smooth_error)
         self._error = error
@@ -120,16 +123,16 @@ class Feedback:
         """
         if self.holding:
             return
-        step = self._ki_dt * beyond(self._error, self._deadband)
+        step = self._ki_dt * beyond(self._error, self._least_error, self.deadband)
         free = np.abs(tau) < torque_limit
         if 0 in free.tobytes():
             step = np.where(free | (tau * self._error < 0.0), step, 0.0)
         self._integral = clip(self._integral + step, self._least_integral, self._integral_limit)
 
 
-def beyond(x: NDArray[np.float64], deadband: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What of ``x`` lies beyond a dead band around 0, shape (n,) each."""
-    return np.asarray(x - clip(x, -deadband, deadband))
+def beyond(x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What of ``x`` lies beyond a dead band from ``low`` to ``high``, shape (n,) each."""
+    return np.asarray(x - clip(x, low, high))
 
 
 def clip(

@@ -31,13 +31,15 @@ class FrictionFeedforward:
 
     def __init__(self, parameters: FrictionParameters, setup: ControllerSetup) -> None:
         n = len(setup.joints)
+        # numpy is quicker with two arrays than with a number and an array
         self._share = np.full(n, parameters.friction)
-        self._stiction = parameters.stiction
+        self._stiction = np.full(n, parameters.stiction)
         self._speed = np.full(n, parameters.friction_speed)
-        self._zero = np.zeros(n)
+        self._zero, self._one = np.zeros(n), np.ones(n)
         self._positive = setup.model.coulomb_positive[setup.joints]
         self._negative = setup.model.coulomb_negative[setup.joints]
         self._viscous = parameters.friction * setup.model.viscous_friction[setup.joints]
+        self._forwards, self._coulomb = bytes(n), self._negative
 
     def torque(self, v: NDArray[np.float64], feedback: Feedback | None = None) -> NDArray[np.float64]:
         """Friction torques, shape (n,) [Nm or N].
@@ -46,16 +48,20 @@ class FrictionFeedforward:
             v: Wanted velocities, shape (n,) [rad/s or m/s].
             feedback: Whose error a joint at rest is helped to leave; none: it is not helped.
         """
-        direction = self._share * np.tanh(v / self._speed)
-        if feedback is not None and not feedback.holding and np.count_nonzero(v) < len(v):
+        moving = np.count_nonzero(v)
+        direction = self._share * np.tanh(v / self._speed) if moving else self._zero
+        if feedback is not None and not feedback.holding and moving < len(v):
             direction = np.where(v != 0.0, direction, self._push(feedback))
-        coulomb = np.where(direction > self._zero, self._positive, self._negative)
-        return np.asarray(coulomb * direction + self._viscous * v)
+        forwards = direction > self._zero
+        if (told := forwards.tobytes()) != self._forwards:  # that changes seldom
+            self._forwards, self._coulomb = told, np.where(forwards, self._positive, self._negative)
+        return np.asarray(self._coulomb * direction + self._viscous * v)
 
     def _push(self, feedback: Feedback) -> NDArray[np.float64]:
         """Share of dry friction that brings a joint stuck beside its setpoint to the verge of breaking loose.
 
         The integral does the rest. At rest there is no push: friction alone holds the joint, far from the verge.
         """
-        excess = clip(np.abs(feedback.smooth_error) / feedback.parameters.deadband - 1.0, 0.0, 1.0)
-        return np.asarray(self._stiction * np.copysign(excess, feedback.smooth_error))
+        error = feedback.smooth_error
+        excess = clip(np.abs(error) / feedback.deadband - self._one, self._zero, self._one)
+        return np.asarray(self._stiction * np.copysign(excess, error))

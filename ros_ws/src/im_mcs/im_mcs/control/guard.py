@@ -1,8 +1,6 @@
 """What a control law does wrong becomes an error that names it: others write laws, and the servo must live."""
 
 import math
-from collections.abc import Callable
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +8,6 @@ from numpy.typing import NDArray
 from im_core import plugins
 from im_core.errors import ConfigError, ImError
 from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
-
-ResultT = TypeVar("ResultT")
 
 
 class ControlLawError(ImError):
@@ -40,14 +36,17 @@ class GuardedLaw:
             ControlLawError: The law raised an error.
         """
         self._fault = None
-        self._run("reset", self._law.reset)
+        try:
+            self._law.reset()
+        except Exception as error:
+            raise self._failed("reset", error) from error
 
     def hold_integral(self, hold: bool) -> None:
         """Freeze or free what accumulates; if the law raises an error, the next :meth:`torque` does."""
         try:
-            self._run("hold_integral", lambda: self._law.hold_integral(hold))
-        except ControlLawError as fault:
-            self._fault = fault
+            self._law.hold_integral(hold)
+        except Exception as error:
+            self._fault = self._failed("hold_integral", error)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
         """Torques for this tick, shape (n,) [Nm or N], finite.
@@ -57,7 +56,10 @@ class GuardedLaw:
         """
         if self._fault is not None:
             raise self._fault
-        tau = self._run("torque", lambda: np.asarray(self._law.torque(given), dtype=np.float64))
+        try:
+            tau = np.asarray(self._law.torque(given), dtype=np.float64)
+        except Exception as error:
+            raise self._failed("torque", error) from error
         if tau.shape != given.q.shape:
             raise ControlLawError(
                 f"control law '{self._name}' returned torques of shape {tau.shape}, not {given.q.shape}",
@@ -71,13 +73,9 @@ class GuardedLaw:
             )
         return tau
 
-    def _run(self, method: str, call: Callable[[], ResultT]) -> ResultT:
-        try:
-            return call()
-        except Exception as error:
-            raise ControlLawError(
-                f"control law '{self._name}': {method} raised {type(error).__name__}: {error}", controller=self._name
-            ) from error
+    def _failed(self, method: str, error: Exception) -> ControlLawError:
+        told = f"control law '{self._name}': {method} raised {type(error).__name__}: {error}"
+        return ControlLawError(told, controller=self._name)
 
 
 def load_controller(name: str, setup: ControllerSetup) -> Controller:

@@ -56,6 +56,7 @@ class ControlLoop:
         self.tau = np.zeros(model.n)
         self.proximity: Proximity | None = None
         self._config, self._limits = config, limits
+        self._least_torque = -limits.torque
         self._saturations = saturations
         self._limiter = SetpointLimiter(limits, period_s, plan_s, config.safety.jerk_factor, saturations)
 
@@ -176,8 +177,7 @@ class ControlLoop:
             driven = self.torque_streams.torque(group.name)
             own = group.torque(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
             tau[group.place] = own
-        limit = self._limits.torque
-        self.tau = np.minimum(np.maximum(tau, -limit), limit)
+        self.tau = np.minimum(np.maximum(tau, self._least_torque), self._limits.torque)
         cut = self.tau != tau
         if 1 in cut.tobytes():
             self._saturations.add("torque", cut)

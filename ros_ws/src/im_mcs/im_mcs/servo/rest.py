@@ -34,12 +34,19 @@ class RestMonitor:
     """
 
     def __init__(self, resolution: NDArray[np.float64], noise: NDArray[np.float64], settings: Servo) -> None:
-        self._reading_sd = np.sqrt(noise**2 + resolution**2 / 12.0)
+        reading_sd = np.sqrt(noise**2 + resolution**2 / 12.0)
         self._quantisation = _quantisation_variance(resolution, noise)
-        self._tolerance = settings.settle.tolerance
-        self._still_tolerance = settings.settle.still_tolerance
-        self._settle_window = settings.settle.window_ticks
-        self._rest_window = settings.rest_window_ticks
+        settle = settings.settle
+        self._settle_window, self._rest_window = settle.window_ticks, settings.rest_window_ticks
+        # by the length of a window: how much the means of its halves may differ
+        self._drift = {
+            count: 3.0 * np.sqrt(2.0) * (reading_sd / np.sqrt(count // 2)) + settle.tolerance / 4.0
+            for count in (self._settle_window, self._rest_window)
+        }
+        mean_sd = reading_sd / np.sqrt(self._settle_window)
+        self._tolerance, self._still_tolerance = (
+            tolerance + 3.0 * mean_sd for tolerance in (settle.tolerance, settle.still_tolerance)
+        )
         self.timeout_s = settings.settle.timeout_s
         self._timeout_ticks = round(self.timeout_s / settings.period_s)
         self.restart()
@@ -49,10 +56,10 @@ class RestMonitor:
         self.phase = RestPhase.MOVING
         self.settling_ticks = 0
         self.since_tick = 0
-        self.q = np.zeros_like(self._reading_sd)
+        self.q = np.zeros_like(self._quantisation)
         self.variance = np.zeros_like(self.q)
         self._readings: deque[NDArray[np.float64]] = deque(maxlen=self._settle_window)
-        self.last_error = np.zeros_like(self._reading_sd)
+        self.last_error = np.zeros_like(self._quantisation)
 
     @property
     def window(self) -> int:
@@ -90,7 +97,7 @@ class RestMonitor:
         if len(self._readings) < (self._readings.maxlen or 0):
             return
         readings = np.array(self._readings)
-        mean = readings.mean(axis=0)
+        mean = _mean(readings)
         if target is not None:
             self.last_error = target - mean
         if not self._still(readings):
@@ -99,7 +106,7 @@ class RestMonitor:
         if self.phase is RestPhase.SETTLING:
             late = 2 * self.settling_ticks > self._timeout_ticks
             tolerance = self._still_tolerance if late else self._tolerance
-            if target is not None and (np.abs(self.last_error) > tolerance + 3.0 * self._sd(len(readings))).any():
+            if target is not None and (np.abs(self.last_error) > tolerance).any():
                 return
             self.phase = RestPhase.MEASURING
             self.since_tick = tick
@@ -116,11 +123,13 @@ class RestMonitor:
 
     def _still(self, readings: NDArray[np.float64]) -> bool:
         half = len(readings) // 2
-        drift = readings[half:].mean(axis=0) - readings[:half].mean(axis=0)
-        return bool((np.abs(drift) <= 3.0 * np.sqrt(2.0) * self._sd(half) + self._tolerance / 4.0).all())
+        drift = _mean(readings[half:]) - _mean(readings[:half])
+        return bool((np.abs(drift) <= self._drift[len(readings)]).all())
 
-    def _sd(self, count: int) -> NDArray[np.float64]:
-        return np.asarray(self._reading_sd / np.sqrt(count))
+
+def _mean(readings: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As ``readings.mean(axis=0)``, in a third of the time for a few readings."""
+    return np.asarray(np.add.reduce(readings) / len(readings))
 
 
 def _quantisation_variance(resolution: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
