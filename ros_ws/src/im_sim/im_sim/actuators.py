@@ -52,6 +52,7 @@ class Actuators:
         self._brake_torques = BRAKE_FACTOR * self._torque_limits
         n = len(self._viscous)
         self._friction = DryFriction(n)
+        self._found: NDArray[np.float64] | None = None
         self.command(np.zeros(n), False, np.ones(n, dtype=np.bool_))
 
     def command(self, tau: NDArray[np.float64], power: bool, brakes: NDArray[np.bool_]) -> None:
@@ -83,6 +84,13 @@ class Actuators:
         """Whether, in the last step, every joint was held by dry friction or its brake."""
         return self._friction.stuck
 
+    def prepare(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
+        """Do beforehand what :meth:`applied` needs of ``q`` and ``v`` whatever is commanded."""
+        if self._friction.all_slip:
+            return  # most likely M is not needed
+        self._find_inertia(q, v)
+        self._friction.factorise(self._inertia)
+
     def applied(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Torques for a simulator without rotors, friction and loads, for one step, shape (n,) [Nm or N].
 
@@ -102,11 +110,26 @@ class Actuators:
         if sliding:
             torques: NDArray[np.float64] = given - self._own_inertia * a
         else:
-            inertia = pin.crba(dynamics.model, dynamics.data, q)
-            bias = pin.nonLinearEffects(dynamics.model, dynamics.data, q, v)
-            after = friction.solve(inertia, inertia.dot(v) + self._dt * (self._tau - viscous - bias))
-            a = (after - v) / self._dt
-            torques = inertia.dot(a) + bias - self._own_inertia * a
+            if self._found is not v or self._found_for is not dynamics.model:
+                self._find_inertia(q, v)
+            inertia, bias = self._inertia, self._bias
+            impulse = self._tau - viscous
+            impulse -= bias
+            impulse *= self._dt
+            a = friction.solve(inertia, self._momentum + impulse)
+            a -= v
+            a /= self._dt
+            torques = inertia.dot(a)
+            torques += bias
+            torques -= self._own_inertia * a
         if dynamics.loaded:  # pybullet moves the arms without what the grippers hold
             torques = pin.rnea(dynamics.bare, dynamics.bare_data, q, v, a) - self._own_inertia * a
         return torques
+
+    def _find_inertia(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
+        """Find M, h and M v."""
+        dynamics = self._dynamics
+        self._inertia: NDArray[np.float64] = pin.crba(dynamics.model, dynamics.data, q)
+        self._bias: NDArray[np.float64] = pin.nonLinearEffects(dynamics.model, dynamics.data, q, v)
+        self._momentum: NDArray[np.float64] = self._inertia.dot(v)
+        self._found, self._found_for = v, dynamics.model

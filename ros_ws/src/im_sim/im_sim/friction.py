@@ -33,6 +33,7 @@ class DryFriction:
 
     def __init__(self, n: int) -> None:
         self._identity = np.eye(n)
+        self._cholesky = eigenpy.LLT(n)
         self._sign = self._zero = np.zeros(n)
         self.bound(np.zeros(n), np.zeros(n))
 
@@ -50,6 +51,12 @@ class DryFriction:
         """Whether joints that slid have, with velocities ``v``, shape (n,), not come to a stop."""
         return 1 not in (v * self._sign < self._zero).tobytes()
 
+    def factorise(self, inertia: NDArray[np.float64]) -> None:
+        """Do beforehand what :meth:`solve` needs of H alone, if the joints do as in the last step."""
+        if not self.stuck:
+            self._cholesky.compute(inertia * self._coupled + self._alone)
+        self._factorised: NDArray[np.float64] | None = inertia
+
     def solve(self, inertia: NDArray[np.float64], momentum: NDArray[np.float64]) -> NDArray[np.float64]:
         """Velocities v at the end of the step.
 
@@ -62,10 +69,8 @@ class DryFriction:
         """
         best, in_vain = len(momentum) + 1, 0
         for _ in range(_MAX_PIVOTS):
-            v, needed = self._assumed(inertia, momentum)
-            wrong = v * self._sign < self._zero
-            if not self.all_slip:
-                wrong |= self._sticks & ((needed > self._most) | (needed < self._least))
+            v, free = self._assumed(inertia, momentum)
+            wrong = (free > self._upper) | (free < self._lower)
             count = wrong.tobytes().count(1)  # a tenth of what numpy takes to count
             if count == 0:
                 return v
@@ -73,35 +78,34 @@ class DryFriction:
             best = min(best, count)
             changed = wrong if in_vain < _BLOCKS_IN_VAIN else np.flatnonzero(wrong)[-1:]
             sign = self._sign.copy()
-            sign[changed] = np.where(self._sticks[changed], -np.sign(needed[changed]), 0.0)
+            sign[changed] = np.where(self._sticks[changed], -np.sign(free[changed]), 0.0)
             self._pivot(sign)
         return v
 
     def _assumed(
         self, inertia: NDArray[np.float64], momentum: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Velocities if the joints do as assumed, and the impulses that this needs of joints that stick."""
+        """Velocities if the joints do as assumed, and what is then free: v where they slip, p where they stick."""
         if self.stuck:
             return np.zeros_like(momentum), -momentum
-        if self.all_slip:
-            return _solve(inertia, momentum + self.impulse), momentum  # nothing sticks, nothing is needed
-        v = _solve(inertia * self._coupled + self._alone, (momentum + self.impulse) * self._slips)
-        return v, inertia.dot(v) - momentum
+        if self._factorised is not inertia:
+            self.factorise(inertia)
+        # The solution of a single row comes as a matrix.
+        v: NDArray[np.float64] = self._cholesky.solve((momentum + self.impulse) * self._slips).ravel()
+        return v, v + (inertia.dot(v) - momentum) * self._holds
 
     def _pivot(self, sign: NDArray[np.float64]) -> None:
         """Assume which joints move forwards (1), backwards (-1) or stick (0)."""
         self._sign = sign
         self._sticks = sign == 0.0
         self._slips = np.abs(sign)
+        self._holds = 1.0 - self._slips
         self.impulse = np.where(sign > 0.0, self._least, self._most)
+        self._lower = np.where(self._sticks, self._least, np.where(sign > 0.0, 0.0, -np.inf))
+        self._upper = np.where(self._sticks, self._most, np.where(sign < 0.0, 0.0, np.inf))
         self._coupled = self._slips[:, None] * self._slips  # rows and columns of joints that stick become those of
         self._alone = np.where(self._coupled > 0.0, 0.0, self._identity)  # the identity
+        self._factorised = None
         count = self._sticks.tobytes().count(1)
         self.stuck: bool = count == len(sign)
         self.all_slip: bool = count == 0
-
-
-def _solve(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By Cholesky; the result of a single row comes as a matrix."""
-    solution: NDArray[np.float64] = eigenpy.LLT(matrix).solve(right).ravel()
-    return solution

@@ -88,6 +88,10 @@ class Plant:
         self._grippers.put(objects)
         self._dynamics.carry(self._grippers.held())
 
+    def prepare(self) -> None:
+        """Compute what the next tick needs of the present state whatever is commanded."""
+        self._actuators.prepare(self.q, self.v)
+
     def run_tick(self, command: TickCommand | None) -> None:
         """One tick under a command; without one, power is off. Without power every brake is engaged.
 

@@ -1,5 +1,6 @@
 """The pybullet world: the cell's links as one multibody, floor and table as obstacles."""
 
+import struct
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from im_cell.robot import Cell, urdf
 from im_core.errors import DataError
+
+_LINK, _OBSTACLE = 1, 2  # Bullet's default and static collision groups
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,7 @@ class World:
             pybullet.createMultiBody(0.0, shape, basePosition=box.center, **self._options)
         self.body = self._load(urdf(cell, frames=False))
         self._joints = self._moving_joints(cell)
+        self._state = struct.Struct(f"{2 * len(self._joints)}d")
         self._make_exact(cell)
         self.reset(cell.home, np.zeros(len(self._joints)))
 
@@ -59,7 +63,7 @@ class World:
     def state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions and velocities, shape (n,) each [rad or m, by s]."""
         q, v, _, _ = zip(*pybullet.getJointStates(self.body, self._joints, self.client), strict=True)
-        both = np.fromiter(q + v, np.float64, 2 * len(q))
+        both = np.frombuffer(self._state.pack(*q, *v))  # in half the time of an array made from numbers
         return both[: len(q)], both[len(q) :]
 
     def step(self, tau: NDArray[np.float64]) -> None:
@@ -133,6 +137,8 @@ class World:
             )
             # In a call of its own: beside other changes pybullet ignores it.
             pybullet.changeDynamics(self.body, joint, localInertiaDiagonal=link.inertia, **self._options)
+            # Links meet obstacles, not each other: no URDF_USE_SELF_COLLISION. Said here too, pairs are not looked at.
+            pybullet.setCollisionFilterGroupMask(self.body, joint, _LINK, _OBSTACLE, **self._options)
         pybullet.changeDynamics(self.body, -1, linearDamping=0.0, angularDamping=0.0, **self._options)
 
 
