@@ -55,6 +55,7 @@ def running(host, commands, timeout_s=60.0):
     def run():
         while not end.is_set():
             if host.await_demand(0.01):
+                host.post_state()
                 commands.append(host.await_command(timeout_s))
                 publish(host, host.tick + 1)
 

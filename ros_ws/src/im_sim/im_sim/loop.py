@@ -50,11 +50,14 @@ class TickLoop:
         plant = self._plant
         if self._link.disturbed():
             self._disturb()
+        self._link.post_state()
+        # While the servo computes, what its command does not change:
         self._exposures.begin_tick(self._tick)
+        self._laser.run_tick(self._link.laser_command())
+        plant.prepare()
         command = self._link.await_command(SERVO_TIMEOUT_S)
         before = plant.q
         plant.run_tick(command)
-        self._laser.run_tick(self._link.laser_command())
         self._tick += 1
         self._publish()
         self._exposures.end_tick(self._tick, before, plant.q, self._laser)

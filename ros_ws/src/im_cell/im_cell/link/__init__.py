@@ -12,8 +12,8 @@ One tick, period 4.5 ms, is one handshake::
     -------                                        --------------------
     while factor == 0 and no demand: sleep         while not end.wait_state(timeout_s=0.2):
     publish_state(tick k), post state    ------>       (nothing to do yet; look after oneself)
-    await_command()                                state = end.read_state()          # tick k
-                                         <------   end.write_command(command)
+    what no command changes                        state = end.read_state()          # tick k
+    await_command()                      <------   end.write_command(command)
     four substeps
     tick = k + 1, its state is readable
 

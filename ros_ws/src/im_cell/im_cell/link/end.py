@@ -56,7 +56,8 @@ class LinkEnd:
 
     def time_asked(self) -> bool:
         """Whether somebody has asked for time beyond the present tick."""
-        return int(self._shared.view["demand_until"].max()) > self.tick
+        until: int = max(self._shared.view["demand_until"].tolist())
+        return until > self.tick
 
     @property
     def physics_pid(self) -> int:

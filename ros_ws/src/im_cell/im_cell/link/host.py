@@ -32,6 +32,7 @@ class HostEnd(LinkEnd):
     """
 
     _seen = 0
+    _asked = 0
 
     @classmethod
     def create(
@@ -99,8 +100,16 @@ class HostEnd(LinkEnd):
             braked=bool(view["brakes"].all()),
         )
 
+    def post_state(self) -> None:
+        """Let the servo, if there is one, begin to answer the state published last."""
+        shared = self._shared
+        self._asked = int(shared.view["servo_pid"])
+        if self._asked:
+            shared.command.drain()
+            shared.state.post()
+
     def await_command(self, timeout_s: float) -> TickCommand | None:
-        """Post the tick to the servo and wait for its command.
+        """Wait for the servo's command to the state posted last.
 
         Args:
             timeout_s: After this time [s], in which it had a processor or wanted none, the servo is declared gone and
@@ -111,11 +120,9 @@ class HostEnd(LinkEnd):
             more.
         """
         shared, view = self._shared, self._shared.view
-        if not self.servo_attached():
+        tick, pid = int(view["tick"]), self._asked
+        if not pid:
             return None
-        tick, pid = int(view["tick"]), int(view["servo_pid"])
-        shared.command.drain()
-        shared.state.post()
         silence: Silence | None = None
         while not shared.command.wait(_SLICE_S) or int(view["command_tick"]) != tick:
             silence = silence or Silence(pid, longest_look_s=2.0 * _SLICE_S)
@@ -171,11 +178,9 @@ class HostEnd(LinkEnd):
     def demand(self) -> bool:
         """Whether somebody wants another tick at clock factor 0."""
         view = self._shared.view
-        if int(view["exposure_request"]) != int(view["exposure_done"]):
+        if int(view["command_wants_time"]) and int(view["servo_pid"]):
             return True
-        if int(view["servo_pid"]) and int(view["command_wants_time"]):
-            return True
-        return self.time_asked()
+        return int(view["exposure_request"]) != int(view["exposure_done"]) or self.time_asked()
 
     def await_demand(self, timeout_s: float) -> bool:
         """Wait until somebody wants a tick, at most ``timeout_s`` [s]; whether somebody does."""

@@ -57,7 +57,7 @@ class Semaphore:
 
     def drain(self) -> None:
         """Lower the counter to zero without waiting."""
-        while self.wait(0):
+        while self._semaphore.value and self.wait(0):
             continue
 
     def close(self) -> None:
