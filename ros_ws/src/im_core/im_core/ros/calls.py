@@ -28,12 +28,10 @@ async def wait(node: ManagedNode, future: Any, timeout_s: float, what: str) -> A
         WaitTimeoutError: It did not complete in time.
     """
     promise = node.promise()
-    lock = threading.Lock()
 
-    def settle(_: object = None) -> None:
-        with lock:
-            if not promise.done():
-                promise.set_result(None)
+    def settle(_: object = None) -> None:  # by two threads at once does no harm: who awaits it goes on once
+        if not promise.done():
+            promise.set_result(None)
 
     alarm = node.alarms.after(timeout_s, settle)
     future.add_done_callback(settle)

@@ -73,6 +73,7 @@ class ManagedNode(GuardedNode):
         self.alarms = Alarms(self)
         self._wake_timer = self.create_timer(WAKE_DELAY_S, self._woken, clock=self.steady_clock)
         self._wake_timer.cancel()
+        self._awake = False
         self._coroutines = Coroutines(self.wake, self._run_task, self._broken)
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._publish_status, clock=self.steady_clock)
@@ -142,7 +143,8 @@ class ManagedNode(GuardedNode):
 
     def wake(self) -> None:
         """Let the executor look at its suspended coroutines soon; from any thread."""
-        if rclpy.ok():
+        if not self._awake and rclpy.ok():
+            self._awake = True
             self._wake_timer.reset()
 
     def shut_down_once(self) -> None:
@@ -161,6 +163,7 @@ class ManagedNode(GuardedNode):
 
     def _woken(self) -> None:
         self._wake_timer.cancel()
+        self._awake = False  # before the step: what can go on from now on is not seen by it
         self._coroutines.step()
 
     def destroy_node(self) -> None:

@@ -2,13 +2,13 @@
 
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from rclpy.task import Future
-
-from im_core.errors import StateError
-from im_core.ros.calls import wait
+from im_core import clock
+from im_core.errors import StateError, WaitTimeoutError
+from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 
 ResultT = TypeVar("ResultT")
@@ -39,7 +39,9 @@ class Worker:
         together: Callable[[Sequence[Callable[[], object]]], Sequence[object]],
     ) -> None:
         self._node, self._name, self._timeout_s, self._together = node, name, timeout_s, together
-        self._work: queue.Queue[tuple[Callable[[], Any], Future] | None] = queue.Queue(MOST_WAITING)
+        self._work: queue.SimpleQueue[tuple[Callable[[], Any], Promise] | None] = queue.SimpleQueue()
+        self._asked: deque[tuple[float, Promise]] = deque()  # when each is late, in their order; of the loop
+        self._watching = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
@@ -51,20 +53,32 @@ class Worker:
             WaitTimeoutError: It has not ended in time; it may still have its effect.
             Exception: What the function raised.
         """
-        ended = Future()
-        try:
-            self._work.put_nowait((function, ended))
-        except queue.Full:
-            raise StateError(f"{self._name}: {MOST_WAITING} requests wait already; ask again") from None
-        result: ResultT = await wait(self._node, ended, self._timeout_s, f"{self._name} to answer")
+        if self._work.qsize() >= MOST_WAITING:
+            raise StateError(f"{self._name}: {MOST_WAITING} requests wait already; ask again")
+        ended = self._node.promise()
+        self._work.put((function, ended))
+        self._asked.append((clock.monotonic() + self._timeout_s, ended))
+        if not self._watching:
+            self._watch()
+        while self._asked and self._asked[0][1].done():
+            self._asked.popleft()
+        result: ResultT = await ended
         return result
+
+    def _watch(self) -> None:
+        """Ends what is late, and looks again when the next may be: they are late in the order of their asking."""
+        now = clock.monotonic()
+        while self._asked and (self._asked[0][1].done() or self._asked[0][0] <= now):
+            _, ended = self._asked.popleft()
+            if not ended.done():
+                ended.set_exception(WaitTimeoutError(what=f"{self._name} to answer", seconds=self._timeout_s))
+        self._watching = bool(self._asked)
+        if self._asked:
+            self._node.alarms.after(self._asked[0][0] - now, self._watch)
 
     def close(self, timeout_s: float = 1.0) -> bool:
         """Do what was asked for, and end; whether it has ended within a time [s]."""
-        try:
-            self._work.put(None, timeout=timeout_s)
-        except queue.Full:
-            return False
+        self._work.put(None)
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
@@ -78,6 +92,8 @@ class Worker:
                 else:
                     asked.append(following)
             for (_, ended), found in zip(asked, self._together([work for work, _ in asked]), strict=True):
+                if ended.done():  # it was late
+                    continue
                 if isinstance(found, Exception):
                     ended.set_exception(found)
                 else:
