@@ -13,7 +13,8 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
-from im_dom.store import ObjectRecord, ObjectStore
+from im_dom.record import ObjectRecord
+from im_dom.store import ObjectStore
 
 NAMES = [f"object/{number}" for number in range(6)]
 KIND = "std_msgs/msg/String"

@@ -8,16 +8,15 @@ from im_core.clock import stamp_name
 from im_core.errors import DataError, StoreError
 from im_core.files import make_folder
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
-_COLUMNS = """
-    version INTEGER NOT NULL, type TEXT NOT NULL, hash TEXT NOT NULL, valid INTEGER NOT NULL, place TEXT NOT NULL,
-    source TEXT NOT NULL, command TEXT NOT NULL, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL
-"""
 SCHEMA = f"""
 BEGIN;
-CREATE TABLE objects (name TEXT PRIMARY KEY, {_COLUMNS}) STRICT;
-CREATE TABLE older (name TEXT NOT NULL, {_COLUMNS}, PRIMARY KEY (name, version)) STRICT;
+CREATE TABLE versions (
+    name TEXT NOT NULL, version INTEGER NOT NULL, type TEXT NOT NULL, hash TEXT NOT NULL, valid INTEGER NOT NULL,
+    place TEXT NOT NULL, source TEXT NOT NULL, command TEXT NOT NULL, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL,
+    PRIMARY KEY (name, version)
+) STRICT;
 CREATE TABLE appended (name TEXT NOT NULL, request TEXT NOT NULL, version INTEGER NOT NULL) STRICT;
 CREATE INDEX appended_request ON appended (name, request);
 PRAGMA user_version = {SCHEMA_VERSION};

@@ -4,12 +4,15 @@ import re
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 from im_core.errors import DataError, ImError, NotFoundError, StateError, StoreError
 from im_core.files import MEBIBYTE
+from im_dom.cache import ObjectCache, Version
 from im_dom.file import open_file
+from im_dom.record import ObjectRecord
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_./-]{0,127}(?<!/)")
 TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
@@ -21,48 +24,25 @@ LARGEST = 64 * MEBIBYTE
 KEPT_VERSIONS, KEPT_BYTES = 8, LARGEST
 """How many versions of an object are kept, and how many bytes the older ones of it may have; the newest always is."""
 
+CACHED_BYTES = 16 * MEBIBYTE
+"""How many bytes of newest versions are kept in memory, too."""
+
 KEPT_REQUESTS = 10_000
 """How many requests to append are remembered, so that one that is made again has no second effect."""
 
-COLUMNS = "name, version, type, hash, valid, place, source, command, stamp_ns, length(data)"
+_COLUMNS = "name, version, type, hash, valid, place, source, command, stamp_ns"
 _OF_A_COMMAND = re.compile(r"[A-Za-z][A-Za-z0-9_]*/\d+-\d+-\d+(?=/)")
 
-
-@dataclass(frozen=True)
-class ObjectRecord:
-    """What is known of a data object, without its data.
-
-    Attributes:
-        name: Its name.
-        version: Counts the puts from 1.
-        type: ROS type, e.g. ``geometry_msgs/msg/Pose``.
-        hash: Of the definition of that type (REP 2016).
-        valid: Whether it may be used.
-        place: ``net.place`` that stands for its existence and validity, or empty.
-        source: Who changed it last.
-        command: The command that it was put for, ``<node>/<life of the node>-<number>``, or empty.
-        stamp_ns: Testbed time of the last change [ns].
-        size: Of the data [byte].
-    """
-
-    name: str
-    version: int
-    type: str
-    hash: str
-    valid: bool
-    place: str
-    source: str
-    command: str
-    stamp_ns: int
-    size: int
+Versions = tuple[ObjectRecord, ...]
 
 
 class ObjectStore:
     """The data objects of one machine, in one file.
 
     Each change is made whole or not at all, and is on the disk when its method returns: it outlives the death of the
-    process and the loss of power. All methods raise a :class:`.StoreError` where the file cannot be written or read
-    (the disk is full or has failed); what was stored before is still there then.
+    process and the loss of power. What is known of the versions is in memory, too. All methods raise a
+    :class:`.StoreError` where the file cannot be written or read (the disk is full or has failed); what was stored
+    before is still there then.
 
     Args:
         path: SQLite file, made if missing; ``:memory:`` keeps nothing.
@@ -78,8 +58,16 @@ class ObjectStore:
     def __init__(self, path: str | Path = ":memory:") -> None:
         self._path = str(path)
         self._db, self.aside = open_file(path)
-        with self._doing("written"):
-            self._db.execute(_keep_older())
+        self._kept: dict[str, Versions] = {}
+        self._changed: dict[str, Versions] = {}  # by the transaction that goes on, as what follows
+        self._rows: list[tuple[object, ...]] = []
+        self._too_old: list[tuple[str, int]] = []
+        self._data: dict[str, bytes] = {}  # of newest versions
+        self._cache = ObjectCache(CACHED_BYTES)
+        with self._doing("read"):
+            rows = self._db.execute(f"SELECT {_COLUMNS}, length(data) FROM versions ORDER BY name, version")
+            for name, group in groupby(map(_record, rows), key=lambda record: record.name):
+                self._kept[name] = tuple(group)
 
     def together(self, works: Sequence[Callable[[], object]]) -> list[object]:
         """Do several things, in their order, with one wait for the disk.
@@ -122,6 +110,7 @@ class ObjectStore:
             self._db.execute("BEGIN")
         try:
             yield
+            self._write()
             with self._doing("written"):
                 self._db.execute("COMMIT")
         except BaseException:
@@ -129,6 +118,32 @@ class ObjectStore:
                 if self._db.in_transaction:  # SQLite may have undone all
                     self._db.execute("ROLLBACK")
             raise
+        else:
+            self._keep()
+        finally:
+            for each in (self._changed, self._rows, self._too_old, self._data):
+                each.clear()
+
+    def _write(self) -> None:
+        """Gives SQLite what has been put, all at once: between statements the threads change."""
+        with self._doing("written"):
+            self._db.executemany(f"INSERT INTO versions ({_COLUMNS}, data) VALUES (?{', ?' * 9})", self._rows)
+            self._db.executemany("DELETE FROM versions WHERE name = ? AND version = ?", self._too_old)
+        self._rows.clear()
+        self._too_old.clear()
+
+    def _keep(self) -> None:
+        """Takes over what the transaction has changed and read: it is on the disk."""
+        for name, versions in self._changed.items():
+            if versions:
+                self._kept[name] = versions
+            else:
+                self._kept.pop(name, None)
+        known: dict[str, Version | None] = dict.fromkeys(self._changed)
+        for name, data in self._data.items():
+            newest = self._kept[name][-1] if name in self._kept else None
+            known[name] = (newest, data) if newest and newest.valid else None
+        self._cache.update(known)
 
     @contextmanager
     def _doing(self, what: str) -> Iterator[None]:
@@ -176,15 +191,20 @@ class ObjectStore:
             raise DataError(text, object=name, size=len(data), allowed=LARGEST)
         found = _OF_A_COMMAND.match(name)
         command = command or (found[0] if found else "")
-        with self._transaction(), self._doing("written"):
-            row = self._db.execute(
-                "INSERT INTO objects VALUES (?, 1, ?, ?, 1, ?, ?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET"
-                " version = version + 1, type = excluded.type, hash = excluded.hash, valid = 1,"
-                " place = excluded.place, source = excluded.source, command = excluded.command,"
-                f" stamp_ns = excluded.stamp_ns, data = excluded.data RETURNING {COLUMNS}",
-                (name, kind, kind_hash, place, source, command, stamp_ns, data),
-            ).fetchone()
-        return _record(row)
+        with self._transaction():
+            before = self._versions(name)
+            version = before[-1].version + 1 if before else 1
+            record = ObjectRecord(name, version, kind, kind_hash, True, place, source, command, stamp_ns, len(data))
+            kept = _kept((*before, record))
+            self._rows.append((name, version, kind, kind_hash, True, place, source, command, stamp_ns, data))
+            self._too_old += [(name, old.version) for old in before[: len(before) + 1 - len(kept)]]
+            self._changed[name], self._data[name] = kept, data
+        return record
+
+    def _versions(self, name: str) -> Versions:
+        """What is known of the versions of an object that are kept, the newest last; empty: it is not there."""
+        changed = self._changed.get(name)
+        return self._kept.get(name, ()) if changed is None else changed
 
     def append(
         self,
@@ -246,24 +266,14 @@ class ObjectStore:
         Raises:
             NotFoundError: There is none of that name, or that version is not kept.
         """
-        with self._doing("read"):
-            row = self._db.execute(f"SELECT {COLUMNS} FROM objects WHERE name = ?", (name,)).fetchone()
-            if row is not None and version not in (0, row[1]):
-                newest = row[1]
-                row = self._db.execute(
-                    f"SELECT {COLUMNS} FROM older WHERE name = ? AND version = ?", (name, version)
-                ).fetchone()
-                if row is None:
-                    kept = [str(each) for (each,) in self._older(name)]
-                    raise NotFoundError(
-                        kind=f"version of data object '{name}'", name=str(version), known=[*kept, str(newest)]
-                    )
-        if row is None:
+        versions = self._versions(name)
+        if not versions:
             raise NotFoundError(kind="data object", name=name, known=[record.name for record in self.records()])
-        return _record(row)
-
-    def _older(self, name: str) -> list[tuple[int]]:
-        return self._db.execute("SELECT version FROM older WHERE name = ? ORDER BY version", (name,)).fetchall()
+        for record in versions:
+            if record.version == (version or versions[-1].version):
+                return record
+        known = [str(record.version) for record in versions]
+        raise NotFoundError(kind=f"version of data object '{name}'", name=str(version), known=known)
 
     def get(self, name: str, kind: str = "", version: int = 0) -> tuple[ObjectRecord, bytes]:
         """A valid object, or an older version of one, which was valid once.
@@ -281,13 +291,36 @@ class ObjectStore:
         record = self.valid_record(name, version)
         if kind and kind != record.type:
             raise DataError(f"data object '{name}' is a {record.type}, not a {kind}", object=name, type=record.type)
+        with self._transaction():
+            return record, self._read(record)
+
+    def _read(self, record: ObjectRecord) -> bytes:
+        """The data of a version that is kept."""
+        newest = record.version == self._versions(record.name)[-1].version
+        if newest and record.name in self._data:
+            return self._data[record.name]
+        if newest and record.name not in self._changed and (cached := self._cache.get(record.name)):
+            return cached[1]
+        self._write()
         with self._doing("read"):
             row = self._db.execute(
-                "SELECT data FROM objects WHERE name = ?1 AND version = ?2"
-                " UNION ALL SELECT data FROM older WHERE name = ?1 AND version = ?2",
-                (name, record.version),
+                "SELECT data FROM versions WHERE name = ? AND version = ?", (record.name, record.version)
             ).fetchone()
-        return record, row[0]
+        data: bytes = row[0]
+        if newest:
+            self._data[record.name] = data
+        return data
+
+    def cached(self, name: str) -> Version | None:
+        """The newest version of an object, from memory; from any thread, and it waits for nothing.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            As of :meth:`get`, and on the disk; None if it is not in memory, not valid, or not there.
+        """
+        return self._cache.get(name)
 
     def valid_record(self, name: str, version: int = 0) -> ObjectRecord:
         """What is known of an object that :meth:`get` would give; raises as that."""
@@ -302,11 +335,8 @@ class ObjectStore:
 
     def records(self, prefix: str = "") -> list[ObjectRecord]:
         """All objects whose name begins with ``prefix``, by name."""
-        with self._doing("read"):
-            rows = self._db.execute(
-                f"SELECT {COLUMNS} FROM objects WHERE substr(name, 1, ?) = ? ORDER BY name", (len(prefix), prefix)
-            ).fetchall()
-        return [_record(row) for row in rows]
+        names = sorted(name for name in {**self._kept, **self._changed} if name.startswith(prefix))
+        return [versions[-1] for name in names if (versions := self._versions(name))]
 
     def invalidate(self, name: str, source: str, stamp_ns: int) -> ObjectRecord:
         """Declare an object invalid; it stays listed.
@@ -314,12 +344,15 @@ class ObjectStore:
         Raises:
             NotFoundError: There is none of that name.
         """
-        self.record(name)
+        record = replace(self.record(name), valid=False, source=source, stamp_ns=stamp_ns)
         with self._transaction(), self._doing("written"):
+            self._write()
             self._db.execute(
-                "UPDATE objects SET valid = 0, source = ?, stamp_ns = ? WHERE name = ?", (source, stamp_ns, name)
+                "UPDATE versions SET valid = 0, source = ?, stamp_ns = ? WHERE name = ? AND version = ?",
+                (source, stamp_ns, name, record.version),
             )
-            return self.record(name)
+            self._changed[name] = (*self._versions(name)[:-1], record)
+        return record
 
     def forget(self, prefix: str) -> list[ObjectRecord]:
         """Deletes all objects whose name begins with ``prefix``, with all their versions.
@@ -327,11 +360,13 @@ class ObjectStore:
         Returns:
             Those that were valid; they are not any more.
         """
-        gone = [replace(record, valid=False) for record in self.records(prefix) if record.valid]
+        known = self.records(prefix)
         with self._transaction(), self._doing("written"):
-            for table in ("objects", "older", "appended"):
+            self._write()
+            for table in ("versions", "appended"):
                 self._db.execute(f"DELETE FROM {table} WHERE substr(name, 1, ?) = ?", (len(prefix), prefix))
-        return gone
+            self._changed.update({record.name: () for record in known})
+        return [replace(record, valid=False) for record in known if record.valid]
 
     def close(self) -> None:
         """Close the file."""
@@ -339,20 +374,12 @@ class ObjectStore:
             self._db.close()
 
 
-def _keep_older() -> str:
-    """What moves the newest version of an object to the older ones, and deletes those that are too many or too large.
-
-    It is done by SQLite, with the statement that puts the next: each other one costs a change of threads.
-    """
-    return f"""
-        CREATE TEMP TRIGGER keep_older BEFORE UPDATE OF version ON main.objects BEGIN
-            INSERT INTO older SELECT * FROM objects WHERE name = OLD.name;
-            DELETE FROM older WHERE name = OLD.name AND (version <= OLD.version + 1 - {KEPT_VERSIONS} OR (
-                SELECT sum(length(data)) FROM older AS newer
-                WHERE newer.name = OLD.name AND newer.version >= older.version
-            ) > {KEPT_BYTES});
-        END
-    """
+def _kept(versions: Versions) -> Versions:
+    """The newest, and of those before it as many as may be kept; the newest is last."""
+    first = max(0, len(versions) - KEPT_VERSIONS)
+    while sum(record.size for record in versions[first:-1]) > KEPT_BYTES:
+        first += 1
+    return versions[first:]
 
 
 def _match(pattern: re.Pattern[str], what: str, value: str, allowed: str) -> None:

@@ -2,7 +2,9 @@
 
 import sqlite3
 from contextlib import closing
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import given
@@ -10,7 +12,9 @@ from hypothesis import strategies as st
 
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dom import store as objects
-from im_dom.store import KEPT_VERSIONS, LARGEST, ObjectRecord, ObjectStore
+from im_dom.cache import ObjectCache
+from im_dom.record import ObjectRecord
+from im_dom.store import KEPT_VERSIONS, LARGEST, ObjectStore
 
 KIND = "std_msgs/msg/String"
 
@@ -117,7 +121,7 @@ def test_a_file_of_another_version_is_set_aside_too(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "dom.sqlite")) as db:
         db.execute("CREATE TABLE objects (name TEXT PRIMARY KEY)")
     store = ObjectStore(tmp_path / "dom.sqlite")
-    assert "is of another version of this software (0, not 3)" in store.aside
+    assert "is of another version of this software (0, not 4)" in store.aside
 
 
 def test_a_file_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -263,10 +267,75 @@ def test_what_is_done_together_is_on_the_disk_as_one_when_it_is_answered(tmp_pat
         seen = []
 
         def look() -> None:
-            seen.append(other.execute("SELECT count(*) FROM objects").fetchone()[0])
+            seen.append(other.execute("SELECT count(*) FROM versions").fetchone()[0])
 
         store.together([lambda: put(store, "a"), look, lambda: put(store, "b"), look])
         look()
     assert seen == [0, 0, 2]
     assert store._db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: each commit waits for the disk
     assert store._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
+NAMES = st.sampled_from(["a", "b", "below/a", "below/b"])
+
+
+@given(
+    st.lists(
+        st.lists(
+            st.tuples(st.sampled_from(["put", "append", "invalidate", "forget", "get", "break"]), NAMES), max_size=5
+        ),
+        max_size=8,
+    )
+)
+def test_what_is_in_memory_is_what_is_on_the_disk(groups: list[list[tuple[str, str]]]) -> None:
+    """Whatever is done together, and whether it succeeds: the file that is opened anew says the same."""
+
+    def broken() -> None:
+        put(store, "a", b"half")
+        store.forget("below/")
+        raise ZeroDivisionError
+
+    with TemporaryDirectory() as folder:
+        store, number = ObjectStore(Path(folder) / "dom.sqlite"), 0
+        for group in groups:
+            works = []
+            for what, name in group:
+                number += 1
+                works.append(
+                    {
+                        "put": partial(put, store, name, b"put %d" % number),
+                        "append": partial(append, store, b"+%d" % number, str(number % 3), name),
+                        "invalidate": partial(store.invalidate, name, "someone", number),
+                        "forget": partial(store.forget, "below/"),
+                        "get": partial(store.get, name),
+                        "break": broken,
+                    }[what]
+                )
+            store.together(works)
+            anew = ObjectStore(Path(folder) / "dom.sqlite")
+            assert anew.records() == store.records()
+            for record in anew.records():
+                if not record.valid:
+                    assert store.cached(record.name) is None
+                    continue
+                there = anew.get(record.name)
+                assert store.cached(record.name) in (None, there)
+                assert store.get(record.name) == there
+                assert store.cached(record.name) == there
+            for name in {"a", "b", "below/a", "below/b"} - {record.name for record in anew.records()}:
+                assert store.cached(name) is None
+            anew.close()
+        store.close()
+
+
+def test_of_the_newest_versions_those_used_last_stay_in_memory() -> None:
+    cache, kept = ObjectCache(64 * 1024), b"x" * 1000
+    sizes = {"a": kept, "b": kept, "large": bytes(5000), **{str(number): kept for number in range(40)}}
+    for name, data in sizes.items():
+        record = ObjectRecord(name, 1, KIND, "", True, "", "tester", "", 7, len(data))
+        cache.update({name: (record, data)})
+        cache.get("a")
+    assert cache.get("large") is None
+    assert cache.get("b") is None
+    there = [name for name in sizes if cache.get(name)]
+    assert there == ["a", *map(str, range(9, 40))]

@@ -2,7 +2,7 @@
 
 import sys
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
 from typing import TypeVar
@@ -18,8 +18,9 @@ from im_core.ros.reminders import Reminders
 from im_core.ros.status import OK, ok_status, to_status
 from im_core.ros.worker import Worker
 from im_dom.places import Places
+from im_dom.record import ObjectRecord
 from im_dom.ros.types import as_json, check_message, extended, from_json
-from im_dom.store import ObjectRecord, ObjectStore
+from im_dom.store import ObjectStore
 from im_msgs.msg import NetDescription, ObjectChange, ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 
@@ -142,7 +143,23 @@ class DomNode(ManagedNode):
             if not promise.done():
                 promise.set_result(None)
 
-    async def _get(self, request: GetObject.Request, response: GetObject.Response) -> GetObject.Response:
+    def _get(
+        self, request: GetObject.Request, response: GetObject.Response
+    ) -> GetObject.Response | Coroutine[None, None, GetObject.Response]:
+        """Answers at once what is in memory; else the store is asked, and the response comes later."""
+        cached = self.store.cached(request.name)
+        if cached is None or request.version or request.as_json or not 0.0 <= request.timeout <= LONGEST_WAIT_S:
+            return self._get_stored(request, response)
+        record, data = cached
+        if request.type not in ("", record.type):
+            return self._get_stored(request, response)
+        if not request.metadata_only:
+            response.data = array("B", data)
+        fill_info(response.object, record)
+        response.success, response.status.code = True, OK
+        return response
+
+    async def _get_stored(self, request: GetObject.Request, response: GetObject.Response) -> GetObject.Response:
         def get() -> ObjectRecord:
             if request.metadata_only:
                 return self.store.valid_record(request.name, request.version)
