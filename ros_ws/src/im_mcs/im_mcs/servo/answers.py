@@ -53,10 +53,8 @@ class Answers:
         """Tell that a goal ended at once."""
         self.end_goal(goal, fault, {"duration": (tick - goal.since_tick) * self._period_s})
 
-    def finish_goals(self, group: ControlledGroup, tick: int) -> None:
-        """Tell results and progress of a group's goals."""
-        for goal, fault, results in group.ended():
-            self.end_goal(goal, fault, results)
+    def tell_progress(self, group: ControlledGroup, tick: int) -> None:
+        """Tell the progress of a group's goal, now and then."""
         if tick % self._progress_ticks == 0 and (progress := group.progress()) is not None:
             self._emit({"event": "progress", **progress})
 

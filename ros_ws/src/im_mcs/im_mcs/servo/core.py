@@ -135,6 +135,7 @@ class Mcs:
         tau, setpoint = loop.tau, loop.setpoint
         try:
             self._write()
+            self._follow_up()
             for finding in loop.look_around(m, self.v, self._collision):  # while the testbed moves on
                 self._react(finding)
         finally:
@@ -298,14 +299,20 @@ class Mcs:
             self.estop(fault)
 
     def _finish(self) -> None:
-        """Tell what has ended; watch the rest of groups whose brakes hold."""
-        m = self.measured
+        """Tell what has ended."""
         if self.loop.ended:
             ended, self.loop.ended = self.loop.ended, []
             for _, goal, fault in ended:
-                self.answers.drop_goal(goal, fault, m.tick)
+                self.answers.drop_goal(goal, fault, self.measured.tick)
         for group in self.groups.values():
-            self.answers.finish_goals(group, m.tick)
+            for goal, fault, results in group.ended():
+                self.answers.end_goal(goal, fault, results)
+        self.grippers.update(self.measured)
+
+    def _follow_up(self) -> None:
+        """Tell how far goals are; watch the rest of groups whose brakes hold. No torque waits for it."""
+        m = self.measured
+        for group in self.groups.values():
+            self.answers.tell_progress(group, m.tick)
             if not group.engaged:
                 group.monitor.update(m.tick, m.q[group.index], None)
-        self.grippers.update(m)

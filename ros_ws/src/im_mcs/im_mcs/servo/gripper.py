@@ -132,6 +132,8 @@ class Grippers:
 
     def update(self, m: Measured) -> None:
         """Tell of the jaws that have come to stand."""
+        if not self._moving:
+            return
         for motion in [motion for motion in self._moving.values() if motion.update(m.gripper)]:
             del self._moving[motion.slot]
             results: dict[str, object] = {

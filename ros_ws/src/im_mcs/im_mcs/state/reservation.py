@@ -144,9 +144,9 @@ class Reservations:
 
     def lapse(self, now_ns: int) -> list[Reservation]:
         """Reservations of one owner whose lease has run out since the last call; ask again for those of another."""
-        if not self._held:
-            return []
         gone = [r for r in self._held.values() if r.lease_s > 0.0 and not r.lapsed and now_ns > r.until_ns]
+        if not gone:
+            return gone
         gone = [reservation for reservation in gone if reservation.owner == gone[0].owner]
         for reservation in gone:
             reservation.lapsed = True
