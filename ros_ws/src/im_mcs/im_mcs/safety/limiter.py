@@ -47,8 +47,9 @@ class SetpointLimiter:
         self._leap = np.array([jerk * plan_s**3, jerk * plan_s**2, jerk * period_s]) + 1e-12
         self._reach = Reach(limits.ceiling)
         self._middle = (limits.lower + limits.upper) / 2.0
-        # magnitudes of leaps, of velocity, of acceleration, and how far braking goes from the middle of the range
+        # leaps, velocities, accelerations, and how far from the middle of the range
         self._rows = np.empty((6, n))
+        self._leaps, self._motions, self._places = self._rows[:3], self._rows[3:5], self._rows[5]
         self._free = np.ones(n, dtype=np.bool_)
         self.cut = np.zeros(n, dtype=np.bool_)
         self._any_catching = False
@@ -77,12 +78,11 @@ class SetpointLimiter:
         Raises:
             DataError: A setpoint is not finite; the joint is named.
         """
-        rows = self._rows
-        np.subtract(wanted, self._step.dot(self._last), out=rows[:3])
-        rows[3:5] = wanted[1:]
-        np.subtract(wanted[0], self._middle, out=rows[5])
-        np.abs(rows, out=rows)
-        rows[5] += self._reach.way(rows[3:5])
+        self._leaps[...] = wanted - self._step.dot(self._last)
+        self._motions[...] = wanted[1:]
+        self._places[...] = wanted[0] - self._middle
+        rows = np.abs(self._rows)
+        rows[5] += self._reach.way(rows[3:5])  # as far as braking goes
         within = rows <= self._bounds
         flags = within.tobytes()  # what numpy takes longer to look through
         fine = not self._any_catching and 0 not in flags[: 5 * len(self._names)]

@@ -9,6 +9,9 @@ from im_mcs.limits.motion_limits import MotionLimits
 
 Array = NDArray[np.float64]
 
+# rounding of velocities and accelerations that are at their limits
+_BESIDE = 1.0 + 1e-5
+
 
 def stopping_position(q: Array, v: Array, a: Array, limits: MotionLimits) -> Array:
     """Positions of rest after the shortest jerk-limited braking, shape (n,) [rad or m].
@@ -54,23 +57,29 @@ def _distance(speed: float, most: float, jerk: float) -> float:
 
 
 class Reach:
-    """An upper bound of the way to rest that is cheaper than :func:`stopping_place`.
+    """An upper bound of the way to rest that is much cheaper than :func:`stopping_place`: this is asked in every tick.
+
+    With ``r = acceleration / jerk / 2`` and ``f = v + r a`` the way is at most ``f (f / (2 acceleration) + r) + (v / jerk
+    + (2 r)^2 / 3) a``. That is convex in ``v`` and in ``a``, so that up to the limits of both it lies below the plane
+    through its values at rest, at the largest acceleration, and at the largest of both.
 
     Args:
-        limits: Of acceleration and jerk.
+        limits: Of velocity, acceleration and jerk.
     """
 
     def __init__(self, limits: MotionLimits) -> None:
-        # f * (s * f + r) + (v / jerk + (2 r)^2 / 3) * a with f = v + r * a, multiplied out: this is asked in every tick
-        r, s = limits.acceleration / limits.jerk / 2.0, 1.0 / (2.0 * limits.acceleration)
-        self._squares = np.array([s, s * r**2])
-        self._singles = np.array([r, r**2 + (2.0 * r) ** 2 / 3.0])
-        self._product = 2.0 * s * r + 1.0 / limits.jerk
+        top_v, top_a = limits.velocity * _BESIDE, limits.acceleration * _BESIDE
+        r = limits.acceleration / limits.jerk / 2.0
+
+        def bound(v: Array | float) -> Array:
+            f = v + r * top_a
+            return np.asarray(
+                f * (f / (2.0 * limits.acceleration) + r) + (v / limits.jerk + (2.0 * r) ** 2 / 3.0) * top_a
+            )
+
+        self._slopes = np.array([(bound(top_v) - bound(0.0)) / top_v, bound(0.0) / top_a])
 
     def way(self, motion: Array) -> Array:
-        """Bound of the way, shape (n,); magnitudes of velocities and accelerations, shape (2, n)."""
-        way = self._squares * motion
-        way += self._singles
-        way[0] += self._product * motion[1]
-        way *= motion
+        """Bound of the way, shape (n,); magnitudes of velocities and accelerations up to their limits, shape (2, n)."""
+        way = self._slopes * motion
         return np.asarray(way[0] + way[1])
