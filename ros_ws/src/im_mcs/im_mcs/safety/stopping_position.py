@@ -59,9 +59,10 @@ def _distance(speed: float, most: float, jerk: float) -> float:
 class Reach:
     """An upper bound of the way to rest that is much cheaper than :func:`stopping_place`: this is asked in every tick.
 
-    With ``r = acceleration / jerk / 2`` and ``f = v + r a`` the way is at most ``f (f / (2 acceleration) + r) + (v / jerk
-    + (2 r)^2 / 3) a``. That is convex in ``v`` and in ``a``, so that up to the limits of both it lies below the plane
-    through its values at rest, at the largest acceleration, and at the largest of both.
+    With ``r = acceleration / jerk / 2`` and ``f = v + r a`` the way is at most ``f (f / (2 acceleration) + r) +
+    (v / jerk + (2 r)^2 / 3) a``. That is convex in ``v`` and in ``a``, and grows faster with each the larger the other
+    is: up to the limits of both it lies below the plane through its values at rest, at the largest acceleration, and at
+    the largest of both.
 
     Args:
         limits: Of velocity, acceleration and jerk.
