@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,32 @@ _KNOTS = 8
 
 Ahead = Callable[[float], NDArray[np.float64]]
 """Place on a curved path that is reached in some seconds, if nothing changes, shape (n,)."""
+
+
+class _Knot(NamedTuple):
+    """Where a clock leads from one knot to the next.
+
+    Attributes:
+        clock: The clock, and
+        since: its time at the knot before [s].
+        ticks: Servo ticks from there.
+        t: Time of the clock at the knot [s].
+        sigma: Place on the trajectory, in its own time [s], with
+        rate: rate and
+        rate_change: change of rate.
+        between: Setpoints of the ticks between, shape (ticks - 1, n) each.
+        setpoint: That of the knot.
+    """
+
+    clock: Clock
+    since: float
+    ticks: int
+    t: float
+    sigma: float
+    rate: float
+    rate_change: float
+    between: Setpoint | None
+    setpoint: Setpoint
 
 
 class PathFollower:
@@ -57,6 +84,7 @@ class PathFollower:
         self._judged, self._straight = -math.inf, True
         self._ready_clock: Clock | None = None
         self._ready: list[Setpoint] = []
+        self._next: _Knot | None = None
 
     @property
     def finished(self) -> bool:
@@ -96,19 +124,37 @@ class PathFollower:
                 return self._braked(*self._brake)
         elif self._clock.ramp_s - self._t > _LONG_S:
             self._hasten()
+        knot = self._next_knot()
+        self._t, self.sigma, self.rate, self.rate_change = knot.t, knot.sigma, knot.rate, knot.rate_change
+        self.between, self._now = knot.between, knot.setpoint
+        return knot.setpoint, knot.ticks
+
+    def look_ahead(self) -> None:
+        """Evaluate the knot to which :meth:`advance` comes next, unless the rate changes."""
+        if self._brake is None and not self.finished:
+            self._next_knot()
+
+    def _next_knot(self) -> _Knot:
+        """The knot to which the clock leads from here; evaluated once."""
+        if self._next is None or self._next.clock is not self._clock or self._next.since != self._t:
+            self._next = self._evaluated()
+        return self._next
+
+    def _evaluated(self) -> _Knot:
         ticks, steady = self._divisor, self._t >= self._clock.ramp_s
         if self.rate > _LEAST and steady:
             left = (self.trajectory.duration - self.sigma) / (self.rate * self._tick_s)
             ticks = min(max(math.ceil(left - _LEAST), 1), ticks)
+        between = None
         if ticks > 1 and (not steady or self._clock.rate > 0.0):
             many = steady and ticks == self._divisor
-            self.between = self._next_between() if many else self._between([self._t], ticks)
-        self._t += ticks * self._tick_s
-        self.sigma, self.rate, self.rate_change = self._clock.at(self._t)
-        if self.sigma >= self.trajectory.duration - _LEAST * self._tick_s:
-            self.sigma = self.trajectory.duration
-        self._now = scaled(self.trajectory.at(self.sigma), self.rate, self.rate_change)
-        return self._now, ticks
+            between = self._next_between() if many else self._between([self._t], ticks)
+        t = self._t + ticks * self._tick_s
+        sigma, rate, rate_change = self._clock.at(t)
+        if sigma >= self.trajectory.duration - _LEAST * self._tick_s:
+            sigma = self.trajectory.duration
+        setpoint = scaled(self.trajectory.at(sigma), rate, rate_change)
+        return _Knot(self._clock, self._t, ticks, t, sigma, rate, rate_change, between, setpoint)
 
     @property
     def ahead(self) -> Ahead | None:
@@ -195,6 +241,9 @@ class Standing:
 
     def __init__(self, q: NDArray[np.float64]) -> None:
         self.end_setpoint = Setpoint.at_rest(q)
+
+    def look_ahead(self) -> None:
+        """There is nothing to prepare."""
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
         """The same setpoint, whatever the rate."""

@@ -64,6 +64,10 @@ class Follower(Protocol):
         """The setpoint some servo ticks on, and how many they are; ``rate`` is the one wanted from now on."""
         ...
 
+    def look_ahead(self) -> None:
+        """Prepare what :meth:`advance` will most likely be asked for next; that changes no answer."""
+        ...
+
 
 class GroupPlanner:
     """Follows one motion after the other; between them it holds.
@@ -155,6 +159,11 @@ class GroupPlanner:
             self._compute()
         self.setpoint = self._ready.pop()
         return self.setpoint
+
+    def look_ahead(self) -> None:
+        """Prepare the next knot while nothing waits for it, if the next setpoint is one to compute."""
+        if not self._ready:
+            self.follower.look_ahead()
 
     def _compute(self) -> None:
         before = self._knot

@@ -104,6 +104,9 @@ class StreamFollower:
             self._state = self._chased(rate)
         return self._state, self._divisor
 
+    def look_ahead(self) -> None:
+        """Nothing can be prepared: what comes next is the sender's to say."""
+
     def _arrived(self) -> bool:
         return not self._drift.any() and np.array_equal(self._state.q, self._target)
 

@@ -106,7 +106,7 @@ class ControlLoop:
     def look_around(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[SafetyFinding]:
         """Whether what this tick's setpoints lead to keeps its distance; it bounds the setpoints of the next tick.
 
-        The slots need not wait for it.
+        The slots need not wait for it, nor for what can be prepared of these.
 
         Args:
             m: What the slots said.
@@ -157,6 +157,7 @@ class ControlLoop:
         near = self.proximity = collision.update(m.q, velocity, wanted[2], curves)
         for group in self.engaged:
             group.set_ceiling(near.speed_ceiling)
+            group.planner.look_ahead()
         if not near.stop:
             return []
         fault = ImError(

@@ -287,7 +287,8 @@ class ControlledGroup:
         current = self._current
         if current is not None:
             current.ticks += 1
-            self._check_lease(current)
+            if current.lease is not None:
+                self._check_lease(current, current.lease)
         self.planner.rate = self._rates.of(current)
         if self._rates.protective is not None:
             self._suspended(self._rates.protective)
@@ -508,10 +509,10 @@ class ControlledGroup:
         if self._patience_ticks < 0:
             self._end_all(fault)
 
-    def _check_lease(self, current: Current) -> None:
-        if current.lease is not None and current.goal.fault is None:
-            current.lease.tick()
-            fault = current.lease.lapsed()
+    def _check_lease(self, current: Current, lease: StreamLease) -> None:
+        if current.goal.fault is None:
+            lease.tick()
+            fault = lease.lapsed()
             if fault is not None:
                 self._interrupt(fault)
                 current.at_once = False

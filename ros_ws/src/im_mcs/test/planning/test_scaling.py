@@ -176,3 +176,26 @@ def test_a_protective_stop_without_goals_holds_nothing(rig, way):
     rig.group.protective_stop(ImError("too close", code="collision"))
     assert rig.group.protective is None
     assert rig.code(_moved(rig, rig.home + 0.1 * way)) is None
+
+
+@pytest.mark.parametrize("kind", ["straight", "corners", "spline"])
+@pytest.mark.parametrize("divisor", [2, 5])
+def test_what_is_prepared_while_nothing_waits_for_it_changes_no_setpoint(make_rig, way, kind, divisor):
+    rng = np.random.default_rng(divisor)
+    stretches = [(int(rng.integers(1, 40)), rng.choice([0.0, 1.0, 1.0, rng.uniform(0.2, 1.0)])) for _ in range(60)]
+    plain, ahead = make_rig(divisor), make_rig(divisor)
+    for rig in (plain, ahead):
+        begin(rig, kind, way)
+        for ticks, speed in [*stretches, (5000, 1.0)]:
+            if speed > 0.0:
+                rig.group.set_speed(speed)
+                rig.group.resume()
+            else:
+                rig.group.pause()
+            for _ in range(ticks):
+                rig.ticks(1)
+                for _ in range(int(rng.integers(0, 3)) if rig is ahead else 0):
+                    rig.group.planner.look_ahead()
+    assert [plain.code(goal) for goal in plain.results] == [ahead.code(goal) for goal in ahead.results] == [None]
+    for before, after in ((plain.q, ahead.q), (plain.v, ahead.v), (plain.a, ahead.a)):
+        np.testing.assert_array_equal(before, after)
