@@ -305,8 +305,8 @@ class Mcs:
             for _, goal, fault in ended:
                 self.answers.drop_goal(goal, fault, self.measured.tick)
         for group in self.groups.values():
-            for goal, fault, results in group.ended():
-                self.answers.end_goal(goal, fault, results)
+            for goal, why, results in group.ended():
+                self.answers.end_goal(goal, why, results)
         self.grippers.update(self.measured)
 
     def _follow_up(self) -> None:
