@@ -8,11 +8,10 @@ from im_cell.robot import Cell
 from im_sim.actuators import Actuators
 from im_sim.dynamics import Dynamics
 from im_sim.grippers import GripperJaws
-from im_sim.sensors import Encoders, ForceSensors, WristSensors
+from im_sim.sensors import Encoders, Signals, WristWrenches
 from im_sim.world import World
 
 _AT_REST = 1e-12
-_JAW_STREAM = 3
 
 
 class Plant:
@@ -36,9 +35,9 @@ class Plant:
         self._dynamics = Dynamics(cell)
         self._actuators = Actuators(cell, self._dynamics, self._dt)
         self._grippers = GripperJaws(cell.gripper)
-        self._encoders = Encoders(cell, seed)
-        self._wrists = WristSensors(cell, self._dynamics, seed)
-        self._jaws = ForceSensors([cell.gripper.force_sensor] * len(cell.sides), seed, _JAW_STREAM)
+        self._wrists = WristWrenches(self._dynamics)
+        self._signals = Signals(cell, seed)
+        self._encoders = Encoders(cell)
         self._last_joints = [joint - 1 for joint, _ in self._dynamics.wrists]
         self._n = len(cell.joints)
         self._dt_each = np.full(self._n, self._dt)
@@ -67,21 +66,23 @@ class Plant:
     def sensors(self, tick: int) -> Sensors:
         """What the sensors say at a tick."""
         self._tick = tick
-        q, age_s = self._encoders.read(tick, self.q)
+        q, wrench, gripper_force = self._signals.read(tick, self.q, self._wrists.true, self._grippers.force)
+        q, age_s = self._encoders.tell(tick, q)
         return Sensors(
             q=q,
             power=self.power,
             brakes=self._actuators.brakes,
             gripper=self._grippers.opening,
             age_s=age_s,
-            wrench=self._wrists.read(tick),
-            gripper_force=self._jaws.read(tick, self._grippers.force),
+            wrench=wrench,
+            gripper_force=gripper_force,
         )
 
     def break_(self, faults: Faults) -> None:
         """Put faults in force, instead of those before."""
         self._faults, self._may_hold = faults, ~faults.brake_open
-        self._encoders.break_(faults, self._tick, self.q)
+        q, _, _ = self._signals.read(self._tick, self.q, self._wrists.true, self._grippers.force)
+        self._encoders.break_(faults, self._tick, q)
 
     def put(self, objects: tuple[JawObject | None, ...]) -> None:
         """Say what is between the jaws of each gripper."""

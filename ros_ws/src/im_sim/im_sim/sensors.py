@@ -3,6 +3,8 @@
 Their noise depends on seed and tick alone, whatever was read before.
 """
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -14,53 +16,107 @@ from im_sim.world import Contact
 
 _TICKS_PER_BLOCK = 256
 _STREAM_SHIFT = 48
-_WRIST_STREAM = 1
+_ENCODERS, _WRISTS, _WRISTS_BIAS, _JAWS, _JAWS_BIAS = range(5)  # streams of one seed, independent of each other
 
 
 class TickNoise:
-    """Normal noise of several signals.
+    """Normal noise of the signals of several sensors.
 
     Args:
         seed: Key of the noise.
-        stream: Which sensor; streams of one seed are independent, 0 to 65535.
-        deviation: Standard deviation of each signal, shape (n,).
-        mean: Of each signal, shape (n,); zero if not given.
+        deviations: Standard deviation of each signal of a sensor, by the sensor's stream, 0 to 65535.
+        mean: Of each signal, of one sensor after the other, shape (n,); zero if not given.
     """
 
     def __init__(
-        self, seed: int, stream: int, deviation: NDArray[np.float64], mean: NDArray[np.float64] | float = 0.0
+        self,
+        seed: int,
+        deviations: Mapping[int, NDArray[np.float64]],
+        mean: NDArray[np.float64] | float = 0.0,
     ) -> None:
         self._seed = seed & 0xFFFFFFFFFFFFFFFF
-        self._stream = stream << _STREAM_SHIFT
-        self._deviation, self._mean = deviation, mean
+        self._deviations, self._mean = deviations, mean
         self._block = -1
-        self._draws: NDArray[np.float64] = np.empty((0, 0))
+        self._noise: NDArray[np.float64] = np.empty((0, 0))
 
     def at(self, tick: int) -> NDArray[np.float64]:
-        """Noise at a tick, shape (n,)."""
+        """Noise at a tick, of one sensor after the other, shape (n,)."""
         block, row = divmod(tick, _TICKS_PER_BLOCK)
         if block != self._block:
-            key = np.array([self._seed, self._stream | block], dtype=np.uint64)
-            generator = np.random.Generator(np.random.Philox(key=key))
-            draws = generator.standard_normal((_TICKS_PER_BLOCK, len(self._deviation)))
-            self._draws = draws * self._deviation + self._mean
+            sensors = [self._draw(block, stream, deviation) for stream, deviation in self._deviations.items()]
+            self._noise = np.hstack(sensors) + self._mean
             self._block = block
-        draw: NDArray[np.float64] = self._draws[row]
-        return draw
+        noise: NDArray[np.float64] = self._noise[row]
+        return noise
+
+    def _draw(self, block: int, stream: int, deviation: NDArray[np.float64]) -> NDArray[np.float64]:
+        key = np.array([self._seed, stream << _STREAM_SHIFT | block], dtype=np.uint64)
+        generator = np.random.Generator(np.random.Philox(key=key))
+        return generator.standard_normal((_TICKS_PER_BLOCK, len(deviation))) * deviation
 
 
-class Encoders:
-    """Reads joint positions as the machine sees them: noise, then quantisation.
+class Signals:
+    """Every signal of the cell's sensors in one row: a fixed bias, noise, quantisation, and the end of its range.
+
+    Encoders have neither bias nor end.
 
     Args:
-        cell: Resolution and noise of each joint.
-        seed: Key of the noise: the same seed and tick give the same noise, whatever was read before.
+        cell: Noise, bias, resolution, range.
+        seed: Of noise and bias: the same seed and tick give the same, whatever was read before.
     """
 
     def __init__(self, cell: Cell, seed: int) -> None:
-        self._resolution = cell.per_joint("resolution")
-        self._noise = TickNoise(seed, 0, cell.per_joint("noise"))
-        n = len(self._resolution)
+        self._n, sides = len(cell.joints), len(cell.sides)
+        self._wrists_end = self._n + 6 * sides
+        wrist = cell.wrist_sensor
+        wrists, jaws = ([wrist.force] * 3 + [wrist.torque] * 3) * sides, [cell.gripper.force_sensor] * sides
+        bias = TickNoise(seed, {_WRISTS_BIAS: _each("bias", wrists), _JAWS_BIAS: _each("bias", jaws)}).at(0)
+        self._noise = TickNoise(
+            seed,
+            {_ENCODERS: cell.per_joint("noise"), _WRISTS: _each("noise", wrists), _JAWS: _each("noise", jaws)},
+            np.append(np.zeros(self._n), bias),
+        )
+        self._resolution = np.append(cell.per_joint("resolution"), _each("resolution", wrists + jaws))
+        self._most = np.append(np.full(self._n, np.inf), _each("range", wrists + jaws))
+        self._least = -self._most
+        self._true = np.zeros(len(self._most))
+        self._q, self._wrench, self._force = self._parts(self._true)
+
+    def read(
+        self, tick: int, q: NDArray[np.float64], wrench: NDArray[np.float64], force: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Readings at a tick.
+
+        Args:
+            tick: Number of the tick.
+            q: True positions, shape (n,) [rad or m].
+            wrench: What really acts at the wrists, shape (2, 6) [N, Nm].
+            force: What really acts between the jaws, shape (2,) [N].
+
+        Returns:
+            What encoders, wrist sensors and jaws say, shapes as those given.
+        """
+        self._q[:], self._wrench[:], self._force[:] = q, wrench, force
+        steps = np.rint((self._true + self._noise.at(tick)) / self._resolution) * self._resolution
+        return self._parts(np.minimum(np.maximum(steps, self._least), self._most))
+
+    def _parts(
+        self, signals: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Views of those of encoders, wrists and jaws."""
+        n, end = self._n, self._wrists_end
+        return signals[:n], signals[n:end].reshape(-1, 6), signals[end:]
+
+
+class Encoders:
+    """What becomes of encoder readings on the way to whoever reads them: some are stuck, some are lost.
+
+    Args:
+        cell: Joints and period.
+    """
+
+    def __init__(self, cell: Cell) -> None:
+        n = len(cell.joints)
         self._fresh = np.zeros(n)
         self._frozen = np.zeros(n, dtype=np.bool_)
         self._frozen_since = np.zeros(n, dtype=np.int64)
@@ -69,53 +125,25 @@ class Encoders:
         self._sound = True
         self._period_s = cell.period
 
-    def break_(self, faults: Faults, tick: int, q: NDArray[np.float64]) -> None:
-        """Put faults in force at a tick, at true positions ``q``, shape (n,): a frozen reading is the one of then."""
+    def break_(self, faults: Faults, tick: int, reading: NDArray[np.float64]) -> None:
+        """Put faults in force at a tick, of which this is the reading, shape (n,): a frozen one stays as it is."""
         newly = faults.encoder_frozen & ~self._frozen
         self._frozen_since[newly] = tick
-        self._frozen_reading[newly] = self._reading(tick, q)[newly]
+        self._frozen_reading[newly] = reading[newly]
         self._frozen, self._blind = faults.encoder_frozen, faults.encoder_nan
         self._sound = not (self._frozen.any() or self._blind.any())
 
-    def read(self, tick: int, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Readings of the true positions ``q`` at a tick, shape (n,) [rad or m], and their ages, shape (n,) [s]."""
-        reading = self._reading(tick, q)
+    def tell(self, tick: int, reading: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What arrives of the reading of a tick, shape (n,) [rad or m], and its age, shape (n,) [s]."""
         if self._sound:
             return reading, self._fresh
-        reading = np.where(self._frozen, self._frozen_reading, reading)
-        reading[self._blind] = np.nan
-        return reading, np.where(self._frozen, (tick - self._frozen_since) * self._period_s, 0.0)
-
-    def _reading(self, tick: int, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        reading: NDArray[np.float64] = np.rint((q + self._noise.at(tick)) / self._resolution) * self._resolution
-        return reading
+        told = np.where(self._frozen, self._frozen_reading, reading)
+        told[self._blind] = np.nan
+        return told, np.where(self._frozen, (tick - self._frozen_since) * self._period_s, 0.0)
 
 
-class ForceSensors:
-    """Sensors of forces or torques: a fixed bias, noise, quantisation, and the end of their range.
-
-    Args:
-        specs: Of each signal.
-        seed: Of bias and noise.
-        stream: As of :class:`TickNoise`; the one after is used for the bias.
-    """
-
-    def __init__(self, specs: list[SensorSpec], seed: int, stream: int) -> None:
-        bias = TickNoise(seed, stream + 1, np.array([spec.bias for spec in specs])).at(0)
-        self._noise = TickNoise(seed, stream, np.array([spec.noise for spec in specs]), bias)
-        self._resolution = np.array([spec.resolution for spec in specs])
-        self._most = np.array([spec.range for spec in specs])
-        self._least = -self._most
-
-    def read(self, tick: int, true: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Readings of ``true``, shape (n,), at a tick [N or Nm]."""
-        steps = np.rint((true + self._noise.at(tick)) / self._resolution) * self._resolution
-        reading: NDArray[np.float64] = np.minimum(np.maximum(steps, self._least), self._most)
-        return reading
-
-
-class WristSensors:
-    """Wrist force-torque sensors: what each arm exerts on its link 6 and on all that hangs on it.
+class WristWrenches:
+    """What the wrist force-torque sensors feel: what each arm exerts on its link 6 and on all that hangs on it.
 
     Force and torque are in the axes and about the origin of each wrist frame. With the spatial inertia I of link 6
     and its load, its spatial velocity v and acceleration a, and the wrench w of what it touches, the arm exerts ``I
@@ -123,26 +151,15 @@ class WristSensors:
     physics has found, contacts included.
 
     Args:
-        cell: Noise, bias, resolution, range.
         dynamics: Of the arms with their loads.
-        seed: Of noise and bias.
+
+    Attributes:
+        true: What really acts, force then torque of each side, shape (2, 6) [N, Nm].
     """
 
-    def __init__(self, cell: Cell, dynamics: Dynamics, seed: int) -> None:
+    def __init__(self, dynamics: Dynamics) -> None:
         self._dynamics = dynamics
-        sensor = cell.wrist_sensor
-        self._sensors = ForceSensors(([sensor.force] * 3 + [sensor.torque] * 3) * len(cell.sides), seed, _WRIST_STREAM)
-        self._true = np.zeros((len(cell.sides), 6))
-        self._signals = self._true.ravel()  # the same memory
-
-    def read(self, tick: int) -> NDArray[np.float64]:
-        """Readings at a tick, force then torque of each side, shape (2, 6) [N, Nm]."""
-        return self._sensors.read(tick, self._signals).reshape(-1, 6)
-
-    @property
-    def true(self) -> NDArray[np.float64]:
-        """What really acts, shape (2, 6) [N, Nm]."""
-        return self._true
+        self.true = np.zeros((len(dynamics.wrists), 6))
 
     def update(
         self,
@@ -166,7 +183,12 @@ class WristSensors:
         for side, ((joint, wrist), wrench) in enumerate(zip(dynamics.wrists, dynamics.wrist_forces, strict=True)):
             if contacts[side]:
                 wrench = wrench - _contact_wrench(dynamics.data.oMi[joint], contacts[side])
-            self._true[side] = wrist.actInv(wrench).vector
+            self.true[side] = wrist.actInv(wrench).vector
+
+
+def _each(value: str, specs: Sequence[SensorSpec]) -> NDArray[np.float64]:
+    """One value of each signal's sensor."""
+    return np.array([getattr(spec, value) for spec in specs])
 
 
 def _contact_wrench(pose: pin.SE3, contacts: list[Contact]) -> pin.Force:

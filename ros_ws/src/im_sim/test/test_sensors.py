@@ -3,25 +3,27 @@ import pytest
 
 from im_cell.robot import load_cell
 from im_cell.robot.truth import load_truth
-from im_sim.sensors import Encoders
+from im_sim.sensors import Signals
 from im_sim.truth import draw_truth
 
 CELL = load_cell()
+TRUE = CELL.home, np.zeros((2, 6)), np.zeros(2)
 
 
-def test_encoder_readings_depend_on_seed_and_tick_alone():
-    first, second = Encoders(CELL, 3), Encoders(CELL, 3)
+def test_readings_depend_on_seed_and_tick_alone():
+    first, second = Signals(CELL, 3), Signals(CELL, 3)
     ticks = [0, 700, 1, 255, 256, 10_000_000]
-    forwards = [first.read(tick, CELL.home)[0] for tick in ticks]
-    backwards = [second.read(tick, CELL.home)[0] for tick in reversed(ticks)][::-1]
+    forwards = [np.hstack([part.ravel() for part in first.read(tick, *TRUE)]) for tick in ticks]
+    backwards = [np.hstack([part.ravel() for part in second.read(tick, *TRUE)]) for tick in reversed(ticks)][::-1]
     np.testing.assert_array_equal(forwards, backwards)
-    assert (Encoders(CELL, 4).read(0, CELL.home)[0] != forwards[0]).any()
+    other = Signals(CELL, 4).read(0, *TRUE)
+    assert all((a != b).any() for a, b in zip(first.read(0, *TRUE), other, strict=True))
 
 
 def test_encoders_are_quantised_and_noisy_as_specified():
     resolution, noise = CELL.per_joint("resolution"), CELL.per_joint("noise")
-    encoders = Encoders(CELL, 0)
-    readings = np.array([encoders.read(tick, CELL.home)[0] for tick in range(4000)])
+    signals = Signals(CELL, 0)
+    readings = np.array([signals.read(tick, *TRUE)[0] for tick in range(4000)])
     counts = readings / resolution
     np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
     expected = np.sqrt(noise**2 + resolution**2 / 12.0)
