@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from tf2_msgs.msg import TFMessage
 
@@ -135,3 +136,16 @@ def test_diagnostics_show_the_modules_and_warn_once_of_a_lease_that_lapsed(machi
     assert "a lease lapsed of vm_snap" in told()[0]["vss: modules"].message
     machine.until(lambda: told()[0]["vss: modules"].level == DiagnosticStatus.OK)
     assert (told()[1]["vm_snap owner"], told()[1]["vm_snap lapsed"]) == ("free", "1")
+
+
+def test_quaternions_of_rotations():
+    """Any turn, small ones, half ones about axes and between them: those of SciPy, the largest element positive."""
+    between = np.sqrt(0.5) * (1.0 - np.eye(3))
+    vectors = np.vstack(
+        [np.random.default_rng(4).normal(size=(200, 3)), 1e-9 * np.eye(3), np.pi * np.eye(3), np.pi * between]
+    )
+    for rotation in Rotation.from_rotvec(vectors):
+        found = np.array(quaternion(rotation.as_matrix()))
+        assert found[np.abs(found).argmax()] > 0.0
+        expected = rotation.as_quat()
+        np.testing.assert_allclose(found * np.sign(found @ expected), expected, atol=1e-14)

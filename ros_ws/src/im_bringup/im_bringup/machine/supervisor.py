@@ -11,14 +11,11 @@ import sys
 from dataclasses import replace
 from types import FrameType
 
-from im_bringup.machine import leftovers
-from im_bringup.machine import record as machine
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock
 from im_core import pulse as pulse_memory
 from im_core.process import ChildProcess
 from im_core.pulse import Pulse
-from im_core.shm import ProcessId
 from im_core.silence import Silence
 
 #: How long the tasks of a dead bootstrap may take to end by themselves [s].
@@ -64,17 +61,9 @@ class BootstrapKeeper:
                     code = self._end(self._child)
             if code >= 0:
                 return code
-            record = machine.read()
-            if record is None or record.state != machine.READY:
-                return 1
             how = f"hung ({failure})" if failure else f"was killed by {signal.Signals(-code).name}"
-            sentence = f"the bootstrap {how}; the machine is started again"
-            print(f"[supervisor]: {sentence}", flush=True)
-            me = ProcessId.current()
-            record = replace(record, pid=me.pid, start=me.start, state=machine.STARTING, missing=[sentence])
-            machine.write(record)
-            self._clear()
-            machine.write(record)
+            if not self._make_way(how):
+                return 1
         return 1
 
     def _spawn(self) -> "tuple[ChildProcess, Hang]":
@@ -96,13 +85,35 @@ class BootstrapKeeper:
             clock.sleep(_POLL_S)
         return min(code, -1)
 
-    def _clear(self) -> None:
-        """Let the tasks of a dead bootstrap end, and remove what they leave in shared memory, the record too."""
+    def _make_way(self, how: str) -> bool:
+        """Make way for another bootstrap: end the tasks of the dead one, and remove what they leave in shared memory.
+
+        Args:
+            how: What became of the dead one.
+
+        Returns:
+            Whether the machine is started again; it is if it was ready.
+        """
+        # loaded when they are used: they are most of a process that else waits, with the machine, all its life
+        from im_bringup.machine import leftovers
+        from im_bringup.machine import record as machine
+        from im_core.shm import ProcessId
+
+        record = machine.read()
+        if record is None or record.state != machine.READY:
+            return False
+        sentence = f"the bootstrap {how}; the machine is started again"
+        print(f"[supervisor]: {sentence}", flush=True)
+        me = ProcessId.current()
+        record = replace(record, pid=me.pid, start=me.start, state=machine.STARTING, missing=[sentence])
+        machine.write(record)
         deadline = clock.monotonic() + _ORDERLY_S
         while leftovers.processes() and clock.monotonic() < deadline and self._stopped is None:
             clock.sleep(_POLL_S)
         leftovers.end_all(timeout_s=2.0)
         leftovers.remove_shared_memory()
+        machine.write(record)
+        return True
 
 
 class Hang:

@@ -10,6 +10,7 @@ from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
 
 from im_core.errors import ImError
 from im_mcs.limits.saturation import Saturations
+from im_mcs.planning.retiming.stretch import least_ahead
 from im_mcs.planning.trajectory import Setpoint
 from im_mcs.safety import SetpointLimiter
 
@@ -341,3 +342,9 @@ def test_where_nothing_may_be_re_timed_it_is_refused_with_the_facts(make_rig, re
     assert isinstance(fault, ImError)
     assert {"joint", "time", "value", "limit"} <= set(fault.facts)
     assert not rig.v.any()
+
+
+@given(st.lists(st.integers(-9, 9), min_size=1, max_size=40), st.integers(0, 50))
+def test_the_least_of_those_ahead(values, reach):
+    found = least_ahead(np.array(values, dtype=float), reach)
+    assert found.tolist() == [min(values[k : k + reach + 1]) for k in range(len(values))]

@@ -5,6 +5,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
+from scipy.linalg import solve_banded
 
 from im_core.errors import LimitError
 from im_mcs.planning import interpolation
@@ -268,3 +269,20 @@ def test_a_point_out_of_range_is_named_however_far_behind(rig):
     fault = rig.results[goal][0]
     assert isinstance(fault, LimitError)
     assert "left_j6: position of point 4322 99 rad is beyond the limit" in fault.message
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 117, 1000])
+def test_systems_whose_diagonal_dominates_are_solved(count):
+    random = np.random.default_rng(count)
+    bands = random.uniform(-1.0, 1.0, (3, count))
+    after, middle, before = bands[0, 1:], bands[1], bands[2, :-1]
+    middle[:] = np.sign(middle) * random.uniform(1.5, 3.0, count)
+    middle *= np.append(np.abs(after), 0.1) + np.append(0.1, np.abs(before))
+    bands *= 10.0 ** random.uniform(-6.0, 3.0)
+    right = random.normal(size=(count, 9))
+    given = [array.copy() for array in (before, middle, after, right)]
+    found = interpolation.solve_tridiagonal(before, middle, after, right)
+    reference = solve_banded((1, 1), bands, right)
+    np.testing.assert_allclose(found, reference, rtol=1e-12, atol=1e-14 * np.abs(reference).max())
+    for array, copy in zip((before, middle, after, right), given, strict=True):
+        np.testing.assert_array_equal(array, copy)

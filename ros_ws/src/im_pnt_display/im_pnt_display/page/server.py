@@ -6,6 +6,7 @@ import json
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from aiohttp import WSMsgType, web
 
@@ -13,8 +14,10 @@ from im_core.arrivals import read_json
 from im_core.errors import DataError, ImError, LinkError, WaitTimeoutError
 from im_core.startup import patience_s
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
-from im_pnt_display.page.recording import RecordedNets
 from im_pnt_display.page.state import Change, DisplayState
+
+if TYPE_CHECKING:
+    from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
 
 STATIC = Path(__file__).parent / "static"
 VIEWER_BACKLOG = 500
@@ -44,7 +47,7 @@ class DisplayServer:
         host: str = "127.0.0.1",
         port: int = 8080,
         operate: Operate | None = None,
-        recording: RecordedNets | None = None,
+        recording: "RecordedNets | None" = None,
     ) -> None:
         self.state = DisplayState()
         self._host, self._port, self._operate, self._recording = host, port, operate, recording

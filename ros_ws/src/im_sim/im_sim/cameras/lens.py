@@ -43,7 +43,7 @@ class Lens:
         same = np.eye(3)
         ideal = np.asarray(cv2.undistortPointsIter(pixels[:, None], camera.K, camera.D, same, same, _SOLVER))[:, 0]
         self.ideal: Array = np.asarray(ideal, dtype=float).reshape(camera.height, camera.width, 2)
-        low, high = ideal.min(axis=0), ideal.max(axis=0)
+        low, high = (np.array([edge(column) for column in ideal.T]) for edge in (np.min, np.max))
         size = np.array([camera.width, camera.height])
         focal = (size - 1) / (high - low)
         centre = -low * focal

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import scipy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
@@ -134,6 +133,19 @@ def to_laser_transform(model: LaserModel, stamp_ns: int) -> TransformStamped:
 
 
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """Unit quaternion (x, y, z, w) of a rotation, shape (3, 3)."""
-    x, y, z, w = scipy.spatial.transform.Rotation.from_matrix(rotation).as_quat()
-    return float(x), float(y), float(z), float(w)
+    """Unit quaternion (x, y, z, w) of a rotation, shape (3, 3), its largest element positive.
+
+    Source: Shepperd, "Quaternion from rotation matrix" (1978).
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
+    products = np.array(  # four times the product of each two elements
+        [
+            [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
+            [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
+            [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
+            [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz],
+        ]
+    )
+    largest = products[products.diagonal().argmax()]
+    x, y, z, w = (largest / np.linalg.norm(largest)).tolist()
+    return x, y, z, w

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
 
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.envelope import excess
@@ -107,10 +106,20 @@ def _around(law: TimeLaw, slower: Array, step: float) -> Array:
         step: Length of these [s].
     """
     reach = int(np.ceil((law.duration - law.times[-1]) / step)) + 1
-    later = minimum_filter1d(slower, reach + 1, origin=-((reach + 1) // 2), mode="nearest")
+    later = least_ahead(slower, reach)
     at = np.clip((law.times / step).astype(np.intp), 0, len(slower) - 1)
     within = np.minimum(np.minimum.reduceat(slower, at)[:-1], np.minimum(later[at[:-1]], later[at[1:]]))
     return np.asarray(np.minimum(np.append(within, 1.0), np.append(1.0, within)))
+
+
+def least_ahead(values: Array, reach: int) -> Array:
+    """The least of each value and as many that follow it as `reach`, as far as there are any, shape (m,)."""
+    least, width = values.copy(), 1
+    while width <= reach:
+        step = min(width, reach + 1 - width)
+        least[:-step] = np.minimum(least[:-step], least[step:])
+        width += step
+    return least
 
 
 def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:
@@ -149,9 +158,7 @@ def _law(path: AskedPath, speed: Array, limits: MotionLimits) -> Generator[None,
     return law
 
 
-def _motion(
-    path: AskedPath, law: TimeLaw, limits: MotionLimits
-) -> Generator[None, None, tuple[Array, Retimed, Array]]:
+def _motion(path: AskedPath, law: TimeLaw, limits: MotionLimits) -> Generator[None, None, tuple[Array, Retimed, Array]]:
     """Quintics through the motion at nodes, and how far each is beyond limits, as a factor of its time."""
     nodes = law.nodes()
     h, count = np.diff(nodes), len(nodes) - 1
