@@ -40,16 +40,20 @@ class SetpointLimiter:
         self._motion = limits.ceiling
         self._saturations = saturations
         self._period = period_s
-        self._last = np.zeros((3, n))
-        self._step = np.array([[1.0, period_s, period_s**2 / 2.0], [0.0, 1.0, period_s], [0.0, 0.0, 1.0]])
+        # the setpoints of this tick and of the last one, and the middle of the range
+        self._given = np.zeros((7, n))
+        self._wanted, self._last = self._given[:3], self._given[3:6]
+        self._given[6] = (limits.lower + limits.upper) / 2.0
+        # what is judged of them: leaps, velocities, accelerations, and how far they are from the middle of the range
+        self._judged = np.zeros((6, 7))
+        self._judged[:3, :3] = np.eye(3)
+        self._judged[:3, 3:6] = -_step(period_s)
+        self._judged[3:5, 1:3] = np.eye(2)
+        self._judged[5, 0], self._judged[5, 6] = 1.0, -1.0
         jerk = limits.ceiling.jerk * jerk_factor
-        self._given = np.array([limits.ceiling.velocity, limits.ceiling.acceleration]) * (1.0 + _ROUNDING)
+        self._largest = np.array([limits.ceiling.velocity, limits.ceiling.acceleration]) * (1.0 + _ROUNDING)
         self._leap = np.array([jerk * plan_s**3, jerk * plan_s**2, jerk * period_s]) + 1e-12
         self._reach = Reach(limits.ceiling)
-        self._middle = (limits.lower + limits.upper) / 2.0
-        # leaps, velocities, accelerations, and how far from the middle of the range
-        self._rows = np.empty((6, n))
-        self._leaps, self._motions, self._places = self._rows[:3], self._rows[3:5], self._rows[5]
         self._free = np.ones(n, dtype=np.bool_)
         self.cut = np.zeros(n, dtype=np.bool_)
         self._any_catching = False
@@ -78,10 +82,8 @@ class SetpointLimiter:
         Raises:
             DataError: A setpoint is not finite; the joint is named.
         """
-        self._leaps[...] = wanted - self._step.dot(self._last)
-        self._motions[...] = wanted[1:]
-        self._places[...] = wanted[0] - self._middle
-        rows = np.abs(self._rows)
+        self._wanted[...] = wanted
+        rows = np.abs(self._judged.dot(self._given))
         rows[5] += self._reach.way(rows[3:5])  # as far as braking goes
         within = rows <= self._bounds
         flags = within.tobytes()  # what numpy takes longer to look through
@@ -161,4 +163,9 @@ class SetpointLimiter:
     def _bounds_of_free(self) -> NDArray[np.float64]:
         """Bounds of every joint under control, in the order of their rows; none for the others."""
         half = (self._limits.upper - self._limits.lower) / 2.0
-        return np.where(self._free, np.inf, np.vstack([self._leap, self._given, half]))
+        return np.where(self._free, np.inf, np.vstack([self._leap, self._largest, half]))
+
+
+def _step(period_s: float) -> NDArray[np.float64]:
+    """What makes the state of the next tick of this one's, without jerk, shape (3, 3)."""
+    return np.array([[1.0, period_s, period_s**2 / 2.0], [0.0, 1.0, period_s], [0.0, 0.0, 1.0]])
