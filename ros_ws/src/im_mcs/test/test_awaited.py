@@ -55,19 +55,25 @@ def ticks(bench, count=3):
 def test_an_owner_is_awaited_from_each_answer_and_not_for_ever(wall):
     owners = AwaitedOwners(PATIENCE_S)
     assert not owners.present
-    owners.update({"left": State.RESERVED})
+    reserved, active = {"left": State.RESERVED}, {"left": State.ACTIVE}
+    owners.update(reserved, set())
     assert owners.present
     wall.now += 0.4
-    owners.update({"left": State.RESERVED})  # nothing new
+    owners.update(reserved, set())  # nothing new
+    owners.update(dict(reserved), {"right"})
     wall.now += 0.2
     assert not owners.present
-    owners.update({"left": State.ACTIVE})
+    owners.update(active, set())
     assert owners.present
     wall.now += 0.6
-    owners.update({})  # it does something
-    owners.update({"left": State.ACTIVE, "right": State.RESERVED})
+    owners.update(active, {"left"})
+    owners.update({**active, "right": State.RESERVED}, {"left"})
     assert owners.present
-    owners.update({})
+    owners.update({**active, "right": State.RESERVED}, {"left", "right"})
+    assert not owners.present
+    owners.update(active, set())  # it has done what it did
+    assert owners.present
+    owners.update({}, set())
     assert not owners.present
 
 

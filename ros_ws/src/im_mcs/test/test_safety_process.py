@@ -110,7 +110,7 @@ def test_a_testbed_that_stops_ticking_is_noticed_only_while_time_must_pass(turns
 def test_a_testbed_that_stands_for_an_owner_who_is_awaited_is_not_silent_and_goes_on_without_him(turns):
     to_motion(turns)
     mcs, whole, waits = turns._mcs, turns.driver.wait, []
-    mcs._awaited = types.SimpleNamespace(present=True, update=lambda idle: None)
+    mcs._awaited = types.SimpleNamespace(present=True, update=lambda states, busy: None)
     mcs.wants_time = mcs.held = True
 
     def wait(timeout_s):

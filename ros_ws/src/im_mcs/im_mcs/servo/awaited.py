@@ -1,7 +1,7 @@
 """Owners whose next request is awaited before simulated time goes on for the others."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 
 from im_core import clock
 from im_mcs.state import State
@@ -20,17 +20,26 @@ class AwaitedOwners:
 
     def __init__(self, patience_s: float) -> None:
         self._patience_s = patience_s
+        self._states: Mapping[str, State] = {}
+        self._busy: Set[str] = set()
         self._idle: dict[str, State] = {}
         self._since: dict[str, float] = {}
         self._until = -math.inf
 
-    def update(self, idle: Mapping[str, State]) -> None:
-        """Take the groups that are reserved and do nothing, with their states; one that is new is awaited from now."""
-        if idle == self._idle:
+    def update(self, states: Mapping[str, State], busy: Set[str]) -> None:
+        """Await the owners of groups that do nothing; one that does nothing anew, or in another state, from now on.
+
+        Args:
+            states: States of the groups that are reserved; another object after every change.
+            busy: Groups that do something.
+        """
+        if states is self._states and busy == self._busy:
             return
+        self._states, self._busy = states, busy
+        idle = {group: state for group, state in states.items() if group not in busy}
         now, known = clock.monotonic(), self._idle
         self._since = {group: self._since[group] if known.get(group) is state else now for group, state in idle.items()}
-        self._idle = dict(idle)
+        self._idle = idle
         self._until = max(self._since.values(), default=-math.inf) + self._patience_s
 
     @property

@@ -271,8 +271,7 @@ class Mcs:
         if self._awaited is None:
             return False
         manager = self.manager
-        busy = busy | manager.under_way()
-        self._awaited.update({name: state for name, state in manager.states.items() if name not in busy})
+        self._awaited.update(manager.states, busy | manager.under_way() if manager.busy else busy)
         urgent = urgent or manager.state is State.ESTOPPED
         return self.wants_time and not urgent and self._awaited.present
 

@@ -276,6 +276,8 @@ class ControlledGroup:
 
     def plan(self) -> None:
         """One slice of preparing the next motion; at a knot, a motion that is ready begins."""
+        if not self._queue:
+            return
         for rank, queued in enumerate(self._queue):
             if queued.trajectory is None:
                 self._prepare(rank, queued)

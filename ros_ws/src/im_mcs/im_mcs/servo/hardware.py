@@ -1,11 +1,12 @@
 """The testbed with every failure of a driver made a link error: drivers are the users', and may raise anything."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 from im_core.errors import ImError, LinkError
 from im_mcs.testbed import Drive, Measured, TestbedInterface
 
+Given = ParamSpec("Given")
 ResultT = TypeVar("ResultT")
 
 
@@ -40,7 +41,7 @@ class GuardedTestbed:
         Raises:
             LinkError: The hardware is gone.
         """
-        return _guard("wait", lambda: self._testbed.wait(timeout_s))
+        return _guard("wait", self._testbed.wait, timeout_s)
 
     def time_asked(self) -> bool:
         """Whether a tick must come: time passes by itself, or somebody has asked for it.
@@ -69,7 +70,7 @@ class GuardedTestbed:
         Raises:
             LinkError: The hardware no longer listens.
         """
-        _guard("write", lambda: self._testbed.write(drive))
+        _guard("write", self._testbed.write, drive)
 
     def faults(self) -> list[str]:
         """What hardware itself reports to be broken.
@@ -85,7 +86,7 @@ class GuardedTestbed:
         Raises:
             LinkError: A driver failed.
         """
-        _guard("after_tick", lambda: self._testbed.after_tick(tick))
+        _guard("after_tick", self._testbed.after_tick, tick)
 
     def close(self) -> None:
         """Leave all hardware with power off and brakes on.
@@ -96,9 +97,9 @@ class GuardedTestbed:
         _guard("close", self._testbed.close)
 
 
-def _guard(method: str, call: Callable[[], ResultT]) -> ResultT:
+def _guard(method: str, call: Callable[Given, ResultT], *given: Given.args, **named: Given.kwargs) -> ResultT:
     try:
-        return call()
+        return call(*given, **named)
     except LinkError:
         raise
     except Exception as error:
