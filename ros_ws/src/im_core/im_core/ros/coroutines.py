@@ -20,8 +20,10 @@ from im_core import clock
 
 Work = Coroutine[object, object, None]
 
+#: A timer that strikes as soon as the loop is free [s]: who waits for it would lose a longer period each time.
+SOON_S = 1e-6
+
 _FEW = 64
-_SOON_S = 1e-6
 
 
 class Promise(Future):
@@ -190,6 +192,6 @@ class Alarms:
 
     def _set(self) -> None:
         if self._heap:
-            left = max(_SOON_S, self._heap[0][0] - clock.monotonic())
+            left = max(SOON_S, self._heap[0][0] - clock.monotonic())
             self._timer.timer_period_ns = round(1e9 * left)
             self._timer.reset()

@@ -18,7 +18,7 @@ from im_core import clock
 from im_core.arrivals import member
 from im_core.errors import ImError
 from im_core.ros import qos
-from im_core.ros.coroutines import Alarms, Coroutines, Promise, Work
+from im_core.ros.coroutines import SOON_S, Alarms, Coroutines, Promise, Work
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import FixedParameters
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
@@ -37,7 +37,6 @@ INTROSPECTION = {
     "metadata": ServiceIntrospectionState.METADATA,
     "contents": ServiceIntrospectionState.CONTENTS,
 }
-WAKE_DELAY_S = 0.0002
 _READY = int(TaskStatus.READY)
 
 
@@ -71,7 +70,7 @@ class ManagedNode(GuardedNode):
         self.detail = self._detail = ""
         self._stopped = False
         self.alarms = Alarms(self)
-        self._wake_timer = self.create_timer(WAKE_DELAY_S, self._woken, clock=self.steady_clock)
+        self._wake_timer = self.create_timer(SOON_S, self._woken, clock=self.steady_clock)
         self._wake_timer.cancel()
         self._awake = False
         self._coroutines = Coroutines(self.wake, self._run_task, self._broken)

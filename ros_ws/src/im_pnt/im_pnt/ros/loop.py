@@ -7,12 +7,11 @@ from collections.abc import Callable, Mapping
 from rclpy.exceptions import InvalidHandle
 
 from im_core.clock import monotonic
-from im_core.ros.coroutines import Alarm
+from im_core.ros.coroutines import SOON_S, Alarm
 from im_core.ros.node import ManagedNode
 from im_pnt.errors import JournalError
 from im_pnt.execution.executor import Executor
 
-WAKE_DELAY_S = 0.0001
 RETRY_AFTER_S = 1.0
 
 
@@ -40,7 +39,7 @@ class NetLoop:
         self._node, self._nets, self._may_turn, self._commit, self._told = node, nets, may_turn, commit, told
         self._thread: int | None = None
         self._turning = self._wakened = False
-        self._wake_timer = node.create_timer(WAKE_DELAY_S, self._woken, clock=node.steady_clock)
+        self._wake_timer = node.create_timer(SOON_S, self._woken, clock=node.steady_clock)
         self._wake_timer.cancel()
         self._alarm: Alarm | None = None
         self._alarm_at: float | None = None
