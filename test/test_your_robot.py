@@ -99,6 +99,21 @@ def test_a_message_that_is_awaited_is_awaited_again_after_a_death(robot, line, w
     assert (again.returncode, "begin done" in again.out.read_text()) == (0, True), again.out.read_text()
 
 
+@pytest.mark.parametrize(
+    ("given", "code", "told"),
+    [
+        (["--arg", "limit=4.0"], 0, 'pack done: {"parts": [2, 3], "mass": 3.8}'),
+        (["--arg", "masses=[3.5, 4.5]", "--arg", "limit=3.0"], 1, "pack failed: no part is as light as 3.0 kg"),
+        (["--arg", "masses=[-1.0]"], 2, "argument masses[0] is -1.0, not a list of numbers >= 0 [kg]"),
+    ],
+)
+def test_what_is_reckoned_in_python_comes_back_or_says_its_own_sentence(process, wait_until, given, code, told):
+    line = ["run", str(FILES / "pack.yaml"), "--symbol", "pack", *given]
+    command = process(sys.executable, "-m", "im_pnt_analysis", *line)
+    wait_until(lambda: command.poll() is not None, "the end of the task")
+    assert (command.returncode, told in command.out.read_text()) == (code, True), command.out.read_text()
+
+
 def test_a_robot_that_dies_ends_the_task_with_its_death_as_reason(process, line, tmp_path, wait_until):
     robot = process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
     (tmp_path / "hold").write_text("0.04")

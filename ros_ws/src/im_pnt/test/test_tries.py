@@ -107,3 +107,16 @@ transitions: {seek: {in: asked, out: found, action: seek, on_failure: lost}}
 def test_what_cannot_be_tried_is_named_with_its_line(old, new, said):
     with pytest.raises(NetFileError, match=said):
         parse_net(NET.replace(old, new))
+
+
+def test_a_try_that_another_one_made_good_is_not_why_a_command_fails():
+    judged = NET.replace("put: {in: held,", "put: {in: held, guard: good,") + (
+        "  refuse: {in: held, out: missed, guard: not good}\n"
+    )
+    process = Process([parse_net(judged)], {"grasp": fails_first(1)[0]}, {"good": lambda ctx: False})
+    process.command("n", "pick")
+    assert not process.results[0].success
+    assert "slipped" not in str(process.results[0].error)
+    process = Process([parse_net(judged)], {"grasp": fails_first(3)[0]}, {"good": lambda ctx: False})
+    process.command("n", "pick")
+    assert str(process.results[0].error) == "slipped 3"

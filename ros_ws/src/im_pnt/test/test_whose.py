@@ -688,14 +688,14 @@ def test_a_word_to_a_command_that_has_ended_or_never_was_is_refused():
     assert run.errors()[1:] == [f"confirm is for command {first}, which is not under way"]
 
 
-@pytest.mark.parametrize("expires", [0, 2])
-def test_a_symbol_that_nobody_has_asked_for_expires(expires):
+@pytest.mark.parametrize(("expires", "limit"), [(0, "before the net came to rest"), (2, "within 2 s")])
+def test_a_symbol_that_nobody_has_asked_for_expires(expires, limit):
     run = Confirmed(CONFIRMED.replace("of: command", f"of: command, expires: {expires}"))
     run.process.command("n", "confirm")
     run.process.wait(1.0)
     assert len(run.errors()) == (expires == 0)
     run.process.wait(1.5)
-    assert run.errors() == ["nothing has asked for confirm in time"]
+    assert run.errors() == [f"nothing has asked for confirm {limit}"]
     run.process.command("n", "move")
     assert run.told == []
     run.process.command("n", "confirm")

@@ -258,11 +258,15 @@ Ask = Callable[[Activity, ActionContext], Answer | Awaitable[Answer]]
 Spawn = Callable[[Coroutine[object, object, None]], None]
 """Has a coroutine run; it never raises."""
 
+Apart = Callable[[ActionFunction, ActionContext], Coroutine[object, object, None]]
+"""Calls a function in a thread of its own, for a context; raises what that raises."""
+
 
 class FunctionRunner:
     """Runs actions without blocking.
 
-    A plain function is called at once, in the loop, and must return quickly; whatever waits is ``async def``.
+    A plain function is called at once, in the loop, and must return quickly; whatever waits is ``async def``. One of a
+    user's module, ``module:function``, is called in a thread of its own, and may take its time.
 
     Args:
         functions: The registered functions.
@@ -271,6 +275,7 @@ class FunctionRunner:
         others: For each further class of action what carries it out (service calls, goals, topics).
         asks: For those of them that can be asked about, what finds out what became of one.
         clock: Present time, that of the nets [s].
+        apart: Calls functions in threads; None: all are called in the loop.
     """
 
     def __init__(
@@ -281,6 +286,7 @@ class FunctionRunner:
         others: Mapping[type, Perform] | None = None,
         asks: Mapping[type, Ask] | None = None,
         clock: Callable[[], float] = monotonic,
+        apart: Apart | None = None,
     ) -> None:
         self._functions = functions
         self._requests = requests
@@ -288,6 +294,7 @@ class FunctionRunner:
         self._others = dict(others or {})
         self._asks = dict(asks or {})
         self._clock = clock
+        self._apart = apart
         self._running: set[Activity] = set()
 
     def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
@@ -295,7 +302,11 @@ class FunctionRunner:
         action = activity.action
         try:
             if isinstance(action, FunctionAction):
-                outcome = self._functions.actions[action.function](context)
+                function = self._functions.actions[action.function]
+                if self._apart is not None and self._is_apart(action):
+                    self.watch(owner, activity, self._apart(function, context))
+                    return
+                outcome = function(context)
                 if inspect.isawaitable(outcome):
                     self.watch(owner, activity, outcome)
                 else:
@@ -318,7 +329,7 @@ class FunctionRunner:
 
     def direct(self, action: Action) -> ActionFunction | None:
         """Returns the function that does an action when it is called."""
-        if not isinstance(action, FunctionAction):
+        if not isinstance(action, FunctionAction) or self._is_apart(action):
             return None
         function = self._functions.actions[action.function]
         return None if inspect.iscoroutinefunction(function) else function
@@ -350,6 +361,10 @@ class FunctionRunner:
             self._spawn(self._answer_later(activity, asking, answered))
         else:
             answered(_as_answer(activity, asking))
+
+    def _is_apart(self, action: FunctionAction) -> bool:
+        function = self._functions.actions[action.function]
+        return self._apart is not None and action.is_imported and not inspect.iscoroutinefunction(function)
 
     def _ask_net(self, activity: Activity, action: RequestAction) -> Answer:
         if self.waits(activity):  # its reply is sure to come, or the death of its node to be noticed

@@ -149,6 +149,19 @@ class EventLoop:
             self._pumping = False
             self.rule.notifier.flush()
 
+    def take(self) -> bool:
+        """Takes the next event, and decides nothing; returns whether there was one."""
+        if self._pumping or not self._inbox:
+            return False
+        self._pumping = True
+        self.rule.notifier.begin()
+        try:
+            self._take_event()
+        finally:
+            self._pumping = False
+            self.rule.notifier.flush()
+        return True
+
     def fire(self, index: int, owner: Job | None) -> None:
         """Fires a transition for a job, or for nobody, and begins its action."""
         activity = self.rule.fire(index, owner)
@@ -189,9 +202,7 @@ class EventLoop:
         operator = self.operator
         while fired < limit:
             if inbox:
-                self._dispatch(inbox.popleft())
-                if enabling.stalled or enabling.crossed or not self.operator.free:
-                    self._after_event()
+                self._take_event()
                 continue
             if operator.free and enabling.agenda:
                 fired += self._sweep(limit - fired)
@@ -203,6 +214,12 @@ class EventLoop:
                 return bool(inbox)
             fired += self._decide(index)
         return True
+
+    def _take_event(self) -> None:
+        self._dispatch(self._inbox.popleft())
+        enabling = self.rule.enabling
+        if enabling.stalled or enabling.crossed or not self.operator.free:
+            self._after_event()
 
     def _strike(self) -> None:
         if self._timers.strike(self._clock()):

@@ -221,6 +221,10 @@ class Executor:
         """
         return self._loop.pump(limit)
 
+    def take(self) -> bool:
+        """Takes the next event, and fires nothing but what ends an action; returns whether there was one."""
+        return self._loop.take()
+
     def next_wakeup(self) -> float | None:
         """Returns when :meth:`pump` is to be called though no event was posted (monotonic) [s]; None: never."""
         return self._timers.next()

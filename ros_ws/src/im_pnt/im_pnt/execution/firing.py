@@ -452,7 +452,9 @@ class FiringRule:
     def expire(self, job: Job) -> None:
         """Ends a symbol that still waits to be read, when it does so no longer."""
         if job.waiting:
-            text = f"nothing has asked for {job.symbol} in time"
+            seconds = self.expires[job.symbol]
+            limit = f"within {seconds:g} s" if seconds else "before the net came to rest"
+            text = f"nothing has asked for {job.symbol} {limit}"
             self.happens(JobForgotten(job.number, NetError(text, net=self.net.name, symbol=job.symbol)))
 
     def drop_stale(self) -> None:
@@ -748,7 +750,7 @@ class FiringRule:
         """Fires a transition that ends an activity."""
         del self.activities[activity.number]
         job, index = activity.lineage.job, self.number[name]
-        if job is not None and error is not None:
+        if job is not None and error is not None and not self._has_another_try(activity, index):
             job.last_failure = error
         elif job is not None and (results or isinstance(activity.action, RequestAction)):
             job.replies[self.answering(activity)] = results
@@ -765,6 +767,15 @@ class FiringRule:
             message=str(error) if error else "",
         )
         self.emit(transition, lineage)
+
+    def _has_another_try(self, activity: Activity, failed: int) -> bool:
+        """Whether what a failure gives goes to a further try: what that makes good is not why a command fails."""
+        first, given = self.answering(activity), self.transitions[failed].outputs.keys()
+        return any(
+            transition.retry_of == first and not given.isdisjoint(transition.inputs)
+            for transition in self.net.transitions.values()
+            if transition.retry_of is not None
+        )
 
     def answering(self, activity: Activity) -> str:
         """Returns the transition as whose answer that of an action counts: of a further try, the first one."""

@@ -3,6 +3,8 @@
 import inspect
 import math
 from collections.abc import Awaitable, Callable, Container, Mapping, MutableMapping
+from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 from im_core import plugins
@@ -18,6 +20,9 @@ from im_pnt.model.net import Net, Transition
 
 ProgressSink = Callable[[Lineage, str, float], None]
 JsonObject = dict[str, object]
+Post = Callable[[Callable[[], None]], None]
+"""Has something called in the loop, soon; from any thread."""
+
 Plain = object
 """A value of JSON, perhaps with expressions in it."""
 
@@ -195,9 +200,94 @@ class ActionContext:
         """Gives it the action that it speaks of."""
         self.used, self._activity = True, activity
 
+    def apart(self, post: Post) -> "ApartContext":
+        """Returns what a function is told instead that is called in a thread of its own.
+
+        Args:
+            post: Has in the loop what may be done there only.
+        """
+        return ApartContext(self, self._lineage, self._activity, post)
+
     def _private(self, what: str) -> JsonObject:
         self.used = True
         return self._own.setdefault(what, {})
+
+
+class ApartContext(ActionContext):
+    """What a function is told that is called in a thread of its own: copies, made before it begins.
+
+    Args:
+        origin: What it would be told in the loop.
+        lineage: Whom that is for.
+        activity: The action.
+        post: Has something called in the loop.
+    """
+
+    __slots__ = ("_before", "_command", "_copied", "_failures", "_origin", "_post")
+
+    def __init__(self, origin: ActionContext, lineage: Lineage, activity: Activity | None, post: Post) -> None:
+        super().__init__(origin.net, origin.transition, lineage, activity)
+        self._origin, self._post = origin, post
+        self._command = replace(origin.command, arguments=deepcopy(origin.command.arguments))
+        self._failures = origin.failure, origin.last_failure
+        self._copied = deepcopy((origin.request_arguments, origin.replies))
+        self._own = {"results": deepcopy(origin.result), "memory": deepcopy(origin.memory)}
+        self._before = deepcopy(self._own)
+
+    @property
+    def command(self) -> Command:
+        """Command of the tape it is done for."""
+        return self._command
+
+    def object(self, name: str) -> str:
+        """Returns the name in the DOM of a data object of the command it is done for."""
+        return self._origin.object(name)
+
+    @property
+    def failure(self) -> ImError | None:
+        """Failure that put a token on an input place of this transition, if any."""
+        return self._failures[0]
+
+    @property
+    def last_failure(self) -> ImError | None:
+        """Last failure, when it began, of any action done for the same command or request."""
+        return self._failures[1]
+
+    @property
+    def request_arguments(self) -> JsonObject:
+        """Arguments of the request in work, or of the command."""
+        return self._copied[0]
+
+    @property
+    def result(self) -> JsonObject:
+        """What the caller gets in the end; write into it."""
+        return self._own["results"]
+
+    @property
+    def replies(self) -> dict[str, JsonObject]:
+        """What actions that had ended when it began were answered, by transition."""
+        return self._copied[1]
+
+    @property
+    def memory(self) -> JsonObject:
+        """What the actions of a command or request keep for each other."""
+        return self._own["memory"]
+
+    def on_cancel(self, callback: Callable[[], None]) -> None:
+        """Has a function called in the loop when this action is cancelled; soon if it already is."""
+        self._post(lambda: self._origin.on_cancel(callback))
+
+    def progress(self, text: str, fraction: float = -1.0) -> None:
+        """Tells the client how far the command is."""
+        self._post(lambda: self._origin.progress(text, fraction))
+
+    def leave(self) -> None:
+        """Brings what the function has written to its job; in the loop, once it has ended."""
+        for name, kept in (("results", self._origin.result), ("memory", self._origin.memory)):
+            before, now = self._before[name], self._own[name]
+            for key in before.keys() - now.keys():
+                kept.pop(key, None)
+            kept.update({key: value for key, value in now.items() if key not in before or before[key] != value})
 
 
 ActionFunction = Callable[[ActionContext], object | Awaitable[object]]

@@ -1,11 +1,9 @@
 """How actions of a mission that is run again begin and end."""
 
-import inspect
 from collections.abc import Awaitable, Callable, Mapping
 from copy import deepcopy
 from typing import Any, Protocol
 
-from im_core import plugins
 from im_core.errors import DataError, ImError
 from im_pnt.execution.actions import ActionOwner, Ask, FunctionRunner, Perform
 from im_pnt.execution.executor import Executor
@@ -58,33 +56,29 @@ class NotDoneAgain:
     def __init__(self, life: Life) -> None:
         self._life = life
 
-    def functions(self) -> dict[str, Callable[..., object]]:
-        """Returns what stands for actions that nets name as ``module:function``: they may move something.
+    def functions(self, *, others_made: bool) -> dict[str, Callable[..., object]]:
+        """Returns what stands for actions that nets name as ``module:function``.
+
+        Args:
+            others_made: Whether the node says what makes those that it has registered.
 
         Raises:
-            DataError: A net names one that only its node knows.
+            DataError: It does not, and a net names one.
         """
         found: dict[str, Callable[..., object]] = {}
         for net in self._life.nets.values():
             for transition in net.transitions.values():
-                if isinstance(action := transition.action, FunctionAction):
-                    if ":" not in action.function:
-                        text = f"net {net.name} calls {action.function}; {self._life.node} does not say by made_by"
-                        raise DataError(f"{text} what makes its functions", net=net.name)
-                    later = inspect.iscoroutinefunction(plugins.load(action.function, None, "action function"))
-                    found[action.function] = forever if later else self._as_recorded
+                if not isinstance(action := transition.action, FunctionAction):
+                    continue
+                if action.is_imported:
+                    found[action.function] = forever
+                elif not others_made:
+                    text = f"net {net.name} calls {action.function}; {self._life.node} does not say by made_by"
+                    raise DataError(f"{text} what makes its functions", net=net.name)
         return found
 
-    def _as_recorded(self, context: ActionContext) -> None:
-        """Ends an action that is called at once as it ended then, and leaves what it left."""
-        match self._life.entries[context.net].next():
-            case ["end", int(number), *_]:
-                executor = self._life.executors[context.net]
-                executor.rule.called()
-                self.leave(executor.activity(number), raises=True)
-
-    def leave(self, activity: Activity, *, raises: bool) -> None:
-        """Leaves in a job what an action that is not done again has left; may raise its failure."""
+    def leave(self, activity: Activity) -> None:
+        """Leaves in a job what an action that is not done again has left."""
         entries = self._life.entries[activity.net]
         for content, _ in entries.recorded[entries.reached :]:
             match content:
@@ -96,8 +90,6 @@ class NotDoneAgain:
                         before = deepcopy(job.recorded)
                         take_data(job, entry.data)
                         job.recorded = before  # what has changed since is told again
-                    if raises and entry.error is not None:
-                        raise entry.error
                     return
 
 

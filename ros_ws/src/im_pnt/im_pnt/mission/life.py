@@ -42,11 +42,17 @@ class Life:
                         self.entries.setdefault(net, Entries())
 
     def pump(self, executor: Executor) -> bool:
-        """Lets a net take what has arrived and fire once; returns whether anything happened."""
+        """Lets a net take what has arrived until something happens, or fire once; returns whether anything happened.
+
+        Of two actions that have ended, the second may have been taken after what the first one let fire, or before.
+        """
         entries = self.entries[executor.net.name]
         before = entries.reached
         self._note(executor)
-        executor.pump(1)
+        while entries.reached == before and executor.take():
+            pass
+        if entries.reached == before:
+            executor.pump(1)
         self._note(executor)
         return entries.reached > before
 

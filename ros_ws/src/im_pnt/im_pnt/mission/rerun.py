@@ -127,13 +127,15 @@ class NodeRerun:
             self._enter(net, state)
 
     def _made(self) -> Functions:
+        imported = self._not_again.functions(others_made=bool(self._stream.functions))
         if not self._stream.functions:
-            return Functions(self._not_again.functions())
+            return Functions(imported)
         make = plugins.load(self._stream.functions, None, f"what makes the functions of {self._stream.node}")
         assert callable(make)
         made = make(self._host)
         if not isinstance(made, Functions):
             raise DataError(f"{self._stream.functions} makes no functions of nets", functions=self._stream.functions)
+        made.actions.update(imported)
         return made
 
     def _enter(self, net: Net, state: dict[str, object]) -> None:
@@ -237,7 +239,7 @@ class NodeRerun:
             waits = self._script.waits_for(activity)
             given = isinstance(activity.action, RequestAction) or number in self._before[name]
             if not given and waits == ENDED:
-                self._not_again.leave(activity, raises=False)
+                self._not_again.leave(activity)
             elif not given and waits:
                 raise self._life.differs(
                     activity, f"ends {told_of(event.error)}", f"waits for {waits}", "another function"

@@ -15,6 +15,11 @@ class FunctionAction:
         """Names of the functions that it calls."""
         return (self.function,)
 
+    @property
+    def is_imported(self) -> bool:
+        """Whether it is one of a user's module, ``module:function``."""
+        return ":" in self.function
+
     def __str__(self) -> str:
         return f"function {self.function}"
 

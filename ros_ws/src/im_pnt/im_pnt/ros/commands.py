@@ -235,16 +235,21 @@ class Commands:
                     command = self._open[firing.command_id]
                     command.step = firing.transition
                     command.progress = max(command.progress, firing.progress)
-                    for listener in self._listeners.get(firing.command_id, ()):
-                        listener(firing.transition, "", firing.progress)
+                    self._tell(firing.command_id, firing.transition, "", firing.progress)
 
     def progressed(self, number: int, text: str, fraction: float) -> None:
         """Tells listeners what an action of their command has reported."""
         if number in self._open:
             command = self._open[number]
             command.text, command.progress = text, max(command.progress, fraction)
+        self._tell(number, "", text, fraction)
+
+    def _tell(self, number: int, transition: str, text: str, fraction: float) -> None:
         for listener in self._listeners.get(number, ()):
-            listener("", text, fraction)
+            try:
+                listener(transition, text, fraction)
+            except Exception as error:  # a listener is foreign code: the net goes on whatever it raises
+                self._node.get_logger().error(f"a listener of command {number} broke: {error!r}")
 
     def _forgotten(self) -> str:
         return f": {self.lost}" if self.lost else ""

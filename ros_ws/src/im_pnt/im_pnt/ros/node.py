@@ -1,6 +1,7 @@
 """Base class of the nodes that execute nets: the Dispatcher and the Coordinators."""
 
 import gc
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from rclpy.parameter import Parameter
 from im_core.errors import ImError
 from im_core.names import results_dir, run_dir
 from im_core.ros import qos
+from im_core.ros.calls import run_in_thread
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
@@ -20,7 +22,7 @@ from im_pnt.execution.actions import Ask, FunctionRunner
 from im_pnt.execution.conflicts import StrategyBook
 from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
 from im_pnt.execution.executor import Executor
-from im_pnt.execution.functions import AskFunction, Functions, GuardFunction
+from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
 from im_pnt.expression.scope import check_net
 from im_pnt.journal.journal import Journal
 from im_pnt.journal.log import Sync
@@ -140,7 +142,7 @@ class PntNode(ManagedNode):
         questions: dict[type, Ask] = {GoalAction: answers(goals.ask), AwaitAction: awaits.ask}
         others = {kind: actions.perform for kind, actions in self._kinds.items()}
         requests = NotedRequests(self.exchange, self.log)
-        self._runner = FunctionRunner(self.functions, requests, self.spawn, others, questions)
+        self._runner = FunctionRunner(self.functions, requests, self.spawn, others, questions, apart=self._run_apart)
         self._journal: Journal | None = None
         self._book = StrategyBook()
         self._looked = False
@@ -214,6 +216,7 @@ class PntNode(ManagedNode):
             NetError: It names a function that is not registered, or does not fit to the present marking.
             StateError: The present net of that name does not come to rest; says what keeps it.
         """
+        await run_in_thread(self, self.functions.check, net)  # a user's module may take long to import
         report, state = await self.loader.prepare(net, patience_s, beside)
         self._take_in(self._library.kept(net), report, state)
         self._prepare_partners()
@@ -341,6 +344,7 @@ class PntNode(ManagedNode):
         enter: Callable[[Executor], None] | None = None,
     ) -> None:
         check_net(net, RosTypes())
+        self.functions.check(net)
         accept(report)
         if report.unproved:
             self._observer.unproved(report.sentence)
@@ -372,6 +376,22 @@ class PntNode(ManagedNode):
         self._publisher.described(executor)
         self._publisher.marked(executor)
         self._loop.wake()
+
+    async def _run_apart(self, function: ActionFunction, context: ActionContext) -> None:
+        """Calls a function in a thread of its own, so that it may block."""
+
+        def post(work: Callable[[], None]) -> None:
+            self.spawn(_called(work))
+
+        apart = context.apart(post)
+        outcome = await run_in_thread(self, _outcome_of, function, apart)
+        try:
+            if isinstance(outcome, Exception):
+                raise outcome
+            if inspect.isawaitable(outcome):
+                await outcome
+        finally:
+            apart.leave()
 
     def _command_ended(self) -> None:
         self._scopes.tidy()
@@ -434,3 +454,15 @@ class PntNode(ManagedNode):
             self._guards_changed()
         if not valid:
             self._validity.lost(name)
+
+
+async def _called(work: Callable[[], None]) -> None:
+    work()
+
+
+def _outcome_of(function: ActionFunction, context: ActionContext) -> object:
+    """Returns what a function returns, or the exception that it raises."""
+    try:
+        return function(context)
+    except Exception as error:  # it is foreign code: whatever it raises is its failure
+        return error
