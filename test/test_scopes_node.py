@@ -178,6 +178,27 @@ def test_when_dom_has_died_tokens_follow_what_has_become_of_its_objects(cast, wa
         wait_until(lambda: keeper.exchange.nets["keeper"].marking() == {"moved": 1}, "the token to move")
 
 
+def test_what_was_put_for_a_place_of_a_net_is_not_valid_when_that_has_gone(cast, wait_until):
+    """Whoever comes later is told, too: /dom, as it was dead meanwhile."""
+    wait_until(lambda: cast.dom.ready, "the Data Object Manager")
+    for name in ("notes", "diary"):
+        cast.put(name)
+    node = cast.node("keeper", {}, {"never": lambda ctx: False})
+    with spin_in_thread(node):
+        wait_until(lambda: node._looked and "keeper" in cast.planner._library._known, "the net to be described")
+        node.spawn(node.dom.put("notes", String(), "keeper.there"))
+        wait_until(lambda: in_loop(cast.dom, cast.dom.store.record, "notes").place, "the object")
+        node.spawn(node.unload_net("keeper"))
+        wait_until(lambda: not in_loop(cast.dom, cast.dom.store.record, "notes").valid, "the object to be invalid")
+        assert in_loop(cast.dom, cast.dom.store.record, "diary").valid
+        wait_until(lambda: "keeper" not in cast.planner._library._known, "other nodes to reckon with it no more")
+        in_loop(cast.dom, cast.dom.store.put, "notes", "std_msgs/msg/String", b"", "keeper.there", "test", 0)
+        late = DomNode()
+        with spin_in_thread(late):
+            wait_until(lambda: late.ready, "another /dom")
+            wait_until(lambda: not in_loop(late, late.store.record, "notes").valid, "the object to be invalid there")
+
+
 def test_a_token_that_no_action_has_brought_goes_when_its_object_is_not_valid(cast, wait_until):
     wait_until(lambda: cast.dom.ready, "the Data Object Manager")
     node = cast.node("moved_in", {}, {"never": lambda ctx: False})

@@ -18,17 +18,24 @@ class Places:
     def __init__(self) -> None:
         self._of_net: dict[str, frozenset[str]] = {}
 
-    def describe(self, net: str, text: str) -> None:
+    def describe(self, net: str, text: str) -> frozenset[str]:
         """Takes the description of a net, in place of the one before.
 
         Args:
             net: Its name.
-            text: JSON.
+            text: JSON; empty: the net has gone.
+
+        Returns:
+            The places that it has now.
 
         Raises:
             DataError: It is no description.
         """
+        if not text:
+            self._of_net.pop(net, None)
+            return frozenset()
         self._of_net[net] = frozenset(read_json(_Told, text, f"the description of net {net}").places)
+        return self._of_net[net]
 
     def require(self, place: str) -> None:
         """Make sure that a place exists.

@@ -2,7 +2,7 @@
 
 import re
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import groupby
@@ -353,6 +353,23 @@ class ObjectStore:
             )
             self._changed[name] = (*self._versions(name)[:-1], record)
         return record
+
+    def abandon(self, net: str, places: Container[str], source: str, stamp_ns: int) -> list[ObjectRecord]:
+        """Declares objects invalid that were put for places which a net does not have any more.
+
+        Args:
+            net: Its name.
+            places: Those that it has.
+            source: Who says so.
+            stamp_ns: Testbed time [ns].
+
+        Returns:
+            The objects.
+        """
+        with self._transaction():
+            stood = [(record, record.place.partition(".")) for record in self.records() if record.valid]
+            gone = [record.name for record, (its, _, place) in stood if its == net and place not in places]
+            return [self.invalidate(name, source, stamp_ns) for name in gone]
 
     def forget(self, prefix: str) -> list[ObjectRecord]:
         """Deletes all objects whose name begins with ``prefix``, with all their versions.

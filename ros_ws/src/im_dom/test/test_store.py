@@ -88,6 +88,19 @@ def test_what_is_below_a_name_is_forgotten_and_nothing_else() -> None:
 GARBAGE = b"no database at all, but long enough to be read as one" * 400
 
 
+def test_what_was_put_for_a_place_that_a_net_has_no_more_is_not_valid() -> None:
+    store = ObjectStore(":memory:")
+    for name, place in (("gone", "pick.held"), ("stays", "pick.seen"), ("of_others", "picker.held"), ("of_none", "")):
+        store.put(name, KIND, b"abc", place, "test", 0)
+    store.put("invalid", KIND, b"abc", "pick.held", "test", 0)
+    store.invalidate("invalid", "someone", 1)
+    (changed,) = store.abandon("pick", {"seen", "other"}, "dom", 9)
+    assert (changed.name, changed.valid, changed.source, changed.stamp_ns) == ("gone", False, "dom", 9)
+    assert [record.name for record in store.records() if record.valid] == ["of_none", "of_others", "stays"]
+    assert store.record("invalid").source == "someone"
+    assert [record.name for record in store.abandon("pick", (), "dom", 9)] == ["stays"], "the net has gone"
+
+
 def torn(file: Path) -> bytes:
     """A data base of which pages in the middle are lost."""
     store = ObjectStore(file)

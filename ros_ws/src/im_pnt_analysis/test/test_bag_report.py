@@ -72,6 +72,7 @@ def bag(tmp_path):
             stamp = time(sec=int(seconds), nanosec=round(seconds % 1.0 * 1e9))
             names = {"net": "job_net", "transition": transition, "sequence": number, "phase": phase, "command_id": 3}
             send("/pnt/firings", seconds, firing(stamp=stamp, **names, **given))
+        send("/pnt/nets", 20.0, described(net="job_net", node="/n", json=""))  # it was unloaded
     return tmp_path / "bag"
 
 
@@ -99,7 +100,7 @@ def test_events_that_were_not_recorded_are_gaps(bag):
 
 def test_contents_tell_the_longest_silence(bag):
     nets, firings = sorted(contents_of(bag), key=lambda topic: topic.count)
-    assert (nets.name, nets.count, nets.silence_s) == ("/pnt/nets", 1, 0.0)
+    assert (nets.name, nets.count, nets.silence_s) == ("/pnt/nets", 2, 11.0)
     assert (firings.name, firings.count) == ("/pnt/firings", 11)
     assert firings.silence_s == pytest.approx(7.5)
 

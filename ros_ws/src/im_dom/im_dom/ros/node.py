@@ -137,11 +137,21 @@ class DomNode(ManagedNode):
                 await wait(self, described, left, f"the net of place {place} to be described")
 
     def _described(self, description: NetDescription) -> None:
-        self._places.describe(description.net, description.json)
+        places = self._places.describe(description.net, description.json)
         waiting, self._undescribed = self._undescribed, []
         for promise in waiting:
             if not promise.done():
                 promise.set_result(None)
+        self.spawn(self._abandon(description.net, places))
+
+    async def _abandon(self, net: str, places: frozenset[str]) -> None:
+        """Has objects lose their validity whose place a net does not have any more: no token can stand for them."""
+
+        def abandon() -> list[ObjectRecord]:
+            return self.store.abandon(net, places, self.task_name, self._now_ns())
+
+        for record in await self._ask(abandon):
+            self._tell(to_info(record))
 
     def _get(
         self, request: GetObject.Request, response: GetObject.Response

@@ -127,6 +127,9 @@ class Library:
         while self._unread:
             net = next(iter(self._unread))
             told = self._unread.pop(net)
+            if not told.json:  # it has gone
+                self._known.pop(net, None)
+                continue
             try:
                 self._enter(await run_in_thread(self._node, read_net, net, told.json, told.node, timeout_s=READ_S))
             except ImError as error:

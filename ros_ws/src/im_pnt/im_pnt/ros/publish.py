@@ -129,8 +129,8 @@ class PntPublisher:
         )
 
     def withdrawn(self, net: str) -> None:
-        """Tells of a net no more."""
-        self._node.destroy_publisher(self._descriptions.pop(net))
+        """Publishes that a net has gone, as a description without content, also for whoever comes later."""
+        self._descriptions[net].publish(NetDescription(net=net, node=self._node.get_fully_qualified_name()))
 
     def refused(self, net: str, message: str, nets: Sequence[Net], refusals: Sequence[Counterexample]) -> None:
         """Publishes why a net was refused, with the firing sequence that shows it, if there is one.

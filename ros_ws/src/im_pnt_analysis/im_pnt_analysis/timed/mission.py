@@ -171,7 +171,7 @@ def mission_of(bag: Path) -> Mission:
     for message in messages_of(bag, wanted, FIELDS):
         if message.topic == FIRINGS:
             events.append(message.content)
-        else:
+        elif message.content.json:  # else the net has gone
             nets[message.content.net] = net_told(bag, message.content)
     if not events:
         raise DataError(f"{bag}: nothing has fired in it", file=str(bag))

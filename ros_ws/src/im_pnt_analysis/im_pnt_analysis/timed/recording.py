@@ -287,7 +287,7 @@ def recording_of(bag: Path) -> NetRecording:
             if time is not None:
                 at_s = max(at_s, stamp_of(told) - time.zero_s)
             moments.append(Moment(at_s, _marking(told)))
-        else:
+        elif told.json:  # else the net has gone
             number = numbers.setdefault((told.net, told.node, told.json), len(descriptions))
             if number == len(descriptions):
                 descriptions.append(Description(net_told(bag, told), told.node))

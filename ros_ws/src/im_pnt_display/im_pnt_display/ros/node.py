@@ -75,7 +75,8 @@ class DisplayNode(ManagedNode):
             self.server.show(change)
 
     def _describe(self, message: NetDescription) -> None:
-        self._draw(partial(self._draw_net, message))
+        if message.json:  # of a net that has gone the page shows what was there
+            self._draw(partial(self._draw_net, message))
 
     def _refuse(self, message: NetRefusal) -> None:
         self._draw(partial(self._draw_refusal, message))
