@@ -97,7 +97,7 @@ class CountingDom(DomNode):
 
 
 class Cell(ManagedNode):
-    """MCS, VSS and the light, as far as a calibration asks for them; everything succeeds at once."""
+    """MCS, VSS and the light of the testbed, as far as a calibration asks for them; everything succeeds at once."""
 
     def __init__(self) -> None:
         super().__init__("mcs")
@@ -189,7 +189,7 @@ class Cast:
     def __init__(self, folder: Path, process) -> None:
         self.folder, self._process = folder, process
         self.dom, self.cell = CountingDom(folder / "dispatcher"), Cell()
-        self.client = ManagedNode("client")
+        self.testbed, self.client = ManagedNode("testbed"), ManagedNode("client")
         self.processes = {name: self.start(name) for name in PROCESSES}
         own = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text())
         own["poses"] = own["poses"][:POSES]
@@ -219,7 +219,7 @@ def cast(tmp_path, process, monkeypatch, wait_until):
         monkeypatch.setenv(f"IM_{name.upper()}_DIR", str(tmp_path / name))
     rclpy.init(args=ALONE)
     cast = Cast(tmp_path, process)
-    with spin_in_thread(cast.dom, cast.cell, cast.client):
+    with spin_in_thread(cast.dom, cast.cell, cast.testbed, cast.client):
         wait_until(lambda: cast.dom.ready, "the Data Object Manager")
         for name in PROCESSES:
             wait_until(lambda: cast.client.count_subscribers(f"/{name}/tokens"), f"{name} to listen")  # noqa: B023

@@ -26,24 +26,26 @@ class Establishment:
     async def note(self, ctx: ActionContext, name: str) -> None:
         """Notes that something is being established for a command now; before it is, so that no death is missed.
 
-        Of a task that nobody has heard of yet (life 0) no other life is told apart.
-
         Args:
             ctx: What is done.
             name: Of what, such as ``left``.
+
+        Raises:
+            WaitTimeoutError: The task is not heard.
         """
-        await self._host.dom.put(self._object(ctx, name), UInt64(data=self._heard() or 0))
+        await self._host.dom.put(self._object(ctx, name), UInt64(data=await self._life()))
 
     async def require(self, ctx: ActionContext, name: str) -> None:
         """Sees to it that what was established for a command is still there; one that established nothing may go on.
 
         Raises:
             StateError: It went with the life in which it was; of code ``begun_anew``.
+            WaitTimeoutError: The task is not heard.
         """
-        if await self._host.dom.is_valid(noted := self._object(ctx, name)):
-            life = (await self._host.dom.get(noted, UInt64)).data
-            if life and life != await self._life():
-                raise lost(self._task, self._what, name)
+        if not await self._host.dom.is_valid(noted := self._object(ctx, name)):
+            return
+        if (await self._host.dom.get(noted, UInt64)).data != await self._life():
+            raise lost(self._task, self._what, name)
 
     async def forget(self, ctx: ActionContext, name: str) -> None:
         """Notes that it is given up."""
@@ -56,11 +58,8 @@ class Establishment:
     async def _life(self) -> int:
         """The present life of the task; a coordinator that has just begun waits until it hears it."""
         deadline = clock.monotonic() + HEARD_S
-        while (life := self._heard()) is None:
+        while (life := self._host.life(self._task)) is None:
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what=f"the heartbeat of {self._task}", seconds=HEARD_S)
             await self._host.pause(PAUSE_S)
         return life
-
-    def _heard(self) -> int | None:
-        return self._host.life(self._task)
