@@ -3,11 +3,14 @@
 import os
 import signal
 import sys
+from itertools import pairwise
 
 import pytest
+from rclpy.parameter import Parameter
 
 from im_bringup.tasks.agent import Agent, Died, ProcessCommand, Started
 from im_core import clock
+from im_core.ros.node import ManagedNode
 
 NODE = '''\
 """A node that hangs in its first second, once."""
@@ -95,3 +98,21 @@ def test_a_node_that_was_stopped_is_no_hang(oven, tmp_path, wait_until):
         clock.sleep(0.02)
     assert events == []
     assert agent.running() == ["oven"]
+
+
+def test_a_phase_that_ends_has_turned_before_less_is_allowed(ros, wait_until):
+    """Else what stood still in it, however long, would count as a hang between its end and the next turn."""
+    changes = []
+
+    class Slow(ManagedNode):
+        def __setattr__(self, name, value):
+            super().__setattr__(name, value)
+            if name == "standstill_s":
+                changes.append((value, self.turns))
+
+    node = Slow("slow", parameter_overrides=[Parameter("standalone", value=True)])
+    ros(node)
+    wait_until(lambda: node.ready, "the node")
+    lowered = [(before, after) for before, after in pairwise(changes) if after[0] < before[0]]
+    assert len(lowered) == 2
+    assert all(after[1] > before[1] for before, after in lowered)

@@ -51,6 +51,25 @@ def test_a_loop_that_hangs_stands_still_by_its_own_ticks(loop):
     assert Standstill(os.getpid(), loop.pulse).found(0.0) == f"its loop stood still for {stands[-1]:.1f} s"
 
 
+@pytest.mark.parametrize("read", ["turns", "allowed_s"])
+def test_what_stood_still_while_it_was_allowed_is_no_hang_after(read):
+    """A start-up phase that ends in the middle of a look, after either of what is read."""
+    state, looks = {"turns": 1, "allowed_s": 300.0}, iter(range(100))
+
+    def of(name):
+        told = state[name]
+        if name == read and next(looks) == 40:
+            state.update(turns=2, allowed_s=5.0)  # the loop itself has not come to turn
+        return told
+
+    pulse = Pulse.create()
+    watch = LoopWatch(pulse, lambda: of("turns"), lambda: None, lambda: of("allowed_s"), dict)
+    judge = Standstill(os.getpid(), pulse)
+    for look in range(45):
+        watch.tick()
+        assert judge.found(float(look)) == ""
+
+
 def test_waiting_for_a_processor_does_not_count(loop):
     loop.tick(3)
     loop.hangs = True

@@ -19,7 +19,7 @@ class LoopWatch:
 
     Args:
         pulse: Where it tells.
-        turns: How often the loop has turned.
+        turns: How often the loop has turned; also whenever it is allowed less than before.
         nudge: Has the loop turn once, if it does; from any thread.
         allowed_s: How long it may stand still now [s].
         waited_s: How long each thread has waited for a processor so far [s], by its id.
@@ -52,6 +52,7 @@ class LoopWatch:
 
     def tick(self) -> None:
         """Look once; :data:`TICK_S` have passed since the last time."""
+        allowed_s = self._allowed_s()  # first: whoever is allowed less from now on has turned before
         turns = self._turns()
         if turns != self._seen:
             self._seen, self._standing_s, self._waits = turns, 0.0, {}
@@ -63,7 +64,7 @@ class LoopWatch:
             if self._standing_s <= TICK_S:  # once: a loop that had nothing to do turns now
                 self._nudge()
         self._ticks += 1
-        self._pulse.beat(Beat(self._ticks, self._standing_s, self._allowed_s()))
+        self._pulse.beat(Beat(self._ticks, self._standing_s, allowed_s))
 
     def _watch(self) -> None:
         while not self._end.wait(TICK_S):

@@ -53,7 +53,8 @@ class GuardedNode(Node):
     Attributes:
         failures: What they raised.
         turns: How many callbacks have begun; it stands still with the loop.
-        standstill_s: How long the loop may stand still now [s]; see :class:`im_core.loop_watch.LoopWatch`.
+        standstill_s: How long the loop may stand still now [s]; see :class:`im_core.loop_watch.LoopWatch`. Whoever
+            lowers it counts a turn first.
     """
 
     def __init__(self, name: str, **options: Any) -> None:

@@ -205,6 +205,7 @@ class ManagedNode(GuardedNode):
         else:
             self._set_phase(reached, self.detail)
         finally:
+            self.turn()  # what stood still until now was allowed
             self.standstill_s = usual
 
     def _set_phase(self, phase: int, detail: str) -> None:
