@@ -24,6 +24,7 @@ from im_bringup.bag.playback import KEYS, Controls, Playback
 from im_bringup.ros.record import to_profile
 from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError
+from im_core.one_bag import parsed
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
 
@@ -233,7 +234,7 @@ def _extracted(path: Path, topics: Sequence[str], folder: Path) -> int:
 def main() -> int:
     """Run the command."""
     parser = _parser()
-    arguments = parser.parse_args()
+    arguments = parsed(parser)
     if not 0.0 < arguments.rate <= 1000.0:
         parser.error(f"--rate {arguments.rate:g} is not in 0 ... 1000, above 0")
     names = _renamed(arguments.remap, parser)

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from im_core.bag import messages_of, topics_of
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
+from im_core.one_bag import parsed
 from im_core.ros.interfaces import decoded, interface_class
 from im_pnt.errors import decode_error
 from im_pnt.execution.actions import Ask, Perform
@@ -228,7 +229,7 @@ def main(words: Sequence[str] | None = None, program: str = "mission") -> int:
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or a file of it")
     parser.add_argument("--nets", nargs="+", default=[], metavar="FILE", help="nets in the places of their namesakes")
     parser.add_argument("--bag-nets", action="store_true", help="the nets as recorded, not those that are installed")
-    options = parser.parse_args(words)
+    options = parsed(parser, words)
     try:
         nets = {} if options.bag_nets else installed_nets()
         nets |= {net.name: net for net in map(load_net, options.nets)}

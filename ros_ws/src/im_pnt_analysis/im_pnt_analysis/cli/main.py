@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from im_core.errors import ImError
+from im_core.one_bag import parsed
 from im_pnt_analysis.cli.extensions import extensions
 from im_pnt_analysis.cli.terminal import BAD_INPUT, OK, REFUSED
 
@@ -79,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"pnt: {called} is a command of the package im_pnt_display, which is not installed", file=sys.stderr)
             return BAD_INPUT
     parser.description = _DESCRIPTION.format(draw=_DRAW if "draw" in commands.choices else "")
-    options = parser.parse_args(words)
+    options = parsed(parser, words)
     try:
         return int(options.run(options))
     except ImError as error:

@@ -23,6 +23,7 @@ from im_cell.robot import Cell, load_cell
 from im_core import clock
 from im_core.errors import DataError, ImError
 from im_core.names import results_dir
+from im_core.one_bag import parsed
 from im_vss.camera_book import CameraBook
 from im_vss.recalibration import RecordedCalibration, find_again, image_sizes, mount_in, recorded_calibrations
 from im_vss.ros.light_tracker import wrist_by
@@ -53,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    options = _parser().parse_args(arguments)
+    options = parsed(_parser(), arguments)
     try:
         return _recalibrate(options)
     except ImError as error:

@@ -1,0 +1,19 @@
+"""The command line of whatever works on one bag."""
+
+import argparse
+from collections.abc import Sequence
+
+
+def parsed(parser: argparse.ArgumentParser, words: Sequence[str] | None = None) -> argparse.Namespace:
+    """The options of a command line; a usage error says of a second bag what to do with two.
+
+    Args:
+        parser: What reads it; its argument ``bag``, where a command has one, is the bag.
+        words: The command line without the program's name; None: that of the process.
+    """
+    options, more = parser.parse_known_args(words)
+    if more and getattr(options, "bag", None) is not None and not any(word.startswith("-") for word in more):
+        parser.error(f"{options.bag} and {more[0]} are two bags, and this takes one; run it once for each")
+    if more:
+        parser.error(f"unrecognized arguments: {' '.join(more)}")
+    return options
