@@ -33,11 +33,11 @@ def memory_mib(pids: Iterable[int]) -> float:
 
 
 def program(pid: int) -> str:
-    """What a process runs: the module of Python, else its script; empty if it has ended."""
+    """What a process runs: the module of Python, else its program, 15 letters of it; empty if it has ended."""
+    folder = Path(f"/proc/{pid}")
     try:
-        words = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8", errors="replace").split("\0")[1:]
+        words = (folder / "cmdline").read_text(encoding="utf-8", errors="replace").split("\0")[1:]
+        name = (folder / "comm").read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
-    if "-m" in words:
-        return words[words.index("-m") + 1]
-    return next((Path(word).name for word in words if not word.startswith("-")), "")
+    return words[words.index("-m") + 1] if "-m" in words else name

@@ -58,6 +58,8 @@ im_defaults() {
   [[ -n "${FASTRTPS_DEFAULT_PROFILES_FILE:-}" ]] || export RMW_FASTRTPS_USE_QOS_FROM_XML=1
   export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$IM_WS/src/im_bringup/im_bringup/config/fastdds.xml}"
   export PYTHONUNBUFFERED=1
+  # We have no plug-ins of pydantic, and each process would look through all packages for some.
+  export PYDANTIC_DISABLE_PLUGINS=__all__
   # The servo's matrices are small: threads of a BLAS would only disturb it.
   export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 }

@@ -24,6 +24,11 @@ PARTS = ("linalg", "ndimage", "optimize", "sparse", "spatial", "stats")
 LATER = ("matplotlib", "rosbags", *(f"scipy.{part}" for part in PARTS))
 #: The supervisor only waits, all the time that the machine runs.
 SUPERVISOR = "im_bringup.machine.supervisor"
+#: Its process is copied for those of the tasks, which must be before ROS has made threads in it.
+LAUNCH = "im_bringup.ros.launch"
+#: All else waits until it has started the bootstrap.
+COMMAND = "im_bringup.machine.start"
+USED_TYPE = "import im_core.ros.qos; from std_msgs.msg import String; type(String).__import_type_support__()"
 QUATERNION = "import numpy; from im_vss.ros.messages import quaternion; quaternion(numpy.eye(3))"
 
 
@@ -32,9 +37,12 @@ QUATERNION = "import numpy; from im_vss.ros.messages import quaternion; quaterni
     [
         (f"import {', '.join(NODES)}", LATER),
         (f"import {SUPERVISOR}", ("numpy", "pydantic", "yaml")),
+        (f"import {COMMAND}", ("im_cell", "rclpy", "scipy")),
+        (f"import {LAUNCH}, importlib; [*map(importlib.import_module, {LAUNCH}.COMMON)]", ("rclpy", *LATER)),
+        (USED_TYPE, ("em", "lark")),
         (QUATERNION, LATER),  # each camera's pose, before the machine is ready
     ],
-    ids=["nodes", "supervisor", "poses"],
+    ids=["nodes", "supervisor", "command", "launch", "type of ROS", "poses"],
 )
 def test_nothing_is_loaded_at_the_start_that_is_used_later(start, later):
     code = f"import sys; {start}; print(*(name for name in {later} if name in sys.modules))"

@@ -17,7 +17,6 @@ KIND = "kill -9 of everything"
 DEVIATIONS = 5.0
 #: What a command says that could not go on: words of which a true reason has one.
 WORDS = ("begun anew", "doubt", "gone", "missing", "has died and come back")
-_DEATH_S = 10.0
 
 
 def run(seed: int, setting: Setting, start: Callable[[], None], reference: Mapping[str, Any]) -> Result:
@@ -34,7 +33,7 @@ def run(seed: int, setting: Setting, start: Callable[[], None], reference: Mappi
     command = Command(setting.poses)
     command.await_step(step, HANG_S)
     clock.sleep(later_s)
-    leftovers.end_all(_DEATH_S)
+    leftovers.end_all()
     unfinished = open_commands.noted(names.run_dir())
     told = command.outcome(HANG_S)
     start()

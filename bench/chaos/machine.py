@@ -4,6 +4,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from im_bringup.machine import leftovers, stop
@@ -16,9 +17,8 @@ from im_core.shm import ProcessId
 START_S = 400.0
 APPEARANCE_S = 60.0
 #: Processes that tasks start, by the module they run.
+BOOTSTRAP = "bootstrap"
 CHILDREN = {"im_mcs.servo": "servo", "im_sim.physics": "physics", "im_sim.cameras": "cameras"}
-#: Program of a process that has several tasks; they are its arguments.
-SHARED = "shared_process"
 _POLL_S = 0.05
 
 
@@ -110,14 +110,18 @@ def journal_of(task: str) -> Path | None:
 def _roles(pid: int) -> list[str]:
     try:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+        process = Path(f"/proc/{pid}/fd/1").readlink().stem  # whoever has no module of its own has a log of its own
     except OSError:
         return []
     if "-m" in words:
         module = words[words.index("-m") + 1]
         return [CHILDREN[module]] if module in CHILDREN else []
-    program = Path(words[1]) if len(words) > 1 else Path()
-    if program.parent.parent.name != "lib":
-        return []
-    if program.name != SHARED:
-        return [program.name]
-    return [Path(task).name for task in words[2 : words.index("--ros-args")]]
+    return [BOOTSTRAP] if process == BOOTSTRAP else _tasks().get(process, [])
+
+
+@cache
+def _tasks() -> dict[str, list[str]]:
+    """Names of the tasks of each process."""
+    deployment = deployments.load(deployments.default_path())
+    placed = deployment.on_host(deployment.local_host())
+    return {process: [each.name for each in tasks] for process, tasks in placed.items()}

@@ -21,7 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "agent=im_bringup.ros.agent:main",
-            "bootstrap=im_bringup.ros.bootstrap:main",
+            "bootstrap=im_bringup.ros.launch:main",
             "calibrate_camera=im_bringup.ros.calibrate_camera:main",
             "data_objects=im_bringup.ros.data_objects:main",
             "interfaces=im_bringup.ros.interfaces:main",

@@ -14,6 +14,14 @@ from im_core.config import parse_model
 from im_core.process import last_words
 
 OBEDIENT = "import signal; print('up', flush=True); signal.sigwait({signal.SIGINT}); print('{name} ends', flush=True)"
+LATE = """\
+import signal, time
+print("up", flush=True)
+signal.sigwait({signal.SIGINT})
+while time.process_time() < 0.5:
+    pass
+print("{name} ends", flush=True)
+"""
 STUBBORN = """\
 import signal
 for number in (signal.SIGINT, signal.SIGTERM):
@@ -68,6 +76,26 @@ def test_who_does_not_listen_is_killed(tmp_path):
     up(tmp_path, ["deaf", "good"])
     assert agent.shut_down() == ["deaf"]
     assert agent.running() == []
+
+
+def test_who_waits_for_a_processor_is_not_killed(tmp_path):
+    """It computes for half a second before it ends: beside sixteen others on one core that is late, but no hang."""
+    core = max(os.sched_getaffinity(0))
+    agent = Agent([python(tmp_path, "late", LATE)], environment())
+    (started,) = agent.start()
+    up(tmp_path, ["late"])
+    os.sched_setaffinity(started.pid, {core})
+    spin = [sys.executable, "-S", "-c", "while True: pass"]
+    others = [subprocess.Popen(spin, start_new_session=True) for _ in range(16)]  # one scheduling group each, as it has
+    try:
+        for other in others:
+            os.sched_setaffinity(other.pid, {core})
+        assert agent.shut_down() == []
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+    assert last_words(tmp_path / "late.log") == "late ends"
 
 
 class Crasher:

@@ -130,7 +130,7 @@ def complete_bag(bag: Path) -> None:
         return
     described = (bag / METADATA).exists()
     known = _known_files(bag / METADATA) if described else set()
-    files = sorted(bag.glob("*.mcap"), key=_number)
+    files = parts(bag)
     if not (new := [path for path in files if path.name not in known]):
         return
     busy = [path for path in new if is_recorded(path)]
@@ -142,6 +142,11 @@ def complete_bag(bag: Path) -> None:
         if path.stat().st_size and not _has_end(path):
             complete_file(path)
     write_metadata(bag, [path for path in files if path.stat().st_size])
+
+
+def parts(bag: Path) -> list[Path]:
+    """The MCAP files in the folder of a bag, in the order in which they were written."""
+    return sorted(bag.glob("*.mcap"), key=_number)
 
 
 def is_recorded(path: Path) -> bool:

@@ -1,20 +1,24 @@
 """Child processes: tasks of a deployment, servo, control laws, bridges to robots, physics, cameras."""
 
+import contextlib
 import ctypes
+import gc
 import os
+import runpy
 import select
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO, Self
 
 from im_core import clock
 from im_core.errors import LinkError
+from im_core.silence import Patience
 
-_PR_SET_PDEATHSIG = 1
+_PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 _KILLED_S = 1.0
 _POLL_S = 0.01
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -31,6 +35,8 @@ class ChildProcess:
         environment: Its environment; None: that of this process.
         death_signal: What the kernel sends it when the thread that started it ends; None: it lives on.
         inherit: File descriptors of this process that it gets, with the same numbers.
+        copied: Whether it begins as a copy of this process, which :func:`may_copy` permits: what is loaded here need
+            not be loaded there, and takes its memory once. The kernel goes on telling how this process was started.
 
     Attributes:
         name: As given.
@@ -47,6 +53,7 @@ class ChildProcess:
         environment: Mapping[str, str] | None = None,
         death_signal: signal.Signals | None = signal.SIGKILL,
         inherit: Sequence[int] = (),
+        copied: bool = False,
     ) -> None:
         self.name = name or Path(argv[0]).name
         self._log, self._log_begin = log, 0
@@ -68,16 +75,25 @@ class ChildProcess:
             given = files.enter_context(open(os.memfd_create("stdin"), "w+b"))
             given.write(stdin.encode())
             given.seek(0)
-            self._process = subprocess.Popen(
-                argv,
-                stdin=given,
-                stdout=output,
-                stderr=None if output is None else subprocess.STDOUT,
-                env=environment,
-                preexec_fn=end_with_parent,
-                start_new_session=True,
-                pass_fds=inherit,
-            )
+            self._process: subprocess.Popen[bytes] | _Copy
+            if copied:
+                self._process = _Copy()
+                if self._process.pid == 0:
+                    os.setsid()
+                    end_with_parent()
+                    _keep_open([given.fileno(), *([output.fileno()] * 2 if output is not None else [])], inherit)
+                    ctypes.pythonapi.Py_Exit(_run_script(argv, environment))
+            else:
+                self._process = subprocess.Popen(
+                    argv,
+                    stdin=given,
+                    stdout=output,
+                    stderr=None if output is None else subprocess.STDOUT,
+                    env=environment,
+                    preexec_fn=end_with_parent,
+                    start_new_session=True,
+                    pass_fds=inherit,
+                )
         self.pid = self._process.pid
 
     @classmethod
@@ -125,17 +141,83 @@ class ChildProcess:
         return self.poll() is not None
 
     def stop(self, timeout_s: float = 2.0) -> None:
-        """End it with SIGTERM, after ``timeout_s`` [s] with SIGKILL."""
+        """End it with SIGTERM, after ``timeout_s`` [s] with SIGKILL, counted as :class:`.Patience` does."""
+        patience = Patience([self.pid])
         self.send_signal(signal.SIGTERM)
-        if not self.await_end(timeout_s):
+        if not await_ends([self], patience, timeout_s):
             self.send_signal(signal.SIGKILL)
             self.await_end(_KILLED_S)
 
 
-def await_ends(children: Sequence[ChildProcess], deadline: float) -> bool:
-    """Wait until all have ended, at most until ``deadline`` [s of :func:`.clock.monotonic`]; whether they have."""
+class _Copy:
+    """A copy of this process, with that of :class:`subprocess.Popen` that is used here.
+
+    Attributes:
+        pid: Process id; 0 in the copy itself.
+    """
+
+    def __init__(self) -> None:
+        gc.freeze()  # a collector that looked at what is common would give each process its own
+        self.pid = os.fork()
+        self._code: int | None = None
+
+    def poll(self) -> int | None:
+        """Exit code, or None while it runs."""
+        if self._code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self._code = os.waitstatus_to_exitcode(status) if pid else None
+        return self._code
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send a signal; nothing happens if it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+
+def may_copy(program: str) -> bool:
+    """Whether a program may begin as a copy of this process: of Python, of this very one, while there is one thread.
+
+    Other threads would not be in the copy, but what they have locked would be locked there for ever.
+    """
+    with open(program, "rb") as file:
+        first = file.readline(4096)
+    return first.rstrip() == f"#!{sys.executable}".encode() and len(os.listdir("/proc/self/task")) == 1
+
+
+def _keep_open(standard: Sequence[int], others: Collection[int]) -> None:
+    """Make file descriptors the standard ones, in their order, and close all that are neither standard nor others."""
+    for number, descriptor in enumerate(standard):
+        os.dup2(descriptor, number)
+    for descriptor in map(int, os.listdir("/proc/self/fd")):
+        if descriptor > 2 and descriptor not in others:
+            with contextlib.suppress(OSError):  # the one that listed them
+                os.close(descriptor)
+
+
+def _run_script(argv: Sequence[str], environment: Mapping[str, str] | None) -> int:
+    """Run a Python script as if this process had been started with it; its exit code."""
+    if environment is not None:
+        os.environ.clear()
+        os.environ.update(environment)
+    sys.argv = list(argv)
+    _LIBC.prctl(_PR_SET_NAME, Path(argv[0]).name.encode())
+    try:
+        runpy.run_path(argv[0], run_name="__main__")
+    except SystemExit as end:
+        if end.code is None or isinstance(end.code, int):
+            return end.code or 0
+        print(end.code, file=sys.stderr)
+        return 1
+    except BaseException:  # told, as the interpreter would
+        sys.excepthook(*sys.exc_info())
+        return 1
+    return 0
+
+
+def await_ends(children: Sequence[ChildProcess], patience: Patience, until_s: float) -> bool:
+    """Wait until all have ended, at most until patience has counted so much [s]; whether they have."""
     while any(child.poll() is None for child in children):
-        if clock.monotonic() >= deadline:
+        if patience.look() >= until_s:
             return False
         clock.sleep(_POLL_S)
     return True

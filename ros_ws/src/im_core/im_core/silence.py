@@ -1,6 +1,7 @@
-"""Silence of a process that is waited for, without the time in which a busy computer gave it no processor."""
+"""Silence of processes that are waited for, without the time in which a busy computer gave them no processor."""
 
 import math
+from collections.abc import Iterable
 
 from im_core import clock
 from im_core.procfs import Scheduled, scheduled, stat_fields
@@ -44,3 +45,28 @@ class Silence:
     def _wants_processor(self) -> bool:
         fields = stat_fields(self._pid)
         return fields is not None and fields[0] == "R"
+
+
+class Patience:
+    """How long processes of this host that were asked to end could have done so: on a busy computer they may be late.
+
+    Time in which one of them wants a processor and gets none does not count for any: they may wait for each other.
+
+    Attributes:
+        seconds: Up to the last look [s].
+
+    Args:
+        pids: The processes; one that has ended holds up nothing.
+        longest_look_s: As of :class:`Silence` [s].
+    """
+
+    def __init__(self, pids: Iterable[int], longest_look_s: float = 0.1) -> None:
+        self.seconds = 0.0
+        self._silences = [Silence(pid, longest_look_s=longest_look_s) for pid in pids]
+
+    def look(self) -> float:
+        """Count the time since the last look, and return all of it [s]; infinite if there is no process."""
+        before = [silence.seconds for silence in self._silences]
+        passed = [silence.look() - since for silence, since in zip(self._silences, before, strict=True)]
+        self.seconds += min(passed, default=math.inf)
+        return self.seconds

@@ -1,13 +1,16 @@
 """Child processes take what they are given, are ended in time, and say how they ended."""
 
+import contextlib
 import signal
+import subprocess
 import sys
+import threading
 
 import pytest
 
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.process import ChildProcess, last_words
+from im_core.process import ChildProcess, last_words, may_copy
 
 DEAF = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('up', flush=True); signal.pause()"
 
@@ -70,3 +73,68 @@ def test_who_was_killed_had_no_time_for_last_words(tmp_path):
     child.send_signal(signal.SIGKILL)
     assert child.await_end(60.0)
     assert child.obituary() == "the process it ended with code -9"
+
+
+COPIES = """\
+import fractions, sys
+from pathlib import Path
+from im_core.process import ChildProcess, may_copy
+script, log = sys.argv[1:]
+assert may_copy(script)
+child = ChildProcess([script, "a"], log=Path(log), stdin="given", environment={"COLOUR": "red"}, copied=True)
+while not child.await_end(60.0):
+    pass
+child.stop()
+print(child.obituary())
+"""
+SAYS = """\
+import os, sys
+print(sys.argv[1:], os.environ["COLOUR"], sys.stdin.read(), "fractions" in sys.modules, end=" ")
+print(sorted(os.listdir("/proc/self/fd")))
+print(open("/proc/self/comm").read().strip())
+"""
+
+
+@pytest.mark.parametrize(
+    ("end", "told"),
+    [
+        ("sys.exit(3)", "code 3: says"),
+        ("sys.exit('disk full')", "code 1: disk full"),
+        ("1 / 0", "code 1: ZeroDivisionError: division by zero"),
+        ("import atexit; atexit.register(print, 'closed')", "code 0: closed"),
+        ("os.kill(os.getpid(), 9)", "code -9"),
+    ],
+)
+def test_a_copy_is_the_program_that_it_runs_and_finds_loaded_what_was_loaded(tmp_path, end, told):
+    script, log = program(tmp_path, sys.executable, SAYS + end), tmp_path / "log"
+    done = subprocess.run([sys.executable, "-c", COPIES, script, log], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == f"the process says ended with {told}"
+    assert log.read_text().startswith("['a'] red given True ['0', '1', '2', '3']\nsays\n")  # 3: what lists them
+
+
+def test_only_a_program_of_this_python_begins_as_a_copy_and_only_of_one_thread(tmp_path):
+    ours, other = (program(tmp_path, python, "") for python in (sys.executable, "/usr/bin/python3"))
+    code = "import sys, threading; from im_core.process import may_copy; print(*map(may_copy, sys.argv[1:]))"
+    told = [sys.executable, "-c", code, ours, other, sys.executable]
+    assert subprocess.run(told, capture_output=True, text=True, check=True).stdout.split() == ["True", "False", "False"]
+    with threaded():
+        assert not may_copy(ours)
+
+
+def program(tmp_path, python, code):
+    """A program of its own folder, by name ``says``."""
+    path = tmp_path / python.replace("/", "_") / "says"
+    path.parent.mkdir()
+    path.write_text(f"#!{python}\n{code}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+@contextlib.contextmanager
+def threaded():
+    end = threading.Event()
+    thread = threading.Thread(target=end.wait)
+    thread.start()
+    yield
+    end.set()
+    thread.join()

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from im_core import clock
-from im_core.silence import Silence
+from im_core.silence import Patience, Silence
 
 SPIN = "while True: pass"
 SLEEP = "import time; time.sleep(600)"
@@ -73,3 +73,24 @@ def test_time_in_which_nobody_looked_does_not_count(child):
     silence = Silence(child(SLEEP), longest_look_s=0.05)
     clock.sleep(0.2)
     assert 0.0 < silence.look() <= 0.05
+
+
+def test_patience_waits_for_whoever_is_kept_from_the_processor(child):
+    """Others that sleep, or have ended, may wait for it."""
+    core = {max(os.sched_getaffinity(0))}
+    late = child(SPIN, core, 19)
+    for _ in range(8):
+        child(SPIN, core)
+    patience, began = Patience([child(SLEEP), late, 0]), clock.monotonic()
+    while clock.monotonic() < began + 1.5:
+        patience.look()
+        clock.sleep(0.02)
+    assert patience.seconds < 0.75
+
+
+def test_patience_ends_with_who_could_end_and_does_not(child):
+    patience, began = Patience([child(SLEEP), child(SLEEP)]), clock.monotonic()
+    while patience.look() < 0.3:
+        assert clock.monotonic() < began + 60.0
+        clock.sleep(0.02)
+    assert clock.monotonic() - began >= 0.3

@@ -4,16 +4,19 @@ import fcntl
 import os
 import re
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 from im_bringup.machine.members import is_member, signal_member
 from im_core import clock, names, shm
 from im_core.shm import ProcessId
+from im_core.silence import Patience
 
 _SHM = Path("/dev/shm")
 _DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))(?:_[es]l|_mutex)?$")
 # a killed process goes when it gets a processor: on a busy computer that takes its time
 _DYING_S = 10.0
+_POLL_S = 0.02
 _LOCK = re.compile(r"_[es]l$")
 
 
@@ -41,18 +44,28 @@ def kill(found: list[ProcessId], timeout_s: float) -> list[ProcessId]:
     return [process for process in found if process.alive()]
 
 
-def end_all(timeout_s: float) -> tuple[list[ProcessId], list[ProcessId]]:
-    """Kill the processes of the machine, and what they have started meanwhile, as a supervisor does.
+def await_end(patience_s: float, goes_on: Callable[[], bool] = lambda: True) -> None:
+    """Wait until the machine has no process any more, or none that goes on.
 
     Args:
-        timeout_s: Longest wait for the end of those that are found at once [s].
+        patience_s: Longest wait, as :class:`im_core.silence.Patience` counts [s].
+        goes_on: Whether it is still waited for.
+    """
+    found = processes()
+    patience = Patience(process.pid for process in found)
+    while any(process.alive() for process in found) and goes_on() and patience.look() < patience_s:
+        clock.sleep(_POLL_S)
+
+
+def end_all() -> tuple[list[ProcessId], list[ProcessId]]:
+    """Kill the processes of the machine, and what they have started meanwhile, as a supervisor does.
 
     Returns:
         Those that were there, and those that still are.
     """
     found: list[ProcessId] = []
     while more := [process for process in processes() if process not in found]:
-        kill(more, timeout_s)
+        kill(more, _DYING_S)
         found += more
     return found, [process for process in found if process.alive()]
 

@@ -17,7 +17,6 @@ from im_bringup.tasks.agent import environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.middleware import reach
-from im_cell.robot import load_cell
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
 from im_core.files import make_folder, read_text
@@ -116,7 +115,9 @@ def check_calibration(deployment: Deployment, path: Path) -> None:
     """
     if not deployment.calibration:
         return
-    from im_cell.calibration_files import read_calibration  # takes half a second, which few starts need
+    # they take half a second, which few starts need
+    from im_cell.calibration_files import read_calibration
+    from im_cell.robot import load_cell
 
     takers = [placed for placed in deployment.tasks() if CALIBRATION in placed.task.parameters.values()]
     if not takers:
@@ -216,7 +217,7 @@ def clear_the_way(fresh: bool) -> bool:
     Raises:
         StoreError: The folder of its logs cannot be made, or what its mission has left not be moved.
     """
-    leftovers.end_all(timeout_s=2.0)
+    leftovers.end_all()
     leftovers.remove_shared_memory()
     machine.remove()
     run_dir = names.run_dir()

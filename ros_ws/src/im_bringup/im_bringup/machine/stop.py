@@ -12,19 +12,17 @@ from im_bringup.machine.members import is_member, signal_member
 from im_core import clock, names
 from im_core.errors import DataError
 from im_core.process import last_words
-from im_core.shm import ProcessId
 
-#: The bootstrap's own ordered shutdown takes less than this [s].
-_ORDERLY_S = 4.3
-#: How long the supervisor may take to notice that its bootstrap has ended [s].
-_SUPERVISOR_S = 0.5
+#: The bootstrap's own ordered shutdown takes less than this, and its supervisor notices its end [s].
+_ORDERLY_S = 4.8
 
 
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(
         prog="stop",
-        description="Stop the machine of this ROS domain and remove what a killed one left behind; takes 5 s at most.",
+        description="Stop the machine of this ROS domain and remove what a killed one left behind; takes 5 s at most "
+        "on a computer that has a processor for it.",
         epilog="Exit codes: 0 nothing runs any more, 1 something could not be ended (said what).",
     )
     parser.parse_args()
@@ -48,11 +46,11 @@ def stop(say: Callable[[str], None]) -> int:
         record = None
     ran = record is not None and is_member(record.process)
     if record is not None and ran:
-        _end_bootstrap(record.process, began + _ORDERLY_S)
-        _await_supervisor(clock.monotonic() + _SUPERVISOR_S)
+        signal_member(record.process, signal.SIGINT)
+        leftovers.await_end(_ORDERLY_S)
     elif record is not None and record.alive:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
-    found, remaining = leftovers.end_all(timeout_s=0.5)
+    found, remaining = leftovers.end_all()
     removed = leftovers.remove_shared_memory()
     machine.remove()
     if remaining:
@@ -61,17 +59,6 @@ def stop(say: Callable[[str], None]) -> int:
         return 1
     say(_summary(ran, len(found), len(removed), clock.monotonic() - began))
     return 0
-
-
-def _end_bootstrap(process: ProcessId, deadline: float) -> None:
-    signal_member(process, signal.SIGINT)
-    while process.alive() and clock.monotonic() < deadline:
-        clock.sleep(0.02)
-
-
-def _await_supervisor(deadline: float) -> None:
-    while leftovers.processes() and clock.monotonic() < deadline:
-        clock.sleep(0.02)
 
 
 def _summary(ran: bool, killed: int, removed: int, seconds: float) -> str:

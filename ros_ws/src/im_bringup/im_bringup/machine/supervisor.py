@@ -107,10 +107,8 @@ class BootstrapKeeper:
         me = ProcessId.current()
         record = replace(record, pid=me.pid, start=me.start, state=machine.STARTING, missing=[sentence])
         machine.write(record)
-        deadline = clock.monotonic() + _ORDERLY_S
-        while leftovers.processes() and clock.monotonic() < deadline and self._stopped is None:
-            clock.sleep(_POLL_S)
-        leftovers.end_all(timeout_s=2.0)
+        leftovers.await_end(_ORDERLY_S, goes_on=lambda: self._stopped is None)
+        leftovers.end_all()
         leftovers.remove_shared_memory()
         machine.write(record)
         return True

@@ -1,8 +1,5 @@
 """Node ``/bootstrap``: starts the tasks of the deployment phase by phase, knows them by name, stops them in order."""
 
-import argparse
-import os
-import sys
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -12,22 +9,20 @@ from std_msgs.msg import Float64, String, UInt8
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.bootstrap import Bootstrap
-from im_bringup.machine.members import is_member
 from im_bringup.machine.nets import MachineNets
 from im_bringup.machine.record import MachineRecord
-from im_bringup.tasks import deployment as deployments
-from im_bringup.tasks.agent import MARKER, Agent, Died, commands, environment
+from im_bringup.tasks.agent import Died
 from im_bringup.tasks.deployment import Deployment, options_text
-from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.registry import Progress, TaskRecord
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.arrivals import member
 from im_core.errors import ImError, StoreError
-from im_core.ros import qos, run
+from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
 from im_core.ros.reminders import Reminders
+from im_core.ros.run import main as spin
 from im_core.shm import ProcessId
 from im_core.startup import OPTIONS_TOPIC, PHASE_TOPIC, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase, start_timeout_s
 from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
@@ -43,22 +38,19 @@ class BootstrapNode(GuardedNode):
     """ROS shell of :class:`im_bringup.machine.bootstrap.Bootstrap`; translates messages, decides nothing.
 
     Args:
-        deployment: What to start.
+        deployment: What is started.
         path: The file it came from.
-        host: Host of the deployment that this process runs on.
+        nets: Finds out whether the nets of its tasks may run together.
+        bootstrap: Has started the processes of this host.
     """
 
-    def __init__(self, deployment: Deployment, path: Path, host: str) -> None:
+    def __init__(self, deployment: Deployment, path: Path, nets: MachineNets, bootstrap: Bootstrap) -> None:
         super().__init__("bootstrap")
         describe_sim_time(self)
         self.log: RcutilsLogger = self.get_logger()
         self._deployment, self._path = deployment, path
         self._run_dir = names.run_dir().resolve()
-        agent = Agent(commands(deployment, host, self._run_dir), environment(os.environ, self._run_dir, deployment))
-        tasks = list(deployment.tasks())
-        nodes = {placed.task.node for placed in tasks}
-        self._nets = MachineNets(self._run_dir, nodes, unproved=deployment.unproved)
-        self._bootstrap = Bootstrap(tasks, agent, host, self._nets)
+        self._nets, self._bootstrap = nets, bootstrap
         self._reminders = Reminders(self)
         spared = [Path(deployment.calibration)] if deployment.calibration else []
         self._upkeep = Upkeep(self._run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
@@ -75,7 +67,6 @@ class BootstrapNode(GuardedNode):
         self._options_publisher = self.create_publisher(String, OPTIONS_TOPIC, qos.LATCHED)
         self._options_publisher.publish(String(data=options_text(deployment)))
         self._announce(StartupPhase.LOAD)
-        self._bootstrap.start(clock.monotonic())
         self._upkeep.start()
         self._show()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -192,29 +183,6 @@ def to_message(record: TaskRecord) -> TaskRecordMessage:
     )
 
 
-def main() -> int:
-    """Run ``/bootstrap`` until SIGINT or SIGTERM."""
-    parser = argparse.ArgumentParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
-    parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
-    parser.add_argument("--factor", type=float)
-    parser.add_argument("--period", type=float)
-    parser.add_argument("--seed", type=int)
-    parser.add_argument("--port", type=int)
-    parser.add_argument("--control", action="store_true", default=None)
-    parser.add_argument("--unproved", action="store_true", default=None)
-    parser.add_argument("--calibration")
-    arguments = parser.parse_args()
-    if not is_member(ProcessId.current()):  # started by hand; the mark must be there from the start of a process
-        os.execve(sys.executable, sys.orig_argv, {**os.environ, MARKER: names.instance()})
-
-    def make_node() -> BootstrapNode:
-        deployment = deployments.load(arguments.deployment)
-        os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
-        deployment = deployments.with_options(deployment, arguments)
-        return BootstrapNode(deployment, Path(arguments.deployment).resolve(), deployment.local_host())
-
-    return run.main(make_node, args=[], at_end=BootstrapNode.shut_down)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def run(deployment: Deployment, path: Path, nets: MachineNets, bootstrap: Bootstrap) -> int:
+    """Run ``/bootstrap`` until SIGINT or SIGTERM; arguments as of the node. Its exit code."""
+    return spin(lambda: BootstrapNode(deployment, path, nets, bootstrap), args=[], at_end=BootstrapNode.shut_down)

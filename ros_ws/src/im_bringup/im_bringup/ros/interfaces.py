@@ -21,8 +21,10 @@ SETTLED_S = 3.0
 DISCOVERY_AT_MOST_S = 30.0
 _LOOK_S = 0.5
 ACTION = "/_action/"
+#: How a node tells which parameters it has; one that only listens, as a recorder, may do without.
+LISTING = "/list_parameters"
 #: What every ROS node has, and what is worth no line.
-COMMON = ("/describe_parameters", "/get_parameter", "/list_parameters", "/set_parameters", "/get_type_description")
+COMMON = ("/describe_parameters", "/get_parameter", LISTING, "/set_parameters", "/get_type_description")
 COMMON_TOPICS = ("/parameter_events", "/rosout")
 HEAD = """\
 # Interfaces
@@ -67,20 +69,21 @@ def tables(node: Node) -> str:
         elif name in listeners:
             driven.append((name, types[0], listeners[name]))
     parts = [HEAD, _table("Actions", "of", actions), _table("Services", "of", services)]
-    parts.append(_parameters(_described(node, sorted(set().union(*owners.values())))))
+    described = [whole for whole in sorted(set().union(*owners.values())) if f"{whole}{LISTING}" in owners]
+    parts.append(_parameters(_described(node, described)))
     parts += [_table("Topics", "published by", topics), _table("Topics that wait for a publisher", "heard by", driven)]
     return "\n".join(parts)
 
 
 def _described(node: Node, owners: Iterable[str]) -> dict[tuple[str, str, str, str, str], set[str]]:
-    """Name, type, range, when it acts and description of every parameter, with the nodes that have it.
+    """Name, type, range, when it acts and description of every parameter of nodes, with those that have it.
 
     Raises:
         WaitTimeoutError: A node does not tell its parameters.
     """
     rows: dict[tuple[str, str, str, str, str], set[str]] = {}
     for owner in owners:
-        listing = node.create_client(ListParameters, f"{owner}/list_parameters")
+        listing = node.create_client(ListParameters, f"{owner}{LISTING}")
         listed = call_blocking(listing, ListParameters.Request(), CALL_S, f"parameters of {owner}")
         telling = node.create_client(DescribeParameters, f"{owner}/describe_parameters")
         request = DescribeParameters.Request(names=listed.result.names)

@@ -13,12 +13,13 @@ from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.standstill import Standstill
-from im_core import clock, names, scheduling
+from im_core import names, scheduling
 from im_core import pulse as pulse_memory
 from im_core.errors import LinkError
 from im_core.files import make_folder, write_whole
-from im_core.process import ChildProcess, await_ends, last_words
+from im_core.process import ChildProcess, await_ends, last_words, may_copy
 from im_core.pulse import Pulse
+from im_core.silence import Patience
 from im_core.startup import UNPROVED
 
 #: Every process of a machine has this in its environment, with the machine's instance as value.
@@ -103,7 +104,10 @@ Spawn = Callable[[ProcessCommand, Mapping[str, str], Pulse], ChildProcess]
 
 
 def spawn_process(command: ProcessCommand, environment: Mapping[str, str], pulse: Pulse) -> ChildProcess:
-    """Start a process, which tells how its loop is; it is asked to end if this thread dies."""
+    """Start a process, which tells how its loop is; it is asked to end if this thread dies.
+
+    Where it may, it begins as a copy of this one.
+    """
     return ChildProcess(
         command.argv,
         name=command.name,
@@ -111,6 +115,7 @@ def spawn_process(command: ProcessCommand, environment: Mapping[str, str], pulse
         environment={**environment, pulse_memory.VARIABLE: str(pulse.descriptor)},
         death_signal=signal.SIGTERM,
         inherit=[pulse.descriptor],
+        copied=may_copy(command.argv[0]),
     )
 
 
@@ -193,10 +198,11 @@ class Agent:
         return [task for tasks in up for task in tasks]
 
     def shut_down(self) -> list[str]:
-        """Stop all processes, the last started first; takes less than 4 s.
+        """Stop all processes, the last started first; takes less than 4 s, unless they wait for a processor.
 
         Each gets SIGINT when its turn comes, which is when the one before it has ended or has had its share of 1.8 s.
-        Who has not ended after 2.6 s gets SIGTERM, after 3.5 s SIGKILL.
+        Who has not ended after 2.6 s gets SIGTERM, after 3.5 s SIGKILL, counted as :class:`im_core.silence.Patience`
+        does.
 
         Returns:
             Names of the processes that had to be killed.
@@ -204,21 +210,21 @@ class Agent:
         self.respawn = False
         for slot in self._slots:
             slot.respawn_at = None
-        began = clock.monotonic()
         children = [(slot.command.name, slot.child) for slot in self._slots if slot.child is not None]
         turn = min(_TURN_S, _ALL_TURNS_S / max(1, len(children)))
-        for _, child in reversed(children):
-            child.send_signal(signal.SIGINT)
-            await_ends([child], clock.monotonic() + turn)
         everyone = [child for _, child in children]
-        await_ends(everyone, began + _TERM_AFTER_S)
+        patience = Patience(child.pid for child in everyone)
+        for child in reversed(everyone):
+            child.send_signal(signal.SIGINT)
+            await_ends([child], patience, patience.look() + turn)
+        await_ends(everyone, patience, _TERM_AFTER_S)
         for child in everyone:
             child.send_signal(signal.SIGTERM)
-        await_ends(everyone, began + _KILL_AFTER_S)
+        await_ends(everyone, patience, _KILL_AFTER_S)
         killed = [name for name, child in children if child.poll() is None]
         for child in everyone:
             child.send_signal(signal.SIGKILL)
-        await_ends(everyone, began + _KILL_AFTER_S + 0.4)
+        await_ends(everyone, patience, _KILL_AFTER_S + 0.4)
         return killed
 
     def _start(self, slot: _Slot) -> Started:

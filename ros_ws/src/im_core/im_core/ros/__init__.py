@@ -9,3 +9,9 @@
 - :mod:`im_core.ros.status`, :mod:`im_core.ros.interfaces`, :mod:`im_core.ros.qos`: errors as messages, types by name,
   qualities of service.
 """
+
+import sys
+
+# What makes a type of ROS usable is in the package that generates such types, which does without its generators where
+# they cannot be imported. They are a grammar of IDL and its parser, and no node generates anything.
+sys.modules.setdefault("rosidl_generator_py.generate_py_impl", None)  # type: ignore[arg-type]  # None: no such module

@@ -1,0 +1,80 @@
+"""``bootstrap``: start the processes of a deployment on this host, then run ``/bootstrap``, which leads them.
+
+The processes begin as copies of this one, which has loaded what all of them need, but not ROS: that brings threads
+along, and with them no process may be copied.
+"""
+
+import argparse
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from im_bringup.machine.bootstrap import Bootstrap
+from im_bringup.machine.members import is_member
+from im_bringup.machine.nets import MachineNets
+from im_bringup.tasks import deployment as deployments
+from im_bringup.tasks.agent import MARKER, Agent, commands, environment
+from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.middleware import middleware
+from im_core import clock, names, scheduling
+from im_core.errors import ImError
+from im_core.shm import ProcessId
+
+#: What most tasks load, beside what this process needs itself.
+COMMON = ("im_cell.link", "im_cell.robot")
+
+
+def main() -> int:
+    """Run ``/bootstrap`` until SIGINT or SIGTERM."""
+    parser = argparse.ArgumentParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
+    parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
+    parser.add_argument("--factor", type=float)
+    parser.add_argument("--period", type=float)
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--port", type=int)
+    parser.add_argument("--control", action="store_true", default=None)
+    parser.add_argument("--unproved", action="store_true", default=None)
+    parser.add_argument("--calibration")
+    arguments = parser.parse_args()
+    if not is_member(ProcessId.current()):  # started by hand; the mark must be there from the start of a process
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, MARKER: names.instance()})
+
+    try:
+        deployment = deployments.load(arguments.deployment)
+        os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
+        deployment = deployments.with_options(deployment, arguments)
+        nets, bootstrap = begin(deployment)
+    except ImError as error:
+        print(error.message, file=sys.stderr)
+        return 1
+    from im_bringup.ros.bootstrap import run
+
+    return run(deployment, Path(arguments.deployment).resolve(), nets, bootstrap)
+
+
+def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
+    """Start the processes of this host.
+
+    Args:
+        deployment: Of which they are.
+
+    Returns:
+        What finds out whether the nets of the tasks may run together, and what leads the tasks.
+
+    Raises:
+        ImError: One cannot be started, or their parameters not be written.
+    """
+    scheduling.keep_off()
+    for module in COMMON:
+        import_module(module)
+    run_dir, host, tasks = names.run_dir().resolve(), deployment.local_host(), list(deployment.tasks())
+    agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))
+    nets = MachineNets(run_dir, {placed.task.node for placed in tasks}, unproved=deployment.unproved)
+    bootstrap = Bootstrap(tasks, agent, host, nets)
+    bootstrap.start(clock.monotonic())
+    return nets, bootstrap
+
+
+if __name__ == "__main__":
+    sys.exit(main())
