@@ -53,17 +53,17 @@ class Attack:
     def throw(self, target: Target) -> None:
         """Throw one thing at an interface."""
         end = self._ends[target]
-        if target.kind == "topic":
-            self._publish(target, end)
+        message = self._values.message(target.taken)
+        if is_order(target, message):
             return
-        request = self._values.message(target.type.Request if target.kind == "service" else target.type.Goal)
-        if is_order(target, request):
+        if target.kind == "topic":
+            self._publish(end, message)
             return
         self._free.acquire(timeout=ANSWER_S)
         begun = threading.Event()
         assert self._node.executor is not None, "the node spins"
         # in the loop: rclpy drops the answer to a goal that comes before the thread that sent it has noted it
-        self._node.executor.create_task(self._ask, target, end, request, begun)
+        self._node.executor.create_task(self._ask, target, end, message, begun)
         begun.wait(ANSWER_S)
 
     def finish(self) -> None:
@@ -72,14 +72,14 @@ class Attack:
             clock.sleep(0.02)
         self.unanswered = sorted(name for name, _ in self._open.values())
 
-    def _publish(self, target: Target, end: Any) -> None:
+    def _publish(self, end: Any, message: Any) -> None:
         broken = self.sent["topic"] % 3 == 2
         try:
-            end.publish(self._values.broken(target.type) if broken else self._values.message(target.type))
+            end.publish(self._values.broken(message) if broken else message)
         except (UnicodeError, ValueError, AssertionError, RuntimeError):
-            self.refused[target.kind] += 1
+            self.refused["topic"] += 1
         else:
-            self.sent[target.kind] += 1
+            self.sent["topic"] += 1
 
     def _ask(self, target: Target, end: Any, request: Any, begun: threading.Event) -> None:
         try:

@@ -28,6 +28,14 @@ class Target:
     name: str
     type: Any
 
+    @property
+    def taken(self) -> type[Any]:
+        """Class of what is taken there: the message, the request or the goal."""
+        taken: type[Any] = self.type
+        if self.kind != "topic":
+            taken = self.type.Request if self.kind == "service" else self.type.Goal
+        return taken
+
 
 def targets(node: Node, of: Collection[str]) -> list[Target]:
     """All interfaces that the nodes of these names take something on, sorted."""
@@ -45,16 +53,18 @@ def targets(node: Node, of: Collection[str]) -> list[Target]:
     return [target for (kind, name), told in sorted(found.items()) if (target := _target(kind, name, told)) is not None]
 
 
-def is_order(target: Target, request: Any) -> bool:
-    """Whether a request is right, so that the machine has to do it: that is no fuzz, and would disturb."""
-    fields = request.get_fields_and_field_types()
+def is_order(target: Target, message: Any) -> bool:
+    """Whether a message or a request is right, so that the machine has to do it: that is no fuzz, and would disturb."""
+    fields = message.get_fields_and_field_types()
     if not fields or set(fields) == {"structure_needs_at_least_one_member"}:
         return True
     match type_name(target.type):
         case "im_msgs/srv/CalibrateCamera":
-            return not request.cameras and not request.poses_file
+            return not message.cameras and not message.poses_file
+        case "trajectory_msgs/msg/JointTrajectory":  # an empty one stops the group, whoever owns it
+            return not message.points
         case "im_msgs/srv/GroupCommand":  # anyone may pause all groups
-            return not request.group
+            return not message.group
     return False
 
 

@@ -41,9 +41,9 @@ class Values:
             setattr(message, name, self._field(field))
         return message
 
-    def broken(self, kind: type[Any]) -> bytes:
-        """Bytes that are no message of the type, or one by accident: cut, or with lengths that cannot be."""
-        data = bytearray(serialize_message(self.message(kind)))
+    def broken(self, message: Any) -> bytes:
+        """The bytes of a message, cut, or with lengths that cannot be; by accident they may be a message still."""
+        data = bytearray(serialize_message(message))
         if self._rng.random() < 0.5 or len(data) <= 8:
             return bytes(data[: self._rng.randrange(len(data) + 1)])
         at = self._rng.randrange(4, len(data) - 3)
