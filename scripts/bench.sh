@@ -15,6 +15,7 @@
 #   scripts/bench.sh --mcs              motion control: tracking, lines, the tick, deadlines, lockstep
 #   scripts/bench.sh --vss              vision: frames and answers a second, and where the time goes
 #   scripts/bench.sh --dom              data objects: puts and gets beside a bare service; 200 kills of the store
+#   scripts/bench.sh --bag              recording beside the machine: messages a second, gaps, the recorder's CPU time
 #   scripts/bench.sh --calibration      the solver: errors over the bound and over OpenCV, coverage, verdicts
 #   scripts/bench.sh --spot             how well the light is found in an image
 #   scripts/bench.sh --soak             does anything grow? 200 calibrations in a row; --soak random: for an hour
@@ -46,7 +47,7 @@ part=""
 arguments=()
 for argument in "$@"; do
   case "$argument" in
-    --machine | --sizes | --nets | --mcs | --vss | --dom | --calibration | --spot | --soak)
+    --machine | --sizes | --nets | --mcs | --vss | --dom | --bag | --calibration | --spot | --soak)
       [[ -z "$part" || "$part" == "${argument#--}" ]] || die 2 "--$part and $argument are two benchmarks; name one"
       part="${argument#--}"
       ;;

@@ -9,7 +9,7 @@ from bench.mcs.rig import Rig, rig
 from im_mcs.limits.configuration import McsConfig
 
 _LENGTH_M, _SPEED = 0.4, 0.25
-_STARTS = ((0.0, 0.0, 0.0, 0.0, 0.9, 0.0), (0.0, 0.3, -0.4, 0.0, 0.9, 0.0))
+_STARTS = ((0.0, 0.0, 0.0, 0.0, 0.6, 0.0), (0.0, 0.3, -0.4, 0.0, 0.6, 0.0))
 """From home, shape (6,) [rad]."""
 _DIRECTIONS = ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.48, -0.64), (0.6, -0.48, -0.64))
 

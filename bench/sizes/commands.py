@@ -1,26 +1,22 @@
 """The whole command with few and with many poses, and beside a recorder of all topics."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import rclpy
 import yaml
 from rclpy.signals import SignalHandlerOptions
 
+from bench.bag.recorder import recorder
 from bench.figures import Line
 from bench.machine.command import START_S, Bench, Command
 from bench.sizes.growth import growth
 from im_bringup.machine import stop
 from im_bringup.machine.start import start
 from im_bringup.tasks import deployment as deployments
-from im_core import clock
 from im_core.config import package_file
-from im_core.errors import StateError, WaitTimeoutError
-from im_core.process import ChildProcess
+from im_core.errors import StateError
 from im_core.ros.run import Spinner
-
-_BAG_S = 60.0
 
 
 def lines(sizes: Sequence[int], port: int, folder: Path) -> list[Line]:
@@ -44,7 +40,7 @@ def lines(sizes: Sequence[int], port: int, folder: Path) -> list[Line]:
             files = {count: poses_file(count, folder) for count in sizes}
             done = {count: _told(bench, count, file) for count, file in files.items()}
             smallest = min(sizes)
-            with _recorder(folder / "bag"):
+            with recorder(folder / "bag"):
                 recorded = _told(bench, smallest, files[smallest])
     finally:
         rclpy.try_shutdown()
@@ -75,23 +71,3 @@ def _told(bench: Bench, count: int, poses: Path) -> Command:
 
 def _wall_s(command: Command) -> float:
     return float(command.report["timing"]["wall_s"])
-
-
-@contextmanager
-def _recorder(bag: Path) -> Iterator[None]:
-    """All topics are recorded meanwhile.
-
-    Raises:
-        WaitTimeoutError: The recorder does not begin.
-    """
-    recorder = ChildProcess.of_module("im_bringup.ros.record", ["-o", str(bag)], log=bag.with_suffix(".log"))
-    try:
-        deadline = clock.monotonic() + _BAG_S
-        while not any(bag.glob("*.mcap")):
-            recorder.check()
-            if clock.monotonic() > deadline:
-                raise WaitTimeoutError(what="the first file of the bag", seconds=_BAG_S)
-            clock.sleep(0.1)
-        yield
-    finally:
-        recorder.stop()

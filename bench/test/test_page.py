@@ -180,7 +180,7 @@ def test_every_part_is_there_and_an_unknown_one_is_refused():
     for each in {*QUICK, *FULL}:
         assert (Path(page.__file__).parents[1] / each.part / "__main__.py").is_file()
     assert [each.part for each in chosen(QUICK, ["dom", "mcs"])] == ["mcs", "dom"]
-    with pytest.raises(ImError, match="--only quux: there is no such part; there are calibration, "):
+    with pytest.raises(ImError, match="--only quux: there is no such part; there are bag, calibration, "):
         chosen(QUICK, ["quux"])
 
 

@@ -1,0 +1,1 @@
+"""What recording costs, and whether anything is lost."""
