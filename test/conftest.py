@@ -81,7 +81,7 @@ def pytest_collection_modifyitems(items):
 
 def pytest_unconfigure(config):
     """Leave nothing behind."""
-    leftovers.end_all(timeout_s=2.0)
+    leftovers.end_all()
     leftovers.remove_shared_memory()
     shutil.rmtree(config.stash[FOLDER], ignore_errors=True)
 

@@ -1,6 +1,7 @@
 """What DDS holds of large messages is given back: the profile of the machine keeps no buffers of their size."""
 
 import ctypes
+import sys
 
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
@@ -10,6 +11,20 @@ from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 
 LARGE = 4_000_000
+#: Nodes of another process, with clients for all that the node of the test serves, until it is ended.
+CROWD = """
+import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+
+rclpy.init(args=[])
+nodes = [Node(f"crowd_{number}") for number in range(10)]
+clients = [node.create_client(GetParameters, f"/visited/serve_{rank}") for node in nodes for rank in range(30)]
+while not all(client.wait_for_service(timeout_sec=1.0) for client in clients):
+    pass
+print("all met", flush=True)
+rclpy.spin(nodes[0])
+"""
 
 
 class MallocInfo(ctypes.Structure):
@@ -51,3 +66,21 @@ def test_what_large_messages_took_is_given_back(ros, wait_until):
     flood(LARGE)
     flood(2)  # a history of one message holds the last
     assert allocated() - before < LARGE / 2
+
+
+def test_what_a_crowd_took_serves_the_next_one(ros, process, wait_until):
+    """Fast DDS keeps what it allocated for ends of others when they go: as many as there were at once, not in all."""
+    node = ros(Node("visited"))
+    for rank in range(30):
+        node.create_service(GetParameters, f"/visited/serve_{rank}", lambda request, response: response)
+    taken = [allocated()]
+    for _ in range(3):
+        crowd = process(sys.executable, "-c", CROWD)
+        wait_until(lambda each=crowd: "all met" in each.out.read_text(), "the crowd")
+        wait_until(lambda: len(node.get_node_names()) == 11, "its nodes")
+        crowd.send_signal(2)
+        crowd.wait()
+        wait_until(lambda: node.get_node_names() == ["visited"], "its end")
+        taken.append(allocated())
+    first = taken[1] - taken[0]
+    assert max(taken[2:]) - taken[1] < first / 4

@@ -7,11 +7,21 @@ import sys
 import pytest
 
 from bench.chaos.everything import DEVIATIONS, distance
-from im_bringup.machine import leftovers
+from im_bringup.machine import leftovers, stop
 from im_core import names, open_commands
-from support.whole_machine import COMMAND_S, SEED, free_port, run_script, write_few_poses
+from im_msgs.srv import ControlCommand
+from support.whole_machine import COMMAND_S, SEED, Machine, free_port, run_script, write_few_poses
 
 pytestmark = pytest.mark.end_to_end
+
+CONTROL = "/dispatcher/control_command"
+#: Two arms under way, whoever waits for one of them, and one that is paused as it waits.
+LINE = {
+    "demo": {},
+    "home": {"group": "left"},
+    "move": {"group": "right", "joints": [1.55, 0.0, 0.0, 0.3, 1.57, -3.7, 0.0, 0.3, 0.0]},
+    "close_gripper": {"group": "left", "width": 0.02},
+}
 
 
 @pytest.fixture
@@ -19,7 +29,7 @@ def machines():
     """Starts machines, one after the death of the other; the last is stopped."""
 
     def start(*options):
-        started = run_script("start", *options, "--factor", 0, "--seed", SEED, "--port", free_port())
+        started = run_script("start", "--factor", 0, "--seed", SEED, "--port", free_port(), *options)
         assert started.returncode == 0, started.stdout + started.stderr
         return started.stdout
 
@@ -38,7 +48,7 @@ def kill_everything_at(command, lines):
     for _ in range(lines):
         while not (line := command.stderr.readline()).startswith("["):
             assert line, "the command ended before its machine was killed"
-    _, remaining = leftovers.end_all(timeout_s=30.0)
+    _, remaining = leftovers.end_all()
     assert not remaining
     command.kill()
     command.communicate()
@@ -60,3 +70,36 @@ def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path)
     report, reference = json.loads(resumed)["report"], json.loads(printed)
     assert report["points_used"] >= reference["points_used"] - 2  # an arm that comes from elsewhere may hide the light
     assert distance(report, reference) <= DEVIATIONS
+
+
+@pytest.mark.parametrize("end", [leftovers.end_all, lambda: stop.stop(lambda _: None)], ids=["kill -9", "stop"])
+def test_what_waits_and_what_is_paused_goes_on_with_what_ran(machines, end):
+    """Those that wait begin by themselves, the paused one when it is told to; all come to their end."""
+    machines("--fresh", "--factor", 1)
+    machine = Machine()
+    try:
+        machine.call(ControlCommand, CONTROL, command_id=1, request="pause")  # of nobody: the service is there
+        given = {symbol: machine.execute(symbol, **arguments) for symbol, arguments in LINE.items()}
+        machine.wait_for(lambda: all(command.told for command in given.values()), "the numbers of the commands")
+        numbers = {symbol: command.told[0].command_id for symbol, command in given.items()}
+        paused = numbers["close_gripper"]
+        assert machine.call(ControlCommand, CONTROL, command_id=paused, request="pause").success
+        machine.wait_for(lambda: any("turn" in told.step for told in given["demo"].told), "the arms to be under way")
+        end()
+    finally:
+        machine.close()
+    unfinished = {note.symbol for note in open_commands.noted(names.run_dir())}
+    assert "close_gripper" in unfinished
+    said = machines()
+    assert all(f"{symbol} (number {numbers[symbol]} of dispatcher)" in said for symbol in unfinished)
+    listed = client("run_command").communicate(timeout=COMMAND_S)[0]
+    assert any(line.startswith(f"number {paused}: close_gripper") and "paused" in line for line in listed.splitlines())
+    for symbol in ("demo", "home", "move"):
+        ended = client("run_command", "--attach", numbers[symbol])
+        printed, complaint = ended.communicate(timeout=COMMAND_S)
+        assert (ended.returncode, complaint) == (0, ""), printed
+    client("run_command", "--resume", paused).communicate(timeout=COMMAND_S)
+    ended = client("run_command", "--attach", paused, "--json")
+    printed, complaint = ended.communicate(timeout=COMMAND_S)
+    assert ended.returncode == 0, complaint
+    assert json.loads(printed)["width"] == pytest.approx(0.02, abs=1e-3)

@@ -222,5 +222,5 @@ def ask(
     began = clock.monotonic()
     client.send(event, arguments, take)
     if not done.wait(timeout_s):
-        raise LinkError(f"{event.value} was not answered within {clock.monotonic() - began:.1f} s")
+        raise LinkError(f"the servo has not answered {event.value} within {clock.monotonic() - began:.1f} s")
     return replies[0]
