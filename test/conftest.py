@@ -105,6 +105,28 @@ def _one_failure_is_one():
         assert not own_participants(), "nodes are left in the graph: spin them in a thread that is stopped"
 
 
+@pytest.fixture(autouse=True)
+def _nothing_raised(request, monkeypatch):
+    """A node goes on when a callback raises, but whoever wrote that callback did not mean to.
+
+    Errors of ours say what is wrong with what came; any other fails the test, unless it is marked ``raises``.
+    """
+    from im_core.errors import ImError
+    from im_core.ros.failures import Failures
+
+    unexpected, add = [], Failures.add
+
+    def noted(self, what, error, told=str):
+        add(self, what, error, told)
+        if not isinstance(error, ImError):
+            unexpected.append(f"{what}: {error!r}")
+
+    monkeypatch.setattr(Failures, "add", noted)
+    yield
+    if not request.node.get_closest_marker("raises"):
+        assert not unexpected
+
+
 @pytest.fixture
 def wait_until():
     """``wait_until(condition, what, seconds)``: returns the first true value of the condition, or fails naming what."""

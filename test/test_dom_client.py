@@ -32,13 +32,13 @@ class CountingDom(DomNode):
         self.calls = 0
         super().__init__()
 
-    def _put(self, request, response):
-        self.calls += 1
-        return super()._put(request, response)
+    def create_service(self, kind, name, callback, **options):
+        def counted(request, response):
+            self.calls += 1
+            return callback(request, response)
 
-    def _get(self, request, response):
-        self.calls += 1
-        return super()._get(request, response)
+        counts = name in ("/dom/put", "/dom/get")
+        return super().create_service(kind, name, counted if counts else callback, **options)
 
 
 class Client(ManagedNode):

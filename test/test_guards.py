@@ -21,6 +21,8 @@ from im_core.ros.node import ManagedNode
 from im_msgs.action import ExecuteCommand
 from im_msgs.srv import GetObject
 
+pytestmark = pytest.mark.raises
+
 ROOT = Path(__file__).resolve().parent.parent
 FAULT = "what nobody thought of"
 PERIODS_S = (0.05, 0.05, 0.06, 0.07, 0.25, 0.5, 2.0)
@@ -256,6 +258,15 @@ def test_every_node_of_the_product_is_guarded():
                 if called.rpartition(".")[2] in raw - {"Node"} | {"create_node"} or called in ("Node", "rclpy.spin"):
                     wrong.append(f"{path.name}:{node.lineno}: {called}()")
     assert wrong == []
+
+
+def test_a_node_takes_no_name_that_its_base_uses_itself():
+    """Seen: ``_told`` of a node that executes nets, as that of a service, ended each turn of its nets."""
+    with pytest.raises(TypeError, match=r"Server\._set_phase: ManagedNode uses this name itself; take another one"):
+        type("Server", (ManagedNode,), {"_set_phase": lambda self: None})
+    with pytest.raises(TypeError, match=r"Server\._apply_descriptors: "):  # of rclpy
+        type("Server", (GuardedNode,), {"_apply_descriptors": lambda self: None})
+    type("Server", (ManagedNode,), {"_serve": lambda self: None, "phase_start": lambda self: None})
 
 
 def test_timers_that_are_reset_while_the_loop_is_late_put_no_other_off(ros, wait_until):

@@ -78,12 +78,12 @@ class Server(PntNode):
             self.create_service(Trigger, "/front/attach", self._attach)
 
     async def _serve(self, request, response):
-        return self._told(response, await self.command("serve"))
+        return self.answer(response, await self.command("serve"))
 
     async def _attach(self, request, response):
-        return self._told(response, await self.commands.attach("serve"))
+        return self.answer(response, await self.commands.attach("serve"))
 
-    def _told(self, response, outcome):
+    def answer(self, response, outcome):
         response.success, response.message = outcome.success, outcome.status.message
         return response
 

@@ -71,24 +71,30 @@ class CountingDom(DomNode):
         self._journal = journal
         super().__init__()
 
-    def _put(self, request, response):
+    def create_service(self, kind, name, callback, **options):
+        notes = {"/dom/put": self.note_put, "/dom/get": self.note_get}
+        notes |= {"/dom/list": self.note_list, "/dom/invalidate": self.note_invalidate}
+
+        def noted(request, response):
+            notes[name](request)
+            return callback(request, response)
+
+        return super().create_service(kind, name, noted if name in notes else callback, **options)
+
+    def note_put(self, request):
         self.calls.append(("put", _object(request.name)))
         if _object(request.name) == "destination":
             self.sizes.append(sum(file.stat().st_size for file in self._journal.rglob("*") if file.is_file()))
             self.at_pose.pop(self.calls.count(("put", "destination")), lambda: None)()
-        return super()._put(request, response)
 
-    def _get(self, request, response):
+    def note_get(self, request):
         self.calls.append(("look" if request.metadata_only else "get", _object(request.name)))
-        return super()._get(request, response)
 
-    def _list(self, request, response):
+    def note_list(self, request):
         self.calls.append(("list", request.prefix))
-        return super()._list(request, response)
 
-    def _invalidate(self, request, response):
+    def note_invalidate(self, request):
         self.calls.append(("invalidate", _object(request.name)))
-        return super()._invalidate(request, response)
 
     def poses(self) -> list[list[tuple[str, str]]]:
         """The calls of each pose, from its destination to the next one."""

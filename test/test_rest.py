@@ -2,6 +2,7 @@
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
@@ -46,6 +47,7 @@ def test_nodes_of_a_process_read_the_clock_once_and_each_follows_it(ros, wait_un
     wait_until(lambda: told(11), "all three at 11 s")
 
 
+@pytest.mark.raises
 def test_what_one_follower_raises_the_others_do_not_feel(ros, wait_until):
     heard = []
     with shared_readers():

@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from im_core import clock
 from im_core.procfs import Scheduled, scheduled, stat_fields
 
+#: Most that counts between two looks of the patient [s].
+_LONGEST_LOOK_S = 0.1
+
 
 class Silence:
     """How long a process of this host could have answered and did not.
@@ -57,12 +60,11 @@ class Patience:
 
     Args:
         pids: The processes; one that has ended holds up nothing.
-        longest_look_s: As of :class:`Silence` [s].
     """
 
-    def __init__(self, pids: Iterable[int], longest_look_s: float = 0.1) -> None:
+    def __init__(self, pids: Iterable[int]) -> None:
         self.seconds = 0.0
-        self._silences = [Silence(pid, longest_look_s=longest_look_s) for pid in pids]
+        self._silences = [Silence(pid, longest_look_s=_LONGEST_LOOK_S) for pid in pids]
 
     def look(self) -> float:
         """Count the time since the last look, and return all of it [s]; infinite if there is no process."""

@@ -57,6 +57,20 @@ class GuardedNode(Node):
             lowers it counts a turn first.
     """
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Refuse an internal name of a class of another package, which would call what is meant for something else.
+
+        Raises:
+            TypeError: The class takes one.
+        """
+        super().__init_subclass__(**options)
+        for base in cls.__mro__[1:]:
+            if base.__module__.partition(".")[0] == cls.__module__.partition(".")[0]:
+                continue
+            for name in vars(cls).keys() & vars(base).keys():
+                if name.startswith("_") and not name.startswith("__"):
+                    raise TypeError(f"{cls.__name__}.{name}: {base.__name__} uses this name itself; take another one")
+
     def __init__(self, name: str, **options: Any) -> None:
         self.failures = Failures(self)  # before the node: rclpy makes services and subscriptions of its own in it
         self.turns = 0
