@@ -84,13 +84,14 @@ class NetLoop:
                 if everyone or executor.due:
                     executor.pump()
             self._commit()
-        except JournalError as error:
-            self._node.get_logger().error(f"{error.message}; nothing leaves until it can be written")
+        except Exception as error:
             self._set_alarm(monotonic() + RETRY_AFTER_S)
+            if not isinstance(error, JournalError):
+                raise
+            self._node.get_logger().error(f"{error.message}; nothing leaves until it can be written")
             return
         finally:
             self._turning = False
-        self._told()
         at: float | None = None
         for executor in self._nets.values():
             if executor.due and not self._wakened:
@@ -99,6 +100,7 @@ class NetLoop:
             if time is not None and (at is None or time < at):
                 at = time
         self._set_alarm(at)
+        self._told()
 
     def _set_alarm(self, at: float | None) -> None:
         if at == self._alarm_at:
