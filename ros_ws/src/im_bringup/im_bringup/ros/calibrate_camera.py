@@ -1,8 +1,9 @@
 """``calibrate_camera``: the service call ``/dispatcher/calibrate_camera``, with progress from ``/pnt/firings``.
 
-A dispatcher that dies and is started again goes on with the command, but its answer has nobody to go to. This client
-then attaches to the command with a goal of ``/dispatcher/execute``. While the machine runs, or is started again after
-its bootstrap was killed, a silent dispatcher is waited for: only what is gone, or silent for long, is told as missing.
+A dispatcher that dies and is started again goes on with the command, but its answer has nobody to go to; that of one
+which was silent for long may be lost. This client then attaches to the command with a goal of ``/dispatcher/execute``.
+While the machine runs, or is started again after its bootstrap was killed, a silent dispatcher is waited for: only what
+is gone, or silent for long, is told as missing.
 """
 
 import argparse
@@ -46,7 +47,7 @@ class CalibrateCameraClient(DispatcherClient):
         self.create_subscription(Firing, "/pnt/firings", self._show, qos.EVENTS)
 
     def calibrate(self, cameras: list[str], poses_file: str) -> Any:
-        """Call the service and wait for its answer, or for the end of the command if its dispatcher died meanwhile.
+        """Call the service and wait for its answer, or for the end of the command if its dispatcher was away meanwhile.
 
         Raises:
             KeyboardInterrupt: :meth:`interrupt` was called.
@@ -56,9 +57,9 @@ class CalibrateCameraClient(DispatcherClient):
         self._until(self._dispatcher_there, f"the service {SERVICE}")
         self._lines = ProgressLines()
         request = CalibrateCamera.Request(cameras=cameras, poses_file=poses_file)
-        response = self._answer(self._client.call_async(request))
+        response = self._answer(self._client.call_async(request), asked_once=True)
         if response is None:
-            print("calibrate_camera: the dispatcher died and is back; waiting for the command to end", file=sys.stderr)
+            print("calibrate_camera: the dispatcher was away and is back; waiting for the command", file=sys.stderr)
         while response is None:
             response = self._attached()
         return response

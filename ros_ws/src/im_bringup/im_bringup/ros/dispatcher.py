@@ -22,6 +22,8 @@ ALONE_S = 6.0
 _POLL_S = 0.02
 #: Time after which a goal that met the server of a former life is sent again [s].
 ACCEPT_S = 2.0
+#: After a silence so long [s] an answer may be lost: DDS drops that to a process which it took for gone.
+LOSSY_S = 4.0
 #: What goes on where a user no longer waits.
 GOES_ON = "; the machine goes on with the command"
 
@@ -43,20 +45,28 @@ class DispatcherClient(InterruptibleNode):
         """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""
         return bool(self._incarnation) and not _starting(machine.read())
 
-    def _answer(self, future: Any, limit_s: float = math.inf) -> Any | None:
+    def _answer(self, future: Any, limit_s: float = math.inf, *, asked_once: bool = False) -> Any | None:
         """The result of a future that the dispatcher completes, None if it was started again or does not in time.
+
+        Args:
+            future: It.
+            limit_s: Longest wait [s].
+            asked_once: Whether nobody asks again, as for the answer of a service; None then also if that may be lost.
 
         Raises:
             KeyboardInterrupt: :meth:`interrupt` was called.
             LinkError: The dispatcher fell silent.
         """
-        begun, known = clock.monotonic(), self._incarnation
+        begun, known, away = clock.monotonic(), self._incarnation, False
         self._heard = begun
         while not future.done():
             self._pause(_POLL_S)
             if clock.monotonic() - begun > limit_s:
                 return None
             silent = clock.monotonic() - self._heard
+            if asked_once and away and silent < LOSSY_S:
+                return None
+            away = silent >= LOSSY_S
             if silent > ALONE_S and (why := _why_lost(silent)):
                 raise LinkError(f"the dispatcher is missing (last heard {silent:.1f} s ago){why}")
             if self._incarnation != known:

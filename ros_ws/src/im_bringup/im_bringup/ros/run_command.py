@@ -10,9 +10,12 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
+from uuid import uuid4
 
 from rclpy.action import ActionClient
+from rclpy.task import Future
 from std_msgs.msg import String
+from unique_identifier_msgs.msg import UUID
 
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.ros.dispatcher import (
@@ -113,7 +116,17 @@ class CommandClient(DispatcherClient):
             return self._dispatcher_there() and self._execute.server_is_ready()
 
         self._until(there, f"the action {ACTION}", seconds)
-        return self._answer(self._execute.send_goal_async(goal, feedback_callback=self._show), ACCEPT_S)
+        goal_id, known, answered = UUID(uuid=list(uuid4().bytes)), self._incarnation, Future()
+
+        def answer(sent: Future) -> None:
+            if not answered.done():
+                answered.set_result(sent.result())
+
+        while self._incarnation == known and not answered.done():  # whoever has the goal takes it no second time
+            sent = self._execute.send_goal_async(goal, feedback_callback=self._show, goal_uuid=goal_id)
+            sent.add_done_callback(answer)
+            self._answer(answered, ACCEPT_S)
+        return answered.result() if answered.done() else None
 
     def _ended(self, handle: Any) -> Any | None:
         future = handle.get_result_async()

@@ -1,0 +1,94 @@
+"""Clients of a dispatcher that was silent for a while, and then goes on: what was lost meanwhile is asked for again."""
+
+import io
+import json
+import threading
+
+import pytest
+from rclpy.action.server import GoalResponse
+from rclpy.task import Future
+
+from im_bringup.ros import dispatcher
+from im_bringup.ros.calibrate_camera import CalibrateCameraClient
+from im_bringup.ros.run_command import CommandClient
+from im_core import clock
+from im_core.ros import qos
+from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
+from im_core.startup import STATUS_TOPIC
+from im_msgs.action import ExecuteCommand
+from im_msgs.msg import TaskStatus
+from im_msgs.srv import CalibrateCamera
+
+RESULTS = {"message": "", "directory": "/results/1", "report": {"message": "fits"}}
+
+
+class Stopped(GuardedNode):
+    """A dispatcher as others see it that is stopped for a while: it says nothing, and its answers are lost."""
+
+    def __init__(self) -> None:
+        super().__init__("dispatcher")
+        self.away = threading.Event()
+        self.begun, self.attached = [], 0
+        self._status = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
+        self.create_timer(0.1, self._beat)
+        self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._lose)
+        GuardedActionServer(self, ExecuteCommand, "/dispatcher/execute", self._do, goal_callback=self._accept)
+
+    def _beat(self):
+        if not self.away.is_set():
+            self._status.publish(TaskStatus(name="dispatcher", incarnation=7, phase=TaskStatus.READY))
+
+    async def _lose(self, request, response):
+        await Future()
+
+    def _accept(self, goal):
+        self.begun.append(goal)
+        return GoalResponse.ACCEPT
+
+    async def _do(self, handle):
+        self.attached += bool(handle.request.attach)
+        handle.succeed()
+        return ExecuteCommand.Result(success=True, results=json.dumps(RESULTS))
+
+
+@pytest.fixture
+def stopped(ros, monkeypatch):
+    monkeypatch.setattr(dispatcher, "LOSSY_S", 1.0)
+    return ros(Stopped())
+
+
+def ended(work):
+    """What a function returns, which is called in a thread."""
+    done = []
+    thread = threading.Thread(target=lambda: done.append(work()), daemon=True)
+    thread.start()
+    return done
+
+
+def test_the_answer_of_a_dispatcher_that_was_silent_is_sought_where_it_can_be_had(ros, stopped, wait_until):
+    client = ros(CalibrateCameraClient(None))
+    done = ended(lambda: client.calibrate([], ""))
+    wait_until(lambda: client.count_services("/dispatcher/calibrate_camera") and client._incarnation, "the dispatcher")
+    clock.sleep(0.5)
+    stopped.away.set()
+    clock.sleep(2.0)
+    assert not stopped.attached
+    stopped.away.clear()
+    (response,) = wait_until(lambda: done, "the answer")
+    assert (response.success, response.message, stopped.attached) == (True, "fits", 1)
+
+
+def test_a_goal_whose_acceptance_was_lost_is_carried_out_once(ros, stopped, wait_until, monkeypatch):
+    lost, execute = [], GuardedActionClient.execute
+
+    async def lossy(self, taken):
+        if "goal" in taken and not lost:
+            lost.append(taken)
+            return
+        await execute(self, taken)
+
+    monkeypatch.setattr(GuardedActionClient, "execute", lossy)
+    client = ros(CommandClient(io.StringIO()))
+    done = ended(lambda: client.run(ExecuteCommand.Goal(symbol="move")))
+    (result,) = wait_until(lambda: done, "the result")
+    assert (result.success, len(stopped.begun), len(lost)) == (True, 1, 1)
