@@ -1,6 +1,8 @@
 """Whatever a callback raises: it is said, counted on ``/diagnostics``, answered, and the node goes on."""
 
 import ast
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -267,6 +269,14 @@ def test_a_node_takes_no_name_that_its_base_uses_itself():
     with pytest.raises(TypeError, match=r"Server\._apply_descriptors: "):  # of rclpy
         type("Server", (GuardedNode,), {"_apply_descriptors": lambda self: None})
     type("Server", (ManagedNode,), {"_serve": lambda self: None, "phase_start": lambda self: None})
+
+
+def test_a_module_run_by_its_name_is_of_its_package():
+    """Seen: ``python -m im_bringup.ros.calibrate_camera`` was refused, as if its client were of another package."""
+    shown = subprocess.run(
+        [sys.executable, "-m", "im_bringup.ros.calibrate_camera", "--help"], capture_output=True, text=True, timeout=60
+    )
+    assert (shown.returncode, shown.stderr) == (0, "")
 
 
 def test_timers_that_are_reset_while_the_loop_is_late_put_no_other_off(ros, wait_until):

@@ -5,6 +5,7 @@ the client waiting for ever.
 """
 
 import inspect
+import sys
 import threading
 from collections.abc import Callable, Coroutine
 from functools import partial
@@ -65,7 +66,7 @@ class GuardedNode(Node):
         """
         super().__init_subclass__(**options)
         for base in cls.__mro__[1:]:
-            if base.__module__.partition(".")[0] == cls.__module__.partition(".")[0]:
+            if _package(base) == _package(cls):
                 continue
             for name in vars(cls).keys() & vars(base).keys():
                 if name.startswith("_") and not name.startswith("__"):
@@ -464,3 +465,9 @@ def with_fault(answer: Any, what: str, error: Exception) -> Any:
         if types.get(field) == "string":
             setattr(answer, field, words)
     return answer
+
+
+def _package(cls: type) -> str:
+    """The package that a class belongs to, also in a module that was run by ``python -m``."""
+    spec = getattr(sys.modules["__main__"], "__spec__", None) if cls.__module__ == "__main__" else None
+    return (spec.name if spec is not None else cls.__module__).partition(".")[0]
