@@ -5,12 +5,16 @@ import signal
 import subprocess
 import sys
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import pytest
+from rclpy.task import Future
 
+from im_bringup.tasks.middleware import loopback_profile, open_profile
 from im_core import silence
+from im_core.errors import LinkError
 from im_core.ros import heartbeats
-from im_core.ros.heartbeats import CHECK_PERIOD_S, SILENCE_S, Heartbeats
+from im_core.ros.heartbeats import CHECK_PERIOD_S, LEASE_S, SILENCE_S, Heartbeats
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import TaskStatus
 
@@ -73,3 +77,33 @@ def test_a_task_of_another_host_is_silent_whatever_runs_here_under_its_number(fo
     followed._hear(TaskStatus(name="back", host="elsewhere", pid=os.getpid(), incarnation=1))
     followed.time[0] += SILENCE_S + 1.0
     assert followed.missing("back") == "back is missing (last heard 7.0 s ago)"
+
+
+def test_who_was_stopped_for_longer_than_the_lease_of_dds_waits_no_more_for_what_may_be_lost(followed, wait_until):
+    followed._hear(TaskStatus(name="back", host="elsewhere", incarnation=1))
+    ended = []
+
+    async def ask():
+        try:
+            await followed.wait(Future(), "back", 3600.0, "an answer")
+        except LinkError as error:
+            ended.append(error.message)
+
+    followed._node.spawn(ask())
+    wait_until(lambda: followed._owed, "the wait")
+    followed.time[0] += LEASE_S - 1.0
+    followed._hear(TaskStatus(name="back", host="elsewhere", incarnation=1))
+    followed._check()
+    assert followed._owed
+    followed.time[0] += LEASE_S + 1.0
+    followed._hear(TaskStatus(name="back", host="elsewhere", incarnation=1))  # it was there all the while
+    followed._check()
+    wait_until(lambda: ended, "the end")
+    assert ended == ["listener stood still for 21 s, and an answer may be lost while waited for an answer"]
+    assert not followed._owed
+
+
+@pytest.mark.parametrize("profile", [loopback_profile(), open_profile()])
+def test_the_lease_is_that_of_the_profiles(profile):
+    lease = ElementTree.parse(profile).find(".//{*}leaseDuration/{*}sec")
+    assert float(lease.text) == LEASE_S

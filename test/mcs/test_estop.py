@@ -36,7 +36,9 @@ def test_cold(client):
     assert client.trigger("estop").message.startswith("MCS is estopped")
     client.until(lambda: client.state() == "estopped" and CAUSE in client.states[-1].reason)
     for request in (lambda: client.call(ReserveGroup, "reserve", group="left"), lambda: client.trigger("power_on")):
-        assert "is refused in state estopped; allowed here: reset, estop" in request().message
+        refusal = request().message
+        assert "is refused in state estopped; allowed here: reset, estop" in refusal
+        assert refusal.endswith(f"; the cause of this state: {client.states[-1].reason}")
     assert client.trigger("estop").success  # once more
     assert client.trigger("reset").message == "MCS is cold"
     client.to_motion()

@@ -10,6 +10,7 @@ from im_bringup.ros.interruptible import InterruptibleNode
 from im_core import clock
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import qos
+from im_core.ros.heartbeats import LEASE_S
 from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import TaskStatus
 
@@ -22,8 +23,8 @@ ALONE_S = 6.0
 _POLL_S = 0.02
 #: Time after which a goal that met the server of a former life is sent again [s].
 ACCEPT_S = 2.0
-#: After a silence so long [s] an answer may be lost: DDS drops that to a process which it took for gone.
-LOSSY_S = 4.0
+#: After a silence so long [s] an answer may be lost: it is near the lease after which DDS drops what it owes.
+LOSSY_S = 0.5 * LEASE_S
 #: What goes on where a user no longer waits.
 GOES_ON = "; the machine goes on with the command"
 

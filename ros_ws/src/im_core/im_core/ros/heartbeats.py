@@ -18,6 +18,9 @@ from im_msgs.msg import TaskStatus
 SILENCE_S = 6.0
 CHECK_PERIOD_S = 0.25
 
+#: DDS takes a process that says nothing for so long [s] for gone, and drops what it owes it; as fastdds.xml says.
+LEASE_S = 20.0
+
 #: Tasks that are followed; a machine has a dozen.
 MOST_TASKS = 1000
 
@@ -68,6 +71,8 @@ class Heartbeats:
         self._returned: dict[str, list[Callable[[], None]]] = {}
         self._check_timer = node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady_clock)
         self._check_timer.cancel()
+        self._checked = 0.0
+        self._owed: dict[Callable[[str], None], None] = {}
         node.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
 
     def incarnation(self, task: str) -> int | None:
@@ -107,6 +112,7 @@ class Heartbeats:
         """Has a function called when a task goes missing, until that is called which is returned."""
         watch = TaskWatch(since, lost)
         if not self._watches:
+            self._checked = clock.monotonic()
             self._check_timer.reset()
         self._watches.setdefault(task, {})[watch] = None
 
@@ -125,6 +131,8 @@ class Heartbeats:
     async def wait(self, future: Any, task: str, timeout_s: float, what: str) -> Any:
         """Await a future that ``task`` will complete.
 
+        An answer that comes while this process is stopped for longer than :data:`LEASE_S` is lost.
+
         Args:
             future: Future of rclpy.
             task: Name of the task that answers.
@@ -132,7 +140,7 @@ class Heartbeats:
             what: What is waited for.
 
         Raises:
-            LinkError: The task died; named.
+            LinkError: The task died; named. Or this process was stopped for so long that the answer may be lost.
             WaitTimeoutError: No answer in time.
         """
         promise = self._node.promise()
@@ -144,9 +152,11 @@ class Heartbeats:
         alarm = self._node.alarms.after(timeout_s, lambda: settle(""))
         unwatch = self.watch(task, self.incarnation(task), settle)
         future.add_done_callback(lambda _: settle(""))
+        self._owed[settle] = None
         try:
             missing = await promise
         finally:
+            del self._owed[settle]
             unwatch()
             self._node.alarms.cancel(alarm)
         if future.done():
@@ -175,6 +185,11 @@ class Heartbeats:
     def _check(self) -> None:
         if not self._watches:
             self._check_timer.cancel()
+        now = clock.monotonic()
+        stood_s, self._checked = now - self._checked, now
+        if stood_s > LEASE_S:  # this process was stopped
+            for settle in list(self._owed):
+                settle(f"{self._node.get_name()} stood still for {stood_s:.0f} s, and an answer may be lost")
         for task in list(self._watches):
             if self.missing(task):
                 self._tell(task)

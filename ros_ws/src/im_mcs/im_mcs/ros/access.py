@@ -291,7 +291,7 @@ class McsAccess:
 
     async def _power(self, event: Event, client: str) -> None:
         """Power of all groups that are the client's: lifecycle *active* is power on, whosever it is."""
-        next_state(self.state, event)
+        next_state(self.state, event, cause=self.keeper.stop_cause)
         await self.transition(event, client)
         if event is Event.POWER_OFF and self.state in POWERED:
             raise StateError("power stays on: a group of somebody else needs it", state=self.state.value)

@@ -141,9 +141,9 @@ class StateManager:
         """
         if group and self.state not in (State.COLD, State.ESTOPPED):
             self.reservations.require(group)
-            target = next_state(self._states[group], event, group)
+            target = self._next(self._states[group], event, group)
         else:
-            target = next_state(self.state, event)
+            target = self._next(self.state, event)
         self._require_idle(event, (group,) if group else ())
         return target
 
@@ -164,8 +164,11 @@ class StateManager:
             for group in self._states:
                 if allows(self.state_of(group), event):
                     self.reservations.require_owner(group, sender)
-        next_state(highest(map(self.state_of, own)) if own else self.state, event)
+        self._next(highest(map(self.state_of, own)) if own else self.state, event)
         return mine
+
+    def _next(self, state: State, event: Event, group: str = "") -> State:
+        return next_state(state, event, group, self.cause)
 
     def _disposes(self, event: Event, group: str, sender: Sender) -> bool:
         """Whether a group is the sender's to change; who is given up on cannot leave power and brakes as they are."""
@@ -207,7 +210,7 @@ class StateManager:
             StateError: Not allowed now, a slot is owned by another group, or does not answer.
             NotFoundError: There is no such group.
         """
-        target = next_state(State.ESTOPPED if self._stopped else State.COLD, Event.RESERVE)
+        target = self._next(State.ESTOPPED if self._stopped else State.COLD, Event.RESERVE)
         self.reservations.reserve(group, owner, lease_s, self.measured.stamp_ns, sender)
         if not np.isfinite(self.measured.q[self._index[group]]).all():
             self.reservations.release(group)
@@ -333,7 +336,7 @@ class StateManager:
             Event.ENABLE_MOTION: self._enable_motion,
             Event.DISABLE_MOTION: self._disable_motion,
         }[event]
-        target = next_state(self.state_of(groups[0]), event)
+        target = self._next(self.state_of(groups[0]), event)
         enter = partial(self._enter, groups, target)
         self._running.append(_Running(event, groups, steps(groups, enter), reply))
 

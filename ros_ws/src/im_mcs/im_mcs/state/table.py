@@ -191,16 +191,17 @@ def allowed_in(state: State) -> tuple[Event, ...]:
     return tuple(row.event for row in TABLE if row.source is state)
 
 
-def next_state(state: State, event: Event, group: str = "") -> State:
+def next_state(state: State, event: Event, group: str = "", cause: str = "") -> State:
     """State that ``event`` leads to.
 
     Args:
         state: State of a group, or of the machine.
         event: What is asked for.
         group: Whose state it is, for the message; empty: the machine's.
+        cause: Why it is in this state, though nobody asked for it; or empty.
 
     Raises:
-        StateError: The table has no such row; the message names state, request and what would be allowed.
+        StateError: The table has no such row; the message names state, cause, request and what would be allowed.
     """
     row = _ROWS.get((state, event))
     if row is not None:
@@ -210,8 +211,9 @@ def next_state(state: State, event: Event, group: str = "") -> State:
     allowed = [e.value for e in allowed_in(state)]
     hint = f" ({RECOVER} does it)" if state is State.ESTOPPED else ""
     whose = f" of group '{group}'" if group else ""
+    why = f"; the cause of this state: {cause}" if cause else ""
     raise StateError(
-        f"{event.value}{whose} is refused in state {state.value}; allowed here: {', '.join(allowed)}{hint}",
+        f"{event.value}{whose} is refused in state {state.value}; allowed here: {', '.join(allowed)}{hint}{why}",
         state=state.value,
         request=event.value,
         allowed=allowed,
