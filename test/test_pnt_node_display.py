@@ -13,6 +13,7 @@ from im_core import clock
 from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Firing, GroupStatus, Marking, McsState, NetDescription, NetRefusal
+from im_pnt.netfile import parse_net
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 from im_pnt_display import DisplayServer
@@ -138,6 +139,33 @@ def test_messages_that_make_no_sense_are_passed_over(machine):
     assert [net["net"] for net in shown["nets"]] == ["good", "shown"]
     assert [firing["phase"] for firing in shown["firings"]] == ["77"]
     assert [marking["net"] for marking in shown["markings"]] == ["shown"]
+
+
+def test_a_net_that_was_unloaded_leaves_the_page_until_it_is_loaded_again(machine, wait_until):
+    display, walker = machine
+    go(walker)
+    nets = walker.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED_MANY)
+    nets.publish(NetDescription(net="shown", node="/nobody"))  # whose net it is not
+    other = json.dumps({"yaml": NET.replace("net: shown", "net: other")})
+    nets.publish(NetDescription(net="other", node="/nobody", json=other))
+
+    def names():
+        return [net["net"] for net in display.server.state.snapshot()["nets"]]
+
+    wait_until(lambda: names() == ["other", "shown"], "another net on the page")
+    started = threading.Semaphore(0)
+
+    def unload():
+        assert started.acquire(timeout=60.0)
+        walker.spawn(walker.unload_net("shown"))
+
+    threading.Thread(target=unload).start()
+    heard = asyncio.run(watch(display.server.url, started, lambda told: any(c["kind"] == "gone" for c in told)))
+    assert heard[-1] == {"kind": "gone", "net": "shown"}
+    assert names() == ["other"]
+    assert not display.server.state.snapshot()["markings"]
+    walker.spawn(walker.load_net(parse_net(NET, "shown.yaml")))
+    wait_until(lambda: names() == ["other", "shown"], "the net on the page again")
 
 
 def test_what_motion_control_said_last_is_stale_when_it_has_fallen_silent(machine, wait_until):

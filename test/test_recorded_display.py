@@ -12,7 +12,7 @@ from im_bringup.bag import BagReader, BagWriter
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import BAD_INPUT
 from im_pnt_analysis.timed.mission import mission_of
-from im_pnt_analysis.timed.recording import Described, RecordedMarking, recording_of
+from im_pnt_analysis.timed.recording import Described, Moment, NetRecording, RecordedMarking, recording_of
 from im_pnt_display import DisplayServer
 from im_pnt_display.page.recording import FIRINGS_AHEAD, RecordedNets
 from im_pnt_display.page.server import RECORDED
@@ -117,6 +117,18 @@ def test_what_follows_a_moment_leads_to_the_next_one(shown):
         assert markings(at["markings"]) == played
     assert at["steps"][-1]["firing"] == recording.firings
     assert played == markings(moment(server, at=recording.moments[-1].at_s)["markings"])
+
+
+def test_a_net_that_was_unloaded_leaves_the_page_at_its_moment():
+    known = recording_of(BAGS / "faults")
+    last = known.moments[-1].at_s
+    unloaded = Moment(last, Described("calibrate_camera", None))
+    shown = RecordedNets("one", NetRecording(known.descriptions, [*known.moments, unloaded], known.mission))
+    before = shown.moment({"firing": str(known.firings)})
+    assert before["steps"][-1]["changes"] == [{"kind": "gone", "net": "calibrate_camera"}]
+    numbers = {description.net.name: number for number, description in enumerate(known.descriptions)}
+    after = shown.moment({"at": str(last)})
+    assert set(before["nets"]) - set(after["nets"]) == {numbers["calibrate_camera"]}
 
 
 def test_a_moment_has_the_actions_that_run_and_the_firings_before_it(shown):

@@ -51,6 +51,12 @@ def test_between_markings_firings_move_the_tokens_of_the_expanded_net():
     assert tokens(shown, 3) == {"end": 1}
 
 
+def test_a_net_that_was_unloaded_is_there_until_then():
+    shown = recording(marked(0, idle=1), fired("read", 1), Described("job_net", None), Described("job_net", 0))
+    described = [shown.states(position)["job_net"].description for position in range(len(shown.moments) + 1)]
+    assert described == [0, 0, None, 0]
+
+
 @pytest.mark.parametrize(
     ("phases", "left"),
     [

@@ -75,15 +75,15 @@ class RecordedMarking(NamedTuple):
 
 
 class Described(NamedTuple):
-    """That a net is described.
+    """That a net is described, or has gone.
 
     Attributes:
         net: Its name.
-        description: Number of its description among those of the recording.
+        description: Number of its description among those of the recording; None: it was unloaded.
     """
 
     net: str
-    description: int
+    description: int | None
 
 
 class Moment(NamedTuple):
@@ -103,7 +103,7 @@ class NetState:
     """A net at a moment.
 
     Attributes:
-        description: Number of its description; None: it is never described.
+        description: Number of its description; None: it is never described, or has gone.
         marking: As it was recorded, or as firings have left it since.
         fired: Number of the firing that was heard last.
         marked: That of the marking that was heard last.
@@ -287,7 +287,9 @@ def recording_of(bag: Path) -> NetRecording:
             if time is not None:
                 at_s = max(at_s, stamp_of(told) - time.zero_s)
             moments.append(Moment(at_s, _marking(told)))
-        elif told.json:  # else the net has gone
+        elif not told.json:
+            moments.append(Moment(at_s, Described(told.net, None)))
+        else:
             number = numbers.setdefault((told.net, told.node, told.json), len(descriptions))
             if number == len(descriptions):
                 descriptions.append(Description(net_told(bag, told), told.node))

@@ -84,6 +84,9 @@ class RecordedNets:
             self._recording.advance(states, moment)
             state = states[event.net]
             changes: list[Change] = []
+            if isinstance(event, Described) and event.description is None:
+                yield {"at": moment.at_s, "firing": firing, "changes": [{"kind": "gone", "net": event.net}]}
+                continue
             if state.description is not None and (isinstance(event, Described) or not known):
                 changes.append({"kind": "drawing", "drawing": state.description})
             if isinstance(event, Firing):

@@ -50,6 +50,12 @@ class DisplayState:
         self._nets[name] = {"net": name, "node": node, **content}
         return {"kind": "net", **self._nets[name]}
 
+    def gone(self, name: str) -> Change:
+        """Takes out a net that was unloaded; its firings stay among the last ones."""
+        self._nets.pop(name, None)
+        self._markings.pop(name, None)
+        return {"kind": "gone", "net": name}
+
     def marking(self, net: str, marking: Mapping[str, object]) -> Change:
         """Enters the marking of a net, and how it is operated.
 

@@ -75,8 +75,7 @@ class DisplayNode(ManagedNode):
             self.server.show(change)
 
     def _describe(self, message: NetDescription) -> None:
-        if message.json:  # of a net that has gone the page shows what was there
-            self._draw(partial(self._draw_net, message))
+        self._draw(partial(self._draw_net if message.json else self._forget_net, message))
 
     def _refuse(self, message: NetRefusal) -> None:
         self._draw(partial(self._draw_refusal, message))
@@ -90,6 +89,11 @@ class DisplayNode(ManagedNode):
             content = messages.described_net(message.net, message.json, message.node)
             self._nodes[message.net] = message.node
             self.server.show(self.server.state.net(message.net, message.node, content))
+
+    def _forget_net(self, message: NetDescription) -> None:
+        if self._nodes.get(message.net) == message.node:  # another node may have taken it over
+            del self._nodes[message.net]
+            self.server.show(self.server.state.gone(message.net))
 
     def _draw_refusal(self, message: NetRefusal) -> None:
         with self._warning(f"the refusal of net {message.net}"):

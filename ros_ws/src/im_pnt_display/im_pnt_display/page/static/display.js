@@ -259,9 +259,17 @@ function take(change) {
       listRefusals(); showMcs(change.mcs); refresh(true); soon();
       if (change.recording) recording.open(change.recording, recording.overview ? recording.at : page.at);
       break;
-    case "drawing": enterNet(recording.overview.drawings[change.drawing]); refresh(true); break;
+    case "drawing":
+      recording.shown = null;
+      enterNet(recording.overview.drawings[change.drawing]); refresh(true);
+      break;
     case "mcs": showMcs(change); break;
     case "net": enterNet(change); refresh(true); break;
+    case "gone":
+      recording.shown = null;
+      for (const known of [nets, markings, commands, page.nets]) known.delete(change.net);
+      refresh(true);
+      break;
     case "marking":
       markings.set(change.net, change);
       if (!player.counterexample) scene.mark(change);
