@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from im_core import clock
+from im_core import clock, open_commands
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.guard import GuardedActionClient
@@ -25,6 +25,7 @@ from im_msgs.srv import ControlCommand, GetObject, ListCommands
 from im_pnt.errors import NetFileError
 from im_pnt.expression.scope import check_net
 from im_pnt.netfile import parse_net
+from im_pnt.ros import command_notes
 from im_pnt.ros.messages import RosTypes
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
@@ -479,6 +480,32 @@ def test_anybody_in_ros_runs_a_command_and_is_told_of_its_steps(client):
     assert (answer.status, answer.result.success) == (GoalStatus.STATUS_SUCCEEDED, True)
     assert [feedback.step for feedback in steps if feedback.step][:1] == ["switch"]
     assert steps[0].command_id > 0
+
+
+def test_the_number_of_a_command_is_told_when_it_is_written_down(machine, client, tmp_path, monkeypatch):
+    """In the journal, and for the next start: whoever knows the number finds the command again after any death."""
+    node, begun = machine[0], []
+
+    def late(*note):
+        begun.append(None)
+        clock.sleep(0.5)
+        open_commands.note(*note)
+
+    monkeypatch.setattr(command_notes, "note", late)
+    monkeypatch.setattr(node._notes, "_run_dir", tmp_path)
+    found, told = [], threading.Event()
+
+    def hear(message):
+        found.append((message.feedback.command_id, [note.number for note in open_commands.noted(tmp_path)]))
+        told.set()
+
+    goal = ExecuteCommand.Goal(symbol="move", arguments='{"speed": 0.1}')
+    handle = completed(client[0].send_goal_async(goal, feedback_callback=hear))
+    assert told.wait(60.0)
+    assert begun
+    assert found[0][1] == [found[0][0]]
+    completed(handle.cancel_goal_async())
+    completed(handle.get_result_async())
 
 
 def test_anybody_in_ros_cancels_a_command(client):

@@ -15,8 +15,8 @@ KIND = "kill -9 of everything"
 #: How far a number may be from that of the undisturbed command, in standard deviations of the difference: the noise
 #: of another life of the testbed is drawn anew, and the command may do without other poses.
 DEVIATIONS = 5.0
-#: What a command says that could not go on: words of which a true reason has one.
-WORDS = ("begun anew", "doubt", "gone", "missing", "has died and come back")
+#: What a command says that could not go on, or was not given when its machine died: a true reason has one of them.
+WORDS = ("begun anew", "doubt", "gone", "missing", "has died and come back", "no machine runs")
 
 
 def run(seed: int, setting: Setting, start: Callable[[], None], reference: Mapping[str, Any]) -> Result:

@@ -1,5 +1,10 @@
 """What a machine leaves in its run folder is kept under a name when another begins there."""
 
+import contextlib
+from pathlib import Path
+
+import pytest
+
 from im_bringup.machine import mission
 from im_core import open_commands
 from im_core.open_commands import OpenCommandNote
@@ -27,6 +32,32 @@ def test_an_unfinished_mission_that_is_set_aside_is_told_of_and_kept_whole_and_t
     ]
     assert not mission.prepare(tmp_path, False, said.append)
     assert len(said) == 1
+
+
+@pytest.mark.parametrize("killed_after", range(6))
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_mission_that_was_half_set_aside_stays_one(tmp_path, monkeypatch, killed_after, fresh):
+    leave(tmp_path, b"one", [OpenCommandNote("dispatcher", 3, "calibrate_camera")])
+    whole, moved = sorted(path.name for path in tmp_path.iterdir()), []
+    rename = Path.rename
+
+    def killed(self, target):
+        if len(moved) == killed_after:
+            raise KeyboardInterrupt
+        moved.append(target)
+        return rename(self, target)
+
+    with monkeypatch.context() as patched, contextlib.suppress(KeyboardInterrupt):
+        patched.setattr(Path, "rename", killed)
+        mission.prepare(tmp_path, True, lambda _: None)
+    said = []
+    assert not mission.prepare(tmp_path, fresh, said.append)
+    (aside,) = (tmp_path / "missions").iterdir()
+    assert sorted(path.name for path in aside.iterdir()) == whole
+    assert [path.name for path in tmp_path.iterdir()] == ["missions"]
+    ends = f"calibrate_camera (number 3 of dispatcher); what they have left is kept in {aside}"
+    if killed_after < 5:
+        assert said == [f"commands had not ended when the machine was: {ends}"]
 
 
 def test_an_unfinished_mission_is_gone_on_with_unless_told_otherwise(tmp_path):

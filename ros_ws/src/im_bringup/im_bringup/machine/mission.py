@@ -15,6 +15,8 @@ from im_core.files import make_folder
 
 PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm")
 FOLDER, KEPT = "missions", 5
+#: Folder of a mission that is being set aside; only then it gets its name.
+_MOVING = "unfinished"
 _NUMBERED = re.compile(r"\d{8}-\d{6}-\d{1,9}")
 
 
@@ -34,9 +36,10 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
     Raises:
         StoreError: Something cannot be moved.
     """
-    unfinished = open_commands.noted(run_dir)
+    moving = run_dir / FOLDER / _MOVING
+    unfinished = open_commands.noted(run_dir) or open_commands.noted(moving)
     known = ", ".join(f"{command.symbol} (number {command.number} of {command.task})" for command in unfinished)
-    if unfinished and not fresh and (run_dir / "journal").is_dir():
+    if unfinished and not fresh and (run_dir / "journal").is_dir() and not moving.exists():
         say(f"commands had not ended when the machine was, and go on: {known}; start.sh --fresh sets them aside")
         return True
     aside = _set_aside(run_dir)
@@ -46,18 +49,21 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
 
 
 def _set_aside(run_dir: Path) -> Path | None:
+    """Moves what there is of a mission, also the rest of one whose move was cut short; it stays whole."""
     found = [run_dir / part for part in PARTS if (run_dir / part).exists()]
-    if not found:
+    folder = run_dir / FOLDER
+    moving = folder / _MOVING
+    if not found and not moving.exists():
         return None
-    folder = make_folder(run_dir / FOLDER)
+    make_folder(moving)
     before = sorted((path for path in folder.iterdir() if _NUMBERED.fullmatch(path.name)), key=_number)
     number = _number(before[-1]) + 1 if before else 1
-    aside = make_folder(folder / f"{stamp_name()}-{number}")
-    for part in found:
+    aside = folder / f"{stamp_name()}-{number}"
+    for source, target in [*((part, moving / part.name) for part in found), (moving, aside)]:
         try:
-            part.rename(aside / part.name)
+            source.rename(target)
         except OSError as error:
-            raise StoreError.of("moved", part, error) from error
+            raise StoreError.of("moved", source, error) from error
     for old in [*before, aside][:-KEPT]:
         shutil.rmtree(old, ignore_errors=True)
     return aside

@@ -6,6 +6,7 @@ from pathlib import Path
 from im_core.errors import ImError
 from im_core.open_commands import OpenCommandNote, note
 from im_core.ros.calls import run_in_thread
+from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 
 
@@ -23,6 +24,7 @@ class CommandNotes:
     ) -> None:
         self._node, self._run_dir, self._commands = node, run_dir, commands
         self._wanted = self._running = False
+        self._waiting: list[Promise] = []
 
     def changed(self) -> None:
         """Has them written, soon."""
@@ -31,14 +33,24 @@ class CommandNotes:
             self._running = True
             self._node.spawn(self._write(self._run_dir))
 
+    async def written(self) -> None:
+        """Waits until the commands that are open now are written down, or cannot be."""
+        if self._run_dir is not None:
+            promise = self._node.promise()
+            self._waiting.append(promise)
+            self.changed()
+            await promise
+
     async def _write(self, run_dir: Path) -> None:
         task = self._node.task_name
-        try:
-            while self._wanted:
-                self._wanted = False
-                notes = [OpenCommandNote(task, number, symbol) for number, symbol in self._commands()]
+        while self._wanted:
+            self._wanted = False
+            waiting, self._waiting = self._waiting, []
+            notes = [OpenCommandNote(task, number, symbol) for number, symbol in self._commands()]
+            try:
                 await run_in_thread(self._node, note, run_dir, task, notes)
-        except ImError as error:
-            self._node.get_logger().warning(f"which commands are open is not written down: {error.message}")
-        finally:
-            self._running = False
+            except ImError as error:
+                self._node.get_logger().warning(f"which commands are open is not written down: {error.message}")
+            for promise in waiting:
+                promise.set_result(None)
+        self._running = False

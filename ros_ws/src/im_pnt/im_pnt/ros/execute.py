@@ -5,8 +5,9 @@ what is under way, and ``/<node>/control_command`` cancels, pauses and resumes i
 """
 
 import json
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from copy import copy
+from typing import Any, Protocol
 
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
@@ -74,6 +75,7 @@ class ExecuteServer:
         commands: Its commands.
         run: Runs a command.
         control: Cancels and pauses commands.
+        written: Waits until the commands that are open outlive this process.
     """
 
     def __init__(
@@ -83,8 +85,10 @@ class ExecuteServer:
         commands: Commands,
         run: RunCommand,
         control: CommandControl,
+        written: Callable[[], Coroutine[Any, Any, None]],
     ) -> None:
         self._node, self._nets, self._commands, self._run, self._control = node, nets, commands, run, control
+        self._written = written
         self._list = node.create_publisher(String, f"/{node.task_name}/commands", qos.LATCHED)
         self._server = GuardedActionServer(
             node,
@@ -148,17 +152,32 @@ class ExecuteServer:
     async def _execute(self, goal: ServerGoalHandle) -> ExecuteCommand.Result:
         result, feedback = ExecuteCommand.Result(), ExecuteCommand.Feedback()
         numbers: list[int] = []
+        waiting: list[ExecuteCommand.Feedback] | None = []  # who is told the number may count on the command
 
         def tell(step: str, message: str, progress: float) -> None:
             feedback.step, feedback.message = step or feedback.step, message
             feedback.progress = max(feedback.progress, progress)
             feedback.state = self._commands.get(feedback.command_id).state
-            goal.publish_feedback(feedback)
+            if waiting is None:
+                goal.publish_feedback(feedback)
+            else:
+                waiting.append(copy(feedback))
+
+        def tell_all() -> None:
+            nonlocal waiting
+            told, waiting = waiting or [], None
+            for each in told:
+                goal.publish_feedback(each)
+
+        async def tell_when_written() -> None:
+            await self._written()
+            tell_all()
 
         def started(number: int) -> None:
             numbers.append(number)
             feedback.command_id = number
             tell("", "", -1.0)
+            self._node.spawn(tell_when_written())
 
         alarm = self._node.alarms.after(LOOK_S, lambda: look())
 
@@ -192,6 +211,7 @@ class ExecuteServer:
             return result
         finally:
             self._node.alarms.cancel(alarm)
+            tell_all()
         result.success, result.status, result.results = outcome.success, outcome.status, json.dumps(outcome.results)
         if outcome.success:
             goal.succeed()

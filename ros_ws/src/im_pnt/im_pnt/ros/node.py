@@ -281,7 +281,7 @@ class PntNode(ManagedNode):
         Args:
             run: Runs a command; None: :meth:`command`.
         """
-        self._execute = ExecuteServer(self, self.exchange.nets, self.commands, run or self.command, self)
+        self._execute = ExecuteServer(self, self.exchange.nets, self.commands, run or self.command, self, self._written)
 
     def net_with_servers(self, name: str) -> list[Net]:
         """Returns a net of this node as written, with the nets of all nodes that it needs, as far as they are known."""
@@ -421,6 +421,11 @@ class PntNode(ManagedNode):
         self._validity.turned()
         self._publisher.publish()
         self._mission.publish()
+
+    async def _written(self) -> None:
+        """Waits until the commands that are open are in the journal, and noted for whoever starts the machine again."""
+        self._loop.turn()
+        await self._notes.written()
 
     def _commit(self) -> None:
         if self._journal is not None:
