@@ -11,7 +11,7 @@ import pytest
 
 from im_core.errors import ImError
 from im_pnt.distributed import link
-from im_pnt.distributed.exchange import request_message, request_of
+from im_pnt.distributed.messages import request_message, request_of
 from im_pnt.execution.events import CommandCancelled, ModeSet, PauseSet, TokenArrived
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Command, Request

@@ -4,7 +4,10 @@ from pathlib import Path
 import pytest
 
 from im_pnt.netfile import load_net
-from im_pnt.netfile.schema import DelayFile, NetFile, PlaceFile, TransitionFile
+from im_pnt.netfile.schema.delays import DelayFile
+from im_pnt.netfile.schema.net import NetFile
+from im_pnt.netfile.schema.places import PlaceFile
+from im_pnt.netfile.schema.transitions import TransitionFile
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import OK, REFUSED
 

@@ -1,466 +1,46 @@
 """The exchange of one process: carries tokens, requests and replies between its nets, and to and from others.
 
-It has three parts: the requests that wait for their reply (:class:`RequestBook`), the inboxes of the nets
-(:class:`Inboxes`), which keep for the journal what was delivered and not taken yet (:class:`Deliveries`), and
-:class:`Exchange` itself. It tells its journal what happens to them as one of :data:`ExchangeEntry`, before it is done.
+:class:`Exchange` has the requests that wait for their reply (:mod:`.requests`) and the inboxes of the nets
+(:mod:`.inboxes`). It tells its journal what happens to them (:mod:`.entries`), before it is done.
 """
 
-from collections import Counter, deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
 
 from im_core.clock import monotonic
-from im_core.errors import DataError, ImError, LinkError, StateError, nearest
-from im_pnt.distributed.packets import VOID, Message, MessageKind, token_message
-from im_pnt.errors import NetError, decode_error, encode_error
-from im_pnt.execution.events import (
-    ActionEnded,
-    NodeForgotten,
-    RequestArrived,
-    RequestCancelled,
-    Tiding,
-    TidingArrived,
-    TokenArrived,
+from im_core.errors import ImError, LinkError, StateError, nearest
+from im_pnt.distributed.entries import (
+    EventPosted,
+    ExchangeEntry,
+    RequestAnswered,
+    RequestAsked,
+    RequestClosed,
+    TokenKept,
 )
+from im_pnt.distributed.inboxes import Inboxes
+from im_pnt.distributed.messages import (
+    cancel_message,
+    carried_by,
+    request_message,
+    request_of,
+    tiding_message,
+    tiding_of,
+    token_of_job,
+)
+from im_pnt.distributed.packets import VOID, Message, MessageKind, token_message
+from im_pnt.distributed.requests import RequestBook, Waiting
+from im_pnt.errors import NetError
+from im_pnt.execution.events import ActionEnded, NodeForgotten, RequestArrived, Tiding, TidingArrived
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import NO_COMMAND, Activity, Carried, Command, Job, JobKey, Owner, Request, scope_of
 from im_pnt.execution.notification import Leaving, Observer
-from im_pnt.execution.record import ActivityEnded, NetEntry, plain_dict
 from im_pnt.model.action import RequestAction
-from im_pnt.model.expand import input_place
 from im_pnt.model.net import RemotePlace
 
 RETURN_TIMEOUT_S = 60.0
 """One that hangs is noticed, and started again, within half of it [s]."""
-
-
-# What an exchange tells its journal.
-
-Arrival = TokenArrived | TidingArrived | NodeForgotten | RequestArrived | RequestCancelled
-Delivery = Arrival | ActivityEnded
-"""An event for a net, as the net that takes it records it: so it is known when it was."""
-
-
-class EventPosted(NamedTuple):
-    """An event was put into the inbox of a net."""
-
-    net: str
-    event: Delivery
-
-
-class RequestAsked(NamedTuple):
-    """A net has asked another one.
-
-    Attributes:
-        request_id: Name of the request.
-        net: Net that asks.
-        number: Number of its activity that waits.
-        asked: Net that is asked.
-        node: Node of that net, empty for one of the same process.
-    """
-
-    request_id: str
-    net: str
-    number: int
-    asked: str
-    node: str
-
-
-class RequestAnswered(NamedTuple):
-    """A request waits for its reply no more."""
-
-    request_id: str
-
-
-class RequestClosed(NamedTuple):
-    """A request is not in work any more."""
-
-    request_id: str
-
-
-class TokenKept(NamedTuple):
-    """A token is kept that no net wants."""
-
-    net: str
-    place: str
-
-
-ExchangeEntry = EventPosted | RequestAsked | RequestAnswered | RequestClosed | TokenKept
-
-
-# Requests under way.
-
-
-@dataclass(frozen=True, slots=True)
-class Waiting:
-    """A request that waits for its reply.
-
-    Attributes:
-        executor: Net that asked.
-        activity: Its transition in work.
-        net: Net that was asked.
-        node: Node of that net, empty for one of the same process.
-    """
-
-    executor: Executor
-    activity: Activity
-    net: str
-    node: str
-
-
-class RequestBook:
-    """The requests that the nets of one process have asked and not yet got answered.
-
-    Args:
-        node: Name of the process' node, part of every request's name.
-        epoch: Its incarnation, likewise.
-
-    Attributes:
-        prefix: Begins every request's name.
-        count: Requests asked so far.
-    """
-
-    def __init__(self, node: str, epoch: int) -> None:
-        self.prefix = f"{node}-{epoch:x}"
-        self.count = 0
-        self._waiting: dict[str, Waiting] = {}
-        self._name: dict[Activity, str] = {}
-
-    def next_name(self) -> str:
-        """Returns the name of the next request, unique over all processes and their restarts."""
-        return f"{self.prefix}-{self.count + 1}"
-
-    def open(self, request_id: str, waiting: Waiting) -> None:
-        """Enters a request."""
-        self._waiting[request_id] = waiting
-        self._name[waiting.activity] = request_id
-
-    def close(self, request_id: str) -> None:
-        """Takes a request out; a second reply, or one that comes too late, finds none."""
-        waiting = self._waiting.pop(request_id, None)
-        if waiting is not None:
-            del self._name[waiting.activity]
-
-    def of_activity(self, activity: Activity) -> tuple[str, Waiting] | None:
-        """Returns the request of an activity, if it still waits."""
-        name = self._name.get(activity)
-        return None if name is None else (name, self._waiting[name])
-
-    def get(self, request_id: str) -> Waiting | None:
-        """Returns who waits for the reply to a request."""
-        return self._waiting.get(request_id)
-
-    def of_node(self, node: str) -> list[tuple[str, Waiting]]:
-        """Returns the requests that wait for a node."""
-        return [(name, waiting) for name, waiting in self._waiting.items() if waiting.node == node]
-
-    def given_up(self) -> list[tuple[str, Waiting]]:
-        """Returns the requests whose transition does not wait any more (its time was over)."""
-        return [(name, w) for name, w in self._waiting.items() if w.activity not in w.executor.activities]
-
-    def items(self) -> list[tuple[str, Waiting]]:
-        """Returns all requests that wait."""
-        return list(self._waiting.items())
-
-
-def request_message(request: Request) -> Message:
-    """Returns the message that carries a request to another process."""
-    payload: dict[str, object] = {
-        "arguments": request.arguments,
-        "symbol": request.command.symbol,
-        "command_arguments": request.command.arguments,
-    }
-    if request.command.scope:
-        payload["scope"] = request.command.scope
-    return Message(
-        MessageKind.REQUEST,
-        request.net,
-        input_place(request.service),
-        request.id,
-        request.caller_net,
-        request.caller_transition,
-        request.command.id,
-        payload=payload,
-    )
-
-
-def request_of(sender: str, message: Message) -> Request:
-    """Returns the request that a message carries."""
-
-    def mapping(key: str) -> dict[str, object]:
-        value = message.payload.get(key)
-        return value if isinstance(value, dict) else {}
-
-    def text(key: str) -> str:
-        value = message.payload.get(key)
-        return value if isinstance(value, str) else ""
-
-    command = Command(message.command_id, text("symbol"), mapping("command_arguments"), scope=text("scope"))
-    return Request(
-        message.request_id,
-        message.net,
-        message.place.removeprefix("I."),
-        sender,
-        message.caller_net,
-        message.caller_transition,
-        command,
-        mapping("arguments"),
-    )
-
-
-def cancel_message(request_id: str, net: str, caller_net: str) -> Message:
-    """Returns the message that tells a process that a request is not wanted any more."""
-    payload: Mapping[str, object] = {"cancel": True}
-    return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload=payload)
-
-
-def token_of_job(target: RemotePlace, carried: Carried) -> Message:
-    """Returns the message that carries a token of a job to another process."""
-    owner = carried.owner
-    payload: dict[str, object] = {
-        "job": [*owner.key],
-        "symbol": owner.symbol,
-        "command": [owner.command.symbol, owner.command.arguments, owner.command.priority, owner.command.scope],
-        "arguments": owner.arguments,
-        "results": carried.results,
-        "cancelled": encode_error(carried.cancelled),
-        "held": carried.held,
-    }
-    return Message(
-        MessageKind.TOKEN,
-        target.net,
-        target.place,
-        caller_net=carried.net,
-        command_id=owner.command.id,
-        error=carried.failure,
-        payload=payload,
-    )
-
-
-def carried_by(sender: str, message: Message) -> Carried | None:
-    """Returns what a token from another process carries, None where it is nobody's; whether it is at home is not told.
-
-    Raises:
-        ValueError: It makes no sense.
-    """
-    if not message.payload:
-        return None
-    match message.payload:
-        case {
-            "job": [str(process), str(net), int(number)],
-            "symbol": str(symbol),
-            "command": [str(name), dict(given), int(priority), str(scope)],
-            "arguments": dict(arguments),
-            "results": dict(results),
-            "cancelled": cancelled,
-            "held": bool(held),
-        }:
-            command = Command(message.command_id, name, given, priority, scope)
-            owner = Owner(JobKey(process, net, number), symbol, command, arguments)
-            why = decode_error(cancelled)
-            return Carried(owner, False, sender, message.caller_net, message.error, results, why, held)
-    raise ValueError(f"{str(message.payload)[:200]} does not tell whose a token is")
-
-
-def tiding_message(to: str, told: TidingArrived) -> Message:
-    """Returns the message that tells a net of another process of a job."""
-    payload: dict[str, object] = {"job": [*told.key], "tiding": told.tiding.value, "results": told.results}
-    return Message(MessageKind.TIDING, to, "", caller_net=told.net, error=told.error, payload=payload)
-
-
-def tiding_of(message: Message) -> TidingArrived:
-    """Returns what a message tells of a job; whether that is at home is not told.
-
-    Raises:
-        ValueError: It makes no sense.
-    """
-    match message.payload:
-        case {"job": [str(process), str(net), int(number)], "tiding": str(tiding), "results": dict(results)}:
-            key = JobKey(process, net, number)
-            return TidingArrived(key, False, Tiding(tiding), message.caller_net, message.error, results)
-    raise ValueError(f"{str(message.payload)[:200]} tells nothing of a job")
-
-
-def cancelled_by(net: str) -> ImError:
-    """Returns why a request ends early that its caller cancelled."""
-    return ImError(f"cancelled by net {net}", code="cancelled", net=net)
-
-
-# Inboxes.
-
-
-class Deliveries:
-    """Events for the nets of one process that were put into their inboxes and not taken yet, in order."""
-
-    def __init__(self) -> None:
-        self._waiting: dict[str, deque[Delivery]] = {}
-
-    def put_delivery(self, net: str, event: Delivery) -> None:
-        """Notes that an event was put into the inbox of a net."""
-        waiting = self._waiting.get(net)
-        if waiting is None:
-            waiting = self._waiting[net] = deque()
-        waiting.append(event)
-
-    def taken(self, net: str, entry: NetEntry) -> None:
-        """Notes what a net has recorded: perhaps that it has taken one of these events."""
-        waiting = self._waiting.get(net)
-        if not waiting or not isinstance(entry, Delivery):
-            return
-        if waiting[0] is entry:
-            waiting.popleft()
-            return
-        name = _name_of(entry)
-        for number, event in enumerate(waiting):
-            if _name_of(event) == name:
-                del waiting[number]
-                return
-
-    def waiting(self) -> dict[str, list[Delivery]]:
-        """Returns what waits, by net."""
-        return {net: list(events) for net, events in self._waiting.items() if events}
-
-
-def _name_of(event: Delivery) -> tuple[type, object]:
-    """Returns what tells an event from the others of its inbox."""
-    match event:
-        case TokenArrived(place, count, carried):
-            return TokenArrived, (place, count, carried and (carried.owner.key, carried.node, carried.net))
-        case TidingArrived(key, _, tiding, net):
-            return TidingArrived, (key, tiding, net)
-        case NodeForgotten(node):
-            return NodeForgotten, node
-        case RequestArrived(request):
-            return RequestArrived, request.id
-        case RequestCancelled(request_id, _):
-            return RequestCancelled, request_id
-        case ActivityEnded(number, _, _):
-            return ActivityEnded, number
-
-
-class _Door(NamedTuple):
-    """A place of a net through which tokens of other nets have come.
-
-    Attributes:
-        executor: The net in execution.
-        event: A token arrives.
-        posted: What the journal is told.
-    """
-
-    executor: Executor
-    event: TokenArrived
-    posted: EventPosted
-
-
-class Inboxes:
-    """Delivers to the nets of one process; what is delivered is journalled.
-
-    Attributes:
-        nets: The nets, by name.
-        in_work: Requests that were delivered and not answered yet, by name.
-        deliveries: What was delivered and not taken yet; kept if there is a journal.
-        record: Takes an entry for the journal, which is written before anything leaves; None: no journal is kept.
-    """
-
-    def __init__(self) -> None:
-        self.nets: dict[str, Executor] = {}
-        self.in_work: dict[str, Request] = {}
-        self.deliveries = Deliveries()
-        self.record: Callable[[ExchangeEntry], None] | None = None
-        self._doors: dict[tuple[str, str], _Door] = {}
-
-    def post(self, executor: Executor, event: Arrival | ActionEnded) -> None:
-        """Delivers an event.
-
-        Raises:
-            NetError: A journal cannot keep it.
-        """
-        if self.record is not None:
-            kept: Delivery
-            if isinstance(event, ActionEnded):
-                where = f"the results for transition {event.activity.transition}"
-                kept = ActivityEnded(event.activity.number, event.error, plain_dict(event.results, where))
-            else:
-                kept = event
-            self.record(EventPosted(executor.net.name, kept))
-            self.deliveries.put_delivery(executor.net.name, kept)
-        executor.post(event)
-
-    def token(self, net: str, name: str, carried: Carried | None = None) -> str:
-        """Delivers a token to a place of a net; returns why not, empty if it was."""
-        door = self._doors.get((net, name))
-        executor = self.nets[net]
-        if door is not None and door.executor is executor and carried is None:
-            if self.record is not None:
-                self.record(door.posted)
-                self.deliveries.put_delivery(net, door.event)
-            executor.post(door.event)
-            return ""
-        place = executor.net.places.get(name)
-        if place is None:
-            return f"net {net} has no place {name}{nearest(name, executor.net.places)}"
-        if not place.remote or name.startswith("I."):
-            return f"place {name} of net {net} is not open to other nets (remote: true)"
-        event = TokenArrived(name, 1, carried)
-        if carried is None:
-            self._doors[net, name] = _Door(executor, event, EventPosted(net, event))
-        self.post(executor, event)
-        return ""
-
-    def request(self, request: Request) -> str:
-        """Delivers a request; returns why not, empty if it was.
-
-        Raises:
-            NetError: A journal cannot keep it.
-        """
-        executor = self.nets[request.net]
-        offered = [*executor.net.services, *executor.net.symbols()]
-        if request.service not in offered:
-            return f"net {request.net} offers no service {request.service}{nearest(request.service, offered)}"
-        schema = executor.written.arguments_of(request.service)
-        if schema is not None:
-            try:
-                taken = schema.check(request.arguments, f"{request.net}.{request.service}")
-            except DataError as error:
-                return error.message
-            request = replace(request, arguments=taken)
-        self.post(executor, RequestArrived(request))
-        self.in_work[request.id] = request
-        return ""
-
-    def cancel(self, request: Request, why: ImError) -> None:
-        """Has a request in work ended early."""
-        self.post(self.nets[request.net], RequestCancelled(request.id, why))
-
-    def close(self, request: Request) -> None:
-        """Takes note that a request is not in work any more."""
-        if self.in_work.pop(request.id, None) is not None and self.record is not None:
-            self.record(RequestClosed(request.id))
-
-    def deliver_again(self) -> None:
-        """Puts the events into the inboxes that had not been taken, when their nets have been brought back.
-
-        Raises:
-            NetError: They do not fit the nets.
-            LookupError: Likewise.
-        """
-        for net, events in self.deliveries.waiting().items():
-            executor = self.nets[net]
-            for event in self.not_late(net, events):
-                if isinstance(event, ActivityEnded):
-                    activity = executor.activity(event.number)
-                    executor.post(ActionEnded(activity, event.error, event.results))
-                else:
-                    executor.post(event)
-
-    def not_late(self, net: str, events: list[Delivery]) -> list[Delivery]:
-        """Leaves out the replies that have come when their transitions had given up waiting."""
-        running = {activity.number for activity in self.nets[net].activities}
-        return [event for event in events if not isinstance(event, ActivityEnded) or event.number in running]
-
-
-# The exchange.
 
 
 class Transport(Protocol):
@@ -834,3 +414,8 @@ class Exchange:
 
     def _dropped(self, why: str) -> None:
         self._observer.troubled("", why)
+
+
+def cancelled_by(net: str) -> ImError:
+    """Returns why a request ends early that its caller cancelled."""
+    return ImError(f"cancelled by net {net}", code="cancelled", net=net)

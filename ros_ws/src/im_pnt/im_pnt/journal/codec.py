@@ -46,7 +46,7 @@ import functools
 from collections.abc import Callable
 
 from im_core.errors import ImError
-from im_pnt.distributed.exchange import (
+from im_pnt.distributed.entries import (
     Delivery,
     EventPosted,
     ExchangeEntry,

@@ -14,7 +14,8 @@ from pathlib import Path
 
 from im_core import clock
 from im_core.errors import ImError
-from im_pnt.distributed.exchange import Exchange, ExchangeEntry
+from im_pnt.distributed.entries import ExchangeEntry
+from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.link import Link
 from im_pnt.distributed.packets import new_epoch
 from im_pnt.distributed.streams import LinkEntry

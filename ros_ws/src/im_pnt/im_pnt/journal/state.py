@@ -4,7 +4,8 @@ import json
 from collections.abc import Mapping
 
 from im_core.errors import StateError
-from im_pnt.distributed.exchange import Exchange, RequestAsked
+from im_pnt.distributed.entries import RequestAsked
+from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.link import Link
 from im_pnt.distributed.packets import decode_message, is_epoch, is_number, numbered
 from im_pnt.distributed.streams import Peer, Sent

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from im_pnt.model.net import Net
 from im_pnt.netfile.reader import read_net
-from im_pnt.netfile.schema import schema_text
+from im_pnt.netfile.schema.net import schema_text
 from im_pnt.netfile.templates import assemble
 from im_pnt.netfile.text import read_text, read_values
 from im_pnt.netfile.writer import describe, yaml_text

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from im_core.errors import nearest
 from im_core.yamltext import Location
 from im_pnt.model.net import Assumption, Net
-from im_pnt.netfile.schema import shown_name
+from im_pnt.netfile.schema.names import shown_name
 
 
 def faults(net: Net) -> Iterator[tuple[Location, str]]:

@@ -36,16 +36,12 @@ from im_pnt.model.net import (
     Transition,
 )
 from im_pnt.netfile.assume import faults
-from im_pnt.netfile.schema import (
-    ArgumentFile,
-    AssumptionFile,
-    DelayFile,
-    NetFile,
-    PlaceFile,
-    TransitionFile,
-    is_name,
-    shown_name,
-)
+from im_pnt.netfile.schema.commands import ArgumentFile
+from im_pnt.netfile.schema.delays import DelayFile
+from im_pnt.netfile.schema.names import is_name, shown_name
+from im_pnt.netfile.schema.net import AssumptionFile, NetFile
+from im_pnt.netfile.schema.places import PlaceFile
+from im_pnt.netfile.schema.transitions import TransitionFile
 from im_pnt.netfile.text import checked, complaint_at, read_data
 from im_pnt.netfile.tries import written_out
 

@@ -10,7 +10,8 @@ from im_core.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, s
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.netfile.expression import evaluate, substitute
-from im_pnt.netfile.schema import FragmentFile, Parameter, TemplateFile, UseFile
+from im_pnt.netfile.schema.net import FragmentFile
+from im_pnt.netfile.schema.templates import Parameter, TemplateFile, UseFile
 from im_pnt.netfile.text import checked, complaint, complaint_at, read_data, read_text, read_values
 
 MAX_COPIES = 10_000

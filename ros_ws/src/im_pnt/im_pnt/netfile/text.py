@@ -11,7 +11,7 @@ from im_core.config import Fault, faults, field_name
 from im_core.errors import nearest
 from im_core.yamltext import Kind, Location, Value, YamlError, as_data, find, read_yaml
 from im_pnt.errors import NetFileError
-from im_pnt.netfile.schema import WrongKeyError, written
+from im_pnt.netfile.schema.scalars import WrongKeyError, written
 
 MAX_YAML = 4 * files.MEBIBYTE
 """Largest YAML file [bytes]."""

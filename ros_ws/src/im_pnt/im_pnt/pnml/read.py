@@ -12,7 +12,10 @@ from im_core.errors import nearest
 from im_core.yamltext import Value, as_data, mapping, scalar
 from im_pnt.model.net import Net
 from im_pnt.netfile.reader import read_net
-from im_pnt.netfile.schema import ARCS, MAX_NAME, NetFile, as_name, written
+from im_pnt.netfile.schema.names import MAX_NAME, as_name
+from im_pnt.netfile.schema.net import NetFile
+from im_pnt.netfile.schema.scalars import written
+from im_pnt.netfile.schema.values import ARCS
 from im_pnt.netfile.text import checked, read_bytes
 from im_pnt.pnml.element import Element, label_text, parse_xml
 from im_pnt.pnml.extras import plain_value, read_extras

@@ -11,7 +11,7 @@ from im_core.errors import ImError
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.model.net import Net
 from im_pnt.netfile import PNML_SUFFIXES, load_net, parse_net, yaml_text
-from im_pnt.netfile.schema import as_name, is_name
+from im_pnt.netfile.schema.names import as_name, is_name
 from im_pnt.pnml import pnml_text
 from im_pnt_analysis.cli.terminal import OK, write_output
 

@@ -1,0 +1,25 @@
+"""Names of nets, places, transitions and symbols."""
+
+import re
+
+MAX_NAME = 200
+"""Longest name [characters]."""
+
+NAME = "[A-Za-z_][A-Za-z0-9_]*"
+NAME_RULE = f"letters, digits and _, not starting with a digit, at most {MAX_NAME}"
+
+
+def is_name(text: str) -> bool:
+    """Whether a text is letters, digits and _, does not start with a digit, and is not too long."""
+    return len(text) <= MAX_NAME and re.fullmatch(NAME, text) is not None
+
+
+def as_name(text: str) -> str:
+    """Makes a name of any text, with _ for what a name cannot have."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)[: MAX_NAME - 10] or "_"
+    return f"_{name}" if name[0].isdigit() else name
+
+
+def shown_name(name: str) -> str:
+    """Returns a name for messages, the beginning of a long one."""
+    return name if len(name) <= MAX_NAME else name[:60] + "..."

@@ -1,0 +1,97 @@
+"""Templates of a net file, and their copies."""
+
+import re
+from collections.abc import Sequence
+from typing import Annotated, Self
+
+import pydantic
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+from im_core.config import FieldError
+from im_pnt.netfile.schema.scalars import as_list, as_mapping, as_number, as_text, shown
+from im_pnt.netfile.schema.values import ONE_TEXT, FilePart, Named, Names, Text
+
+_MANY = 10_000
+"""Most values that a range may have."""
+
+_LARGEST_PARAMETER = 10**9
+_RANGE = re.compile(r"(-?[0-9]{1,9})\.\.(-?[0-9]{1,9})")
+Parameter = int | str
+
+
+def _parameter(value: object) -> Parameter:
+    number = as_number(value)
+    if isinstance(number, int) and not isinstance(number, bool) and abs(number) <= _LARGEST_PARAMETER:
+        return number
+    return as_text(value)
+
+
+def _range(value: object) -> Sequence[Parameter]:
+    """``0..4``, or a list of numbers and texts; a range takes no memory before it is run through."""
+    if not isinstance(value, str):
+        values: list[Parameter] = []
+        for rank, element in enumerate(as_list(value)):
+            try:
+                values.append(_parameter(element))
+            except ValueError as error:
+                raise FieldError((rank,), str(error)) from None
+        return values
+    match = _RANGE.fullmatch(as_text(value).strip())
+    if not match:
+        raise ValueError(f"{shown(value)} is neither a range like 0..4 nor a list of values")
+    first, last = int(match.group(1)), int(match.group(2))
+    if last - first >= _MANY:
+        raise ValueError(f"{shown(value)} has more than {_MANY} values")
+    if last < first:
+        raise ValueError(f"{shown(value)} is empty: it ends before it begins")
+    return range(first, last + 1)
+
+
+_Parameter = Annotated[Parameter, pydantic.PlainValidator(_parameter), WithJsonSchema(ONE_TEXT)]
+_Range = Annotated[
+    Sequence[Parameter],
+    pydantic.PlainValidator(_range),
+    WithJsonSchema(
+        {"anyOf": [{"type": "string", "pattern": f"^{_RANGE.pattern}$"}, {"type": "array", "items": ONE_TEXT}]}
+    ),
+]
+_Section = Annotated[object, WithJsonSchema({"type": ["object", "null"]})]
+_Rest = Annotated[object, WithJsonSchema({"type": ["array", "string", "null"]})]
+
+
+class TemplateFile(FilePart):
+    """A part of a net with parameters; its sections are checked where they are copied."""
+
+    parameters: Names = Field((), description="What each use gives.")
+    places: _Section = Field(None, description="Places of each copy.")
+    services: _Section = Field(None, description="Services of each copy.")
+    commands: _Section = Field(None, description="Commands of each copy.")
+    rest: _Rest = Field(None, description="Places of each copy that may hold tokens at rest.")
+    transitions: _Section = Field(None, description="Transitions of each copy.")
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        seen = {"mod"}
+        for rank, name in enumerate(self.parameters):
+            if name in seen:
+                sentence = f"'{name}' cannot be a parameter here: it is there twice, or an operator"
+                raise FieldError(("parameters", rank), sentence)
+            seen.add(name)
+        return self
+
+
+class UseFile(FilePart):
+    """Copies of one template."""
+
+    template: Text = Field(description="Name of the template.")
+    ranges: Annotated[dict[str, _Range], Named()] = Field(
+        {},
+        alias="for",
+        description="Values to run through, one copy each (of several: each with each): a range 0..4, or a list.",
+    )
+    given: Annotated[dict[str, _Parameter], BeforeValidator(as_mapping)] = Field(
+        {},
+        alias="with",
+        description="Values of the other parameters; $(i+1 mod 5) may use those run through.",
+        json_schema_extra={"type": ["object", "null"]},
+    )

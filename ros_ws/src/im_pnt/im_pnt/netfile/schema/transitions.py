@@ -1,0 +1,163 @@
+"""Transitions of a net file, with the symbols that they read."""
+
+from typing import Annotated, Literal, Self
+
+import pydantic
+from pydantic import BeforeValidator, Field
+
+from im_pnt.model.net import LARGEST
+from im_pnt.netfile.schema.actions import AwaitFile, GoalFile, RequestFile, ServiceCallFile, TopicFile
+from im_pnt.netfile.schema.delays import DelayFile
+from im_pnt.netfile.schema.scalars import WrongKeyError, as_whole
+from im_pnt.netfile.schema.values import (
+    FUNCTION,
+    NAME_FORM,
+    Arcs,
+    Fields,
+    FilePart,
+    Function,
+    Given,
+    Name,
+    Names,
+    NotNegative,
+    NumberWithin,
+    Positive,
+    Text,
+    TextForm,
+    Texts,
+)
+
+ACTIONS = ("action", "service", "goal", "topic", "await", "request")
+"""Keys of which a transition may have one."""
+
+_EFFECTS = (*ACTIONS, "result", "store")
+"""Keys by which a transition does something that can fail."""
+
+_NEED_ACTION = ("on_failure", "on_doubt", "timeout", "tries", "success", "strategy", "acts_on")
+MOST_TRIES = 100
+
+
+class StrategyFile(FilePart):
+    """A probability of success that is learned."""
+
+    successes: Positive = Field(1.0, description="Successes counted before the first run.")
+    failures: Positive = Field(1.0, description="Failures counted before the first run.")
+    decay: Annotated[float, NumberWithin(gt=0.0, le=1.0)] = Field(
+        1.0, description="Factor on both counts at each outcome; 1 forgets nothing."
+    )
+
+
+class SymbolFile(FilePart):
+    """A symbol of the input tape: its name, or its keys."""
+
+    short_forms = (NAME_FORM.schema(),)
+
+    name: Name = Field(description="The symbol.")
+    of: Given[Literal["command", "nobody"]] = Field(
+        None,
+        description="command: it is a word to a command under way, and waits for one that asks for it; nobody: it "
+        "begins no command; not said: with tokens of nobody it begins a command.",
+    )
+    expires: Given[NotNegative] = Field(
+        None,
+        description="Time for which it waits to be read [s]; 0: it does not wait when nothing else happens any more.",
+    )
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _long(cls, value: object) -> object:
+        return value if isinstance(value, dict) else {"name": value}
+
+
+class TransitionFile(FilePart):
+    """A transition: it takes the tokens of 'in', does its action, then gives those of 'out'."""
+
+    model_config = pydantic.ConfigDict(
+        json_schema_extra={
+            "dependentSchemas": {
+                **{key: {"anyOf": [{"required": [effect]} for effect in _EFFECTS]} for key in _NEED_ACTION},
+                **{
+                    action: {"not": {"anyOf": [{"required": [other]} for other in ACTIONS if other != action]}}
+                    for action in ACTIONS
+                },
+            }
+        }
+    )
+
+    inputs: Arcs = Field({}, alias="in", description="Tokens it takes.")
+    outputs: Arcs = Field(
+        {},
+        alias="out",
+        description="Tokens it gives when its action has confirmed; net.place is a place of another net.",
+    )
+    inhibitors: Arcs = Field({}, description="It is disabled while one of these places holds that many tokens or more.")
+    resets: Texts = Field((), description="Places that it empties when it has taken its tokens.")
+    guard: Given[
+        Annotated[
+            str,
+            TextForm(
+                rf"\s*(not\s+)?({FUNCTION}|\$\{{.*\}})\s*",
+                "is not a name or ${...}, nor 'not' and one of these",
+                like_truth=True,
+            ),
+        ]
+    ] = Field(None, description="Enabling function by its registered name, or ${...}; or 'not' and one of these.")
+    symbol: Given[SymbolFile] = Field(None, description="Symbol it needs from the input tape: its name, or its keys.")
+    emit: Names = Field((), description="Symbols it writes to the output tape when it ends.")
+    action: Given[Function] = Field(None, description="Calls a registered function, or module:function.")
+    service: Given[ServiceCallFile] = Field(None, description="Calls a ROS service.")
+    goal: Given[GoalFile] = Field(None, description="Sends a ROS action goal.")
+    topic: Given[TopicFile] = Field(None, description="Publishes a message.")
+    awaited: Given[AwaitFile] = Field(None, alias="await", description="Waits for a message of a topic.")
+    request: Given[RequestFile] = Field(None, description="Asks another net for a service: net.service, or its keys.")
+    acts_on: Given[Texts] = Field(
+        None,
+        description="Resources that its action acts on, where the file does not tell them otherwise; "
+        "${arguments.NAME} in them is an argument; [] is nothing.",
+    )
+    result: Fields = Field({}, description="Values that the command or request returns when it ends well, by name.")
+    store: Fields = Field({}, description="Values of data objects that are put when it ends well, by object.")
+    on_failure: Arcs = Field({}, description="Tokens it gives instead when the action fails.")
+    on_doubt: Arcs = Field(
+        {},
+        description="Tokens it gives when nobody can tell what became of the action; "
+        "without it, that counts as failed.",
+    )
+    timeout: Given[Positive] = Field(
+        None, description="Time the action may take [s] before it is asked what became of it."
+    )
+    tries: Annotated[int, Field(ge=1, le=MOST_TRIES), BeforeValidator(as_whole)] = Field(
+        1, description="How often the action is tried before its tokens go to on_failure."
+    )
+    retry_of: Given[Text] = Field(
+        None, description="Transition whose further try it is, and as whose answer its own counts; 'tries' writes it."
+    )
+    delay: Given[DelayFile] = Field(
+        None,
+        description="Time of the action in simulation and analysis; of a transition without action, the time for "
+        "which it must be enabled before it fires [s].",
+    )
+    success: Annotated[float, NumberWithin(ge=0.0, le=1.0)] = Field(
+        1.0, description="Probability that the action succeeds, in simulation and analysis."
+    )
+    weight: Positive = Field(
+        1.0, description="How often it is taken among contending transitions, relative to the others."
+    )
+    strategy: Given[StrategyFile] = Field(
+        None, description="Its probability of success is learned from outcomes, and weighs in the choice."
+    )
+    priority: Annotated[int, Field(ge=-LARGEST, le=LARGEST), BeforeValidator(as_whole)] = Field(
+        0, description="Larger goes first among contending transitions."
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        given = {type(self).model_fields[name].alias or name for name in self.model_fields_set}
+        actions = [key for key in ACTIONS if key in given]
+        if len(actions) > 1:
+            raise ValueError(f"has {' and '.join(actions)}; one action is allowed")
+        if not given & set(_EFFECTS):
+            for key in _NEED_ACTION:
+                if key in given:
+                    raise WrongKeyError((key,), f"needs an action that can fail ({', '.join(_EFFECTS)})")
+        return self
