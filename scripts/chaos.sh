@@ -7,7 +7,8 @@
 #   scripts/chaos.sh --seed 42 --injections 1    repeats the injection that was told as 42
 #   scripts/chaos.sh --kinds kill stop --roles servo mcs --injections 20    only these
 #   scripts/chaos.sh --factor 1              in real time
-#   scripts/chaos.sh --everything --injections 50    kills all processes, starts the machine again, and compares what
+#   scripts/chaos.sh --everything --injections 50    kills all processes, starts the machine again (and kills that
+#                                            start, too, in every second injection), and compares what
 #                                            the command then finds with what it finds undisturbed
 #   scripts/chaos.sh --port 8081             another port for the display of the machine
 #   scripts/chaos.sh --minutes 30 --out results/chaos.jsonl    in pieces: adds to the file, goes on with its next seed

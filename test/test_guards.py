@@ -262,6 +262,18 @@ def test_every_node_of_the_product_is_guarded():
     assert wrong == []
 
 
+def test_every_publisher_names_a_profile():
+    """A bare number hides how late a reader may be: ten messages of /clock are a tenth of a second."""
+    bare = []
+    for path in sorted(ROOT.glob("ros_ws/src/*/im_*/**/*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(".create_publisher"):
+                given = [*node.args, *(keyword.value for keyword in node.keywords)]
+                if any(isinstance(each, ast.Constant) and isinstance(each.value, int) for each in given):
+                    bare.append(f"{path.name}:{node.lineno}")
+    assert bare == []
+
+
 def test_a_node_takes_no_name_that_its_base_uses_itself():
     """Seen: ``_told`` of a node that executes nets, as that of a service, ended each turn of its nets."""
     with pytest.raises(TypeError, match=r"Server\._set_phase: ManagedNode uses this name itself; take another one"):

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from bench.chaos.everything import DEVIATIONS, distance
+from bench.chaos.machine import die_starting
 from im_bringup.machine import leftovers, stop
 from im_core import names, open_commands
 from im_msgs.srv import ControlCommand
@@ -55,7 +56,7 @@ def kill_everything_at(command, lines):
 
 
 def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path):
-    """It finds what it would have found, within the noise that the testbed draws anew."""
+    """It finds what it would have found, within the noise that the testbed draws anew; starts may be killed, too."""
     poses = write_few_poses(tmp_path)
     machines("--fresh")
     undisturbed = client("calibrate_camera", "--json", "--poses", poses)
@@ -63,6 +64,9 @@ def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path)
     assert undisturbed.returncode == 0, said
     kill_everything_at(client("calibrate_camera", "--json", "--poses", poses), 4)
     (unfinished,) = open_commands.noted(names.run_dir())
+    for seconds in (1.0, 4.0):
+        die_starting(0.0, SEED, free_port(), seconds)
+        assert open_commands.noted(names.run_dir()) == [unfinished]
     assert "and go on: calibrate_camera" in machines()
     ended = client("run_command", "--attach", unfinished.number, "--json")
     resumed, said = ended.communicate(timeout=COMMAND_S)
@@ -103,3 +107,30 @@ def test_what_waits_and_what_is_paused_goes_on_with_what_ran(machines, end):
     printed, complaint = ended.communicate(timeout=COMMAND_S)
     assert ended.returncode == 0, complaint
     assert json.loads(printed)["width"] == pytest.approx(0.02, abs=1e-3)
+
+
+def test_a_new_mission_takes_nothing_of_the_one_before(machines):
+    """A queue of commands is set aside whole: named, kept, and carried out by nobody; no number stands for another."""
+    machines("--fresh", "--factor", 1)
+    machine = Machine()
+    try:
+        machine.call(ControlCommand, CONTROL, command_id=1, request="pause")  # of nobody: the service is there
+        given = {symbol: machine.execute(symbol, **arguments) for symbol, arguments in LINE.items()}
+        machine.wait_for(lambda: all(command.told for command in given.values()), "the numbers of the commands")
+        numbers = {symbol: command.told[0].command_id for symbol, command in given.items()}
+        leftovers.end_all()
+    finally:
+        machine.close()
+    said = machines("--fresh")
+    assert all(f"{symbol} (number {number} of dispatcher)" in said for symbol, number in numbers.items())
+    kept = max((names.run_dir() / "missions").iterdir(), key=lambda folder: folder.stat().st_mtime_ns)
+    assert str(kept) in said
+    assert {note.number for note in open_commands.noted(kept)} == set(numbers.values())
+    assert "number" not in client("run_command").communicate(timeout=COMMAND_S)[0]
+    ended = client("run_command", "--attach", numbers["move"])
+    printed, complaint = ended.communicate(timeout=COMMAND_S)
+    assert ended.returncode == 1, printed
+    assert "no command has the number" in complaint
+    homed = client("run_command", "home", "--group", "left")
+    printed, complaint = homed.communicate(timeout=COMMAND_S)
+    assert homed.returncode == 0, printed + complaint

@@ -88,8 +88,9 @@ def _run(arguments: argparse.Namespace, results: list[Result]) -> None:
                 setting, undisturbed = _setting(poses, arguments)
                 if arguments.everything:
                     again = partial(machine.begin, arguments.factor, 1, arguments.port, fresh=False)
+                    dies = partial(machine.die_starting, arguments.factor, 1, arguments.port)
                     for seed in seeds:
-                        _keep(everything.run(seed, setting, again, undisturbed), results, arguments.out)
+                        _keep(everything.run(seed, setting, again, dies, undisturbed), results, arguments.out)
                     return
                 with Watch() as watch:
                     lost = _inject(seeds, setting, watch, results, arguments.out)

@@ -15,33 +15,47 @@ KIND = "kill -9 of everything"
 #: How far a number may be from that of the undisturbed command, in standard deviations of the difference: the noise
 #: of another life of the testbed is drawn anew, and the command may do without other poses.
 DEVIATIONS = 5.0
+#: Longest time after which a start that goes on is killed, too [s].
+LONGEST_START_S = 8.0
 #: What a command says that could not go on, or was not given when its machine died: a true reason has one of them.
 WORDS = ("begun anew", "doubt", "gone", "missing", "has died and come back", "no machine runs")
 
 
-def run(seed: int, setting: Setting, start: Callable[[], None], reference: Mapping[str, Any]) -> Result:
+def run(
+    seed: int,
+    setting: Setting,
+    start: Callable[[], None],
+    die_starting: Callable[[float], None],
+    reference: Mapping[str, Any],
+) -> Result:
     """One death of everything during a command, and what became of that when the machine was there again.
 
     Args:
         seed: Of the moment.
         setting: As for other faults.
         start: Starts the machine, which goes on with what it had not ended.
+        die_starting: Begins to do so, and kills all of it after a time [s]; so it goes in every second injection, once
+            or several times, before the machine starts.
         reference: Report of the undisturbed command.
     """
     draw = Random(seed)
     step, later_s = draw.randrange(setting.steps), draw.uniform(0.0, 0.5)
+    starts_s = [draw.uniform(0.0, LONGEST_START_S) for _ in range(draw.choice((0, 0, 0, 1, 2, 3)))]
     command = Command(setting.poses)
     command.await_step(step, HANG_S)
     clock.sleep(later_s)
     leftovers.end_all()
     unfinished = open_commands.noted(names.run_dir())
     told = command.outcome(HANG_S)
+    for seconds in starts_s:
+        die_starting(seconds)
     start()
     began = clock.monotonic()
     outcome = Command(number=unfinished[-1].number).outcome(HANG_S) if unfinished else told
     verdict = judge(outcome, reference)
     recovery_s = max(0.0, outcome.ended - began - setting.duration_s) if unfinished else 0.0
-    return Result(seed, setting.factor, KIND, f"{KIND} at step {step}", verdict, outcome.said, recovery_s)
+    fault = f"{KIND} at step {step}" + "".join(f", of a start after {seconds:.1f} s" for seconds in starts_s)
+    return Result(seed, setting.factor, KIND, fault, verdict, outcome.said, recovery_s)
 
 
 def judge(outcome: Outcome, reference: Mapping[str, Any]) -> Verdict:

@@ -2,6 +2,8 @@
 
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -51,6 +53,24 @@ def begin(factor: float, seed: int, port: int, fresh: bool) -> None:
         raise
     if code != 0:
         raise StateError("the machine did not start")
+
+
+def die_starting(factor: float, seed: int, port: int, seconds: float) -> None:
+    """Begin to start a machine that goes on with what the one before had not ended, and kill all of it.
+
+    Args:
+        factor: Clock factor.
+        seed: Of the testbed.
+        port: Of the display.
+        seconds: After how long [s].
+    """
+    given = ["--factor", str(factor), "--seed", str(seed), "--port", str(port)]
+    argv = [sys.executable, "-m", "im_bringup.machine.start", *given]
+    process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    clock.sleep(seconds)
+    process.kill()
+    process.wait()
+    leftovers.end_all()
 
 
 def roles() -> dict[str, list[ProcessId]]:

@@ -109,7 +109,9 @@ class CommandClient(DispatcherClient):
             if not self._number:
                 raise StateError("the dispatcher died before it had written the command down; run it again")
             print(f"im run: the dispatcher died and is back; attaching to number {self._number}", file=sys.stderr)
-            handle = self._sent(ExecuteCommand.Goal(attach=True, command_id=self._number), SILENCE_S)
+            # in a new mission the number may be that of another command
+            again = ExecuteCommand.Goal(attach=True, command_id=self._number, symbol=goal.symbol)
+            handle = self._sent(again, SILENCE_S)
 
     def _sent(self, goal: ExecuteCommand.Goal, seconds: float = DISCOVERY_S) -> Any | None:
         def there() -> bool:
