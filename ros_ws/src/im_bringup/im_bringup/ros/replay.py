@@ -25,6 +25,7 @@ from im_bringup.ros.record import to_profile
 from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError
 from im_core.one_bag import parsed
+from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
 
@@ -66,7 +67,7 @@ class Replay:
 
     def tell_time(self) -> None:
         """Publish the time of the bag on /clock from now on."""
-        self._clock = self._node.create_publisher(Clock, _CLOCK, 10)
+        self._clock = self._node.create_publisher(Clock, _CLOCK, qos.CLOCK)
 
     def play(self, playback: Playback) -> int:
         """Publish all messages of a playback; returns their number."""

@@ -34,6 +34,9 @@ LATCHED_EVENTS = _reliable(500, DurabilityPolicy.TRANSIENT_LOCAL)
 #: Heartbeats and other state that is repeated.
 STATUS = _reliable(50)
 
+#: The clock, a hundred times a second: its nodes want the newest, a recorder that is late all of some seconds.
+CLOCK = _reliable(500)
+
 #: Streams of which the newest counts.
 SENSOR = qos_profile_sensor_data
 
