@@ -290,6 +290,26 @@ def test_no_folders_import_each_other_in_a_circle():
     assert not circles(graph)
 
 
+def rooms(graph):
+    """Whom the rooms of folders import: ``im_pnt.ros.commands`` is one; modules beside rooms are for themselves."""
+    room = {module: ".".join(module.split(".")[:3]) for module in graph}
+    found = {}
+    for module, others in graph.items():
+        found.setdefault(room[module], set()).update(room[other] for other in others if room[other] != room[module])
+    return found
+
+
+def test_no_rooms_import_each_other_in_a_circle():
+    """Likewise within a folder: rooms, and the modules that stand beside them."""
+    assert not circles(rooms(knows()))
+
+
+def test_a_circle_of_rooms_is_seen():
+    graph = {"p.a.x.one": {"p.a.y.one"}, "p.a.y.one": set(), "p.a.y.two": {"p.a.x.two"}, "p.a.x.two": set()}
+    assert not circles(graph)
+    assert circles(rooms(graph)) == [["p.a.x", "p.a.y"]]
+
+
 def test_one_class_name_means_one_thing():
     """A search for a name finds one thing; names that begin with an underscore are a module's own affair."""
     found = {}

@@ -4,8 +4,8 @@ import pytest
 
 from im_core import clock
 from im_core.ros.node import ManagedNode
-from im_pnt.ros import loop as net_loop
-from im_pnt.ros.loop import NetLoop
+from im_pnt.ros.execution import loop as net_loop
+from im_pnt.ros.execution.loop import NetLoop
 
 FAULT = "what nobody thought of"
 

@@ -11,7 +11,7 @@ from im_core.errors import ConfigError, DataError, ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.values import ObjectPendingError
 from im_pnt.ros.messages import RosTypes, fill, plain_fields
-from im_pnt.ros.objects import DomObjects
+from im_pnt.ros.objects.objects import DomObjects
 
 
 def test_fields_of_messages_have_types():

@@ -25,7 +25,7 @@ from im_msgs.srv import ControlCommand, GetObject, ListCommands
 from im_pnt.errors import NetFileError
 from im_pnt.expression.scope import check_net
 from im_pnt.netfile import parse_net
-from im_pnt.ros import command_notes
+from im_pnt.ros.commands import notes
 from im_pnt.ros.messages import RosTypes
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
@@ -326,7 +326,7 @@ def test_a_cancellation_that_the_server_refuses_at_first_is_asked_for_again(mach
 
 
 def test_an_action_that_is_not_there_is_named(machine, monkeypatch):
-    monkeypatch.setattr("im_pnt.ros.actions.DISCOVERY_TIMEOUT_S", 1.0)
+    monkeypatch.setattr("im_pnt.ros.execution.actions.DISCOVERY_TIMEOUT_S", 1.0)
     outcome = run(machine[0], "absent")
     assert "the action /nowhere/move is not there" in outcome.status.message
 
@@ -491,7 +491,7 @@ def test_the_number_of_a_command_is_told_when_it_is_written_down(machine, client
         clock.sleep(0.5)
         open_commands.note(*note)
 
-    monkeypatch.setattr(command_notes, "note", late)
+    monkeypatch.setattr(notes, "note", late)
     monkeypatch.setattr(node._notes, "_run_dir", tmp_path)
     found, told = [], threading.Event()
 

@@ -22,7 +22,7 @@ from im_pnt.journal.state import net_state
 from im_pnt.model.groups import group_of
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, yaml_text
-from im_pnt.ros.publish import PntPublisher
+from im_pnt.ros.reporting.publish import PntPublisher
 from im_pnt.verification import Verification, Verifier, accept
 
 REST_CHECK_S = 0.02

@@ -30,24 +30,24 @@ from im_pnt.journal.state import restore_net, taken_over
 from im_pnt.mission.log import MissionLog
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
-from im_pnt.ros.actions import RosAction, ServiceActions, Surroundings, TopicActions
-from im_pnt.ros.awaits import AwaitActions
-from im_pnt.ros.command_notes import CommandNotes
-from im_pnt.ros.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
-from im_pnt.ros.control import ControlService
-from im_pnt.ros.execute import ExecuteServer, RunCommand
-from im_pnt.ros.goals import GoalActions
+from im_pnt.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
+from im_pnt.ros.commands.control import ControlService
+from im_pnt.ros.commands.execute import ExecuteServer, RunCommand
+from im_pnt.ros.commands.notes import CommandNotes
+from im_pnt.ros.execution.actions import RosAction, ServiceActions, Surroundings, TopicActions
+from im_pnt.ros.execution.awaits import AwaitActions
+from im_pnt.ros.execution.goals import GoalActions
+from im_pnt.ros.execution.loop import NetLoop
+from im_pnt.ros.execution.transport import DdsTransport
 from im_pnt.ros.library import Library, Loader
-from im_pnt.ros.loop import NetLoop
 from im_pnt.ros.messages import RosTypes
-from im_pnt.ros.mission import MissionPublisher, NotedAnswers, NotedObjects, NotedRequests
-from im_pnt.ros.objects import DomObjects
-from im_pnt.ros.observer import NodeObserver
-from im_pnt.ros.publish import PntPublisher
-from im_pnt.ros.scopes import CommandScopes
-from im_pnt.ros.sources import Sources
-from im_pnt.ros.transport import DdsTransport
-from im_pnt.ros.validity import Validity
+from im_pnt.ros.objects.objects import DomObjects
+from im_pnt.ros.objects.scopes import CommandScopes
+from im_pnt.ros.objects.sources import Sources
+from im_pnt.ros.objects.validity import Validity
+from im_pnt.ros.reporting.mission import MissionPublisher, NotedAnswers, NotedObjects, NotedRequests
+from im_pnt.ros.reporting.observer import NodeObserver
+from im_pnt.ros.reporting.publish import PntPublisher
 from im_pnt.verification import Verification, Verifier, accept
 
 __all__ = ["CommandOutcome", "OpenCommand", "PntNode", "ProgressListener"]

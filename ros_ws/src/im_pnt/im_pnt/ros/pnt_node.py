@@ -22,7 +22,7 @@ from im_core.ros.run import Spinner
 from im_pnt.command_line import Order
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt.ros.commands import CommandOutcome
+from im_pnt.ros.commands.commands import CommandOutcome
 from im_pnt.ros.node import PntNode
 from im_pnt.verification import Verifier
 

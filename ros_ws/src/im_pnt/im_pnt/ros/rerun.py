@@ -27,11 +27,11 @@ from im_pnt.mission.stream import NodeStream, streams_of
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt.ros.actions import answer_key, fields_of, handled, require_success, sent_key
-from im_pnt.ros.goals import result_of
+from im_pnt.ros.execution.actions import answer_key, fields_of, handled, require_success, sent_key
+from im_pnt.ros.execution.goals import result_of
 from im_pnt.ros.messages import fill, packed_message
-from im_pnt.ros.mission import TOPIC
-from im_pnt.ros.objects import DomObjects
+from im_pnt.ros.objects.objects import DomObjects
+from im_pnt.ros.reporting.mission import TOPIC
 
 _DESCRIPTION = """Runs the nets of a recorded mission again on the recorded answers: no robot, no camera, no node.
 Commands, requests, answers, data objects and what guards look at come from the bag; the nets, their guards and their

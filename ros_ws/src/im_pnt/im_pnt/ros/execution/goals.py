@@ -23,7 +23,7 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import Action, GoalAction
-from im_pnt.ros.actions import Surroundings, answer_key, failure_of, require_success, time_left
+from im_pnt.ros.execution.actions import Surroundings, answer_key, failure_of, require_success, time_left
 from im_pnt.ros.messages import packed_message
 
 ACCEPT_TIMEOUT_S = 30.0

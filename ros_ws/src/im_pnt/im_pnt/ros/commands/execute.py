@@ -24,7 +24,7 @@ from im_msgs.msg import CommandState
 from im_msgs.srv import ControlCommand, ListCommands
 from im_pnt.execution.executor import Executor
 from im_pnt.model.net import Net
-from im_pnt.ros.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
+from im_pnt.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 
 LOOK_S = 0.1
 

@@ -7,8 +7,8 @@ from im_core.ros.reminders import Reminders
 from im_pnt.execution.jobs import Job
 from im_pnt.execution.notification import Firing, Observer
 from im_pnt.execution.operator import Mode
-from im_pnt.ros.commands import Commands
-from im_pnt.ros.publish import PntPublisher
+from im_pnt.ros.commands.commands import Commands
+from im_pnt.ros.reporting.publish import PntPublisher
 
 
 class NodeObserver(Observer):

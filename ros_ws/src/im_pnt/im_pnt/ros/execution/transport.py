@@ -17,7 +17,7 @@ from im_pnt.distributed.packets import Message
 from im_pnt.errors import NetError
 from im_pnt.execution.notification import Observer
 from im_pnt.ros.cdr import decode_packet, encode_packet
-from im_pnt.ros.loop import NetLoop
+from im_pnt.ros.execution.loop import NetLoop
 
 TICK_PERIOD_S = 0.05
 

@@ -21,7 +21,7 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import Action, AwaitAction
-from im_pnt.ros.actions import Surroundings, answer_key
+from im_pnt.ros.execution.actions import Surroundings, answer_key
 from im_pnt.ros.messages import packed_message, plain_fields
 
 DEPTH = 100

@@ -1,0 +1,1 @@
+"""What nets see of the machine: the data objects of the DOM, whose commands they are, and last messages."""
