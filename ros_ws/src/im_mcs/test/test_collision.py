@@ -12,9 +12,9 @@ from im_mcs.collision.travel import lever_bounds
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.motion_limits import Synchrony
 from im_mcs.planning import MotionLimits
-from im_mcs.planning.context import PlanContext
-from im_mcs.planning.joint import JointPreparation
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.motions.joint import JointPreparation
+from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import JointMove
 
 

@@ -6,7 +6,7 @@ from im_mcs.collision import CollisionChecker, CollisionMonitor
 from im_mcs.limits.configuration import Collision
 from im_mcs.limits.limits import JointLimits
 from im_mcs.planning import JointPath, Setpoint
-from im_mcs.planning.profile import ramp, to_rest
+from im_mcs.planning.trajectories.profile import ramp, to_rest
 
 PERIOD = 0.0045
 LEFT, RIGHT = np.arange(9), np.arange(9, 18)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from im_mcs.collision import CollisionChecker
-from im_mcs.planning.straight_stop import is_straight
+from im_mcs.planning.trajectories.straight_stop import is_straight
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import pytest
 
 from im_core.errors import ImError, LimitError, StateError
 from im_mcs.limits.limits import JointLimits
-from im_mcs.planning.context import PlanContext
+from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.line.line import LinePreparation
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.protocol.requests import LineMove

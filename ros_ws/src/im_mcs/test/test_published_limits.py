@@ -9,7 +9,7 @@ from im_cell.robot import urdf
 from im_core.errors import LimitError
 from im_mcs.inverse.arm import Arm
 from im_mcs.limits.limits import JointLimits
-from im_mcs.planning.joint import JointPath
+from im_mcs.planning.motions.joint import JointPath
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from im_mcs.inverse import InverseKinematics
 from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
-from im_mcs.planning.joint import JointPath
+from im_mcs.planning.motions.joint import JointPath
 from im_mcs.protocol.requests import unit_pose
 
 

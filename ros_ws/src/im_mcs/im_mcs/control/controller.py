@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from im_core.config import faults
 from im_core.errors import ConfigError
 from im_mcs.model import CellModel
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.trajectory import Setpoint
 
 
 @dataclass(frozen=True)

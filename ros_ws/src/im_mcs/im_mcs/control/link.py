@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from im_core.shm import Semaphore, SharedBlock
 from im_mcs.control.controller import ControlInput
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.trajectory import Setpoint
 
 _FAULT_BYTES = 600
 _PARTS = ("q", "v", "a")

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 from im_core.errors import ImError
-from im_mcs.planning.preparation import Preparation
+from im_mcs.planning.checks.tolerances import TrajectoryTolerances
+from im_mcs.planning.motions.preparation import Preparation
+from im_mcs.planning.motions.stream import StreamFollower, StreamLease
 from im_mcs.planning.retiming import RetimedTrajectory
-from im_mcs.planning.stream import StreamFollower, StreamLease
-from im_mcs.planning.tolerances import TrajectoryTolerances
-from im_mcs.planning.trajectory import Trajectory
+from im_mcs.planning.trajectories.trajectory import Trajectory
 from im_mcs.protocol.requests import Move, Policy
 
 

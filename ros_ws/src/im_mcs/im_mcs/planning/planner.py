@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.follower import Ahead, PathFollower, Standing
-from im_mcs.planning.polynomial import powers, quintic
-from im_mcs.planning.scaling import least_rate
-from im_mcs.planning.trajectory import Setpoint, Trajectory
+from im_mcs.planning.trajectories.follower import Ahead, PathFollower, Standing
+from im_mcs.planning.trajectories.polynomial import powers, quintic
+from im_mcs.planning.trajectories.scaling import least_rate
+from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 
 
 class Follower(Protocol):

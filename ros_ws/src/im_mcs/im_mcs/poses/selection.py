@@ -12,7 +12,7 @@ from im_mcs.collision import CollisionChecker
 from im_mcs.inverse import InverseKinematics
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
-from im_mcs.planning.joint import JointPath
+from im_mcs.planning.motions.joint import JointPath
 from im_mcs.poses.candidates import Candidate, Volume, candidates
 from im_mcs.poses.common import CommonView
 from im_mcs.poses.spread import Spread, farthest_first, spread_of

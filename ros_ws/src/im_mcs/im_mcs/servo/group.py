@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from im_core.errors import ImError, StateError
 from im_mcs.control import ControlInput, ControlLaws
 from im_mcs.model.dynamics import place_of
-from im_mcs.planning.admission import check_move, check_stream
-from im_mcs.planning.context import PlanContext
+from im_mcs.planning.checks.admission import check_move, check_stream
+from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.checks.tolerances import tolerances_of
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
+from im_mcs.planning.motions.preparation import prepare
+from im_mcs.planning.motions.spline import RestNeededError
+from im_mcs.planning.motions.stream import StreamFollower, StreamLease
 from im_mcs.planning.planner import GroupPlanner
-from im_mcs.planning.preparation import prepare
 from im_mcs.planning.retiming import RetimedTrajectory
-from im_mcs.planning.spline import RestNeededError
-from im_mcs.planning.stream import StreamFollower, StreamLease
-from im_mcs.planning.tolerances import tolerances_of
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import LineMove, MoveRequest, Policy, StreamRequest
 from im_mcs.servo.rest import RestMonitor, RestPhase
 

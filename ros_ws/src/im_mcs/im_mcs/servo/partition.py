@@ -10,7 +10,7 @@ from im_mcs.control import LawSource
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
-from im_mcs.planning.context import PlanContext
+from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.rest import RestMonitor

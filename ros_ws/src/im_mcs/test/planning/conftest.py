@@ -13,10 +13,10 @@ from im_mcs.limits.configuration import McsConfig, Planning
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.model import CellModel
-from im_mcs.planning.context import PlanContext
+from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.goals import Goal
 from im_mcs.planning.planner import GroupPlanner
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import parse_request
 from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.rest import RestMonitor

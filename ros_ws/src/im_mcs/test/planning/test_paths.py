@@ -9,8 +9,8 @@ from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 from im_core.errors import DataError
 from im_mcs.limits.motion_limits import Synchrony
 from im_mcs.planning import JointPath, MotionLimits
-from im_mcs.planning.profile import to_meet, to_point
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.profile import to_meet, to_point
+from im_mcs.planning.trajectories.trajectory import Setpoint
 
 LIMITS = MotionLimits(np.array([1.0, 2.0, 0.5]), np.array([2.0, 5.0, 1.0]), np.array([20.0, 30.0, 8.0]))
 positions = st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3).map(np.array)

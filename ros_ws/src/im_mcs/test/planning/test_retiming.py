@@ -11,7 +11,7 @@ from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
 from im_core.errors import ImError
 from im_mcs.limits.saturation import Saturations
 from im_mcs.planning.retiming.stretch import least_ahead
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.safety import SetpointLimiter
 
 FINE_S = 0.0005

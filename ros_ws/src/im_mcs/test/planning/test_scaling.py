@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from im_core.errors import ImError
-from im_mcs.planning.profile import to_rest
+from im_mcs.planning.trajectories.profile import to_rest
 
 FAULT = ImError("the motion was cancelled", code="cancelled")
 

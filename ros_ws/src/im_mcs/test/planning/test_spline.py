@@ -8,8 +8,8 @@ from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
 from scipy.linalg import solve_banded
 
 from im_core.errors import LimitError
-from im_mcs.planning import interpolation
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories import interpolation
+from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.points import TimedPoints, share_points
 
 TIMES = np.array([1.5, 2.5, 4.0, 5.5])

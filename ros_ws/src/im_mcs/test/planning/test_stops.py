@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from im_mcs.collision.braking_distance import BrakingDistance
-from im_mcs.planning.straight_stop import is_straight
+from im_mcs.planning.trajectories.straight_stop import is_straight
 
 WAYS = ((0.7, 1.0), (1.4, -1.0), (2.1, 0.3), (2.4, 0.0))
 DOWN = np.array([0.2, 0.1, 0.05, 0.77, -0.93, 0.67, 0.4, -0.3, 0.5])

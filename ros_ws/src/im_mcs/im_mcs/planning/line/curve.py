@@ -11,7 +11,7 @@ from im_mcs.inverse import ArmTracker, Tracked
 from im_mcs.inverse.arm import SINGULARITIES, Arm
 from im_mcs.limits.limits import JointLimits
 from im_mcs.planning.line.geometry import LinePath, PathPlace
-from im_mcs.planning.polynomial import quintic
+from im_mcs.planning.trajectories.polynomial import quintic
 
 _FIRST_STEP_M = 0.04
 _SMALLEST_STEP_M = 5e-4

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from im_core.errors import StateError
 from im_mcs.inverse import Arm, ArmTracker
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.context import PlanContext
-from im_mcs.planning.envelope import slowdown
+from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.checks.envelope import slowdown
 from im_mcs.planning.line.carriers import CarrierChoice
 from im_mcs.planning.line.curve import JointCurve, LineCurve
 from im_mcs.planning.line.geometry import LinePath, parameter_length
 from im_mcs.planning.line.speed import Profile, fit
-from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
 from im_mcs.protocol.requests import LineMove
 
 # Quintics in time between knots this far apart follow curve and profile to far less than a micrometre [s].

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from im_core.errors import DataError
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.line.curve import JointCurve
-from im_mcs.planning.profile import along, transition_distance
+from im_mcs.planning.trajectories.profile import along, transition_distance
 
 _SHORTEST_S = 1e-7
 _SHORTEST_M = 1e-9

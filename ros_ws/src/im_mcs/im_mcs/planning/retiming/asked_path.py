@@ -13,7 +13,7 @@ from collections.abc import Generator
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.polynomial import PiecewisePolynomial, powers, powers_to_jerk
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, powers, powers_to_jerk
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from collections.abc import Generator
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.polynomial import PiecewisePolynomial, powers_to_jerk
 from im_mcs.planning.retiming.asked_path import CHUNK, AskedPath
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, powers_to_jerk
 
 Array = NDArray[np.float64]
 

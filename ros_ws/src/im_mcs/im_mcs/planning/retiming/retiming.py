@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import LimitError
-from im_mcs.planning.context import PlanContext
-from im_mcs.planning.envelope import first_excess
-from im_mcs.planning.polynomial import PiecewisePolynomial, powers
+from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.checks.envelope import first_excess
 from im_mcs.planning.retiming.asked_path import AskedPath
 from im_mcs.planning.retiming.rests import SAME_S, rests, standing
 from im_mcs.planning.retiming.rounding import rounded
 from im_mcs.planning.retiming.stretch import Retimed, retime_stretch
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, powers
 
 Array = NDArray[np.float64]
 

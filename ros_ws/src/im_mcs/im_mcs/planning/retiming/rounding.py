@@ -11,7 +11,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.polynomial import PiecewisePolynomial, powers, quintic
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, powers, quintic
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.envelope import excess
-from im_mcs.planning.polynomial import PiecewisePolynomial, quintic
+from im_mcs.planning.checks.envelope import excess
 from im_mcs.planning.retiming.asked_path import CHUNK, AskedPath
 from im_mcs.planning.retiming.law import TimeLaw, gentle
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, quintic
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.polynomial import PiecewisePolynomial
-from im_mcs.planning.profile import Chase, to_rest
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.profile import Chase, to_rest
+from im_mcs.planning.trajectories.trajectory import Setpoint
 
 _MEETINGS = 5
 

@@ -13,8 +13,8 @@ from ruckig import Trajectory as RuckigTrajectory
 
 from im_core.errors import DataError
 from im_mcs.limits.motion_limits import MotionLimits, Synchrony
-from im_mcs.planning.polynomial import PiecewisePolynomial, powers
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, powers
+from im_mcs.planning.trajectories.trajectory import Setpoint
 
 _RUCKIG = {Synchrony.PHASE: Synchronization.Phase, Synchrony.TIME: Synchronization.Time}
 _SHORTEST_S = 1e-9

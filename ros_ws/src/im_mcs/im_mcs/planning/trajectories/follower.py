@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.polynomial import PiecewisePolynomial
-from im_mcs.planning.scaling import Clock, RateGovernor, scaled
-from im_mcs.planning.straight_stop import brake_straight, is_straight
-from im_mcs.planning.trajectory import Setpoint, Trajectory
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.scaling import Clock, RateGovernor, scaled
+from im_mcs.planning.trajectories.straight_stop import brake_straight, is_straight
+from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 
 _LEAST = 1e-6
 # Path ahead whose direction is judged at once, anew when half of it has passed: stops end within the other half [s].

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.trajectory import Setpoint
 
 Start = Callable[[], Setpoint]
 """Gives the state that a motion begins with if it begins at the next knot."""

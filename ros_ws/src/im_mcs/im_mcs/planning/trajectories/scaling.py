@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.polynomial import PiecewisePolynomial
-from im_mcs.planning.profile import ramp
-from im_mcs.planning.trajectory import Setpoint, Trajectory
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.profile import ramp
+from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 
 # Ramps that are tried: change of rate and its change, as shares of what limits allow on a straight path at constant
 # speed. Where one of the two limits is used up by the trajectory itself, the other need not be low.

@@ -24,13 +24,13 @@ import numpy as np
 
 from im_core.errors import ImError, LimitError
 from im_mcs.limits.motion_limits import BeyondLimits
-from im_mcs.planning.admission import POINTS_AT_ONCE, check_timed_points
-from im_mcs.planning.context import PlanContext
-from im_mcs.planning.envelope import check_range, first_excess, force_at_end
-from im_mcs.planning.interpolation import interpolated
-from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.planning.checks.admission import POINTS_AT_ONCE, check_timed_points
+from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.checks.envelope import check_range, first_excess, force_at_end
 from im_mcs.planning.retiming import retime
-from im_mcs.planning.trajectory import Setpoint, Trajectory
+from im_mcs.planning.trajectories.interpolation import interpolated
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 from im_mcs.protocol.requests import TrajectoryMove
 
 _PIECES_A_SLICE, _PIECES_IN_RANGE = 12, 100

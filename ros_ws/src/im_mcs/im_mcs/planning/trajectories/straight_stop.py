@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.polynomial import PiecewisePolynomial
-from im_mcs.planning.profile import ramp
-from im_mcs.planning.trajectory import Setpoint, Trajectory
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.profile import ramp
+from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 
 _SAMPLES = 24
 _SHARES = np.array([0.0, 0.25, 0.5, 0.75])

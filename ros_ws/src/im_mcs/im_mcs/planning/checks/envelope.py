@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from im_core.errors import LimitError
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.context import PlanContext
-from im_mcs.planning.polynomial import PiecewisePolynomial
+from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -59,9 +59,7 @@ def first_excess(
             near = _not_cleared(trajectory, some, order, -limit, limit)
             for k in range(0, len(near), _PIECES_CLOSE):
                 yield
-                faults.append(
-                    _first_beyond(context, trajectory, near[k : k + _PIECES_CLOSE], order, -limit, limit)
-                )
+                faults.append(_first_beyond(context, trajectory, near[k : k + _PIECES_CLOSE], order, -limit, limit))
                 if faults[-1] is not None:
                     break
         found = min((f for f in faults if f is not None), key=_time_of, default=None)
@@ -157,9 +155,7 @@ def _time_of(fault: LimitError) -> float:
     return float(str(fault.facts["time"]))
 
 
-def _fault(
-    context: PlanContext, k: int, order: int, value: float, limit: float, where: str, time: float
-) -> LimitError:
+def _fault(context: PlanContext, k: int, order: int, value: float, limit: float, where: str, time: float) -> LimitError:
     i = context.index[k]
     name, unit = _NAMES[order]
     fault = LimitError(

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
-from im_mcs.planning.admission import per_joint
-from im_mcs.planning.context import PlanContext
+from im_mcs.planning.checks.admission import per_joint
+from im_mcs.planning.checks.context import PlanContext
 from im_mcs.protocol.requests import Move, TrajectoryMove
 
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits, Synchrony
-from im_mcs.planning.context import PlanContext, Start
-from im_mcs.planning.envelope import check_range
-from im_mcs.planning.polynomial import PiecewisePolynomial
-from im_mcs.planning.profile import along, to_point, transition_distance
-from im_mcs.planning.trajectory import Setpoint, Trajectory
+from im_mcs.planning.checks.context import PlanContext, Start
+from im_mcs.planning.checks.envelope import check_range
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.profile import along, to_point, transition_distance
+from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 from im_mcs.protocol.requests import JointMove
 
 _SAME = 1e-9

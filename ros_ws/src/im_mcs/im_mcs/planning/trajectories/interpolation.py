@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.polynomial import PiecewisePolynomial, cubic, quintic
-from im_mcs.planning.profile import with_run_out
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, cubic, quintic
+from im_mcs.planning.trajectories.profile import with_run_out
+from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.points import TimedPoints
 
 PIECES_AT_ONCE = 1000

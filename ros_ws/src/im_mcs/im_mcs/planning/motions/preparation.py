@@ -2,12 +2,12 @@
 
 from typing import Protocol
 
-from im_mcs.planning.context import PlanContext, Start
-from im_mcs.planning.joint import JointPreparation
+from im_mcs.planning.checks.context import PlanContext, Start
 from im_mcs.planning.line.line import LinePreparation
-from im_mcs.planning.meeting import MeetingPreparation
-from im_mcs.planning.spline import SplinePreparation
-from im_mcs.planning.trajectory import Trajectory
+from im_mcs.planning.motions.joint import JointPreparation
+from im_mcs.planning.motions.meeting import MeetingPreparation
+from im_mcs.planning.motions.spline import SplinePreparation
+from im_mcs.planning.trajectories.trajectory import Trajectory
 from im_mcs.protocol.requests import JointMove, LineMove, Move
 
 
@@ -18,7 +18,8 @@ class Preparation(Protocol):
         """Do one slice of the work, of about 0.3 ms, counted in steps and never in time, so that it can be repeated.
 
         Returns:
-            The trajectory (a :class:`~im_mcs.planning.polynomial.PiecewisePolynomial`), or None: call again next tick.
+            The trajectory (a :class:`~im_mcs.planning.trajectories.polynomial.PiecewisePolynomial`), or None: call
+            again next tick.
 
         Raises:
             ImError: The motion is refused.

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.planning.trajectory import Setpoint
+from im_mcs.planning.trajectories.trajectory import Setpoint
 
 _DEGREE = 5
 _POWERS = np.arange(_DEGREE + 1)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError, LimitError
 from im_mcs.limits.motion_limits import BeyondLimits
-from im_mcs.planning.context import PlanContext
+from im_mcs.planning.checks.context import PlanContext
 from im_mcs.protocol.points import TimedPoints
 from im_mcs.protocol.requests import JointMove, Move, StreamRequest, TrajectoryMove
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.context import PlanContext, Start
-from im_mcs.planning.envelope import check_range, slowdown
-from im_mcs.planning.polynomial import PiecewisePolynomial, quintic
-from im_mcs.planning.profile import to_meet, with_run_out
-from im_mcs.planning.trajectory import Setpoint, Trajectory
+from im_mcs.planning.checks.context import PlanContext, Start
+from im_mcs.planning.checks.envelope import check_range, slowdown
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, quintic
+from im_mcs.planning.trajectories.profile import to_meet, with_run_out
+from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 from im_mcs.protocol.requests import TrajectoryMove
 
 _LATER = (1.0, 2.0, 4.0)
