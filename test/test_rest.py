@@ -14,7 +14,7 @@ from im_core.ros.node import HEARTBEAT_PERIOD_S, STARTING_PERIOD_S, ManagedNode
 from im_core.ros.one_reader import shared_readers
 from im_core.startup import STATUS_TOPIC
 from im_mcs.model import CellModel
-from im_mcs.ros.publishers import Frames
+from im_mcs.ros.topics.publishers import Frames
 from im_msgs.msg import TaskStatus
 
 SIM_TIME = Parameter("use_sim_time", value=True)

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
 
 from im_mcs.client.wire import read_trajectory
-from im_mcs.ros import trajectory_server
+from im_mcs.ros.actions import trajectory_server
 from im_msgs.msg import GroupSetpoints
 from test.mcs.conftest import MOST_POINTS
 

@@ -14,16 +14,16 @@ from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
-from im_mcs.ros.command_topics import CommandTopics
-from im_mcs.ros.controller_state import ControllerStates
-from im_mcs.ros.gripper_server import GripperServer
-from im_mcs.ros.layers import Layers
-from im_mcs.ros.motions import Motions
-from im_mcs.ros.move_server import MoveServer
-from im_mcs.ros.publishers import Publishers
+from im_mcs.ros.actions.gripper_server import GripperServer
+from im_mcs.ros.actions.motions import Motions
+from im_mcs.ros.actions.move_server import MoveServer
+from im_mcs.ros.actions.trajectory_server import TrajectoryServer
 from im_mcs.ros.services import KinematicsServices, MotionServices, StateServices
 from im_mcs.ros.servo_keeper import POLL_S
-from im_mcs.ros.trajectory_server import TrajectoryServer
+from im_mcs.ros.topics.command_topics import CommandTopics
+from im_mcs.ros.topics.controller_state import ControllerStates
+from im_mcs.ros.topics.layers import Layers
+from im_mcs.ros.topics.publishers import Publishers
 
 _STATE_PERIOD_S = 0.5
 _DIAGNOSTICS_PERIOD_S = 1.0

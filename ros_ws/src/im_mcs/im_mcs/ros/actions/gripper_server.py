@@ -10,7 +10,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
 from im_mcs.ros.access import McsAccess
-from im_mcs.ros.motions import Goals, fail
+from im_mcs.ros.actions.motions import Goals, fail
 from im_mcs.state import Event
 
 

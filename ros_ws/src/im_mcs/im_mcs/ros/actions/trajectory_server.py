@@ -33,8 +33,8 @@ from im_mcs.client.wire import UUID_BYTES, CdrReader, check_points, read_head, r
 from im_mcs.protocol.points import share_points
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
-from im_mcs.ros.goal_bytes import GoalBytes, with_goals_as_bytes
-from im_mcs.ros.motions import Goals, Motions, fail
+from im_mcs.ros.actions.goal_bytes import GoalBytes, with_goals_as_bytes
+from im_mcs.ros.actions.motions import Goals, Motions, fail
 
 _Result = FollowJointTrajectory.Result
 _ERROR_CODES = {

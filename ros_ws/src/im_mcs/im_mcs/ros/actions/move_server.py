@@ -14,7 +14,7 @@ from im_mcs.client.points import ordered_points
 from im_mcs.client.servo_client import MotionProgress
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
-from im_mcs.ros.motions import Goals, Motions, fail
+from im_mcs.ros.actions.motions import Goals, Motions, fail
 from im_msgs.action import Move
 
 _POLICIES = {Move.Goal.REFUSE: "refuse", Move.Goal.APPEND: "append", Move.Goal.REPLACE: "replace"}
