@@ -6,7 +6,7 @@
 | how events are taken and firings follow, in one loop | :mod:`.event_loop`, :mod:`.events` |
 | which transitions are enabled, and what a token carries | :mod:`.marking` |
 | which of two enabled transitions fires | :mod:`.conflicts` |
-| what a firing does | :mod:`.firing` |
+| what a firing does, and how it is done again from a journal | :mod:`.firing` |
 | what it works for: commands, requests, the tape | :mod:`.jobs` |
 | how actions are begun, ended and cancelled; what their functions are told | :mod:`.actions`, :mod:`.functions` |
 | what becomes of an action of which nobody knows | :mod:`.doubt` |

@@ -9,7 +9,7 @@ from im_core.errors import ImError
 from im_pnt.execution.conflicts import ConflictResolution
 from im_pnt.execution.doubt import Inquiry
 from im_pnt.execution.events import Answer, Outcome
-from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions
 from im_pnt.execution.jobs import Activity, ActivityState, Lineage, as_failure
 from im_pnt.execution.record import Record, plain_dict

@@ -22,10 +22,12 @@ from im_core.errors import ImError
 from im_core.files import FileError, write_whole
 from im_core.jsontext import load_json
 from im_pnt.errors import NetError
-from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.firing.happening import happens
+from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.functions import ActionContext, Functions, clock_period
 from im_pnt.execution.jobs import NO_LINEAGE, Job, Lineage
 from im_pnt.execution.marking import Enabling
+from im_pnt.execution.record import GuardBroke
 from im_pnt.execution.timers import Timer, Timers
 from im_pnt.execution.values import ObjectPendingError
 from im_pnt.model.net import Strategy, Transition
@@ -354,7 +356,7 @@ class ConflictResolution:
         name = guard.name if guard is not None else ""
         failure = error if isinstance(error, ImError) else NetError(f"guard {name} failed: {error!r}", guard=name)
         if lineage.job is not None:
-            self._rule.guard_broke(lineage.job, failure)
+            happens(self._rule, GuardBroke(lineage.job.number, failure))
         self._rule.notifier.troubled(f"guard {name} counts as false: {failure}")
         return False
 

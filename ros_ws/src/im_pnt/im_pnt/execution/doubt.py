@@ -5,7 +5,7 @@ from typing import Protocol
 
 from im_core.errors import ImError, WaitTimeoutError
 from im_pnt.execution.events import Answer, Outcome
-from im_pnt.execution.firing import DOUBT_CODE, FiringRule
+from im_pnt.execution.firing.rule import DOUBT_CODE, FiringRule
 from im_pnt.execution.jobs import Activity, ActivityState, as_failure
 from im_pnt.execution.timers import Timers
 

@@ -32,7 +32,10 @@ from im_pnt.execution.events import (
     TidingArrived,
     TokenArrived,
 )
-from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.firing.happening import apply_entry, happens
+from im_pnt.execution.firing.rest import close_forgotten, drop_stale, expire, settle_visits
+from im_pnt.execution.firing.rule import FiringRule
+from im_pnt.execution.firing.visits import cancelled_visit
 from im_pnt.execution.functions import ActionFunction, GuardFunction
 from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job
 from im_pnt.execution.notification import Firing, Phase
@@ -251,7 +254,7 @@ class EventLoop:
             case PauseSet(paused):
                 self.operator.pause(paused)
             case _:
-                self.rule.apply(entry)
+                apply_entry(self.rule, entry)
 
     def _dispatch(self, event: Event) -> None:
         """Takes an event; it is recorded before anything is done."""
@@ -259,33 +262,33 @@ class EventLoop:
         match event:
             case TokenArrived() | CommandWritten() | RequestArrived():
                 rule.values.stale()
-                cancelled = rule.cancelled_visit(event)
-                rule.happens(event)
+                cancelled = cancelled_visit(rule, event)
+                happens(rule, event)
                 if rule.expires:
                     self._watch_symbols()
                 if cancelled is not None and cancelled.last_failure is not None:
                     self._cancel([cancelled], cancelled.last_failure)
             case TidingArrived():
-                cancelled = rule.cancelled_visit(event)
-                rule.happens(event)
+                cancelled = cancelled_visit(rule, event)
+                happens(rule, event)
                 if cancelled is not None and cancelled.last_failure is not None:
                     self._cancel([cancelled], cancelled.last_failure)
                 elif event.tiding is not Tiding.SETTLED:
                     self.conflicts.wake("")
             case NodeForgotten(node, _, error):
                 ending = [job for job in rule.ledger.visits.values() if job.visit and job.visit.node == node]
-                rule.happens(event)
+                happens(rule, event)
                 self._cancel(ending, error)
             case CommandCancelled(command_id, error):
                 jobs = rule.ledger.of_command(command_id)
-                rule.happens(event)
+                happens(rule, event)
                 self._cancel(jobs, error, everything=command_id is None)
             case CommandHeld():
-                rule.happens(event)
+                happens(rule, event)
                 self.conflicts.wake("")
             case RequestCancelled(request_id, error):
                 jobs = rule.ledger.of_request(request_id)
-                rule.happens(event)
+                happens(rule, event)
                 self._cancel(jobs, error)
             case ActionEnded(activity, failure, results):
                 self._ended(activity, failure, results)
@@ -337,7 +340,7 @@ class EventLoop:
             text = f"{activity.action} of transition {activity.transition} {outcome} after it had been given up"
             rule.notifier.troubled(text)
             return
-        rule.apply(entry)
+        apply_entry(rule, entry)
         self.actions.finish(activity, error, results)
 
     # Deciding.
@@ -551,10 +554,10 @@ class EventLoop:
         if self.conflicts.clocks:
             self._arm_guard_clocks()
         if self.rule.ledger.visits:
-            self.rule.settle_visits()
+            settle_visits(self.rule)
         if self.rule.ledger.count and self.operator.free:
-            self.rule.drop_stale()
-            self.rule.close_forgotten()
+            drop_stale(self.rule)
+            close_forgotten(self.rule)
         if self.operator.free and self._told == _BY_ITSELF:
             return
         self.operator.spent()
@@ -573,7 +576,7 @@ class EventLoop:
 
     def _expire(self, job: Job) -> None:
         self._watched.discard(job.number)
-        self.rule.expire(job)
+        expire(self.rule, job)
 
     def _arm_guard_clocks(self) -> None:
         for source, period in self.conflicts.clocks.items():

@@ -16,7 +16,7 @@ from im_pnt.execution.actions import Actions, CheckObjects, Runner
 from im_pnt.execution.conflicts import ConflictResolution, StrategyBook
 from im_pnt.execution.event_loop import EventLoop
 from im_pnt.execution.events import ActionEnded, Answer, Answered, CommandWritten, Event, TokenArrived
-from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job
 from im_pnt.execution.notification import Nowhere, Observer, Outlet

@@ -11,7 +11,7 @@ from im_pnt.distributed.packets import decode_message, is_epoch, is_number, numb
 from im_pnt.distributed.streams import Peer, Sent
 from im_pnt.errors import NetError, decode_error, encode_error
 from im_pnt.execution.executor import Executor
-from im_pnt.execution.firing import FiringRule
+from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, JobData, Lineage, Reply, Visit
 from im_pnt.execution.operator import Mode
 from im_pnt.execution.record import data_of, plain, recorded_data, take_data

@@ -9,30 +9,17 @@ from collections.abc import Callable, Iterable, Sequence
 from im_core.errors import ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.events import (
-    CommandCancelled,
-    CommandHeld,
-    CommandWritten,
-    ModeSet,
-    NodeForgotten,
-    PauseSet,
-    RequestArrived,
-    RequestCancelled,
     Tiding,
-    TidingArrived,
-    TokenArrived,
 )
 from im_pnt.execution.jobs import (
     NO_COMMAND,
     NO_LINEAGE,
     Activity,
     ActivityState,
-    Carried,
     Job,
     Ledger,
     Lineage,
-    Reply,
     Request,
-    Visit,
     ends,
     filled_name,
     object_name,
@@ -41,21 +28,14 @@ from im_pnt.execution.jobs import (
 from im_pnt.execution.marking import Tokens
 from im_pnt.execution.notification import Leaving, Notifier, Observer, Outlet, Phase, failure_of
 from im_pnt.execution.record import (
-    ActivityEnded,
     EndFired,
-    GuardBroke,
-    JobForgotten,
-    NetEntry,
     PhaseFired,
     Record,
     TransitionFired,
-    VisitSettled,
-    add_results,
     changed_data,
     plain_dict,
     recorded_data,
     restore_data,
-    take_data,
 )
 from im_pnt.execution.values import NetValues, Objects
 from im_pnt.model.action import RequestAction
@@ -165,96 +145,6 @@ class FiringRule:
         self.call: tuple[int, float] | None = None
         self.callee: Activity | None = None
 
-    # What a journal is told, and what is done again when it is replayed.
-
-    def happens(self, entry: NetEntry) -> None:
-        """Tells the journal what happens, and does it."""
-        if self.record is not None:
-            self.record(entry)
-        self.apply(entry)
-
-    def apply(self, entry: NetEntry) -> None:
-        """Does what an entry tells.
-
-        Raises:
-            ValueError: It does not fit the net, or what has happened to it.
-            LookupError: Likewise.
-        """
-        match entry:
-            case TransitionFired(name, number):
-                self._fire_again(name, number)
-            case TokenArrived(place, count, None):
-                self.mark_place(place, count, NO_LINEAGE)
-            case TokenArrived():
-                self._take_token(entry)
-            case TidingArrived():
-                self._hear(entry)
-            case NodeForgotten(node, nets, error):
-                self._forget_node(node, nets, error)
-            case VisitSettled(number):
-                self._leave(self._open_job(number))
-            case EndFired(number, name, error, data):
-                activity = self._running(number, name)
-                if data is not None and activity.lineage.job is not None:
-                    take_data(activity.lineage.job, data)
-                self._end(activity, name, error, activity.reply.results if activity.reply is not None else {})
-            case PhaseFired(number, name, error):
-                activity = self._running(number, name)
-                activity.cancelled = True
-                doubtful = name.endswith((".lost", ".lost.cancelling"))
-                self.move(activity, ActivityState.IN_DOUBT if doubtful else ActivityState.CANCELLING, error)
-            case ActivityEnded(number, failure, results):
-                if number in self.activities:
-                    self.activities[number].reply = Reply(failure, results)
-            case CommandWritten(job):
-                if job.symbol not in self.readers:
-                    raise ValueError(f"the net does not know the command {job.symbol}")
-                self.write(job)
-            case RequestArrived(request):
-                self.take_request(request)
-            case CommandCancelled(command_id, error):
-                self.cancel(self.ledger.of_command(command_id), error)
-            case RequestCancelled(request_id, error):
-                self.cancel(self.ledger.of_request(request_id), error)
-            case CommandHeld(command_id, held):
-                self._hold(command_id, held, self.ledger.of_command(command_id))
-            case GuardBroke(number, error):
-                self._open_job(number).last_failure = error
-            case JobForgotten(number, error):
-                job = self._open_job(number)
-                self.ledger.tape.withdraw(job)
-                self.close(job, error)
-            case ModeSet() | PauseSet():
-                raise ValueError("it is for the operator of the net")
-
-    def _fire_again(self, name: str, number: int | None) -> None:
-        index = self.number[name]
-        symbol = self.transitions[index].symbol
-        if self.enabling.unmet[index] or (symbol is not None and not self.ledger.tape.has(symbol)):
-            raise ValueError(f"{name} is not enabled")
-        owners = self.owners(index)
-        if number is None:  # a journal of before may tell of a firing that took what belongs to several
-            self.fire(index, owners[0] if owners else max(self.tokens.jobs(index), key=lambda job: job.number))
-            return
-        if number == 0 and index in self.begins:  # a journal of before, when the oldest of a symbol was read
-            self.fire(index, None)
-            return
-        if number not in [owner.number if owner is not None else 0 for owner in owners]:
-            raise ValueError(f"{name} is not enabled for job {number}")
-        self.fire(index, self.ledger.job(number))
-
-    def _running(self, number: int, name: str) -> Activity:
-        activity, index = self.activities[number], self.number[name]
-        if self.enabling.unmet[index] or self.transitions[index].origin != activity.transition:
-            raise ValueError(f"{name} is not enabled")
-        return activity
-
-    def _open_job(self, number: int) -> Job:
-        job = self.ledger.job(number)
-        if job is None:
-            raise ValueError(f"no job of number {number} is open")
-        return job
-
     # What comes from outside.
 
     def mark_place(self, place: str, count: int, lineage: Lineage) -> None:
@@ -288,109 +178,20 @@ class FiringRule:
             text = f"net {self.net.name} offers no service and reads no symbol {request.service}"
             self.close(job, NetError(text, net=self.net.name, service=request.service))
 
-    # Jobs whose tokens cross between nets. Who sends a token is told when its work is done, there and wherever it has
-    # led to: so a net knows where its jobs are, and what is said of them follows their tokens (E.W. Dijkstra and
-    # C.S. Scholten, "Termination detection for diffusing computations", 1980). Cancels and pauses are believed of who
-    # has sent the first token, so that each comes once and in order.
-
-    def _take_token(self, event: TokenArrived) -> None:
-        """Takes a token of a job that comes from another net."""
-        carried = event.carried
-        assert carried is not None
-        owner, home = carried.owner, carried.home
-        job, place = self.ledger.of_key(owner.key, home), self.place[event.place]
-        known, stays = job is not None, self.tokens.carries(place)
-        if job is None and stays and not home:
-            job = Job(owner.command, owner.arguments, visit=Visit(owner, carried.node, carried.net))
-            self.ledger.add(job)
-        if job is not None:
-            add_results(job, carried.results, self._keeps)
-            job.last_failure = carried.failure or job.last_failure
-        if job is not None and not home:
-            if carried.held:
-                self._hold(-job.number, True, [job])
-            if carried.cancelled is not None and not job.cancelled:
-                self.cancel([job], carried.cancelled)
-        self.tokens.put_tokens(place, event.count, NO_LINEAGE if job is None else Lineage(job, None))
-        if known or job is None:
-            self.outlet.send_settled(self.net.name, owner.key, carried.node, carried.net, None, {})
-
-    def _hear(self, event: TidingArrived) -> None:
-        """Does what another net tells of a job whose tokens have crossed."""
-        job = self.ledger.of_key(event.key, event.home)
-        if job is None:  # it has ended meanwhile
-            return
-        match event.tiding:
-            case Tiding.SETTLED:
-                add_results(job, event.results, self._keeps)
-                job.last_failure = event.error or job.last_failure
-                left = job.away.get(event.net, 0) - 1
-                if left > 0:
-                    job.away[event.net] = left
-                else:
-                    job.away.pop(event.net, None)
-            case Tiding.CANCELLED if _is_from_parent(job, event.net):
-                self.cancel([job], event.error or cancelled_elsewhere(event.net))
-            case Tiding.HELD | Tiding.RELEASED if _is_from_parent(job, event.net):
-                self._hold(-job.number, event.tiding is Tiding.HELD, [job])
-            case Tiding.ENDED:
-                self.close(job, None)
-            case Tiding.CONCLUDED if event.home and job.from_tape:
-                add_results(job, event.results, self._keeps)
-                self.close(job, event.error)
-
-    def cancelled_visit(self, event: object) -> Job | None:
-        """Returns the job of another net whose actions an event will have to end early, None where there is none."""
-        match event:
-            case TokenArrived(carried=Carried(owner=owner, home=False, cancelled=ImError())):
-                job = self.ledger.visits.get(owner.key)
-                return None if job is None or job.cancelled else job
-            case TidingArrived(key=key, tiding=Tiding.CANCELLED, net=net):
-                job = self.ledger.visits.get(key)
-                return job if job is not None and _is_from_parent(job, net) else None
-        return None
-
-    def _forget_node(self, node: str, nets: Iterable[str], error: ImError) -> None:
-        """Gives up what has gone to a node, and ends what has come from it."""
-        for job in self.ledger.jobs():
-            for net in job.away.keys() & set(nets):
-                del job.away[net]
-                job.last_failure = error
-                self.outlet.send_tiding(self.net.name, job, Tiding.ENDED, net, error, {})
-            if job.visit is not None and job.visit.node == node:
-                self.cancel([job], error)
-                self._leave(job)
-
-    def settle_visits(self) -> None:
-        """Lets the jobs of other nets go of which nothing is left here."""
-        left = {lineage.job for queue in self.tokens.queues.values() for lineage in queue}
-        left |= {activity.lineage.job for activity in self.activities.values()}
-        for job in list(self.ledger.visits.values()):
-            if job not in left and not job.away:
-                self.happens(VisitSettled(job.number))
-
-    def _leave(self, job: Job) -> None:
-        """Ends a visit, and tells who has sent its first token."""
-        visit = job.visit
-        assert visit is not None
-        results = self._news(job, visit.net)
-        self.close(job, None)
-        self.outlet.send_settled(self.net.name, visit.owner.key, visit.node, visit.net, job.last_failure, results)
-
     def _leaving(self, job: Job | None, net: str, count: int) -> Leaving | None:
         """Returns what tokens take along to another net, None where they are nobody's; their job is away there."""
         if job is None:
             return None
         job.away[net] = job.away.get(net, 0) + count
         failure = None if job.visit is None else job.last_failure
-        return Leaving(job, failure, self._news(job, net), self.is_held(job))
+        return Leaving(job, failure, self.news(job, net), self.is_held(job))
 
-    def _news(self, job: Job, net: str) -> dict[str, object]:
+    def news(self, job: Job, net: str) -> dict[str, object]:
         """Returns the results of a visit that a net has not been told; those of a job that is at home stay there."""
         if job.visit is None:
             return {}
         try:
-            results = recorded_data(job).results if self._keeps else plain_dict(job.results, "ctx.result")
+            results = recorded_data(job).results if self.keeps else plain_dict(job.results, "ctx.result")
         except NetError as unfit:
             self.notifier.troubled(f"what was done for {job.symbol} is not told to net {net}: {unfit}")
             return {}
@@ -400,13 +201,14 @@ class FiringRule:
             job.told[net] = {**told, **news}
         return news
 
-    def _pass_on(self, job: Job, tiding: Tiding, error: ImError | None) -> None:
+    def pass_on(self, job: Job, tiding: Tiding, error: ImError | None) -> None:
         """Tells the nets where tokens of a job have gone what becomes of it; not its own, from where that comes."""
         for net in job.away:
             if job.visit is None or job.visit.owner.key.net != net:
                 self.outlet.send_tiding(self.net.name, job, tiding, net, error, {})
 
-    def _hold(self, number: int, held: bool, jobs: Iterable[Job]) -> None:
+    def hold(self, number: int, held: bool, jobs: Iterable[Job]) -> None:
+        """Has nothing begun any more for jobs, or again, also where their tokens have gone; see :attr:`held`."""
         if held == (number in self.held):
             return
         if held:
@@ -414,14 +216,14 @@ class FiringRule:
         else:
             self.held.discard(number)
         for job in jobs:
-            self._pass_on(job, Tiding.HELD if held else Tiding.RELEASED, None)
+            self.pass_on(job, Tiding.HELD if held else Tiding.RELEASED, None)
 
     def is_held(self, job: Job) -> bool:
         """Whether nothing is begun for a job."""
         return (job.command.id if job.visit is None else -job.number) in self.held
 
     @property
-    def _keeps(self) -> bool:
+    def keeps(self) -> bool:
         """Whether a journal is told what happens, or tells it."""
         return self.replaying or self.record is not None
 
@@ -436,7 +238,7 @@ class FiringRule:
         elif job.command.id in self.held and all(each.command.id != job.command.id for each in self.ledger.jobs()):
             self.held.discard(job.command.id)
         if was_open:
-            self._pass_on(job, Tiding.ENDED, None)
+            self.pass_on(job, Tiding.ENDED, None)
         for word in self.ledger.tape.waiting() if self._words else ():
             address = word.arguments.get(ADDRESS)
             if word.symbol in self._words and address is not None and not self._under_way(address):
@@ -449,41 +251,11 @@ class FiringRule:
     def _under_way(self, number: object) -> bool:
         return any(job.command.id == number and job.symbol not in self._words for job in self.ledger.jobs())
 
-    def expire(self, job: Job) -> None:
-        """Ends a symbol that still waits to be read, when it does so no longer."""
-        if job.waiting:
-            seconds = self.expires[job.symbol]
-            limit = f"within {seconds:g} s" if seconds else "before the net came to rest"
-            text = f"nothing has asked for {job.symbol} {limit}"
-            self.happens(JobForgotten(job.number, NetError(text, net=self.net.name, symbol=job.symbol)))
-
-    def drop_stale(self) -> None:
-        """Ends the symbols that nothing waits for as the net comes to rest, where they do not wait themselves."""
-        for symbol, seconds in self.expires.items():
-            asked = any(not self.enabling.unmet[index] and self.owners(index) for index in self.readers[symbol])
-            if seconds == 0.0 and not asked:
-                for job in list(self.ledger.tape.of_symbol(symbol)):
-                    self.expire(job)
-
     def _awaits_acceptance(self, job: Job) -> bool:
         if job.request is None or job.from_tape:
             return False
         waiting = self.tokens.queues.get(self.place[input_place(job.request.service)], ())
         return any(lineage.job is job for lineage in waiting)
-
-    def close_forgotten(self) -> None:
-        """Ends the commands that a net at rest can acknowledge no more, so that no client waits in vain."""
-        if not len(self.ledger) or self.activities or self.enabling.clocks:
-            return
-        begun = self.ledger.begun_commands()
-        if not begun or any(place not in self.net.rest_places() for place in self.tokens.marking()):
-            return
-        for job in begun:
-            if job.away:
-                continue
-            text = f"net {self.net.name} came to rest and emitted neither {job.symbol}_done nor {job.symbol}_failed"
-            error = job.last_failure or ImError(text, code="net", symbol=job.symbol)
-            self.happens(JobForgotten(job.number, error))
 
     def cancel(self, jobs: Iterable[Job], error: ImError) -> None:
         """Has jobs end early: those on the tape now, the others when what is done for them has ended."""
@@ -491,14 +263,10 @@ class FiringRule:
             if self.ledger.tape.withdraw(job):
                 self.close(job, error)
             else:
-                self._pass_on(job, Tiding.CANCELLED, error)
+                self.pass_on(job, Tiding.CANCELLED, error)
                 job.cancelled = True
                 job.unwanted = self._awaits_acceptance(job)
                 job.last_failure = error
-
-    def guard_broke(self, job: Job, error: ImError) -> None:
-        """Keeps why a guard broke, as the last failure of its job."""
-        self.happens(GuardBroke(job.number, error))
 
     def emit(self, transition: Transition, lineage: Lineage) -> None:
         """Writes to the output tape what a transition emits; that may end a job."""
@@ -509,7 +277,7 @@ class FiringRule:
                 done = ends(emitted, visit.owner.symbol)
                 if done is not None:
                     error = None if done else failure_of(lineage.job, transition, lineage.failure)
-                    news = self._news(lineage.job, visit.owner.key.net)
+                    news = self.news(lineage.job, visit.owner.key.net)
                     self.outlet.send_tiding(
                         self.net.name, lineage.job, Tiding.CONCLUDED, visit.owner.key.net, error, news
                     )
@@ -743,10 +511,10 @@ class FiringRule:
             name = given_up if given_up in self.number else name
         if self.record is not None:
             self.record(EndFired(activity.number, name, error, data))
-        self._end(activity, name, error, results)
+        self.end(activity, name, error, results)
         return error
 
-    def _end(self, activity: Activity, name: str, error: ImError | None, results: dict[str, object]) -> None:
+    def end(self, activity: Activity, name: str, error: ImError | None, results: dict[str, object]) -> None:
         """Fires a transition that ends an activity."""
         del self.activities[activity.number]
         job, index = activity.lineage.job, self.number[name]
@@ -791,15 +559,6 @@ class FiringRule:
         self.tokens.give_outputs(index, lineage)
         for target, count in self.transitions[index].remote_outputs.items():
             self.outlet.send_token(self.net.name, target, count, self._leaving(lineage.job, target.net, count))
-
-
-def _is_from_parent(job: Job, net: str) -> bool:
-    return job.visit is not None and job.visit.net == net
-
-
-def cancelled_elsewhere(net: str) -> ImError:
-    """Returns why a job ends early whose tokens have come from a net where it was cancelled."""
-    return ImError(f"cancelled by net {net}", code="cancelled", net=net)
 
 
 def hands_on(activity: Activity) -> bool:

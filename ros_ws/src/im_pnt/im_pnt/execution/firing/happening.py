@@ -1,0 +1,121 @@
+"""What happens to a net, as its journal is told it: done now, and again, in the same order, when that is replayed."""
+
+from im_pnt.execution.events import (
+    CommandCancelled,
+    CommandHeld,
+    CommandWritten,
+    ModeSet,
+    NodeForgotten,
+    PauseSet,
+    RequestArrived,
+    RequestCancelled,
+    TidingArrived,
+    TokenArrived,
+)
+from im_pnt.execution.firing.rule import FiringRule
+from im_pnt.execution.firing.visits import forget_node, hear, leave, take_token
+from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, Reply
+from im_pnt.execution.record import (
+    ActivityEnded,
+    EndFired,
+    GuardBroke,
+    JobForgotten,
+    NetEntry,
+    PhaseFired,
+    TransitionFired,
+    VisitSettled,
+    take_data,
+)
+
+
+def happens(rule: FiringRule, entry: NetEntry) -> None:
+    """Tells the journal what happens, and does it."""
+    if rule.record is not None:
+        rule.record(entry)
+    apply_entry(rule, entry)
+
+
+def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
+    """Does what an entry tells.
+
+    Raises:
+        ValueError: It does not fit the net, or what has happened to it.
+        LookupError: Likewise.
+    """
+    match entry:
+        case TransitionFired(name, number):
+            _fire_again(rule, name, number)
+        case TokenArrived(place, count, None):
+            rule.mark_place(place, count, NO_LINEAGE)
+        case TokenArrived():
+            take_token(rule, entry)
+        case TidingArrived():
+            hear(rule, entry)
+        case NodeForgotten(node, nets, error):
+            forget_node(rule, node, nets, error)
+        case VisitSettled(number):
+            leave(rule, _open_job(rule, number))
+        case EndFired(number, name, error, data):
+            activity = _running(rule, number, name)
+            if data is not None and activity.lineage.job is not None:
+                take_data(activity.lineage.job, data)
+            rule.end(activity, name, error, activity.reply.results if activity.reply is not None else {})
+        case PhaseFired(number, name, error):
+            activity = _running(rule, number, name)
+            activity.cancelled = True
+            doubtful = name.endswith((".lost", ".lost.cancelling"))
+            rule.move(activity, ActivityState.IN_DOUBT if doubtful else ActivityState.CANCELLING, error)
+        case ActivityEnded(number, failure, results):
+            if number in rule.activities:
+                rule.activities[number].reply = Reply(failure, results)
+        case CommandWritten(job):
+            if job.symbol not in rule.readers:
+                raise ValueError(f"the net does not know the command {job.symbol}")
+            rule.write(job)
+        case RequestArrived(request):
+            rule.take_request(request)
+        case CommandCancelled(command_id, error):
+            rule.cancel(rule.ledger.of_command(command_id), error)
+        case RequestCancelled(request_id, error):
+            rule.cancel(rule.ledger.of_request(request_id), error)
+        case CommandHeld(command_id, held):
+            rule.hold(command_id, held, rule.ledger.of_command(command_id))
+        case GuardBroke(number, error):
+            _open_job(rule, number).last_failure = error
+        case JobForgotten(number, error):
+            job = _open_job(rule, number)
+            rule.ledger.tape.withdraw(job)
+            rule.close(job, error)
+        case ModeSet() | PauseSet():
+            raise ValueError("it is for the operator of the net")
+
+
+def _fire_again(rule: FiringRule, name: str, number: int | None) -> None:
+    index = rule.number[name]
+    symbol = rule.transitions[index].symbol
+    if rule.enabling.unmet[index] or (symbol is not None and not rule.ledger.tape.has(symbol)):
+        raise ValueError(f"{name} is not enabled")
+    owners = rule.owners(index)
+    if number is None:  # a journal of before may tell of a firing that took what belongs to several
+        rule.fire(index, owners[0] if owners else max(rule.tokens.jobs(index), key=lambda job: job.number))
+        return
+    if number == 0 and index in rule.begins:  # a journal of before, when the oldest of a symbol was read
+        rule.fire(index, None)
+        return
+    if number not in [owner.number if owner is not None else 0 for owner in owners]:
+        raise ValueError(f"{name} is not enabled for job {number}")
+    rule.fire(index, rule.ledger.job(number))
+
+
+def _running(rule: FiringRule, number: int, name: str) -> Activity:
+    activity, index = rule.activities[number], rule.number[name]
+    if rule.enabling.unmet[index] or rule.transitions[index].origin != activity.transition:
+        raise ValueError(f"{name} is not enabled")
+    return activity
+
+
+def _open_job(rule: FiringRule, number: int) -> Job:
+    job = rule.ledger.job(number)
+    if job is None:
+        raise ValueError(f"no job of number {number} is open")
+    return job
