@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +38,16 @@ class _Camera:
     name: str
     parent: str
     mounted: CameraModel
-    lens: Lens
     vignette: FloatImage
+    renderer_offset: tuple[float, float]
     patches: list[TargetPatch] | None = None
     scene: FloatImage | None = None
     scene_q: Array | None = None
+
+    @cached_property
+    def lens(self) -> Lens:
+        """Made for the first image: that takes as long as rendering it."""
+        return Lens(self.mounted, self.renderer_offset)
 
 
 class CameraBank:
@@ -184,7 +190,7 @@ class CameraBank:
             np.array(true.t_cam_base_m),
         )
         shade = vignette(model, self._cell.optics.vignetting)
-        return _Camera(name, true.parent, model, Lens(model, self._scene.renderer_offset), shade)
+        return _Camera(name, true.parent, model, shade, self._scene.renderer_offset)
 
     def _placed(self, unit: _Camera) -> CameraModel:
         """The camera with its pose in the world."""

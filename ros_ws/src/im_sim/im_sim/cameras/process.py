@@ -17,6 +17,8 @@ from im_sim.cameras.scene import SceneMirror
 
 _NICENESS = 5
 _IDLE_S = 0.5
+#: How long after this process the rest of the machine may still be starting, and needs the processors [s].
+_OTHERS_START_S = 3.0
 _POLL_S = 0.05
 
 
@@ -52,15 +54,18 @@ class CameraProcess:
         next(self._cold, None)  # a graphics driver that crashes does so now, before anybody counts on it
 
     def run(self) -> None:
-        """Serve until the host is gone; the cameras take their first images when they are ready, and before an order.
+        """Serve until the host is gone; the cameras take their first images a while later, but before an order.
 
         A scene that was rendered is used again where nothing moved: what was rendered first must not hang on who asks.
         """
         self._send(CameraReply(0))
+        begin = clock.monotonic() + _OTHERS_START_S
         while self._requests.owner_alive():
             message = self._requests.receive()
             if message is None:
-                if next(self._cold, None) is None:
+                if clock.monotonic() < begin:
+                    self._requested.wait(_IDLE_S)
+                elif next(self._cold, None) is None:
                     self._rest()
                     self._requested.wait(_IDLE_S)
                 continue
