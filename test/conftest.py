@@ -165,7 +165,10 @@ def ros():
 
 @pytest.fixture
 def process():
-    """``process(argv, **environment)``: a process that is ended with the test; its output is in ``.out``."""
+    """``process(argv, **environment)``: a process that is ended with the test; its output is in ``.out``.
+
+    Of a test that fails the report has the last of it, as output of the teardown.
+    """
     started = []
 
     def start(*argv, **environment):
@@ -188,6 +191,7 @@ def process():
         if child.poll() is None:
             child.kill()
         child.wait()
+        print(f"-- {' '.join(map(str, child.args))[:200]}:\n{child.out.read_text(errors='replace')[-4000:]}")
         child.out.unlink()
 
 

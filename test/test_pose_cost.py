@@ -402,8 +402,9 @@ def test_what_was_observed_outlives_whoever_keeps_it(cast, victim, wait_until):
     service = cast.client.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
     wait_until(service.service_is_ready, "the dispatcher")
     clock.sleep(1.0)
-    service.call_async(CalibrateCamera.Request(poses_file=str(cast.file)))
-    wait_until(lambda: cast.cell.problems, "the calibration", 60.0)
+    answer = service.call_async(CalibrateCamera.Request(poses_file=str(cast.file)))
+    wait_until(lambda: cast.cell.problems or answer.done(), "the calibration", 60.0)
+    assert cast.cell.problems, answer.result().message
     written = cast.folder / "results" / "latest" / "report.json"
     wait_until(written.exists, "the report")
     wait_until(lambda: len(cast.cell.switched) > 1, "the light")
