@@ -3,6 +3,7 @@
 import fcntl
 import os
 import struct
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -36,9 +37,11 @@ from im_core.yamltext import YamlError, as_data, read_yaml
 METADATA = "metadata.yaml"
 LARGEST_METADATA = 16 * MEBIBYTE
 
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+#: A footer but for its checksum, which is also of this.
+_FOOTER = struct.Struct("<BQQQ")
 #: Records of the data section; any other ends it, or is what a torn write has left.
 _DATA = {
     Opcode.HEADER,
@@ -70,7 +73,7 @@ class Contents:
         last: Index of the messages of the last chunk, by channel: their times and offsets.
     """
 
-    end: int = len(_MAGIC)
+    end: int = len(MAGIC)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
@@ -174,7 +177,8 @@ def complete_file(path: Path) -> None:
             contents = scan(path, file)
             file.truncate(contents.end)
             file.seek(contents.end)
-            file.write(_end_of(contents))
+            index = _last_index(contents)
+            file.write(index + end_of(contents, contents.end + len(index)))
     except OSError as error:
         raise StoreError.of("completed", path, error) from error
 
@@ -185,7 +189,7 @@ def scan(path: Path, file: BinaryIO) -> Contents:
     Raises:
         FileError: It is no MCAP file.
     """
-    if file.read(len(_MAGIC)) != _MAGIC:
+    if file.read(len(MAGIC)) != MAGIC:
         raise FileError(path, "is no MCAP file")
     contents = Contents()
     for opcode, offset, length in _records(file, os.fstat(file.fileno()).st_size):
@@ -228,7 +232,7 @@ def write_metadata(bag: Path, files: Sequence[Path]) -> None:
 
 def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
     """Opcode, offset and length of the body of each whole record; the file stands at the body."""
-    offset = len(_MAGIC)
+    offset = len(MAGIC)
     while offset + _HEAD.size <= size:
         file.seek(offset)
         opcode, length = _HEAD.unpack(file.read(_HEAD.size))
@@ -278,8 +282,8 @@ def _add_index(contents: Contents, body: bytes, offset: int) -> None:
         chunk.message_index_length += _HEAD.size + len(body)
 
 
-def _end_of(contents: Contents) -> bytes:
-    """What follows the data: the index of the last chunk, the summary and the footer."""
+def _last_index(contents: Contents) -> bytes:
+    """The index of the last chunk, which ends where the data do."""
     builder = RecordBuilder()
     if contents.chunks:
         chunk = contents.chunks[-1]
@@ -288,8 +292,20 @@ def _end_of(contents: Contents) -> bytes:
             chunk.message_index_offsets[channel] = contents.end + builder.count
             index.write(builder)
         chunk.message_index_length = builder.count
+    return bytes(builder.end())
+
+
+def end_of(contents: Contents, at: int) -> bytes:
+    """What follows the data: their end, the summary and the footer.
+
+    Args:
+        contents: What the data hold.
+        at: Where they end [bytes].
+    """
+    builder = RecordBuilder()
     DataEnd(0).write(builder)
-    start = contents.end + builder.count
+    data_end = bytes(builder.end())
+    start = at + len(data_end)
     groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
         (Opcode.SCHEMA, list(contents.schemas.values())),
         (Opcode.CHANNEL, list(contents.channels.values())),
@@ -298,25 +314,27 @@ def _end_of(contents: Contents) -> bytes:
     ]
     offsets = []
     for opcode, records in groups:
-        begin = contents.end + builder.count
+        begin = start + builder.count
         for record in records:
             record.write(builder)
-        offsets.append(SummaryOffset(opcode, begin, contents.end + builder.count - begin))
-    offset_start = contents.end + builder.count
+        offsets.append(SummaryOffset(opcode, begin, start + builder.count - begin))
+    offset_start = start + builder.count
     for summary_offset in offsets:
         if summary_offset.group_length:
             summary_offset.write(builder)
-    Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=0).write(builder)
-    return bytes(builder.end()) + _MAGIC
+    summary = bytes(builder.end())
+    crc = zlib.crc32(summary + _FOOTER.pack(Opcode.FOOTER, _FOOTER.size + 4 - _HEAD.size, start, offset_start))
+    Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc).write(builder)
+    return data_end + summary + bytes(builder.end()) + MAGIC
 
 
 def _has_end(path: Path) -> bool:
     check_regular(path, path.stat())
     with path.open("rb") as file:
-        if file.seek(0, os.SEEK_END) < 2 * len(_MAGIC):
+        if file.seek(0, os.SEEK_END) < 2 * len(MAGIC):
             return False
-        file.seek(-len(_MAGIC), os.SEEK_END)
-        return file.read() == _MAGIC
+        file.seek(-len(MAGIC), os.SEEK_END)
+        return file.read() == MAGIC
 
 
 def _summary(path: Path) -> Contents:

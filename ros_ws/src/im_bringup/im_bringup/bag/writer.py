@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
+from im_bringup.bag.chunks import ChunkWriter
 from im_bringup.bag.definitions import Definition, full_definition
 from im_bringup.bag.delivery import Delivery
 from im_core.bag_files import complete_file, write_metadata
@@ -138,11 +138,9 @@ class BagWriter:
         """
         self._begun_ns = self._begun_ns or logged_ns
         published_ns = logged_ns if published_ns is None else published_ns
-        self._attempt(
-            lambda: self._writer.add_message(
-                self._channels[topic], logged_ns, data, published_ns, sequence & 0xFFFF_FFFF
-            )
-        )
+        if self._broken is not None:
+            raise self._broken
+        self._writer.add_message(self._channels[topic], logged_ns, data, published_ns, sequence & 0xFFFF_FFFF)
         self.counts[topic] += 1
         self._size += len(data)
         if self._size >= self._flushed + _CHUNK:
@@ -158,7 +156,7 @@ class BagWriter:
             StoreError: As of :meth:`write`.
         """
         self._flushed = self._size
-        self._attempt(self._writer.flush)
+        self._attempt(self._write_chunk)
         free = shutil.disk_usage(self.path).free
         if free < self._limits.free_bytes:
             kept = self._limits.free_bytes / 2**20
@@ -194,19 +192,20 @@ class BagWriter:
     def _begin_part(self) -> None:
         name = f"{self.path.name}_{len(self._parts)}.mcap" if self._parts else f"{self.path.name}.mcap"
         self._file = _PartFile(self.path / name)
-        stream: Any = self._file
-        self._writer = Writer(stream, chunk_size=2 * _CHUNK, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library="im")
+        self._writer = ChunkWriter(self._file)
         self._size, self._flushed, self._begun_ns = 0, 0, 0
         for topic in self._topics:
             self._connect(topic)
 
     def _connect(self, topic: str) -> None:
         type_name, definition, delivery, type_hash = self._topics[topic]
-        schema = self._writer.register_schema(type_name, definition.encoding, definition.text.encode())
         qos = yaml.safe_dump([delivery.to_qos()], sort_keys=False)
         told = {"offered_qos_profiles": qos, "topic_type_hash": type_hash}
-        self._channels[topic] = self._writer.register_channel(topic, "cdr", schema, told)
+        self._channels[topic] = self._writer.add_channel(topic, type_name, definition.encoding, definition.text, told)
+
+    def _write_chunk(self) -> None:
+        self._writer.end_chunk()
+        self._file.flush()
 
     def _end_part(self) -> None:
         """Finish the file that is written, and list it."""

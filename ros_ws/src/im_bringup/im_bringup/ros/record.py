@@ -20,10 +20,10 @@ from im_core.ros.graph import GraphWatch
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
 
-QUEUE_DEPTH = 1000
+QUEUE_DEPTH = 2000
 #: How long messages wait in the queues of the middleware, which notes when they came. Each time costs a look into every
 #: queue; a queue holds what comes at 10,000 messages a second [s].
-DRAIN_PERIOD_S = 0.1
+DRAIN_PERIOD_S = 0.2
 #: After how long what was taken is on the disk [s].
 FLUSH_PERIOD_S = 0.5
 #: Topics of service events, which are hidden.
@@ -35,14 +35,18 @@ class BagRecorder:
 
     No executor: it empties the queues of all subscriptions at a low rate. The time of arrival is the middleware's.
 
+    The middleware offers each message to all readers of a participant, one by one. So streams, which send most, have a
+    participant with few others.
+
     Args:
-        node: Its node, which nobody spins.
+        node: Its node, which nobody spins; it subscribes to streams.
+        seldom: A node of another participant, for service events and what is latched.
         bag: Where to.
         only: Topics to record; empty: all that are not hidden, and the events of services.
     """
 
-    def __init__(self, node: Node, bag: BagWriter, only: list[str]) -> None:
-        self._node, self._bag = node, bag
+    def __init__(self, node: Node, seldom: Node, bag: BagWriter, only: list[str]) -> None:
+        self._node, self._seldom, self._bag = node, seldom, bag
         self._only = set(only)
         self._refused: set[str] = set()
         self._subscriptions: dict[str, Subscription] = {}
@@ -115,7 +119,8 @@ class BagRecorder:
             self._refused.add(topic)
             print(f"record: {topic} is left out: {error.message}", file=sys.stderr)
             return
-        self._subscriptions[topic] = self._node.create_subscription(
+        node = self._seldom if delivery.latched or topic.endswith(SERVICE_EVENTS) else self._node
+        self._subscriptions[topic] = node.create_subscription(
             message_class, topic, _never_called, to_profile(delivery), raw=True
         )
 
@@ -156,9 +161,12 @@ def main() -> int:
     except ImError as error:
         print(f"record: {error.message}", file=sys.stderr)
         return 2
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node: Any = GuardedNode("recorder", enable_rosout=False, start_parameter_services=False)
-    recorder = BagRecorder(node, bag, arguments.topics)
+    contexts = [rclpy.Context() for _ in range(2)]
+    nodes: list[Any] = []
+    for name, context in zip(("recorder", "recorder_of_what_is_seldom"), contexts, strict=True):
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        nodes.append(GuardedNode(name, context=context, enable_rosout=False, start_parameter_services=False))
+    recorder = BagRecorder(nodes[0], nodes[1], bag, arguments.topics)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: recorder.request_stop())
     print(f"record: into {path}; Ctrl-C ends it", flush=True)
@@ -168,8 +176,9 @@ def main() -> int:
     except StoreError as error:
         trouble = error
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+        for node, context in zip(nodes, contexts, strict=True):
+            node.destroy_node()
+            context.try_shutdown()
         unfinished = closed(bag)
     if (trouble := trouble or unfinished) is not None:
         print(f"record: {trouble.message}", file=sys.stderr)
