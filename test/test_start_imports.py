@@ -28,6 +28,8 @@ SUPERVISOR = "im_bringup.machine.supervisor"
 LAUNCH = "im_bringup.ros.launch"
 #: All else waits until it has started the bootstrap.
 COMMAND = "im_bringup.machine.start"
+#: The bootstrap has it tell whether the nets may run together, which mostly was proved before.
+PROVE = "im_pnt_analysis.cli.prove"
 USED_TYPE = "import im_core.ros.qos; from std_msgs.msg import String; type(String).__import_type_support__()"
 QUATERNION = "import numpy; from im_vss.ros.messages import quaternion; quaternion(numpy.eye(3))"
 
@@ -39,10 +41,11 @@ QUATERNION = "import numpy; from im_vss.ros.messages import quaternion; quaterni
         (f"import {SUPERVISOR}", ("numpy", "pydantic", "yaml")),
         (f"import {COMMAND}", ("im_cell", "rclpy", "scipy")),
         (f"import {LAUNCH}, importlib; [*map(importlib.import_module, {LAUNCH}.COMMON)]", ("rclpy", *LATER)),
+        (f"import {PROVE}", ("numpy", "im_pnt_analysis.search.reachability")),
         (USED_TYPE, ("em", "lark")),
         (QUATERNION, LATER),  # each camera's pose, before the machine is ready
     ],
-    ids=["nodes", "supervisor", "command", "launch", "type of ROS", "poses"],
+    ids=["nodes", "supervisor", "command", "launch", "prove", "type of ROS", "poses"],
 )
 def test_nothing_is_loaded_at_the_start_that_is_used_later(start, later):
     code = f"import sys; {start}; print(*(name for name in {later} if name in sys.modules))"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from im_pnt_analysis.composition.compose import compose
-    from im_pnt_analysis.search.reachability import SearchLimits
+    from im_pnt_analysis.search.limits import SearchLimits
     from im_pnt_analysis.simulation.replay import FiringSequence, replay
     from im_pnt_analysis.simulation.simulate import simulate, summarise
     from im_pnt_analysis.timed.durations import CommandDuration, expected_command
@@ -26,7 +26,7 @@ __all__ += ["replay", "simulate", "steady_state", "summarise", "verify_to_load"]
 
 _FACE = {
     "composition.compose": ("compose",),
-    "search.reachability": ("SearchLimits",),
+    "search.limits": ("SearchLimits",),
     "simulation.replay": ("FiringSequence", "replay"),
     "simulation.simulate": ("simulate", "summarise"),
     "timed.durations": ("CommandDuration", "expected_command"),

@@ -5,7 +5,7 @@ import pytest
 from im_pnt.errors import VerificationError
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt.netfile import parse_net
-from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.verdict import verify
 
 

@@ -13,7 +13,8 @@ from im_pnt.errors import NetFileError
 from im_pnt.model.compiled import compile_net
 from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis.composition.compose import compose
-from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
+from im_pnt_analysis.search.reachability import Search
 from im_pnt_analysis.verify.problem import problem_of
 from im_pnt_analysis.verify.verdict import verify
 

@@ -12,7 +12,7 @@ from im_pnt.netfile import parse_net, yaml_text
 from im_pnt.verification import accept
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import OK, REFUSED, UNPROVED
-from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify import proofs
 from im_pnt_analysis.verify.load import verify_to_load, verify_to_start
 

@@ -11,7 +11,8 @@ from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt_analysis.search import digraph, packing, reachability
-from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
+from im_pnt_analysis.search.reachability import Search
 from im_pnt_analysis.search.reachability_graph import ReachabilityGraph
 
 _LARGEST = 300

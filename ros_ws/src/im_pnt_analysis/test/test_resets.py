@@ -17,7 +17,7 @@ from im_pnt.model.net import Net, Place, Transition
 from im_pnt.model.resources import resource_places
 from im_pnt.netfile import parse_net, yaml_text
 from im_pnt_analysis.composition.plain_net import plain_net
-from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.simulation.simulate import simulate
 from im_pnt_analysis.timed.model import timed_net
 from im_pnt_analysis.verify.load import verify_to_load

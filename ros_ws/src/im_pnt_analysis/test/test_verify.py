@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.net import Net, Place, Transition
-from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.report import ANSWERS, Report
 from im_pnt_analysis.verify.verdict import verify
 

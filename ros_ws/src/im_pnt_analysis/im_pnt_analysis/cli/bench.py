@@ -6,7 +6,7 @@ import json
 from im_core.errors import ImError
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.terminal import OK
-from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.simulation.families import FAMILIES, by_name
 from im_pnt_analysis.simulation.speed import Speed, measure
 

@@ -5,7 +5,7 @@ import argparse
 from im_core.clock import cpu
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.terminal import OK, REFUSED, UNPROVED, EndOnInterrupt, seconds
-from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.load import LOAD_LIMITS, verify_to_start
 from im_pnt_analysis.verify.report import refusal_text
 

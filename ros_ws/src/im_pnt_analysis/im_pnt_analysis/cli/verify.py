@@ -12,7 +12,7 @@ from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.extensions import extensions
 from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, count, seconds
 from im_pnt_analysis.cli.types import checked_types
-from im_pnt_analysis.search.reachability import SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.simulation.replay import FiringSequence
 from im_pnt_analysis.verify.report import Report, readable
 from im_pnt_analysis.verify.verdict import verify

@@ -1,11 +1,11 @@
 """Exact search of the reachable markings, breadth first, so that every counterexample is a shortest one."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled
 from im_pnt_analysis.search.frontier import NarrowFrontier, OverflowedError, expand_wide
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.search.packing import TooManyTokensError
 from im_pnt_analysis.search.state_space import CollisionError, StateSpace
 
@@ -19,21 +19,6 @@ _MARKING_US = 8.0
 _WIDEST = 200
 _MET_AT_ONCE = 500_000
 _CLOCK_EVERY = 64
-
-
-@dataclass(frozen=True, slots=True)
-class SearchLimits:
-    """Where a search gives up.
-
-    Attributes:
-        states: Number of markings.
-        seconds: CPU time for everything [s].
-        memory: Memory for what explicit search stores [bytes].
-    """
-
-    states: int = 200_000
-    seconds: float = 30.0
-    memory: int = 2 << 30
 
 
 class Search:

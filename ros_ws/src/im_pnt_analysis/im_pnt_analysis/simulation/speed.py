@@ -14,7 +14,8 @@ from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity, Command, CommandResult
 from im_pnt.model.action import AwaitAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
-from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.search.limits import SearchLimits
+from im_pnt_analysis.search.reachability import Search
 from im_pnt_analysis.structure.semiflows import p_semiflows
 from im_pnt_analysis.verify.problem import problem_of
 

@@ -16,8 +16,9 @@ from im_pnt.errors import NetError
 from im_pnt.model.action import RequestAction
 from im_pnt.model.expand import expand
 from im_pnt.model.net import Net
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.search.packing import TooManyTokensError
-from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.search.reachability import Search
 from im_pnt_analysis.verify.problem import problem_of
 
 LIMITS = SearchLimits(states=200_000, seconds=5.0)

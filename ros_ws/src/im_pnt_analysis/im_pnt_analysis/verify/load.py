@@ -1,17 +1,12 @@
 """The verifier of nodes and of the start of a machine: what was proved before is not proved again."""
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 
 from im_pnt.model.groups import groups
 from im_pnt.model.net import Net
-from im_pnt_analysis.composition.compose import compose
-from im_pnt_analysis.search.reachability import SearchLimits
-from im_pnt_analysis.verify.answers import answer_holding
-from im_pnt_analysis.verify.layers import parts
-from im_pnt_analysis.verify.proofs import Proofs
-from im_pnt_analysis.verify.report import NEEDED, Report
-from im_pnt_analysis.verify.verdict import Progress, verify
+from im_pnt_analysis.search.limits import SearchLimits
+from im_pnt_analysis.verify.proofs import kept
+from im_pnt_analysis.verify.report import Progress, Report
 
 LOAD_LIMITS = SearchLimits(states=2_000_000, seconds=20.0)
 """Of each verification of a node or a machine that waits for it: CPU time, which a busy computer does not shorten."""
@@ -35,66 +30,11 @@ def verify_to_load(
     """
 
     def prove() -> Report:
-        divided = parts(nets) if len(nets) > 1 else [list(nets)]
-        if len(divided) == 1:
-            return verify(nets, limits, progress=progress)
-        from im_pnt_analysis.composition.callers import callers  # brings a library that few nodes need
+        from im_pnt_analysis.verify.together import verify_in_parts  # all that searches; few starts need it
 
-        standing = [callers(part, nets) for part in divided]
-        if None in standing:
-            return verify(nets, limits, progress=progress)
-        together = [[*part, *(others or ())] for part, others in zip(divided, standing, strict=True)]
-        proofs = [
-            partial(verify, part, limits, holding=not others, progress=progress)
-            for part, others in zip(together, standing, strict=True)
-        ]
-        joined = _joined(nets, [_kept(part, proof) for part, proof in zip(together, proofs, strict=True)])
-        answer_holding(joined, nets, limits.seconds)
-        joined.decide()
-        return joined
+        return verify_in_parts(nets, limits, progress)
 
-    return _kept(nets, prove)
-
-
-def _kept(nets: Sequence[Net], prove: Callable[[], Report]) -> Report:
-    """Returns what was proved of nets before, or what is now."""
-    proofs = Proofs()
-    report = proofs.find(nets)
-    if report is None:
-        report = prove()
-        report.composed = report.composed or list(nets)
-        if report.ok:
-            proofs.keep(nets, report)
-    return report
-
-
-def _joined(nets: Sequence[Net], reports: Sequence[Report]) -> Report:
-    """Returns the verdict on nets whose parts were verified.
-
-    Raises:
-        NetError: The nets do not fit together.
-    """
-    joined = Report([net.name for net in nets], assumptions=list(compose(nets).assumptions))
-    method = f"{len(reports)} parts, each verified by itself: what one asks of another is always answered"
-    for name in NEEDED.keys() - {"resources_held"}:  # which only all nets together tell
-        answers = [getattr(report, name) for report in reports]
-        joined.answer(method, **{name: None if None in answers else _all(name, answers)})
-    if all(report.states is not None for report in reports):
-        joined.answer(method, states=sum(report.states or 0 for report in reports))
-    for report in reports:
-        for name, why in report.unknown.items():
-            joined.leave(f"{'+'.join(report.nets)}: {why}", name)
-        joined.refusals += report.refusals
-        if report.refusals:
-            joined.composed = joined.composed or report.composed
-    joined.leave("not asked of parts")
-    joined.time_s = round(sum(report.time_s for report in reports), 4)
-    joined.cpu_s = round(sum(report.cpu_s for report in reports), 4)
-    return joined
-
-
-def _all(name: str, answers: Sequence[bool]) -> bool:
-    return any(answers) if name == "has_deadlock" else all(answers)
+    return kept(nets, prove)
 
 
 def verify_to_start(

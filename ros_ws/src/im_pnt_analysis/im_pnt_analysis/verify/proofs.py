@@ -6,7 +6,7 @@ is damaged, or a cache that cannot be read or written, is no proof, and nets are
 
 import contextlib
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from importlib import import_module
@@ -92,6 +92,18 @@ class Proofs:
 
     def _made(self) -> Path:
         return make_folder(self._folder or cache_dir() / "proofs")
+
+
+def kept(nets: Sequence[Net], prove: Callable[[], Report]) -> Report:
+    """Returns what was proved of nets before, or what is now."""
+    proofs = Proofs()
+    report = proofs.find(nets)
+    if report is None:
+        report = prove()
+        report.composed = report.composed or list(nets)
+        if report.ok:
+            proofs.keep(nets, report)
+    return report
 
 
 def fingerprint(nets: Sequence[Net]) -> str:

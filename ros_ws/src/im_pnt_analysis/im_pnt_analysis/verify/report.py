@@ -1,11 +1,14 @@
 """The answers about nets, each with its method or with the reason why it is missing."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 
 from im_pnt.errors import VerificationError
 from im_pnt.model.net import Net
 from im_pnt.verification import KINDS, Counterexample
+
+Progress = Callable[[str], None]
+"""Is told now and then what goes on."""
 
 _ONCE = KINDS[:3]
 

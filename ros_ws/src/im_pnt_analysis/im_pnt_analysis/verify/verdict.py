@@ -5,14 +5,15 @@ no semiflow bounds the net; decision diagrams where the space is too large to li
 deadlock is left.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from im_core.clock import monotonic, thread_cpu
 from im_pnt.model.net import Net
 from im_pnt_analysis.search.growth import GrowthTest
+from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.search.packing import TooManyTokensError
-from im_pnt_analysis.search.reachability import Search, SearchLimits
+from im_pnt_analysis.search.reachability import Search
 from im_pnt_analysis.verify import counterexamples
 from im_pnt_analysis.verify.answers import (
     REFUSED,
@@ -28,10 +29,7 @@ from im_pnt_analysis.verify.answers import (
     solve_bounds,
 )
 from im_pnt_analysis.verify.problem import Problem, problem_of
-from im_pnt_analysis.verify.report import Report
-
-Progress = Callable[[str], None]
-"""Is told now and then what goes on."""
+from im_pnt_analysis.verify.report import Progress, Report
 
 _FEW, _MANY = 20_000, 2_000_000
 """Markings after which explicit search lets other methods try: on nets of unknown bound, and on any."""

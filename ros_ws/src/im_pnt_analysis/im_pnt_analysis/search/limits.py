@@ -1,0 +1,18 @@
+"""How far a search goes: without numpy, for those who ask for one that was made before."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class SearchLimits:
+    """Where a search gives up.
+
+    Attributes:
+        states: Number of markings.
+        seconds: CPU time for everything [s].
+        memory: Memory for what explicit search stores [bytes].
+    """
+
+    states: int = 200_000
+    seconds: float = 30.0
+    memory: int = 2 << 30
