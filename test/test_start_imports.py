@@ -39,7 +39,7 @@ QUATERNION = "import numpy; from im_vss.ros.messages import quaternion; quaterni
     [
         (f"import {', '.join(NODES)}", LATER),
         (f"import {SUPERVISOR}", ("numpy", "pydantic", "yaml")),
-        (f"import {COMMAND}", ("im_cell", "rclpy", "scipy")),
+        (f"import {COMMAND}", ("im_cell", "numpy", "rclpy", "scipy")),
         (f"import {LAUNCH}, importlib; [*map(importlib.import_module, {LAUNCH}.COMMON)]", ("rclpy", *LATER)),
         (f"import {PROVE}", ("numpy", "im_pnt_analysis.search.reachability")),
         (USED_TYPE, ("em", "lark")),

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from im_cell.link import HostEnd
 from im_cell.robot import Cell
-from im_core import names, shm
+from im_core import names
 from im_core.errors import LinkError
 from im_core.process import ChildProcess
+from im_core.shm_names import remove_all
 
 _ATTACH_S = 20.0
 _NUMBERS = itertools.count()
@@ -50,4 +51,4 @@ def physics(instance: str, cell: Cell, factor: float, seed: int, folder: Path) -
         raise
     finally:
         process.stop()
-        shm.remove_all(f"{instance}_")
+        remove_all(f"{instance}_")

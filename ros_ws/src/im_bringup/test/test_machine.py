@@ -10,7 +10,7 @@ from im_bringup.machine import start
 from im_bringup.machine.record import MachineRecord
 from im_core import names
 from im_core.errors import DataError, StateError
-from im_core.shm import ProcessId
+from im_core.procfs import ProcessId
 
 
 @pytest.fixture(autouse=True)

@@ -24,7 +24,7 @@ BOOTSTRAP = textwrap.dedent(
     from pathlib import Path
     from im_bringup.machine import record as machine
     from im_core.pulse import Beat, Pulse
-    from im_core.shm import ProcessId
+    from im_core.procfs import ProcessId
 
     lives, state, *deeds = Path(sys.argv[1]), *sys.argv[2:]
     signal.signal(signal.SIGINT, lambda *_: os._exit(0))

@@ -10,7 +10,7 @@ import pytest
 from im_cell.link import CameraEnd, ClockEnd, HostEnd, LaserBeam, LaserEnd, PanelEnd, Sensors, ServoEnd, TickCommand
 from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
-from im_core.shm import remove_all
+from im_core.shm_names import remove_all
 
 INSTANCE = f"imtest{os.getpid()}"
 N = 3

@@ -1,6 +1,7 @@
 """What the kernel tells of running processes and threads in ``/proc``."""
 
 import os
+from dataclasses import dataclass
 from typing import NamedTuple
 
 #: Longer than what is read here [bytes].
@@ -27,6 +28,39 @@ def stat_fields(pid: int) -> list[str] | None:
     if stat is None:
         return None
     return stat[stat.rindex(")") + 2 :].split()  # the command name may hold blanks and parentheses
+
+
+@dataclass(frozen=True)
+class ProcessId:
+    """A process of this host: its pid alone is used again by the kernel, pid and start time together are not.
+
+    Attributes:
+        pid: Process id; 0 stands for "no process".
+        start: Start time of the process since boot [clock ticks], field 22 of ``/proc/<pid>/stat``.
+    """
+
+    pid: int
+    start: int
+
+    @classmethod
+    def of(cls, pid: int) -> "ProcessId":
+        """Identity of a process that runs now; start is -1 if there is none."""
+        return cls(pid, _start_of_running(pid))
+
+    @classmethod
+    def current(cls) -> "ProcessId":
+        """Identity of the calling process."""
+        return cls.of(os.getpid())
+
+    def alive(self) -> bool:
+        """Whether this very process still runs; one that died and was not reaped yet does not."""
+        return self.pid > 0 and _start_of_running(self.pid) == self.start
+
+
+def _start_of_running(pid: int) -> int:
+    """Start time of a running process, -1 if it does not exist or is a zombie."""
+    fields = stat_fields(pid)
+    return -1 if fields is None or fields[0] in "ZX" else int(fields[19])
 
 
 def scheduled(pid: int, thread: int | None = None) -> Scheduled | None:

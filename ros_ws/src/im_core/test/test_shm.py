@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from im_core import clock
 from im_core.errors import DataError, LinkError
-from im_core.shm import MessageRing, ProcessId, Semaphore, SharedBlock, Snapshot, remove_all
+from im_core.procfs import ProcessId
+from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot
+from im_core.shm_names import remove_all
 
 PREFIX = f"imtest{os.getpid()}_"
 SPAWN = multiprocessing.get_context("spawn")

@@ -8,7 +8,7 @@ import pytest
 
 from im_core import clock
 from im_core.errors import ConfigError, LinkError
-from im_core.shm import remove_all
+from im_core.shm_names import remove_all
 from im_mcs.testbed import Drive, joint_state
 from im_mcs.testbed.joint_state import JointStateDriver
 from im_mcs.testbed.topic_link import TopicLink

@@ -10,7 +10,7 @@ import pytest
 from im_cell.link import Faults, HostEnd, PanelEnd, ServoEnd, StopEnd, TickCommand
 from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError
-from im_core.shm import remove_all
+from im_core.shm_names import remove_all
 from im_sim.laser import Laser
 from im_sim.loop import TickLoop
 from im_sim.panel import FaultPanel

@@ -12,7 +12,7 @@ import pytest
 from im_cell.link import CameraEnd, HostEnd, PanelEnd, ServoEnd, TickCommand
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.shm import remove_all
+from im_core.shm_names import remove_all
 
 INSTANCE = f"imtest{os.getpid()}"
 N = 18

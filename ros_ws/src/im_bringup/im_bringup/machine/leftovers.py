@@ -8,8 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from im_bringup.machine.members import is_member, signal_member
-from im_core import clock, names, shm
-from im_core.shm import ProcessId
+from im_core import clock, names
+from im_core.procfs import ProcessId
+from im_core.shm_names import remove_all
 from im_core.silence import Patience
 
 _SHM = Path("/dev/shm")
@@ -76,7 +77,7 @@ def remove_shared_memory() -> list[str]:
     Returns:
         Names of the files removed from ``/dev/shm``.
     """
-    removed = shm.remove_all(f"{names.instance()}_")
+    removed = remove_all(f"{names.instance()}_")
     deadline = clock.monotonic() + _DYING_S
     while True:
         more, dying = _remove_dds_segments()

@@ -14,7 +14,7 @@ from im_core.config import field_name
 from im_core.errors import DataError, StateError
 from im_core.files import MEBIBYTE, FileError, write_whole
 from im_core.jsontext import load_json
-from im_core.shm import ProcessId
+from im_core.procfs import ProcessId
 
 #: How long a supervisor may take to notice that its bootstrap was killed [s].
 _NOTICED_S = 2.0

@@ -97,7 +97,7 @@ class BootstrapKeeper:
         # loaded when they are used: they are most of a process that else waits, with the machine, all its life
         from im_bringup.machine import leftovers
         from im_bringup.machine import record as machine
-        from im_core.shm import ProcessId
+        from im_core.procfs import ProcessId
 
         record = machine.read()
         if record is None or record.state != machine.READY:

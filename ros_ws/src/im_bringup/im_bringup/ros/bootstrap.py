@@ -18,12 +18,12 @@ from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.arrivals import member
 from im_core.errors import ImError, StoreError
+from im_core.procfs import ProcessId
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
 from im_core.ros.reminders import Reminders
 from im_core.ros.run import main as spin
-from im_core.shm import ProcessId
 from im_core.startup import OPTIONS_TOPIC, PHASE_TOPIC, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase, start_timeout_s
 from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
 from im_msgs.msg import TaskRecord as TaskRecordMessage

@@ -19,7 +19,7 @@ from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.middleware import middleware
 from im_core import clock, names, scheduling
 from im_core.errors import ImError
-from im_core.shm import ProcessId
+from im_core.procfs import ProcessId
 
 #: What most tasks load, beside what this process needs itself; of ROS its messages, which are plain Python.
 COMMON = ("im_cell.link", "im_cell.robot", "rcl_interfaces.srv", "std_msgs.msg", "im_msgs.msg", "im_msgs.srv")

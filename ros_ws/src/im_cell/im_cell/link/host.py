@@ -18,7 +18,7 @@ from im_cell.link.values import (
     TrueState,
 )
 from im_core.errors import DataError
-from im_core.shm import ProcessId
+from im_core.procfs import ProcessId
 from im_core.silence import Silence
 
 DEFAULT_LIGHTS = ("left_led", "right_led")

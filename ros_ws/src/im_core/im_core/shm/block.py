@@ -2,8 +2,6 @@
 
 import mmap
 import os
-from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,45 +11,12 @@ from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.procfs import stat_fields
+from im_core.procfs import ProcessId
 
 _MAGIC = 0x696D5F73686D3032
 _HEADER = np.dtype([("magic", "<u8"), ("pid", "<i8"), ("start", "<i8"), ("size", "<u8")])
 _HEADER_BYTES = 64
 _POLL_S = 0.01
-
-
-@dataclass(frozen=True)
-class ProcessId:
-    """A process of this host: its pid alone is used again by the kernel, pid and start time together are not.
-
-    Attributes:
-        pid: Process id; 0 stands for "no process".
-        start: Start time of the process since boot [clock ticks], field 22 of ``/proc/<pid>/stat``.
-    """
-
-    pid: int
-    start: int
-
-    @classmethod
-    def of(cls, pid: int) -> "ProcessId":
-        """Identity of a process that runs now; start is -1 if there is none."""
-        return cls(pid, _start_of_running(pid))
-
-    @classmethod
-    def current(cls) -> "ProcessId":
-        """Identity of the calling process."""
-        return cls.of(os.getpid())
-
-    def alive(self) -> bool:
-        """Whether this very process still runs; one that died and was not reaped yet does not."""
-        return self.pid > 0 and _start_of_running(self.pid) == self.start
-
-
-def _start_of_running(pid: int) -> int:
-    """Start time of a running process, -1 if it does not exist or is a zombie."""
-    fields = stat_fields(pid)
-    return -1 if fields is None or fields[0] in "ZX" else int(fields[19])
 
 
 class SharedBlock:
@@ -200,19 +165,3 @@ def unlink(name: str) -> None:
         posix_ipc.unlink_shared_memory(f"/{name}")
     except posix_ipc.ExistentialError:
         return
-
-
-def remove_all(prefix: str) -> list[str]:
-    """Remove every block and semaphore whose name begins with ``prefix``, as after ``kill -9`` of their owners.
-
-    Names begin with the machine's instance and an underscore: ``remove_all("im7_")`` clears all of ``im7``.
-
-    Returns:
-        Names of the files removed from ``/dev/shm``.
-    """
-    removed = []
-    for path in sorted(Path("/dev/shm").iterdir()):
-        if path.name.startswith((prefix, f"sem.{prefix}")):
-            path.unlink(missing_ok=True)
-            removed.append(path.name)
-    return removed

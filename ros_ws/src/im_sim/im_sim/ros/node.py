@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from im_cell.link import PanelEnd
 from im_cell.robot import load_cell
 from im_cell.robot.truth import FILE_NAME, CellTruth
-from im_core import clock, names, shm
+from im_core import clock, names
 from im_core.errors import ConfigError, DataError, ImError, LinkError, StateError
 from im_core.files import write_whole
 from im_core.process import ChildProcess
@@ -22,6 +22,7 @@ from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
+from im_core.shm_names import remove_all
 from im_core.startup import patience_s
 from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
 from im_sim.panel import FaultPanel, Lights
@@ -92,7 +93,7 @@ class TestbedNode(ManagedNode):
             link.close()
         if self._child is not None:
             self._child.stop()
-            shm.remove_all(f"{names.instance()}_testbed")
+            remove_all(f"{names.instance()}_testbed")
 
     def _attach(self, child: ChildProcess) -> PanelEnd:
         deadline = clock.monotonic() + patience_s()
