@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.interfaces.typing import Typesdict
@@ -18,7 +18,11 @@ from im_core.bag_files import complete_bag
 from im_core.errors import DataError, printable
 from im_core.files import FileError, check_regular
 
+MessageT = TypeVar("MessageT")
+
 _PACKED = "*.zstd"
+#: What to do about another kind of bag.
+_CONVERTED = "of which rosbags-convert makes one of ROS 2"
 #: Endings of the files of a bag.
 _FILES = (".mcap", ".db3", ".zstd", ".yaml")
 _IDL_PART = re.compile("^=+\nIDL: .*\n", re.MULTILINE)
@@ -59,6 +63,8 @@ def open_bag(bag: Path) -> Reader:
         folder = bag if bag.is_dir() else None
         if folder and not any(path.suffix in _FILES for path in folder.iterdir()):
             raise FileError(bag, no_bag_in(folder))
+        if bag.suffix == ".bag" and not folder:
+            raise FileError(bag, f"is a bag of ROS 1, {_CONVERTED}")
         for path in folder.iterdir() if folder else (bag,):
             if not path.is_dir():
                 check_regular(path, path.stat())
@@ -76,6 +82,8 @@ def open_bag(bag: Path) -> Reader:
 
 def no_bag_in(folder: Path) -> str:
     """Says of a folder without files of a bag where one could be."""
+    if old := sorted(path.name for path in folder.glob("*.bag")):
+        return f"is no bag of ROS 2: {old[0]} is one of ROS 1, {_CONVERTED}"
     bags = sorted(path.name for path in folder.iterdir() if path.is_dir() and any(path.glob("*.mcap")))
     return f"is a folder of bags; name one: {', '.join(bags[:8])}" if bags else "there is no bag in it"
 
@@ -126,15 +134,23 @@ def messages_of(
                     "this workspace, which can read it",
                     type=name,
                 )
-        messages = _decoded(reader, chosen, store)
-        while True:
-            try:
-                message = next(messages)
-            except StopIteration:
-                return
-            except Exception as error:  # what a reader meets in bytes that were cut or spoilt has any name
-                raise unreadable_bag(bag, error) from error
-            yield message
+        yield from read_on(bag, _decoded(reader, chosen, store))
+
+
+def read_on(bag: Path, messages: Iterator[MessageT]) -> Iterator[MessageT]:
+    """What is read from a bag, as it is.
+
+    Raises:
+        DataError: The bag is damaged where it is read.
+    """
+    while True:
+        try:
+            message = next(messages)
+        except StopIteration:
+            return
+        except Exception as error:  # what a reader meets in bytes that were cut or spoilt has any name
+            raise unreadable_bag(bag, error) from error
+        yield message
 
 
 def _decoded(reader: Reader, connections: Sequence[Connection], store: Typestore) -> Iterator[BagMessage]:

@@ -125,7 +125,8 @@ def complete_bag(bag: Path) -> None:
         bag: Folder of a bag, or a file of it; one whose metadata name all its MCAP files is not looked at further.
 
     Raises:
-        DataError: It cannot be completed: it is being recorded, has no message, or is no MCAP file.
+        DataError: It cannot be completed: it is being recorded, has no message, is no MCAP file, or was complete once
+            and is cut now.
     """
     if not bag.is_dir():
         if bag.suffix == ".mcap" and not _has_end(bag):
@@ -134,6 +135,10 @@ def complete_bag(bag: Path) -> None:
     described = (bag / METADATA).exists()
     known = _known_files(bag / METADATA) if described else set()
     files = parts(bag)
+    for path in files:
+        if path.name in known and not _has_end(path):
+            text = "lacks its end, as a copy that was broken off; copy it again, or remove"
+            raise FileError(path, f"{text} {METADATA} beside it: what is whole of it is then taken as the bag")
     if not (new := [path for path in files if path.name not in known]):
         return
     busy = [path for path in new if is_recorded(path)]

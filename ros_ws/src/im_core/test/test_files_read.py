@@ -137,8 +137,8 @@ DAMAGES = {
     "metadata are data": (damage("metadata.yaml", b"3"), "cannot be read"),
     "metadata are large": (damage("metadata.yaml", b" " * (2**24 + 1)), "larger than 16 MiB"),
     "data are a pipe": (damage("bag.mcap", pipe), "not a regular file"),
-    "data are cut": (damage("bag.mcap", b"\x89MCAP"), "cannot be read"),
-    "data are empty": (damage("bag.mcap", b""), "cannot be read"),
+    "data are cut": (damage("bag.mcap", b"\x89MCAP"), "lacks its end, as a copy"),
+    "data are empty": (damage("bag.mcap", b""), "lacks its end, as a copy"),
     "gone": (lambda bag: shutil.rmtree(bag), "bag: cannot be read"),
 }
 

@@ -8,6 +8,7 @@ from typing import Self
 
 from im_bringup.bag.delivery import Delivery
 from im_core.bag import open_bag, unreadable_bag
+from im_core.bag_files import METADATA
 from im_core.errors import DataError
 
 #: Topics that start and end machines, and that carry tokens between nets: recorded, but replayed only by name.
@@ -19,14 +20,14 @@ class BagReader:
     """Reads a bag, MCAP or SQLite.
 
     Args:
-        path: Folder of the bag, or a file in it.
+        path: Folder of the bag, or a file in it; one that lies in a folder without metadata is taken by itself.
 
     Raises:
         DataError: It is not a bag that was closed.
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path.parent if path.is_file() else path
+        self._path = path.parent if path.is_file() and (path.parent / METADATA).exists() else path
         try:
             self._reader = open_bag(self._path)
         except DataError as error:

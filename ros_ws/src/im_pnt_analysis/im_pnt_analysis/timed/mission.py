@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
-from im_core.bag import messages_of, open_bag
+from im_core.bag import messages_of, open_bag, read_on
 from im_core.errors import DataError, ImError
 from im_pnt.description import read_net
 from im_pnt.execution.notification import Firing
@@ -148,7 +148,7 @@ def contents_of(bag: Path) -> list[Topic]:
     counts: dict[str, int] = {}
     with closing(open_bag(bag)) as reader:
         types = {connection.topic: connection.msgtype for connection in reader.connections}
-        for connection, logged_ns, _ in reader.messages():
+        for connection, logged_ns, _ in read_on(bag, reader.messages()):
             topic = connection.topic
             silences[topic] = max(silences.get(topic, 0), logged_ns - last.get(topic, logged_ns))
             last[topic], counts[topic] = logged_ns, counts.get(topic, 0) + 1

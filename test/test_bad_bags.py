@@ -1,0 +1,200 @@
+"""Bags that are cut, spoilt, foreign, or of types that changed: one sentence from all that works on a bag."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_typestore
+
+from im_bringup.bag import BagReader, BagWriter
+from im_bringup.bag import writer as bag_writer
+from im_bringup.ros import replay
+from im_core.bag_files import METADATA
+from im_pnt.ros import rerun
+from im_pnt_analysis.cli import main as pnt
+from im_vss.ros import recalibrate
+
+RECORDED = Path(__file__).parent / "data" / "bags" / "faults"
+
+
+def replayed(bag, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["replay", bag, "--rate", "1000"])
+    return replay.main()
+
+
+TOOLS = {
+    "replay": replayed,
+    "recalibrate": lambda bag, _: recalibrate.main(["--recalibrate", bag]),
+    "mission": lambda bag, _: rerun.main([bag]),
+    "report": lambda bag, _: pnt(["bag", bag]),
+    "display": lambda bag, _: pnt(["display", bag, "--port", "0"]),
+    "fit": lambda bag, _: pnt(["fit", bag]),
+}
+
+
+def copied(folder):
+    """A copy of a recording, and its only file."""
+    shutil.copytree(RECORDED, folder / "bag")
+    (part,) = (folder / "bag").glob("*.mcap")
+    return part
+
+
+def cut_copy(folder):
+    part = copied(folder)
+    part.write_bytes(part.read_bytes()[: part.stat().st_size // 2])
+    return part.parent
+
+
+def without_a_message(folder):
+    part = copied(folder)
+    part.write_bytes(part.read_bytes()[:5])
+    (part.parent / METADATA).unlink()
+    return part.parent
+
+
+def spoilt(folder):
+    part = copied(folder)
+    data = bytearray(part.read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    part.write_bytes(data)
+    return part.parent
+
+
+def without_its_file(folder):
+    part = copied(folder)
+    part.unlink()
+    return part.parent
+
+
+def of_ros_1(folder):
+    (folder / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(4096))
+    return folder / "old.bag"
+
+
+def folder_of_ros_1(folder):
+    return of_ros_1(folder).parent
+
+
+def of_json(folder):
+    (folder / "bag").mkdir()
+    with (folder / "bag" / "bag.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("thing", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/pnt/firings", "json", schema), 1, b"{}", 1)
+        writer.finish()
+    return folder / "bag"
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (cut_copy, "lacks its end, as a copy that was broken off; copy it again, or remove metadata.yaml beside it"),
+        (without_a_message, "is no MCAP file"),
+        (without_its_file, "Some database files are missing"),
+        (of_ros_1, "is a bag of ROS 1, of which rosbags-convert makes one of ROS 2"),
+        (folder_of_ros_1, "old.bag is one of ROS 1, of which rosbags-convert makes one of ROS 2"),
+        (of_json, "Serialization format {'json'} is not supported"),
+    ],
+)
+def test_what_is_no_bag_is_said_by_all(tmp_path, monkeypatch, capsys, tool, make, sentence):
+    bag = make(tmp_path)
+    files = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert TOOLS[tool](str(bag), monkeypatch) == 2
+    (said,) = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert sentence in said
+    made = {path for path in tmp_path.rglob("*") if path.is_file() and path.name != METADATA}
+    assert {path: path.read_bytes() for path in made} == {path: files[path] for path in files if path.name != METADATA}
+
+
+@pytest.mark.parametrize("tool", sorted(TOOLS.keys() - {"recalibrate"}))  # the recording has no calibration
+def test_spoilt_bytes_are_met_with_a_sentence(tmp_path, monkeypatch, capsys, tool):
+    bag = spoilt(tmp_path)
+    assert TOOLS[tool](str(bag), monkeypatch) == 2
+    assert "cannot be read: Chunk checksum mismatch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize(
+    ("tool", "sentence"),
+    [
+        ("recalibrate", "it holds no calibration, there is no topic /vss/calibrate/_service_event in it"),
+        ("mission", "it is no recording of a machine of ours"),
+        ("report", "there is no topic '/pnt/firings' in it; it has /chatter"),
+        ("display", "there is no topic '/pnt/firings' in it; it has /chatter"),
+        ("fit", "there is no topic '/pnt/firings' in it; it has /chatter"),
+    ],
+)
+def test_what_others_have_recorded_has_no_mission(tmp_path, monkeypatch, capsys, plugin, tool, sentence):
+    kind, store = "std_msgs/msg/String", get_typestore(Stores.ROS2_JAZZY)
+    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=plugin) as writer:
+        chatter = writer.add_connection("/chatter", kind, typestore=store)
+        writer.write(chatter, 1, store.serialize_cdr(store.types[kind](data="x"), kind))
+    assert TOOLS[tool](str(tmp_path / "bag"), monkeypatch) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def rewritten(folder, monkeypatch, change):
+    """The recording with other definitions: ``change`` gets topic, type, hash and definition."""
+    define = bag_writer.full_definition
+    out = BagWriter(folder / "bag")
+    with BagReader(RECORDED) as bag:
+        for topic, kind in bag.types.items():
+            kind, told_hash, definition = change(topic, kind, bag.hashes[topic], define(kind))
+            monkeypatch.setattr(bag_writer, "full_definition", lambda _, made=definition: made)
+            out.add_topic(topic, kind, bag.deliveries[topic], told_hash)
+        for topic, stamp_ns, data in bag.messages(bag.types):
+            out.write(topic, stamp_ns, data)
+    out.close()
+    return folder / "bag"
+
+
+def changed(topic, kind, told_hash, definition):
+    if topic != "/pnt/firings":
+        return kind, told_hash, definition
+    return kind, "RIHS01_" + "0" * 64, definition._replace(text=definition.text.replace("duration", "lasted"))
+
+
+def undefined(topic, kind, told_hash, definition):
+    return kind, told_hash, definition._replace(text="") if topic == "/pnt/firings" else definition
+
+
+def of_others(topic, kind, told_hash, definition):
+    return "their_msgs/msg/Firing" if topic == "/pnt/firings" else kind, told_hash, definition
+
+
+@pytest.mark.parametrize("tool", ["report", "display", "fit"])
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (changed, "im_msgs/msg/Firing is defined there without 'duration': it was recorded with another version of"),
+        (undefined, "there is no definition of im_msgs/msg/Firing in it, by which /pnt/firings could be read"),
+        (of_others, "topic '/pnt/firings' is their_msgs/msg/Firing, not im_msgs/msg/Firing"),
+    ],
+)
+def test_types_that_changed_or_are_not_defined_are_named(tmp_path, monkeypatch, capsys, tool, change, sentence):
+    bag = rewritten(tmp_path, monkeypatch, change)
+    assert TOOLS[tool](str(bag), monkeypatch) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_what_is_replayed_is_of_the_types_that_are_here(tmp_path, monkeypatch, capsys):
+    bag = rewritten(tmp_path, monkeypatch, changed)
+    assert replayed(str(bag), monkeypatch) == 2
+    assert "im_msgs/msg/Firing has another definition here than when it was recorded" in capsys.readouterr().err
+
+
+def test_a_file_without_metadata_is_taken_by_itself(tmp_path, monkeypatch):
+    """What lies beside it may be of other bags: it is neither completed nor counted in."""
+    part = copied(tmp_path)
+    (part.parent / METADATA).unlink()
+    other = part.with_name("other.mcap")
+    other.write_bytes(part.read_bytes()[: part.stat().st_size * 9 // 10])
+    with BagReader(part) as bag:
+        assert sum(bag.counts.values()) > 1000
+    assert other.stat().st_size == part.stat().st_size * 9 // 10
+    assert not (part.parent / METADATA).exists()
