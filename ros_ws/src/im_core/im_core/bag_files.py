@@ -136,7 +136,7 @@ def complete_bag(bag: Path) -> None:
     known = _known_files(bag / METADATA) if described else set()
     files = parts(bag)
     for path in files:
-        if path.name in known and not _has_end(path):
+        if path.name in known and _is_cut(path):
             text = "lacks its end, as a copy that was broken off; copy it again, or remove"
             raise FileError(path, f"{text} {METADATA} beside it: what is whole of it is then taken as the bag")
     if not (new := [path for path in files if path.name not in known]):
@@ -340,6 +340,14 @@ def _has_end(path: Path) -> bool:
             return False
         file.seek(-len(MAGIC), os.SEEK_END)
         return file.read() == MAGIC
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether it is an MCAP file as far as it goes."""
+    if _has_end(path):
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
 
 
 def _summary(path: Path) -> Contents:

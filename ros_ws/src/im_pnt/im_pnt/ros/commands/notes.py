@@ -43,14 +43,17 @@ class CommandNotes:
 
     async def _write(self, run_dir: Path) -> None:
         task = self._node.task_name
-        while self._wanted:
-            self._wanted = False
-            waiting, self._waiting = self._waiting, []
-            notes = [OpenCommandNote(task, number, symbol) for number, symbol in self._commands()]
-            try:
-                await run_in_thread(self._node, note, run_dir, task, notes)
-            except ImError as error:
-                self._node.get_logger().warning(f"which commands are open is not written down: {error.message}")
-            for promise in waiting:
-                promise.set_result(None)
-        self._running = False
+        try:
+            while self._wanted:
+                self._wanted = False
+                waiting, self._waiting = self._waiting, []
+                notes = [OpenCommandNote(task, number, symbol) for number, symbol in self._commands()]
+                try:
+                    await run_in_thread(self._node, note, run_dir, task, notes)
+                except ImError as error:
+                    self._node.get_logger().warning(f"which commands are open is not written down: {error.message}")
+                finally:
+                    for promise in waiting:
+                        promise.set_result(None)
+        finally:
+            self._running = False
