@@ -347,7 +347,7 @@ def _is_cut(path: Path) -> bool:
     if _has_end(path):
         return False
     with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
+        return MAGIC.startswith(file.read(len(MAGIC)))
 
 
 def _summary(path: Path) -> Contents:
