@@ -76,16 +76,21 @@ def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path)
     assert distance(report, reference) <= DEVIATIONS
 
 
+def line_up(machine):
+    """The commands of the line, all given, and their numbers."""
+    machine.call(ControlCommand, CONTROL, command_id=1, request="pause")  # of nobody: the service is there
+    given = {symbol: machine.execute(symbol, **arguments) for symbol, arguments in LINE.items()}
+    machine.wait_for(lambda: all(command.told for command in given.values()), "the numbers of the commands")
+    return given, {symbol: command.told[0].command_id for symbol, command in given.items()}
+
+
 @pytest.mark.parametrize("end", [leftovers.end_all, lambda: stop.stop(lambda _: None)], ids=["kill -9", "stop"])
 def test_what_waits_and_what_is_paused_goes_on_with_what_ran(machines, end):
     """Those that wait begin by themselves, the paused one when it is told to; all come to their end."""
     machines("--fresh", "--factor", 1)
     machine = Machine()
     try:
-        machine.call(ControlCommand, CONTROL, command_id=1, request="pause")  # of nobody: the service is there
-        given = {symbol: machine.execute(symbol, **arguments) for symbol, arguments in LINE.items()}
-        machine.wait_for(lambda: all(command.told for command in given.values()), "the numbers of the commands")
-        numbers = {symbol: command.told[0].command_id for symbol, command in given.items()}
+        given, numbers = line_up(machine)
         paused = numbers["close_gripper"]
         assert machine.call(ControlCommand, CONTROL, command_id=paused, request="pause").success
         machine.wait_for(lambda: any("turn" in told.step for told in given["demo"].told), "the arms to be under way")
@@ -114,10 +119,7 @@ def test_a_new_mission_takes_nothing_of_the_one_before(machines):
     machines("--fresh", "--factor", 1)
     machine = Machine()
     try:
-        machine.call(ControlCommand, CONTROL, command_id=1, request="pause")  # of nobody: the service is there
-        given = {symbol: machine.execute(symbol, **arguments) for symbol, arguments in LINE.items()}
-        machine.wait_for(lambda: all(command.told for command in given.values()), "the numbers of the commands")
-        numbers = {symbol: command.told[0].command_id for symbol, command in given.items()}
+        _, numbers = line_up(machine)
         leftovers.end_all()
     finally:
         machine.close()

@@ -8,9 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from im_core.errors import ImError
 from im_pnt.errors import NetError
-from im_pnt.execution.events import (
-    Tiding,
-)
+from im_pnt.execution.events import Tiding
 from im_pnt.execution.jobs import (
     NO_COMMAND,
     NO_LINEAGE,
