@@ -27,6 +27,7 @@ class LawSource:
         model: Dynamics in the eyes of the laws.
         torque_limit: Largest torques of all joints, shape (18,) [Nm or N].
         wall_period_s: Wall time between ticks [s]; 0: the loop has no deadlines.
+        leader: Process that sets its pace then; 0: none of this host.
 
     Raises:
         ConfigError: A law of its own process cannot be made.
@@ -34,7 +35,12 @@ class LawSource:
     """
 
     def __init__(
-        self, config: McsConfig, model: ControlledModel, torque_limit: NDArray[np.float64], wall_period_s: float
+        self,
+        config: McsConfig,
+        model: ControlledModel,
+        torque_limit: NDArray[np.float64],
+        wall_period_s: float,
+        leader: int = 0,
     ) -> None:
         self._config, self._model, self._torque_limit = config, model, torque_limit
         self._patience_s = config.law_processes.patience * wall_period_s or _UNPACED_PATIENCE_S
@@ -43,7 +49,7 @@ class LawSource:
         self._processes: dict[str, LawProcess] = {}
         try:
             for law in config.law_processes.laws:
-                self._processes[law] = self._start(law, paced=wall_period_s > 0.0)
+                self._processes[law] = self._start(law, wall_period_s > 0.0, leader)
             for process in self._processes.values():
                 process.await_ready(patience_s())
         except ImError:
@@ -81,7 +87,7 @@ class LawSource:
             process.close()
         self._processes.clear()
 
-    def _start(self, law: str, paced: bool) -> LawProcess:
+    def _start(self, law: str, paced: bool, leader: int) -> LawProcess:
         config = self._config
         groups = []
         for preset, group in self._groups_of(law):
@@ -94,7 +100,7 @@ class LawSource:
                     "parameters": config.parameters_of_laws(group)[law],
                 }
             )
-        return LawProcess(law, self._model.cell, config.model_error, groups, config.servo.priority, paced)
+        return LawProcess(law, self._model.cell, config.model_error, groups, config.servo.priority, paced, leader)
 
     def _connect(self, law: str, preset: str, group: str) -> RemoteLaw:
         key = (law, preset, group)
