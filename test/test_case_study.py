@@ -103,6 +103,8 @@ def test_the_nets_are_the_program(first_run):
     order = [ended.index(("calibrate_camera", name)) for name in ("init_calib", "power_up", "move_robot", "find_spot")]
     assert order == sorted(order)
     the_arm_goes_on_while_the_light_is_searched(firings)
+    assert ended.count(("motion_coordinator", "take_path")) == FEW - 1, "paths are planned while the arm is at a pose"
+    assert ended.count(("motion_coordinator", "plan_path")) == 1
     for net in {f.net for f in firings}:
         numbers = [f.sequence for f in firings if f.net == net]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), f"firings of {net} were lost"
@@ -129,6 +131,9 @@ def the_arm_goes_on_while_the_light_is_searched(firings):
         assert looked < goes < pose.index(("move_robot", Firing.END))
         assert looked < searches < kept
         assert pose.index(("find_pos", Firing.END)) < goes
+        if ("plan_ahead", Firing.START) in pose:
+            assert pose.index(("plan_ahead", Firing.START)) < looked, "before the arm may go"
+            assert pose.index(("plan_ahead", Firing.END)) < goes
 
 
 def test_calibration_reaches_the_standard_interfaces(first_run, machine):

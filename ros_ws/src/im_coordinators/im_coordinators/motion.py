@@ -1,6 +1,6 @@
 """What the Motion Coordinator decides: what an arm is to do, in what state it is, and whether a position counts."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, MutableMapping
 from typing import Protocol
 
 from im_core.errors import DataError, StateError
@@ -50,6 +50,25 @@ def way_asked(arguments: Mapping[str, object], ways: tuple[str, ...], what: str)
         told = " and ".join(given) or "none"
         raise DataError(f"{what} needs one of the arguments {', '.join(ways)}; it was given {told}", given=given)
     return given[0]
+
+
+def planned_beforehand(arguments: Mapping[str, object], memory: Mapping[str, object]) -> bool:
+    """Whether the path of a move was planned before it was asked for, and the arm still stands where it begins.
+
+    Args:
+        arguments: Of the request.
+        memory: What its actions have kept; a move in doubt has taken the path, and nobody knows where the arm is on it.
+    """
+    return bool(arguments["planned"]) and "path_taken" not in memory
+
+
+def take_path(memory: MutableMapping[str, object]) -> None:
+    """Takes the path that was planned beforehand, once.
+
+    Args:
+        memory: Of the request.
+    """
+    memory["path_taken"] = True
 
 
 def require_rest(group: str, at_rest: bool, reason: str = "") -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from im_coordinators.motion import DESTINATIONS, require_rest, state_for, way_asked
+from im_coordinators.motion import DESTINATIONS, planned_beforehand, require_rest, state_for, take_path, way_asked
 from im_core.errors import DataError, StateError
 
 NOTHING = {"destination": "", "position": [], "joints": [], "path": ""}
@@ -24,6 +24,15 @@ def test_a_move_that_is_asked_for_in_no_way_or_in_several_is_refused(asked: dict
     text = f"plan_path needs one of the arguments destination, position, joints; it was given {told}"
     with pytest.raises(DataError, match=text):
         way_asked({**NOTHING, **asked}, DESTINATIONS, "plan_path")
+
+
+def test_a_path_that_was_planned_beforehand_is_taken_once() -> None:
+    """A move in doubt comes back to the choice: its path no longer begins where the arm is."""
+    memory: dict[str, object] = {}
+    assert not planned_beforehand({"planned": False}, memory)
+    assert planned_beforehand({"planned": True}, memory)
+    take_path(memory)
+    assert not planned_beforehand({"planned": True}, memory)
 
 
 def test_a_position_measured_in_motion_is_refused() -> None:

@@ -139,6 +139,17 @@ class PoseLoop:
         """Share of the poses that have been visited when that one was, 0..1."""
         return self.looked_number / self.poses
 
+    @property
+    def following(self) -> int:
+        """Number of the pose that :meth:`next_pose` goes on to.
+
+        Raises:
+            DataError: None is left.
+        """
+        if not self.more_poses():
+            raise DataError("all poses have been visited")
+        return self.again[0].number if self.again else self.taken + 1
+
     def more_poses(self) -> bool:
         """Enabling function of loop_again; negated, of loop_done."""
         return bool(self.again) or self.remaining > 0
@@ -149,15 +160,13 @@ class PoseLoop:
         Raises:
             DataError: None is left.
         """
-        if not self.more_poses():
-            raise DataError("all poses have been visited")
+        number = self.following
         if self.again:
             self.present, *others = self.again
             self.again = tuple(others)
         else:
-            self.taken += 1
-            self.present = PoseVisit(self.taken)
-        return self.present.number
+            self.taken, self.present = number, PoseVisit(number)
+        return number
 
     def look(self) -> PoseVisit:
         """The present pose is looked at; returns it.

@@ -59,6 +59,10 @@ class Played:
                 return {"group": group, "joints": [0.0] * 9}
             case "validate_path":
                 return {"group": group, "path": asked["path"]}
+            case "plan_ahead":
+                return {"joints": [0.0] * 9}
+            case "move_robot":
+                return {"planned": self.toss(ctx)}
             case "look" | "find_spot":
                 return {"cameras": self.dice.sample(["ceiling_left", "wall", "table"], 2), "light": f"{group}_led"}
             case "keep_observation":

@@ -20,7 +20,19 @@ FIRST = frozenset({"read_first_pos", "read_next_pos"})
 BEHIND = frozenset({"find_spot", "keep_observation"})
 LAST = frozenset({"keep_observation", "visit_again", "skip_unreached", "skip_unseen", "skip_unusable", "note_failure"})
 ABORTS = "abort_"
-QUIET = frozenset({"begin_pose", "stay", "loop_again", "loop_done", "skip_again", "skip_done"})
+QUIET = frozenset(
+    {
+        "begin_pose",
+        "end_ahead",
+        "keep_path",
+        "leave_path",
+        "stay",
+        "loop_again",
+        "loop_done",
+        "skip_again",
+        "skip_done",
+    }
+)
 
 
 @dataclass

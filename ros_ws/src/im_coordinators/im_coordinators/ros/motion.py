@@ -4,7 +4,16 @@ import sys
 
 from trajectory_msgs.msg import JointTrajectory
 
-from im_coordinators.motion import DESTINATIONS, HOLDING_STATES, POWERED_STATES, require_rest, state_for, way_asked
+from im_coordinators.motion import (
+    DESTINATIONS,
+    HOLDING_STATES,
+    POWERED_STATES,
+    planned_beforehand,
+    require_rest,
+    state_for,
+    take_path,
+    way_asked,
+)
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.tool import DETAILS
 from im_core.config import package_file
@@ -43,6 +52,7 @@ def motion_functions(host: Host) -> Functions:
             "while_reserved": motion.while_reserved,
             "destination_asked": destination_asked,
             "path_asked": path_asked,
+            "take_path": lambda ctx: take_path(ctx.memory),
             "path_to_follow": motion.path_to_follow,
             "store_position": motion.store_position,
         },
@@ -50,6 +60,7 @@ def motion_functions(host: Host) -> Functions:
             "group_held": of_mcs(lambda ctx: motion.state(ctx) in HOLDING_STATES),
             "group_powered": of_mcs(lambda ctx: motion.state(ctx) in POWERED_STATES),
             "group_in_motion": of_mcs(lambda ctx: motion.state(ctx) == "motion"),
+            "planned_beforehand": woken_by()(lambda ctx: planned_beforehand(ctx.request_arguments, ctx.memory)),
         },
     )
 

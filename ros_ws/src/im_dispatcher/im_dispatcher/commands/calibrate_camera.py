@@ -26,6 +26,9 @@ SYMBOL = "calibrate_camera"
 #: Data object: the poses of the command.
 POSES = "calibration_poses"
 
+#: In the memory of the command: number of the pose to which a path from the present one is known.
+AHEAD = "ahead"
+
 #: Code of the failure of whoever needs what was established in a former life of the task that kept it.
 BEGUN_ANEW = "begun_anew"
 
@@ -57,6 +60,7 @@ class CalibrateCamera:
             for action in (
                 self.init_calib,
                 self.read_next_pos,
+                self.keep_path,
                 self.visit_again,
                 self.skip_pose,
                 self.skip_look,
@@ -67,7 +71,14 @@ class CalibrateCamera:
                 self.report_failure,
             )
         }
-        requests = (self.present_look, self.watchers, self.looked_pose, self.collected)
+        requests = (
+            self.way_known,
+            self.present_look,
+            self.next_destination,
+            self.watchers,
+            self.looked_pose,
+            self.collected,
+        )
         builders = {build.__name__: build for build in requests}
         guards = {
             "more_poses": woken_by()(_more_poses),
@@ -104,10 +115,25 @@ class CalibrateCamera:
         done, number = loop.progress, loop.next_pose()
         pose = (await self._poses(ctx)).poses[number - 1]
         ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), pose.name
+        ctx.memory["planned"] = ctx.memory.pop(AHEAD, None) == number
         ctx.memory["times"] = self._host.noted("times", lambda: self._times_of(ctx).to_dict())
         self._elapsed(ctx)
         await self._host.put_object(ctx.object("destination"), pose, place=f"{SYMBOL}.destination_valid")
         ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
+
+    def way_known(self, ctx: ActionContext) -> dict[str, object]:
+        """Whether the path to the next destination is known already."""
+        return {"planned": ctx.memory["planned"]}
+
+    async def next_destination(self, ctx: ActionContext) -> dict[str, object]:
+        """Where the arm goes from here, and where the path to there is to lie."""
+        pose = (await self._poses(ctx)).poses[_loop(ctx).following - 1]
+        await self._host.put_object(ctx.object("next_destination"), pose)
+        return {"destination": "next_destination", "leaves": f"path/{ctx.command.arguments['group']}"}
+
+    async def keep_path(self, ctx: ActionContext) -> None:
+        """Notes to which pose a path is known."""
+        ctx.memory[AHEAD] = _loop(ctx).following
 
     def present_look(self, ctx: ActionContext) -> dict[str, object]:
         """Which cameras are to look, for what, and how: the pose where the arm is is the one that is looked at."""
@@ -146,6 +172,7 @@ class CalibrateCamera:
         loop = _loop(ctx)
         loop.give_back()
         ctx.memory["loop"] = loop.to_json()
+        ctx.memory.pop(AHEAD, None)
 
     async def collected(self, ctx: ActionContext) -> dict[str, object]:
         """What is to be calibrated from: the numbers of the poses that were observed, and why others were not."""
