@@ -36,10 +36,10 @@ cleanup() {
 }
 trap cleanup EXIT
 
-# processes_of TASK: those of this machine whose command line names a task
+# processes_of TASK: those of this machine that have the name of a task, of which the kernel keeps fifteen letters
 processes_of() {
   local process
-  for process in $(pgrep -f "$1"); do
+  for process in $(pgrep -x "${1:0:15}"); do
     if grep -qzx "IM_RUN_DIR=$IM_RUN_DIR" "/proc/$process/environ" 2> /dev/null; then echo "$process"; fi
   done
 }
