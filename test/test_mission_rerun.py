@@ -69,8 +69,8 @@ def changed(tmp_path) -> Callable[..., Path]:
 def test_a_changed_guard_is_the_first_difference(capsys, changed):
     net = changed("    guard: goes_on\n", "    guard: cancelled\n")
     told = differs(capsys, BAGS / "undisturbed", "--nets", net)
-    assert "net calibrate_camera, transition read_next_pos.start, command 1 (/dispatcher)" in told
-    assert "the bag:  read_next_pos.start fires" in told
+    assert "net calibrate_camera, transition plan_ahead.start, command 1 (/dispatcher)" in told
+    assert "the bag:  plan_ahead.start fires" in told
     assert "its guard cancelled is false" in told
 
 
@@ -85,8 +85,8 @@ def test_a_changed_net_is_the_first_difference(capsys, changed):
 def test_a_changed_function_is_the_first_difference(capsys, monkeypatch):
     monkeypatch.setattr(PoseLoop, "more_poses", lambda self: self.remaining > 1)
     told = differs(capsys, BAGS / "undisturbed")
-    assert "the bag:  read_next_pos.start fires" in told
-    assert "now:      stay fires" in told
+    assert "the bag:  plan_ahead.start fires" in told
+    assert "now:      end_ahead fires" in told
 
 
 def test_another_request_is_the_first_difference(capsys, monkeypatch):

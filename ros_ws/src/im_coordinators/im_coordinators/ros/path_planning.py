@@ -19,7 +19,7 @@ from im_coordinators.path_planning import (
 )
 from im_coordinators.tool import ToolTarget, WristPlacement, require_position
 from im_core.config import package_file
-from im_core.errors import ImError
+from im_core.errors import ImError, StateError
 from im_core.ros import run
 from im_core.ros.status import status_to_error
 from im_msgs.msg import GroupState
@@ -92,21 +92,22 @@ class PathPlanningFunctions:
 
     async def plan_direct(self, ctx: ActionContext) -> None:
         """Stores the joint-interpolated path to the goal if it is free."""
-        here, goal = await self._here(ctx), await self._goal(ctx)
-        await self._store(ctx, here, [goal], "plan_done")
+        joints, start, goal = _way(ctx)
+        await self._store(ctx, joints, start, [goal], "plan_done")
 
     async def plan_detour(self, ctx: ActionContext) -> None:
         """Stores the path with the arm tucked on the way if it is free."""
-        here, goal = await self._here(ctx), await self._goal(ctx)
-        points = detour(_position(here), goal, self._tucked[here.group])
-        await self._store(ctx, here, points, "plan_done")
+        joints, start, goal = _way(ctx)
+        points = detour(start, goal, self._tucked[str(ctx.request_arguments["group"])])
+        await self._store(ctx, joints, start, points, "plan_done")
 
     async def check_given(self, ctx: ActionContext) -> None:
         """Stores the path that was given if it is free."""
         given = await self._host.dom.get(ctx.object(str(ctx.request_arguments["path"])), JointTrajectory)
         here = await self._here(ctx)
         require_joints(given.joint_names, here.joints, here.group)
-        await self._store(ctx, here, [list(point.positions) for point in given.points], "check_done")
+        points = [list(point.positions) for point in given.points]
+        await self._store(ctx, here.joints, _position(here), points, "check_done")
 
     async def _here(self, ctx: ActionContext) -> GroupState:
         group = str(ctx.request_arguments["group"])
@@ -126,8 +127,7 @@ class PathPlanningFunctions:
             case _:
                 destination = await self._host.dom.get(ctx.object(str(asked["destination"])), PoseStamped)
                 q = await self._configuration(here, destination.pose, seed)
-        goal, place = _trajectory(here.joints, [q]), "path_planning_coordinator.goal_valid"
-        await self._host.dom.put(ctx.object(_goal_name(ctx)), goal, place=place)
+        ctx.memory["way"] = [list(here.joints), _position(here), q]
 
     async def _for_tool(self, here: GroupState, target: ToolTarget, seed: Sequence[float]) -> list[float]:
         p, o = here.wrist.position, here.wrist.orientation
@@ -141,16 +141,17 @@ class PathPlanningFunctions:
         request = InverseKinematics.Request(group=here.group, wrist=wrist, seed=seed, avoid_collisions=True)
         return list((await self._ask(KINEMATICS, request, "inverse kinematics")).q)
 
-    async def _goal(self, ctx: ActionContext) -> list[float]:
-        goal = await self._host.dom.get(ctx.object(_goal_name(ctx)), JointTrajectory)
-        return list(goal.points[-1].positions)
-
     async def _store(
-        self, ctx: ActionContext, here: GroupState, points: Sequence[Sequence[float]], place: str
+        self,
+        ctx: ActionContext,
+        joints: Sequence[str],
+        start: Sequence[float],
+        points: Sequence[Sequence[float]],
+        place: str,
     ) -> None:
-        whole = _trajectory(here.joints, [_position(here), *points])
-        await self._ask(CHECK, CheckPath.Request(group=here.group, path=whole), "a path to be checked")
-        name, path = ctx.object(str(ctx.request_arguments["leaves"])), _trajectory(here.joints, points)
+        whole, group = _trajectory(joints, [start, *points]), str(ctx.request_arguments["group"])
+        await self._ask(CHECK, CheckPath.Request(group=group, path=whole), "a path to be checked")
+        name, path = ctx.object(str(ctx.request_arguments["leaves"])), _trajectory(joints, points)
         await self._host.dom.put(name, path, place=f"path_planning_coordinator.{place}")
 
     async def _ask(self, service: str, request: object, what: str) -> Any:
@@ -160,9 +161,17 @@ class PathPlanningFunctions:
         return answer
 
 
-def _goal_name(ctx: ActionContext) -> str:
-    """Name of the configuration that a path leads to: two arms of one command have two."""
-    return f"goal_configuration/{ctx.request_arguments['group']}"
+def _way(ctx: ActionContext) -> tuple[list[str], list[float], list[float]]:
+    """Joints, where they are and where they are to be, as found for the request.
+
+    Raises:
+        StateError: Nothing was found.
+    """
+    way: Any = ctx.memory.get("way")
+    if way is None:
+        raise StateError("no configuration has been found for the request")
+    joints, start, goal = way
+    return joints, start, goal
 
 
 def _position(state: GroupState) -> list[float]:
