@@ -7,6 +7,9 @@ from im_core.errors import DataError, ImError
 #: Joints of a group that belong to the cart; those of the arm follow.
 CART_JOINTS = 3
 
+#: An arm is at home where no joint is further from there [rad, m].
+AT_HOME = 0.01
+
 #: A blocked straight joint path may be circumvented; an unreachable goal may not.
 DETOUR_FAILURES = frozenset({"collision"})
 
@@ -52,6 +55,17 @@ def detour_may_help(failure: ImError | None) -> bool:
 def another_may_help(failure: ImError | None, memory: Mapping[str, object]) -> bool:
     """Whether another configuration is worth a try: once for each request."""
     return detour_may_help(failure) and "another" not in memory
+
+
+def home_seed(position: Sequence[float], home: Sequence[float]) -> list[float]:
+    """Where to look for a configuration near home: home, or the place of an arm that is there.
+
+    Args:
+        position: Joint positions now, shape (n,) [rad, m].
+        home: Joint positions at home, shape (n,) [rad, m].
+    """
+    there = all(abs(here - wanted) < AT_HOME for here, wanted in zip(position, home, strict=True))
+    return list(position if there else home)
 
 
 def tucked_seed(position: Sequence[float], tucked: Sequence[float]) -> list[float]:

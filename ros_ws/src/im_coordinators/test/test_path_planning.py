@@ -10,6 +10,7 @@ from im_coordinators.path_planning import (
     configuration,
     detour,
     detour_may_help,
+    home_seed,
     require_joints,
     tucked_seed,
 )
@@ -48,3 +49,9 @@ def test_a_given_path_is_for_the_joints_of_its_group() -> None:
     for wrong, told in ((["b", "a"], "b, a"), ([], "joints without names")):
         with pytest.raises(DataError, match=f"the given path is for {told}; left has the joints a, b"):
             require_joints(wrong, ["a", "b"], "left")
+
+
+def test_a_configuration_near_home_is_sought_from_where_an_arm_is_that_is_there() -> None:
+    home = [0.5, -0.5]
+    assert home_seed([0.501, -0.5], home) == [0.501, -0.5]
+    assert home_seed([0.5, -0.4], home) == home

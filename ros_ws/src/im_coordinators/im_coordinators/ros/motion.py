@@ -114,7 +114,7 @@ def destination_asked(ctx: ActionContext) -> dict[str, object]:
     asked = ctx.request_arguments
     way = way_asked(asked, (*DESTINATIONS, "path"), "move_robot")
     details = {name: asked[name] for name in DETAILS}
-    return {"group": asked["group"], way: asked[way], "leaves": _path(ctx), **details}
+    return {"group": asked["group"], way: asked[way], "near": asked["near"], "leaves": _path(ctx), **details}
 
 
 def path_asked(ctx: ActionContext) -> dict[str, object]:

@@ -14,6 +14,7 @@ from im_coordinators.path_planning import (
     configuration,
     detour,
     detour_may_help,
+    home_seed,
     require_joints,
     tucked_seed,
 )
@@ -80,9 +81,12 @@ class PathPlanningFunctions:
         self._reach = cell.gripper.reach
 
     async def find_configuration(self, ctx: ActionContext) -> None:
-        """Finds joint positions for what was asked for, near to where the group is."""
+        """Finds joint positions for what was asked for, near to where the group is, or to its home."""
         here = await self._here(ctx)
-        await self._find(ctx, here, _position(here))
+        seed = _position(here)
+        if ctx.request_arguments["near"] == "home":
+            seed = home_seed(seed, self._tucked[here.group])
+        await self._find(ctx, here, seed)
 
     async def find_another(self, ctx: ActionContext) -> None:
         """Finds other joint positions for the destination, near to where the arm is out of the way."""

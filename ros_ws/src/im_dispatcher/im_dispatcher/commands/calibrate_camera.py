@@ -122,8 +122,12 @@ class CalibrateCamera:
         ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
 
     def way_known(self, ctx: ActionContext) -> dict[str, object]:
-        """Whether the path to the next destination is known already."""
-        return {"planned": ctx.memory["planned"]}
+        """Whether the path to the next destination is known already; the first one is sought from home.
+
+        Each further configuration is near to the one before: so they are the same wherever the arm was at first, and
+        the light is as free in all of them as when the poses were chosen.
+        """
+        return {"planned": ctx.memory["planned"], "near": "home" if _loop(ctx).taken == 1 else "here"}
 
     async def next_destination(self, ctx: ActionContext) -> dict[str, object]:
         """Where the arm goes from here, and where the path to there is to lie."""
