@@ -5,8 +5,9 @@ import sqlite3
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
+from typing import TypeVar
 
 from im_core.errors import DataError, ImError, NotFoundError, StateError, StoreError
 from im_core.files import MEBIBYTE
@@ -31,9 +32,15 @@ KEPT_REQUESTS = 10_000
 """How many requests to append are remembered, so that one that is made again has no second effect."""
 
 _COLUMNS = "name, version, type, hash, valid, place, source, command, stamp_ns"
+_ROW, _VERSION = f"(?{', ?' * 9})", "(name = ? AND version = ?)"
+
+#: How many rows a statement writes or deletes, and how many bytes of data it may have if they are more than one.
+_AT_ONCE, _BYTES_AT_ONCE = 64, MEBIBYTE
 _OF_A_COMMAND = re.compile(r"[A-Za-z][A-Za-z0-9_]*/\d+-\d+-\d+(?=/)")
 
 Versions = tuple[ObjectRecord, ...]
+Row = tuple[str, int, str, str, bool, str, str, str, int, bytes]
+PieceT = TypeVar("PieceT")
 
 
 class ObjectStore:
@@ -60,7 +67,7 @@ class ObjectStore:
         self._db, self.aside = open_file(path)
         self._kept: dict[str, Versions] = {}
         self._changed: dict[str, Versions] = {}  # by the transaction that goes on, as what follows
-        self._rows: list[tuple[object, ...]] = []
+        self._rows: list[Row] = []
         self._too_old: list[tuple[str, int]] = []
         self._data: dict[str, bytes] = {}  # of newest versions
         self._cache = ObjectCache(CACHED_BYTES)
@@ -125,10 +132,15 @@ class ObjectStore:
                 each.clear()
 
     def _write(self) -> None:
-        """Gives SQLite what has been put, all at once: between statements the threads change."""
+        """Gives SQLite what has been put, many rows a statement: with each row on its own the threads change."""
         with self._doing("written"):
-            self._db.executemany(f"INSERT INTO versions ({_COLUMNS}, data) VALUES (?{', ?' * 9})", self._rows)
-            self._db.executemany("DELETE FROM versions WHERE name = ? AND version = ?", self._too_old)
+            few = _AT_ONCE if sum(len(row[-1]) for row in self._rows) <= _BYTES_AT_ONCE else 1  # SQLite copies them
+            for rows in _pieces(self._rows, few):
+                places = ", ".join([_ROW] * len(rows))
+                self._db.execute(f"INSERT INTO versions ({_COLUMNS}, data) VALUES {places}", [*chain(*rows)])
+            for versions in _pieces(self._too_old, _AT_ONCE):
+                which = " OR ".join([_VERSION] * len(versions))
+                self._db.execute(f"DELETE FROM versions WHERE {which}", [*chain(*versions)])
         self._rows.clear()
         self._too_old.clear()
 
@@ -397,6 +409,15 @@ def _kept(versions: Versions) -> Versions:
     while sum(record.size for record in versions[first:-1]) > KEPT_BYTES:
         first += 1
     return versions[first:]
+
+
+def _pieces(rows: Sequence[PieceT], most: int) -> Iterator[Sequence[PieceT]]:
+    """Cuts rows into pieces of few lengths, powers of two, so that SQLite knows their statements already."""
+    first = 0
+    while first < len(rows):
+        length = min(most, 1 << (len(rows) - first).bit_length() - 1)
+        yield rows[first : first + length]
+        first += length
 
 
 def _match(pattern: re.Pattern[str], what: str, value: str, allowed: str) -> None:

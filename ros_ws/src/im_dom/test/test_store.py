@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_core.errors import DataError, NotFoundError, StateError
+from im_core.files import MEBIBYTE
 from im_dom import store as objects
 from im_dom.cache import ObjectCache
 from im_dom.record import ObjectRecord
@@ -339,6 +340,26 @@ def test_what_is_in_memory_is_what_is_on_the_disk(groups: list[list[tuple[str, s
                 assert store.cached(name) is None
             anew.close()
         store.close()
+
+
+@pytest.mark.parametrize("size", [5, MEBIBYTE // 100])
+@pytest.mark.parametrize("count", [1, 2, 63, 64, 65, 200])
+def test_of_any_number_put_together_the_newest_versions_are_in_the_file(tmp_path: Path, count: int, size: int) -> None:
+    store, puts = ObjectStore(tmp_path / "dom.sqlite"), list(range(3 * count))
+    for first in (0, count, 2 * count):
+        works = [partial(put, store, f"o{number % 3}", bytes([number % 256]) * size) for number in puts[first:][:count]]
+        store.together(works)
+    known = {record.name: record for record in store.records()}
+    store.close()
+    again = ObjectStore(tmp_path / "dom.sqlite")
+    assert {record.name: record for record in again.records()} == known
+    for name, record in known.items():
+        numbers = [number for number in puts if f"o{number % 3}" == name]
+        for version in range(max(1, record.version - KEPT_VERSIONS + 1), record.version + 1):
+            assert again.get(name, version=version)[1] == bytes([numbers[version - 1] % 256]) * size
+        if record.version > KEPT_VERSIONS:
+            with pytest.raises(NotFoundError):
+                again.get(name, version=record.version - KEPT_VERSIONS)
 
 
 def test_of_the_newest_versions_those_used_last_stay_in_memory() -> None:

@@ -5,7 +5,7 @@ from array import array
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError, StateError, WaitTimeoutError
@@ -96,7 +96,8 @@ class DomNode(ManagedNode):
             )
 
         try:
-            await self._require_place(request.place)
+            if request.place:
+                await self._require_place(request.place)
         except ImError as error:
             response.status = to_status(error)
             return response
@@ -123,7 +124,7 @@ class DomNode(ManagedNode):
             NotFoundError: It does not.
         """
         deadline = clock.monotonic() + DESCRIBED_S
-        while place:
+        while True:
             try:
                 self._places.require(place)
                 return
@@ -252,10 +253,10 @@ class DomNode(ManagedNode):
             self._tell(response.object)
         return response
 
-    async def _ask(self, work: Callable[[], ResultT]) -> ResultT:
+    def _ask(self, work: Callable[[], ResultT]) -> Coroutine[Any, Any, ResultT]:
         """Has something done in the store, together with what else waits for it; what is answered is on the disk."""
         assert self._worker is not None, "the services are offered when the store is open"
-        return await self._worker.run(work)
+        return self._worker.run(work)
 
     def _tell(self, info: ObjectInfo) -> None:
         self._change.object = info
