@@ -19,6 +19,11 @@ MOST_WAITING = 1000
 #: How much is done together at most.
 MOST_TOGETHER = 200
 
+#: Who was answered together asks again at about the same time. So much longer is waited for each of them [s], the first
+#: of which would else have the disk for itself while the others wait for it; and how seldom is looked [s].
+GATHER_S = 0.0002
+LOOK_S = 0.0005
+
 
 class Worker:
     """Does things in the order in which they were asked for, while the loop of the node goes on.
@@ -83,8 +88,11 @@ class Worker:
         return not self._thread.is_alive()
 
     def _run(self) -> None:
+        several = 1
         while (first := self._work.get()) is not None:
             asked, last = [first], False
+            if several > 1:
+                self._gather(several)
             while len(asked) < MOST_TOGETHER and not last and not self._work.empty():
                 following = self._work.get()
                 if following is None:
@@ -98,5 +106,12 @@ class Worker:
                     ended.set_exception(found)
                 else:
                     ended.set_result(found)
+            several = max(len(asked), several // 2)
             if last:
                 return
+
+    def _gather(self, several: int) -> None:
+        """Waits until as many have asked as were answered together before, but not long."""
+        deadline = clock.monotonic() + several * GATHER_S
+        while (missing := several - 1 - self._work.qsize()) > 0 and clock.monotonic() < deadline:
+            clock.sleep(max(LOOK_S, missing * GATHER_S / 2))
