@@ -1,5 +1,6 @@
 """Base class of every node: start-up phases, heartbeat, and waking of coroutines."""
 
+import gc
 import os
 import secrets
 import socket
@@ -212,6 +213,8 @@ class ManagedNode(GuardedNode):
         self._phase, self._detail = phase, detail
         period_s = HEARTBEAT_PERIOD_S if phase == _READY else STARTING_PERIOD_S
         self._heartbeat.timer_period_ns = round(period_s * 1e9)
+        if phase == _READY:
+            gc.freeze()  # what was loaded and made until now stays: the collector need not go through it again
         self._publish_status()
 
     def _publish_status(self) -> None:
