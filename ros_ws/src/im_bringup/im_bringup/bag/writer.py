@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -199,8 +200,7 @@ class BagWriter:
 
     def _connect(self, topic: str) -> None:
         type_name, definition, delivery, type_hash = self._topics[topic]
-        qos = yaml.safe_dump([delivery.to_qos()], sort_keys=False)
-        told = {"offered_qos_profiles": qos, "topic_type_hash": type_hash}
+        told = {"offered_qos_profiles": _profiles(delivery), "topic_type_hash": type_hash}
         self._channels[topic] = self._writer.add_channel(topic, type_name, definition.encoding, definition.text, told)
 
     def _write_chunk(self) -> None:
@@ -218,3 +218,9 @@ class BagWriter:
         self._attempt(finish)
         self._file.close()
         self._parts.append(self._file.path)
+
+
+@cache
+def _profiles(delivery: Delivery) -> str:
+    """As channels tell it; topics are many, and announced in each part, ways to deliver are few."""
+    return yaml.safe_dump([delivery.to_qos()], sort_keys=False)
