@@ -20,12 +20,10 @@ from im_core.ros.graph import GraphWatch
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
 
-QUEUE_DEPTH = 2000
-#: How long messages wait in the queues of the middleware, which notes when they came. Each time costs a look into every
-#: queue; a queue holds what comes at 10,000 messages a second [s].
-DRAIN_PERIOD_S = 0.2
-#: After how long what was taken is on the disk [s].
-FLUSH_PERIOD_S = 0.5
+QUEUE_DEPTH = 5000
+#: How long messages wait in the queues of the middleware, which notes when they came, until they are on the disk [s].
+#: Each time costs a look into every queue; a queue holds what comes at 10,000 messages a second.
+DRAIN_PERIOD_S = 0.5
 #: Topics of service events, which are hidden.
 SERVICE_EVENTS = "/_service_event"
 
@@ -33,7 +31,7 @@ SERVICE_EVENTS = "/_service_event"
 class BagRecorder:
     """Subscribes to what is published and writes the bytes as they come.
 
-    No executor: it empties the queues of all subscriptions at a low rate. The time of arrival is the middleware's.
+    No executor: it empties the queues of all subscriptions twice a second. The time of arrival is the middleware's.
 
     The middleware offers each message to all readers of a participant, one by one. So streams, which send most, have a
     participant with few others.
@@ -60,14 +58,14 @@ class BagRecorder:
         """
         graph = GraphWatch(self._node, self._wake.set)
         try:
-            flushed = clock.monotonic()
+            due = clock.monotonic() + DRAIN_PERIOD_S
             while not self._end.is_set():
-                if self._wake.wait(DRAIN_PERIOD_S):
+                if self._wake.wait(max(0.0, due - clock.monotonic())):
                     self._wake.clear()
                     self.discover()
-                self.drain()
-                if clock.monotonic() - flushed >= FLUSH_PERIOD_S:
-                    flushed = clock.monotonic()
+                if clock.monotonic() >= due:
+                    due = clock.monotonic() + DRAIN_PERIOD_S
+                    self.drain()
                     self._bag.flush()
             self.drain()
         finally:
