@@ -23,6 +23,8 @@ MOST_TOGETHER = 200
 #: of which would else have the disk for itself while the others wait for it; and how seldom is looked [s].
 GATHER_S = 0.0002
 LOOK_S = 0.0005
+#: And as long as it took before, where a computer or a disk is busy, but at most so long [s].
+MOST_GATHER_S = 0.05
 
 
 class Worker:
@@ -88,18 +90,21 @@ class Worker:
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        several = 1
+        several, took_s = 1, 0.0
         while (first := self._work.get()) is not None:
             asked, last = [first], False
             if several > 1:
-                self._gather(several)
+                self._gather(several, took_s)
             while len(asked) < MOST_TOGETHER and not last and not self._work.empty():
                 following = self._work.get()
                 if following is None:
                     last = True
                 else:
                     asked.append(following)
-            for (_, ended), found in zip(asked, self._together([work for work, _ in asked]), strict=True):
+            began = clock.monotonic()
+            done = self._together([work for work, _ in asked])
+            took_s = clock.monotonic() - began
+            for (_, ended), found in zip(asked, done, strict=True):
                 if ended.done():  # it was late
                     continue
                 if isinstance(found, Exception):
@@ -110,8 +115,8 @@ class Worker:
             if last:
                 return
 
-    def _gather(self, several: int) -> None:
-        """Waits until as many have asked as were answered together before, but not long."""
-        deadline = clock.monotonic() + several * GATHER_S
+    def _gather(self, several: int, took_s: float) -> None:
+        """Waits until as many have asked as were answered together before, but not much longer than that took [s]."""
+        deadline = clock.monotonic() + several * GATHER_S + min(took_s, MOST_GATHER_S)
         while (missing := several - 1 - self._work.qsize()) > 0 and clock.monotonic() < deadline:
             clock.sleep(max(LOOK_S, missing * GATHER_S / 2))
