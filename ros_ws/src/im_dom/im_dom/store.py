@@ -3,7 +3,7 @@
 import re
 import sqlite3
 from collections.abc import Callable, Container, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from itertools import chain, groupby
 from pathlib import Path
@@ -36,6 +36,7 @@ _ROW, _VERSION = f"(?{', ?' * 9})", "(name = ? AND version = ?)"
 
 #: How many rows a statement writes or deletes, and how many bytes of data it may have if they are more than one.
 _AT_ONCE, _BYTES_AT_ONCE = 64, MEBIBYTE
+_WITHIN = nullcontext()
 _OF_A_COMMAND = re.compile(r"[A-Za-z][A-Za-z0-9_]*/\d+-\d+-\d+(?=/)")
 
 Versions = tuple[ObjectRecord, ...]
@@ -107,12 +108,12 @@ class ObjectStore:
         except ImError as error:
             return error
 
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
+    def _transaction(self) -> AbstractContextManager[None]:
         """What is changed within is changed together when the outermost is left, or not at all."""
-        if self._db.in_transaction:
-            yield
-            return
+        return _WITHIN if self._db.in_transaction else self._outermost()
+
+    @contextmanager
+    def _outermost(self) -> Iterator[None]:
         with self._doing("written"):
             self._db.execute("BEGIN")
         try:
