@@ -22,7 +22,7 @@ setup(
     license="MIT",
     entry_points={
         "console_scripts": [
-            "mcs = im_mcs.ros.node:main",
+            "mcs = im_mcs.ros.launch:main",
             "poses = im_mcs.poses.command:main",
             "model = im_mcs.model.command:main",
         ]

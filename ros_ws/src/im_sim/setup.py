@@ -17,5 +17,5 @@ setup(
     maintainer_email="maintainers@example.org",
     description="The simulated testbed",
     license="MIT",
-    entry_points={"console_scripts": ["testbed = im_sim.ros.node:main"]},
+    entry_points={"console_scripts": ["testbed = im_sim.ros.launch:main"]},
 )

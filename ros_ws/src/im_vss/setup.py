@@ -21,7 +21,7 @@ setup(
     entry_points={
         "console_scripts": [
             "recalibrate = im_vss.ros.recalibrate:main",
-            "vss = im_vss.ros.node:main",
+            "vss = im_vss.ros.launch:main",
         ]
     },
 )

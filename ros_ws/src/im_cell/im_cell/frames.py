@@ -109,6 +109,10 @@ class FrameSource(ABC):
         setup: Cameras and settings.
     """
 
+    @classmethod  # noqa: B027  # most have no processes
+    def prepare(cls) -> None:
+        """Prepare what its processes load (:func:`im_core.process.prepare`), before ROS is loaded."""
+
     @abstractmethod
     def __init__(self, setup: FrameSourceSetup) -> None: ...
 

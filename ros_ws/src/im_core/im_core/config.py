@@ -8,8 +8,9 @@ import importlib.resources
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, TypeVar, Union, get_args, get_origin
+from typing import Annotated, TypeVar, Union, cast, get_args, get_origin
 
 import pydantic
 
@@ -101,7 +102,13 @@ def load_model(path: str | Path, model: type[ModelT]) -> ModelT:
             each ``file:line: field: what is wrong``.
     """
     path = Path(path)
-    return parse_model(_text(path), model, name=str(path))
+    return cast(ModelT, _read(_text(path), model, str(path)))
+
+
+@lru_cache(maxsize=16)
+def _read(text: str, model: type[pydantic.BaseModel], name: str) -> pydantic.BaseModel:
+    """Several nodes of a process, and processes that begin as copies of one, take the same file; models are frozen."""
+    return parse_model(text, model, name)
 
 
 def parse_model(text: str, model: type[ModelT], name: str) -> ModelT:

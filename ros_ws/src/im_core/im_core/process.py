@@ -3,14 +3,18 @@
 import contextlib
 import ctypes
 import gc
+import importlib.util
+import json
 import os
 import runpy
 import select
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 from typing import BinaryIO, Self
 
@@ -21,6 +25,9 @@ from im_core.silence import Patience
 _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 _KILLED_S = 1.0
 _POLL_S = 0.01
+_MOST_ORDERS = 1 << 20
+#: Where in /proc/PID/stat, behind the name, it is told from where to where its arguments are in its memory.
+_ARGUMENTS = slice(45, 47)
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
@@ -36,7 +43,7 @@ class ChildProcess:
         death_signal: What the kernel sends it when the thread that started it ends; None: it lives on.
         inherit: File descriptors of this process that it gets, with the same numbers.
         copied: Whether it begins as a copy of this process, which :func:`may_copy` permits: what is loaded here need
-            not be loaded there, and takes its memory once. The kernel goes on telling how this process was started.
+            not be loaded there, and takes its memory once.
 
     Attributes:
         name: As given.
@@ -58,13 +65,7 @@ class ChildProcess:
         self.name = name or Path(argv[0]).name
         self._log, self._log_begin = log, 0
         parent = os.getpid()
-
-        def end_with_parent() -> None:
-            if death_signal is not None:
-                _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
-                if os.getppid() != parent:  # it has ended already
-                    os.kill(os.getpid(), death_signal)
-
+        prepared = _prepared.pop(argv[3], None) if _is_module(argv) else None
         with ExitStack() as files:
             output: BinaryIO | None = None
             if log is not None:
@@ -76,13 +77,16 @@ class ChildProcess:
             given.write(stdin.encode())
             given.seek(0)
             self._process: subprocess.Popen[bytes] | _Copy
-            if copied:
+            standard = [given.fileno(), *([output.fileno()] * 2 if output is not None else [])]
+            if prepared is not None and prepared.run(argv, environment or os.environ, standard):
+                self._process = prepared
+            elif copied:
                 self._process = _Copy()
                 if self._process.pid == 0:
                     os.setsid()
-                    end_with_parent()
-                    _keep_open([given.fileno(), *([output.fileno()] * 2 if output is not None else [])], inherit)
-                    ctypes.pythonapi.Py_Exit(_run_script(argv, environment))
+                    _end_with(parent, death_signal)
+                    _keep_open(standard, inherit)
+                    ctypes.pythonapi.Py_Exit(_run(argv, environment))
             else:
                 self._process = subprocess.Popen(
                     argv,
@@ -90,7 +94,7 @@ class ChildProcess:
                     stdout=output,
                     stderr=None if output is None else subprocess.STDOUT,
                     env=environment,
-                    preexec_fn=end_with_parent,
+                    preexec_fn=lambda: _end_with(parent, death_signal),
                     start_new_session=True,
                     pass_fds=inherit,
                 )
@@ -98,8 +102,11 @@ class ChildProcess:
 
     @classmethod
     def of_module(cls, module: str, arguments: Sequence[str] = (), *, log: Path | None = None, stdin: str = "") -> Self:
-        """Run a module with ``python -m``; arguments as of the class. Its name is that of the module."""
-        return cls([sys.executable, "-u", "-m", module, *arguments], name=module, log=log, stdin=stdin)
+        """Run a module with ``python -m``, or by the copy that was prepared for it; arguments as of the class.
+
+        Its name is that of the module.
+        """
+        return cls([*_words(module), *arguments], name=module, log=log, stdin=stdin)
 
     def poll(self) -> int | None:
         """Exit code, or None while it runs."""
@@ -160,6 +167,9 @@ class _Copy:
         gc.freeze()  # a collector that looked at what is common would give each process its own
         self.pid = os.fork()
         self._code: int | None = None
+        if self.pid == 0:
+            while _prepared:  # those are children of the other
+                _prepared.popitem()[1].forget()
 
     def poll(self) -> int | None:
         """Exit code, or None while it runs."""
@@ -174,6 +184,64 @@ class _Copy:
             os.kill(self.pid, number)
 
 
+class _Prepared(_Copy):
+    """A copy of this process that loads a module, and waits until it is told to run it. It dies with this thread."""
+
+    def __init__(self, module: str) -> None:
+        self._orders, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        parent = os.getpid()
+        super().__init__()
+        if self.pid == 0:
+            self._orders.detach()
+            os.setsid()
+            _end_with(parent, signal.SIGKILL)
+            _keep_open([os.open(os.devnull, os.O_RDONLY)], [its.fileno()])
+            ctypes.pythonapi.Py_Exit(_run_when_told(module, its))
+        its.close()
+
+    def run(self, argv: Sequence[str], environment: Mapping[str, str], standard: Sequence[int]) -> bool:
+        """Have it run its module; whether it is there to do so. Standard are its first file descriptors, in order."""
+        orders = json.dumps({"argv": list(argv), "environment": dict(environment)}).encode()
+        try:
+            socket.send_fds(self._orders, [orders], standard)
+        except OSError:
+            self.end()
+            return False
+        self._orders.close()
+        return True
+
+    def forget(self) -> None:
+        """Leave it to the process that it is a child of; its file descriptor is closed otherwise."""
+        self._orders.detach()
+
+    def end(self) -> None:
+        """End it."""
+        self._orders.close()
+        self.send_signal(signal.SIGKILL)
+        if self._code is None:
+            os.waitpid(self.pid, 0)
+
+
+#: The copies that wait, by the name of their module.
+_prepared: dict[str, _Prepared] = {}
+
+
+def prepare(module: str) -> None:
+    """Have a copy of this process load a module now, for the child that will run it (:meth:`ChildProcess.of_module`).
+
+    What is loaded here need not be loaded there, takes its memory once, and the rest is loaded beside what this process
+    loads. Nothing is done where this process may not be copied, or has loaded ROS, which such children must not have.
+    """
+    if "rclpy" not in sys.modules and _is_single():
+        _prepared[module] = _Prepared(module)
+
+
+def dismiss_prepared() -> None:
+    """End the copies that nobody has told to run."""
+    while _prepared:
+        _prepared.popitem()[1].end()
+
+
 def may_copy(program: str) -> bool:
     """Whether a program may begin as a copy of this process: of Python, of this very one, while there is one thread.
 
@@ -181,7 +249,27 @@ def may_copy(program: str) -> bool:
     """
     with open(program, "rb") as file:
         first = file.readline(4096)
-    return first.rstrip() == f"#!{sys.executable}".encode() and len(os.listdir("/proc/self/task")) == 1
+    return first.rstrip() == f"#!{sys.executable}".encode() and _is_single()
+
+
+def _is_single() -> bool:
+    return len(os.listdir("/proc/self/task")) == 1
+
+
+def _words(module: str) -> tuple[str, ...]:
+    return sys.executable, "-u", "-m", module
+
+
+def _is_module(argv: Sequence[str]) -> bool:
+    return len(argv) > 3 and tuple(argv[:4]) == _words(argv[3])
+
+
+def _end_with(parent: int, death_signal: signal.Signals | None) -> None:
+    """Have the kernel send this process a signal when the thread that started it ends; in a process that begins."""
+    if death_signal is not None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
+        if os.getppid() != parent:  # it has ended already
+            os.kill(os.getpid(), death_signal)
 
 
 def _keep_open(standard: Sequence[int], others: Collection[int]) -> None:
@@ -194,15 +282,19 @@ def _keep_open(standard: Sequence[int], others: Collection[int]) -> None:
                 os.close(descriptor)
 
 
-def _run_script(argv: Sequence[str], environment: Mapping[str, str] | None) -> int:
-    """Run a Python script as if this process had been started with it; its exit code."""
+def _run(argv: Sequence[str], environment: Mapping[str, str] | None) -> int:
+    """Run a Python script, or a module, as if this process had been started with it; its exit code."""
     if environment is not None:
         os.environ.clear()
         os.environ.update(environment)
-    sys.argv = list(argv)
-    _LIBC.prctl(_PR_SET_NAME, Path(argv[0]).name.encode())
+    _tell(argv)
     try:
-        runpy.run_path(argv[0], run_name="__main__")
+        if _is_module(argv):
+            sys.argv = list(argv[3:])
+            runpy.run_module(argv[3], run_name="__main__", alter_sys=True)
+        else:
+            sys.argv = list(argv)
+            runpy.run_path(argv[0], run_name="__main__")
     except SystemExit as end:
         if end.code is None or isinstance(end.code, int):
             return end.code or 0
@@ -212,6 +304,36 @@ def _run_script(argv: Sequence[str], environment: Mapping[str, str] | None) -> i
         sys.excepthook(*sys.exc_info())
         return 1
     return 0
+
+
+def _run_when_told(module: str, orders: socket.socket) -> int:
+    """Load a module, and run it when that is told; its exit code."""
+    _tell(_words(module))
+    sys.path.insert(0, os.getcwd())  # as with python -m
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # neither is replaced
+    with contextlib.suppress(Exception):  # whatever it raises, it does so again when it is run, and tells it then
+        found = importlib.util.find_spec(module)
+        main = module if found is None or found.submodule_search_locations is None else f"{module}.__main__"
+        import_module(main)
+        del sys.modules[main]  # it will be __main__; what it has loaded stays
+    told, standard, *_ = socket.recv_fds(orders, _MOST_ORDERS, 3)
+    if not told:
+        return 0
+    wanted = json.loads(told)
+    orders.detach()
+    _keep_open(standard, [])
+    return _run(wanted["argv"], wanted["environment"])
+
+
+def _tell(argv: Sequence[str]) -> None:
+    """Have the kernel tell these arguments and this program of this process, as far as there is room for them."""
+    name = argv[3].rpartition(".")[2] if _is_module(argv) else Path(argv[0]).name
+    _LIBC.prctl(_PR_SET_NAME, name.encode())
+    with open("/proc/self/stat", encoding="ascii", errors="replace") as file:
+        begin, end = map(int, file.read().rpartition(")")[2].split()[_ARGUMENTS])
+    text = "\0".join(argv).encode()[: max(0, end - begin - 1)]
+    ctypes.memmove(begin, text.ljust(end - begin, b"\0"), end - begin)
 
 
 def await_ends(children: Sequence[ChildProcess], patience: Patience, until_s: float) -> bool:

@@ -1,10 +1,12 @@
 """Child processes take what they are given, are ended in time, and say how they ended."""
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -138,3 +140,55 @@ def threaded():
     yield
     end.set()
     thread.join()
+
+
+PREPARES = """\
+import fractions, sys
+from pathlib import Path
+from im_core.process import ChildProcess, dismiss_prepared, prepare
+folder, told = Path(sys.argv[1]), sys.argv[2]
+if told == "ros":
+    sys.modules["rclpy"] = sys
+prepare("says")
+if told == "dismissed":
+    dismiss_prepared()
+child = ChildProcess.of_module("says", ["a"], log=folder / "log", stdin="given")
+while not child.await_end(60.0):
+    pass
+child.stop()
+print(child.obituary())
+"""
+MODULE = """\
+import os, sys
+if __name__ == "__main__":
+    print(sys.argv[1:], os.environ["COLOUR"], sys.stdin.read(), "fractions" in sys.modules)
+    print(sorted(os.listdir("/proc/self/fd")))
+    print(open("/proc/self/comm").read().strip())
+    print(open("/proc/self/cmdline").read().rstrip("\\0").split("\\0")[1:])
+    sys.exit("disk full")
+"""
+
+
+@pytest.mark.parametrize(
+    ("told", "loaded", "name"), [("taken", True, "says"), ("dismissed", False, "python"), ("ros", False, "python")]
+)
+def test_a_module_is_run_by_the_copy_that_was_prepared_for_it_if_there_is_one(tmp_path, told, loaded, name):
+    (tmp_path / "says.py").write_text(MODULE)
+    run = [sys.executable, "-c", PREPARES, tmp_path, told]
+    environment = {**os.environ, "COLOUR": "red"}
+    done = subprocess.run(run, capture_output=True, text=True, check=True, cwd=tmp_path, env=environment)
+    assert done.stdout.strip() == "the process says ended with code 1: disk full"
+    words, files, comm, arguments, _ = (tmp_path / "log").read_text().splitlines()
+    assert words == f"['a'] red given {loaded}"
+    assert files == "['0', '1', '2', '3']"  # 3: what lists them
+    assert comm.startswith(name)
+    assert arguments == "['-u', '-m', 'says', 'a']"
+
+
+def test_what_waits_to_run_a_module_ends_with_who_prepared_it(tmp_path):
+    code = "import os; from im_core import process; process.prepare('json'); print(process._prepared['json'].pid)"
+    pid = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    deadline = clock.monotonic() + 60.0
+    while Path(f"/proc/{pid}").exists() and clock.monotonic() < deadline:
+        clock.sleep(0.01)
+    assert not Path(f"/proc/{pid}").exists()

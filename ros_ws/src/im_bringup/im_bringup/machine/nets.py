@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pydantic
 
-from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.registry import TaskRecord
 from im_core.arrivals import read_json
 from im_core.errors import ImError
@@ -17,6 +16,8 @@ from im_core.files import make_folder, read_text, write_whole
 from im_core.process import ChildProcess
 from im_core.startup import nets_told
 
+#: What is ``pnt`` on the command line.
+PROVER = "im_pnt_analysis.cli"
 #: Exit codes of ``pnt prove``.
 VERIFIED, UNPROVED = 0, 3
 
@@ -28,12 +29,8 @@ class _Description(pydantic.BaseModel):
 
 
 def prove(files: Sequence[Path], log: Path) -> ChildProcess:
-    """Begin to verify net files; what is found is written into a log, the verdict last.
-
-    Raises:
-        NotFoundError: The command is not installed.
-    """
-    return ChildProcess([str(path_of("im_pnt_analysis", "pnt")), "prove", *map(str, files)], log=log)
+    """Begin to verify net files; what is found is written into a log, the verdict last."""
+    return ChildProcess.of_module(PROVER, ["prove", *map(str, files)], log=log)
 
 
 class MachineNets:

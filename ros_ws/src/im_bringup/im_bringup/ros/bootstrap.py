@@ -18,6 +18,7 @@ from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.arrivals import member
 from im_core.errors import ImError, StoreError
+from im_core.process import dismiss_prepared
 from im_core.procfs import ProcessId
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
@@ -99,6 +100,7 @@ class BootstrapNode(GuardedNode):
             self._show()
             if self._bootstrap.state == machine.READY:
                 self._poll_timer.timer_period_ns = round(POLL_PERIOD_S * 1e9)
+                dismiss_prepared()
 
     def _described(self, message: NetDescription) -> None:
         self._nets.described(message.node, message.net, message.json)

@@ -7,22 +7,28 @@ along, and with them no process may be copied.
 import argparse
 import os
 import sys
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
 from im_bringup.machine.bootstrap import Bootstrap
 from im_bringup.machine.members import is_member
-from im_bringup.machine.nets import MachineNets
+from im_bringup.machine.nets import PROVER, MachineNets
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import MARKER, Agent, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.middleware import middleware
+from im_cell.robot import load_cell
 from im_core import clock, names, scheduling
-from im_core.errors import ImError
+from im_core.errors import ConfigError, ImError
+from im_core.process import prepare
 from im_core.procfs import ProcessId
 
-#: What most tasks load, beside what this process needs itself; of ROS its messages, which are plain Python.
-COMMON = ("im_cell.link", "im_cell.robot", "rcl_interfaces.srv", "std_msgs.msg", "im_msgs.msg", "im_msgs.srv")
+#: What several processes load, beside what this one needs itself; of ROS its messages, which are plain Python.
+COMMON = (
+    *("im_cell.link", "im_cell.robot.truth", "pinocchio", "im_pnt_analysis.cli.prove"),
+    *("rcl_interfaces.srv", "std_msgs.msg", "im_msgs.msg", "im_msgs.srv"),
+)
 
 
 def main() -> int:
@@ -68,6 +74,9 @@ def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
     scheduling.keep_off()
     for module in COMMON:
         import_module(module)
+    with suppress(ConfigError):  # whoever needs it says what is wrong with it
+        load_cell()
+    prepare(PROVER)
     run_dir, host, tasks = names.run_dir().resolve(), deployment.local_host(), list(deployment.tasks())
     agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))
     nets = MachineNets(run_dir, {placed.task.node for placed in tasks}, unproved=deployment.unproved)

@@ -18,6 +18,7 @@ from std_msgs.msg import UInt8
 from im_core import clock
 from im_core.arrivals import member
 from im_core.errors import ImError
+from im_core.process import dismiss_prepared
 from im_core.ros import qos
 from im_core.ros.coroutines import SOON_S, Alarms, Coroutines, Promise, Work
 from im_core.ros.guard import GuardedNode
@@ -196,6 +197,7 @@ class ManagedNode(GuardedNode):
         if self.fixed_parameters.fault is not None:
             raise self.fixed_parameters.fault
         self.phase_configure()
+        dismiss_prepared()
 
     def _run_phase(self, phase: Callable[[], None], reached: int) -> None:
         usual, self.standstill_s = self.standstill_s, PHASE_STANDSTILL_S

@@ -10,10 +10,11 @@ from im_cell.sensor import SensorControls
 from im_core import clock, names
 from im_core.config import faults
 from im_core.errors import ConfigError, ImError, LinkError, WaitTimeoutError
-from im_core.process import ChildProcess
+from im_core.process import ChildProcess, prepare
 from im_core.shm import MessageRing, Semaphore, SharedBlock
 from im_sim.cameras.protocol import CameraReply, CameraRequest, CameraSettings, ChannelNames, ImageStore
 
+_CAMERAS = "im_sim.cameras"
 _SLICE_S = 0.1
 _RENDER_BUDGET_S = 5.0
 
@@ -28,6 +29,11 @@ class CameraHost(FrameSource):
     Raises:
         ConfigError: The settings are wrong.
     """
+
+    @classmethod
+    def prepare(cls) -> None:
+        """Have the camera process loaded."""
+        prepare(_CAMERAS)
 
     def __init__(self, setup: FrameSourceSetup) -> None:
         known = {"cameras": setup.cameras, "sensor": setup.sensor, "nominal_exposure": setup.nominal_exposure_s}
@@ -140,7 +146,7 @@ class CameraHost(FrameSource):
         arguments = ["--instance", names.instance(), "--truth", str(run_dir / FILE_NAME)]
         arguments += ["--settings", self._settings.model_dump_json()]
         arguments += ["--cell", str(self._cell_file)] if self._cell_file else []
-        self._child = ChildProcess.of_module("im_sim.cameras", arguments, log=run_dir / "camera.log")
+        self._child = ChildProcess.of_module(_CAMERAS, arguments, log=run_dir / "camera.log")
 
     def _restart(self) -> None:
         code = self._child.poll() if self._child is not None else None
@@ -168,7 +174,7 @@ class CameraHost(FrameSource):
             message = self._replies.receive()
             if message is None:
                 if self._child is not None and self._child.poll() is not None and self._replies.empty():
-                    raise LinkError(self._obituary(), process="im_sim.cameras")
+                    raise LinkError(self._obituary(), process=_CAMERAS)
                 self._replied.wait(_SLICE_S)
                 continue
             reply = CameraReply.from_json(message)
