@@ -6,8 +6,7 @@ of the same reader, which for a latched topic, a request or an answer may never 
 after the executor has begun to listen; what comes later is told.
 """
 
-from collections.abc import Iterator
-from itertools import chain
+from collections.abc import Iterator, MutableSet
 from typing import Any
 
 from rclpy.action import ActionClient, ActionServer
@@ -19,17 +18,29 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 
-def readers(node: Node) -> Iterator[Any]:
-    """What of a node takes messages: its subscriptions, services, clients and actions."""
-    yield from chain(tuple(node.subscriptions), tuple(node.services), tuple(node.clients))
-    yield from (waitable for waitable in tuple(node.waitables) if isinstance(waitable, ActionClient | ActionServer))
+def new_readers(node: Node, known: MutableSet[Any]) -> Iterator[Any]:
+    """What of a node takes messages, its subscriptions, services, clients and actions, and was not known.
+
+    A node keeps them in the order in which they were made: those that are new are the last ones.
+
+    Args:
+        node: The node.
+        known: Those that were known; the new ones are added.
+    """
+    for kind in (node.subscriptions, node.services, node.clients, node.waitables):
+        for reader in reversed(tuple(kind)):
+            if reader in known:
+                break
+            known.add(reader)
+            if isinstance(reader, Subscription | Service | Client | ActionClient | ActionServer):
+                yield reader
 
 
 def take_backlog(reader: Any, executor: Any) -> None:
     """Take everything that waits in a reader, as the executor would; in the loop.
 
     Args:
-        reader: One of :func:`readers`; of one that was destroyed nothing is taken.
+        reader: One of :func:`new_readers`; of one that was destroyed nothing is taken.
         executor: The events executor that listens to it.
 
     Raises:

@@ -26,7 +26,7 @@ from im_core import scheduling
 from im_core.errors import ImError
 from im_core.loop_watch import LoopWatch
 from im_core.pulse import Pulse
-from im_core.ros.backlog import readers, take_backlog
+from im_core.ros.backlog import new_readers, take_backlog
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import ManagedNode
 from im_core.ros.one_reader import shared_readers
@@ -77,10 +77,9 @@ class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc
 
     def _look_into_new_readers(self) -> None:
         """Have each new reader looked into after the executor has begun to listen to it, which waits in its queue."""
-        new = [reader for node in self.get_nodes() for reader in readers(node) if reader not in self._listened]
-        self._listened.update(new)
-        for reader in new:
-            self.create_task(take_backlog, reader, self)
+        for node in self.get_nodes():
+            for reader in new_readers(node, self._listened):
+                self.create_task(take_backlog, reader, self)
 
     def create_task(self, callback: Any, *args: Any, **options: Any) -> Task:
         """As in rclpy; the result of a task that raised is None."""
