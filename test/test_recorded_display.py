@@ -15,7 +15,7 @@ from im_pnt_analysis.timed.mission import mission_of
 from im_pnt_analysis.timed.recording import Described, Moment, NetRecording, RecordedMarking, recording_of
 from im_pnt_display import DisplayServer
 from im_pnt_display.page.recording import FIRINGS_AHEAD, RecordedNets
-from im_pnt_display.page.server import RECORDED
+from im_pnt_display.page.site import RECORDED
 
 BAGS = Path(__file__).parent / "data" / "bags"
 NAMES = sorted(path.name for path in BAGS.iterdir() if path.is_dir())

@@ -8,8 +8,9 @@ import socket
 import aiohttp
 import pytest
 
-from im_pnt_display.page import server as module
-from im_pnt_display.page.server import LONGEST_REQUEST, MOST_VIEWERS, READ_ONLY, DisplayServer
+from im_pnt_display.page import site as module
+from im_pnt_display.page.server import DisplayServer
+from im_pnt_display.page.site import LONGEST_REQUEST, MOST_VIEWERS, READ_ONLY
 
 ASKED = {"net": "n", "request": "pause", "argument": ""}
 

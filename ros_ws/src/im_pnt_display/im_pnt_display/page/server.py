@@ -2,38 +2,26 @@
 
 import asyncio
 import errno
-import json
+import socket
 import threading
-from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aiohttp import WSMsgType, web
-
-from im_core.arrivals import read_json
-from im_core.errors import DataError, ImError, LinkError, WaitTimeoutError
-from im_core.startup import patience_s
-from im_pnt_display.page.doors import REQUEST_S, guarded_application
+from im_core.errors import LinkError
 from im_pnt_display.page.state import Change, DisplayState
+from im_pnt_display.page.viewers import Operate, Viewers
 
 if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
 
-STATIC = Path(__file__).parent / "static"
-VIEWER_BACKLOG = 500
 PORTS_TRIED = 20
-READ_ONLY = "this page only shows; scripts/start.sh --control lets it operate nets"
-RECORDED = "this page shows a recording; what happened is not changed"
-MOST_VIEWERS = 100
-LONGEST_REQUEST = 10_000
-"""Bytes of what a viewer asks for."""
-
-Operate = Callable[[Mapping[str, str]], None]
-"""Takes what a viewer asks for: ``net``, ``request`` and ``argument``; called in the server's thread."""
+_WAITING = 128
+"""Most connections that wait to be taken."""
 
 
 class DisplayServer:
     """Serves a display from a thread of its own.
+
+    It listens at once, and loads the libraries of a web server when somebody comes first: mostly nobody does.
 
     Args:
         host: Address to listen on; it answers to that name, and to those of this computer for itself.
@@ -50,14 +38,13 @@ class DisplayServer:
         recording: "RecordedNets | None" = None,
     ) -> None:
         self.state = DisplayState()
-        self._host, self._port, self._operate, self._recording = host, port, operate, recording
+        self._host, self._port, self._recording = host, port, recording
         self.state.operable = operate is not None
         self.state.recording = recording.overview if recording is not None else None
-        self._viewers: dict[asyncio.Queue[str], None] = {}
+        self._operate, self._viewers = operate, Viewers(self.state)
+        self._sockets: list[socket.socket] = []
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
-        self._ready = threading.Event()
-        self._failure: ImError | None = None
         self._thread = threading.Thread(target=self._run, name="display", daemon=True)
 
     @property
@@ -71,13 +58,9 @@ class DisplayServer:
 
         Raises:
             LinkError: No port is free.
-            WaitTimeoutError: The server does not come up.
         """
+        self._listen()
         self._thread.start()
-        if not self._ready.wait(wait_s := patience_s()):
-            raise WaitTimeoutError(what="the display server", seconds=wait_s)
-        if self._failure is not None:
-            raise self._failure
 
     def stop(self) -> None:
         """Ends all connections."""
@@ -87,18 +70,8 @@ class DisplayServer:
 
     def show(self, change: Change) -> None:
         """Passes a change of the state on to all viewers; from any thread."""
-        text = json.dumps(change)
         if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._broadcast, text)
-
-    def _broadcast(self, text: str) -> None:
-        for backlog in self._viewers:
-            if backlog.full():
-                while not backlog.empty():
-                    backlog.get_nowait()
-                backlog.put_nowait(json.dumps(self.state.snapshot()))
-            else:
-                backlog.put_nowait(text)
+            self._loop.call_soon_threadsafe(self._viewers.show, change)
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
@@ -106,98 +79,58 @@ class DisplayServer:
             self._loop.run_until_complete(self._serve())
         finally:
             self._loop.close()
+            for listening in self._sockets:
+                listening.close()
 
     async def _serve(self) -> None:
-        app = guarded_application(self._host)
-        app.router.add_get("/", _page)
-        app.router.add_get("/state.json", self._give_state)
-        app.router.add_get("/ws", self._view)
-        app.router.add_get("/recording.json", self._give_moment)
-        app.router.add_static("/static", STATIC)
-        runner = web.AppRunner(app, shutdown_timeout=1.0, keepalive_timeout=REQUEST_S)
-        await runner.setup()
-        try:
-            await self._listen(runner)
-        except ImError as error:
-            self._failure = error
-            return
-        finally:
-            self._ready.set()
-        await self._stop.wait()
-        await runner.cleanup()
+        come = asyncio.Event()
+        for listening in self._sockets:
+            self._loop.add_reader(listening, come.set)
+        waits = [asyncio.ensure_future(event.wait()) for event in (come, self._stop)]
+        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+        for wait in waits:
+            wait.cancel()
+        for listening in self._sockets:
+            self._loop.remove_reader(listening)
+        if not self._stop.is_set():
+            from im_pnt_display.page.site import Site  # with the libraries
 
-    async def _listen(self, runner: web.AppRunner) -> None:
+            site = Site(self._host, self._viewers, self._operate, self._recording)
+            await site.serve(self._sockets, self._stop)
+
+    def _listen(self) -> None:
         first = self._port
         for port in range(first, first + PORTS_TRIED if first else 1):
-            site = web.TCPSite(runner, self._host, port)
             try:
-                await site.start()
+                self._sockets = _listening(self._host, port)
             except OSError as error:
                 if error.errno != errno.EADDRINUSE:
                     raise LinkError(f"cannot serve the display on {self._host}:{port}: {error.strerror}") from error
-                await site.stop()
                 continue
-            self._port = int(runner.addresses[0][1])
+            self._port = int(self._sockets[0].getsockname()[1])
             return
         raise LinkError(f"cannot serve the display on {self._host}: ports {first} to {port} are all in use", port=first)
 
-    async def _give_state(self, request: web.Request) -> web.Response:
-        return web.json_response(self.state.snapshot())
 
-    async def _give_moment(self, request: web.Request) -> web.Response:
-        if self._recording is None:
-            raise web.HTTPNotFound(text="this page shows running nets, no recording")
-        try:
-            return web.json_response(self._recording.moment(request.query))
-        except ImError as error:
-            raise web.HTTPBadRequest(text=error.message) from error
+def _listening(host: str, port: int) -> list[socket.socket]:
+    """Returns sockets that listen on all addresses of a name; the port of the first, if any will do.
 
-    async def _view(self, request: web.Request) -> web.WebSocketResponse:
-        if len(self._viewers) >= MOST_VIEWERS:
-            raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
-        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST)
-        await socket.prepare(request)
-        backlog: asyncio.Queue[str] = asyncio.Queue(VIEWER_BACKLOG)
-        backlog.put_nowait(json.dumps(self.state.snapshot()))
-        self._viewers[backlog] = None
-        sender = asyncio.create_task(_pass_on(backlog, socket))
-        stopper = asyncio.create_task(self._stop.wait())
-        listener = asyncio.create_task(self._listen_to(socket))
-        try:
-            await asyncio.wait({sender, stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            del self._viewers[backlog]
-            for task in (sender, stopper, listener):
-                task.cancel()
-            await asyncio.gather(sender, stopper, listener, return_exceptions=True)
-            await socket.close()
-        return socket
-
-    async def _listen_to(self, socket: web.WebSocketResponse) -> None:
-        async for message in socket:
-            if message.type in (WSMsgType.CLOSE, WSMsgType.ERROR):
-                return
-            if message.type is WSMsgType.TEXT and (wanted := _wanted(message.data)) is not None:
-                if self._operate is not None:
-                    self._operate(wanted)
-                else:
-                    why = READ_ONLY if self._recording is None else RECORDED
-                    self.show(self.state.answer(wanted["net"], False, why))
-
-
-async def _page(request: web.Request) -> web.FileResponse:
-    return web.FileResponse(STATIC / "index.html")
-
-
-async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -> None:
-    while True:
-        await socket.send_str(await backlog.get())
-
-
-def _wanted(text: str) -> Mapping[str, str] | None:
-    """Returns what a viewer asks for, None if it makes no sense; text that no message can carry makes none."""
+    Raises:
+        OSError: One cannot.
+    """
+    sockets: list[socket.socket] = []
+    found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     try:
-        wanted = read_json(dict[str, str], text, "a request")
-    except DataError:
-        return None
-    return wanted if {"net", "request", "argument"} <= wanted.keys() else None
+        for family, kind, protocol, _, address in dict.fromkeys(found):
+            sockets.append(socket.socket(family, kind, protocol))
+            sockets[-1].setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                sockets[-1].setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            sockets[-1].bind((address[0], port or sockets[0].getsockname()[1], *address[2:]))
+            sockets[-1].setblocking(False)
+            sockets[-1].listen(_WAITING)
+    except OSError:
+        for listening in sockets:
+            listening.close()
+        raise
+    return sockets

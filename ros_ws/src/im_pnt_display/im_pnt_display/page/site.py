@@ -1,0 +1,116 @@
+"""The site that the display serves: the page, what it shows, moments of a recording, and a socket for each viewer."""
+
+import asyncio
+import socket
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from aiohttp import WSMsgType, web
+
+from im_core.arrivals import read_json
+from im_core.errors import DataError, ImError
+from im_pnt_display.page.doors import REQUEST_S, guarded_application
+from im_pnt_display.page.viewers import Operate, Viewers
+
+if TYPE_CHECKING:
+    from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
+
+STATIC = Path(__file__).parent / "static"
+READ_ONLY = "this page only shows; scripts/start.sh --control lets it operate nets"
+RECORDED = "this page shows a recording; what happened is not changed"
+MOST_VIEWERS = 100
+LONGEST_REQUEST = 10_000
+"""Bytes of what a viewer asks for."""
+
+
+class Site:
+    """Answers whoever comes to the display, in the loop of its server.
+
+    Args:
+        host: Address that it is served on.
+        viewers: Those who look.
+        operate: Takes what viewers want done with nets; None: they only look.
+        recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
+    """
+
+    def __init__(
+        self, host: str, viewers: Viewers, operate: Operate | None = None, recording: "RecordedNets | None" = None
+    ) -> None:
+        self._viewers, self._operate, self._recording = viewers, operate, recording
+        self._stop = asyncio.Event()
+        self._app = guarded_application(host)
+        self._app.router.add_get("/", _page)
+        self._app.router.add_get("/state.json", self._give_state)
+        self._app.router.add_get("/ws", self._view)
+        self._app.router.add_get("/recording.json", self._give_moment)
+        self._app.router.add_static("/static", STATIC)
+
+    async def serve(self, sockets: Sequence[socket.socket], stop: asyncio.Event) -> None:
+        """Answer those who come to sockets that listen, until it is to stop; all connections have ended then."""
+        self._stop = stop
+        runner = web.AppRunner(self._app, shutdown_timeout=1.0, keepalive_timeout=REQUEST_S)
+        await runner.setup()
+        for listening in sockets:
+            await web.SockSite(runner, listening).start()
+        await stop.wait()
+        await runner.cleanup()
+
+    async def _give_state(self, request: web.Request) -> web.Response:
+        return web.json_response(self._viewers.state.snapshot())
+
+    async def _give_moment(self, request: web.Request) -> web.Response:
+        if self._recording is None:
+            raise web.HTTPNotFound(text="this page shows running nets, no recording")
+        try:
+            return web.json_response(self._recording.moment(request.query))
+        except ImError as error:
+            raise web.HTTPBadRequest(text=error.message) from error
+
+    async def _view(self, request: web.Request) -> web.WebSocketResponse:
+        if len(self._viewers) >= MOST_VIEWERS:
+            raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
+        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST)
+        await socket.prepare(request)
+        backlog = self._viewers.enter()
+        sender = asyncio.create_task(_pass_on(backlog, socket))
+        stopper = asyncio.create_task(self._stop.wait())
+        listener = asyncio.create_task(self._listen_to(socket))
+        try:
+            await asyncio.wait({sender, stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._viewers.leave(backlog)
+            for task in (sender, stopper, listener):
+                task.cancel()
+            await asyncio.gather(sender, stopper, listener, return_exceptions=True)
+            await socket.close()
+        return socket
+
+    async def _listen_to(self, socket: web.WebSocketResponse) -> None:
+        async for message in socket:
+            if message.type in (WSMsgType.CLOSE, WSMsgType.ERROR):
+                return
+            if message.type is WSMsgType.TEXT and (wanted := _wanted(message.data)) is not None:
+                if self._operate is not None:
+                    self._operate(wanted)
+                else:
+                    why = READ_ONLY if self._recording is None else RECORDED
+                    self._viewers.show(self._viewers.state.answer(wanted["net"], False, why))
+
+
+async def _page(request: web.Request) -> web.FileResponse:
+    return web.FileResponse(STATIC / "index.html")
+
+
+async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -> None:
+    while True:
+        await socket.send_str(await backlog.get())
+
+
+def _wanted(text: str) -> Mapping[str, str] | None:
+    """Returns what a viewer asks for, None if it makes no sense; text that no message can carry makes none."""
+    try:
+        wanted = read_json(dict[str, str], text, "a request")
+    except DataError:
+        return None
+    return wanted if {"net", "request", "argument"} <= wanted.keys() else None

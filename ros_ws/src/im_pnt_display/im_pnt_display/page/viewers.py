@@ -1,0 +1,49 @@
+"""Those who look at the display, each with what it has still to be shown."""
+
+import asyncio
+import json
+from collections.abc import Callable, Mapping
+
+from im_pnt_display.page.state import Change, DisplayState
+
+VIEWER_BACKLOG = 500
+
+Operate = Callable[[Mapping[str, str]], None]
+"""Takes what a viewer asks for: ``net``, ``request`` and ``argument``; called in the server's thread."""
+
+
+class Viewers:
+    """The viewers of a display; all but :attr:`state` for the loop of its server.
+
+    Args:
+        state: What is shown to whoever comes.
+    """
+
+    def __init__(self, state: DisplayState) -> None:
+        self.state = state
+        self._backlogs: dict[asyncio.Queue[str], None] = {}
+
+    def __len__(self) -> int:
+        return len(self._backlogs)
+
+    def enter(self) -> asyncio.Queue[str]:
+        """A viewer comes; what it is to be shown, the state first."""
+        backlog: asyncio.Queue[str] = asyncio.Queue(VIEWER_BACKLOG)
+        backlog.put_nowait(json.dumps(self.state.snapshot()))
+        self._backlogs[backlog] = None
+        return backlog
+
+    def leave(self, backlog: asyncio.Queue[str]) -> None:
+        """A viewer goes."""
+        del self._backlogs[backlog]
+
+    def show(self, change: Change) -> None:
+        """Pass a change of the state on to all; who is too far behind gets the state instead."""
+        text = json.dumps(change) if self._backlogs else ""
+        for backlog in self._backlogs:
+            if backlog.full():
+                while not backlog.empty():
+                    backlog.get_nowait()
+                backlog.put_nowait(json.dumps(self.state.snapshot()))
+            else:
+                backlog.put_nowait(text)
