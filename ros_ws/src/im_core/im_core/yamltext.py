@@ -27,6 +27,7 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 _STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _SHOWN = 60
 
 Location = tuple[int | str, ...]
@@ -250,6 +251,12 @@ def read_yaml(text: str, file: str) -> Value:
     if composer.root is None:
         raise YamlError(Value(Kind.SCALAR, file, 1, 1), "the file is empty")
     return composer.root
+
+
+def write_yaml(data: object) -> str:
+    """Writes plain data as YAML, keys in their order."""
+    text: str = yaml.dump(data, Dumper=_DUMPER, sort_keys=False)
+    return text
 
 
 class _Composer:

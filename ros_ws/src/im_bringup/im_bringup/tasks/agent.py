@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import yaml
-
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.middleware import middleware
@@ -21,6 +19,7 @@ from im_core.process import ChildProcess, await_ends, last_words, may_copy
 from im_core.pulse import Pulse
 from im_core.silence import Patience
 from im_core.startup import UNPROVED
+from im_core.yamltext import write_yaml
 
 #: Every process of a machine has this in its environment, with the machine's instance as value.
 MARKER = "IM_MACHINE"
@@ -312,7 +311,7 @@ def write_parameters(run_dir: Path, process: str, parameters: Mapping[str, Mappi
     path = run_dir / "parameters" / f"{process}.yaml"
     make_folder(path.parent)
     content = {node: {"ros__parameters": dict(values)} for node, values in parameters.items()}
-    return write_whole(path, yaml.safe_dump(content, sort_keys=True))
+    return write_whole(path, write_yaml(content))
 
 
 def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:

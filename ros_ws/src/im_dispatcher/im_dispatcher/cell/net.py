@@ -1,7 +1,6 @@
 """The net ``cell``: a place for each resource, and a transition for each command that takes what it needs at once."""
 
-import yaml
-
+from im_core.yamltext import write_yaml
 from im_dispatcher.cell.needs import Needs, Variant
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
@@ -34,7 +33,7 @@ def cell_net(needs: Needs) -> Net:
         "places": places,
         "transitions": transitions,
     }
-    return parse_net(yaml.safe_dump(text, sort_keys=False))
+    return parse_net(write_yaml(text))
 
 
 def _declared(variant: Variant) -> dict[str, object]:
