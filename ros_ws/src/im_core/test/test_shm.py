@@ -2,6 +2,8 @@ import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 from collections import deque
 
 import numpy as np
@@ -17,6 +19,18 @@ from im_core.shm_names import remove_all
 
 PREFIX = f"imtest{os.getpid()}_"
 SPAWN = multiprocessing.get_context("spawn")
+#: Creates and fills a block that is larger than what is free in ``/dev/shm``, and a small one.
+TOO_LARGE = """
+from im_core.errors import LinkError
+from im_core.shm import SharedBlock
+
+try:
+    SharedBlock.create("large", 4 * 2**20).array("u1", 4 * 2**20)[:] = 1
+except LinkError as error:
+    print(error)
+with SharedBlock.create("small", 2**19) as block:
+    block.array("u1", 2**19)[:] = 1
+"""
 RECORD = np.dtype([("count", "<i8"), ("values", "<f8", (200,))])
 
 
@@ -81,6 +95,23 @@ def test_unpublished_or_missing_block_cannot_be_attached():
         SharedBlock.attach(name, timeout_s=0.0)
     with SharedBlock.create(name, 8), pytest.raises(LinkError, match="is not initialised"):
         SharedBlock.attach(name, timeout_s=0.0)
+
+
+def test_block_has_all_its_pages_from_the_beginning():
+    with SharedBlock.create(PREFIX + "whole", 10**6):
+        assert 512 * os.stat(f"/dev/shm/{PREFIX}whole").st_blocks >= 10**6
+
+
+def test_block_for_which_there_is_no_room_is_an_error_and_leaves_nothing():
+    """In a mount namespace whose ``/dev/shm`` has 1 MiB."""
+    apart = ("unshare", "--map-root-user", "--mount", "sh", "-c")
+    mount = "mount -t tmpfs -o size=1m tmpfs /dev/shm"
+    if subprocess.run([*apart, mount], capture_output=True, check=False).returncode != 0:
+        pytest.skip("this process may not mount a file system of its own")
+    script = f'{mount} && exec "$0" -c "$1"'
+    done = subprocess.run([*apart, script, sys.executable, TOO_LARGE], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "no room for the 4194368 bytes of the shared memory 'large': No space left on device" in done.stdout
 
 
 def test_snapshot_is_never_torn():

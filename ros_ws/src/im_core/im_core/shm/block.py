@@ -40,16 +40,29 @@ class SharedBlock:
     def create(cls, name: str, size: int) -> Self:
         """Create a zeroed block of ``size`` bytes; a stale block of that name is replaced.
 
-        The block can be attached only after :meth:`publish`, so that nobody sees it half initialised.
+        The block can be attached only after :meth:`publish`, so that nobody sees it half initialised. All its pages
+        are there from the beginning: one that had to be found at the first write would end the writer with SIGBUS
+        where ``/dev/shm`` has become full.
 
         Raises:
-            LinkError: Another living process owns a block of that name.
+            LinkError: Another living process owns a block of that name, or there is no room for it.
         """
         _refuse_if_in_use(name)
         unlink(name)
-        shared = posix_ipc.SharedMemory(f"/{name}", posix_ipc.O_CREX, mode=0o600, size=_HEADER_BYTES + size)
-        memory = mmap.mmap(shared.fd, _HEADER_BYTES + size)
-        shared.close_fd()
+        whole = _HEADER_BYTES + size
+        shared = posix_ipc.SharedMemory(f"/{name}", posix_ipc.O_CREX, mode=0o600)
+        try:
+            os.posix_fallocate(shared.fd, 0, whole)
+            memory = mmap.mmap(shared.fd, whole)
+        except OSError as error:
+            unlink(name)
+            raise LinkError(
+                f"there is no room for the {whole} bytes of the shared memory '{name}': {error.strerror}",
+                name=name,
+                needed=whole,
+            ) from error
+        finally:
+            shared.close_fd()
         owner = ProcessId.current()
         header = np.frombuffer(memory, dtype=_HEADER, count=1)
         header[0] = (0, owner.pid, owner.start, size)
