@@ -1,5 +1,8 @@
 """How commands have ended is known after the node that ran them has died; the last ones, and not for ever."""
 
+import json
+import tracemalloc
+
 import pytest
 
 from im_pnt.journal import ended as module
@@ -56,6 +59,28 @@ def test_only_the_last_ones_are_kept_and_not_for_ever(tmp_path, now):
     now[0] += module.AGE_S + 1.0
     assert 3 * module.MOST not in again
     assert again.last("pick") is None
+
+
+def test_what_a_command_returned_takes_no_more_than_its_text(now):
+    """A calibration returns some thousand numbers."""
+    ended, report = EndedCommands(), {"report": [[number / 7.0] * 3 for number in range(1000)]}
+    text = len(json.dumps(report))
+    tracemalloc.start()
+    try:
+        for number in range(1, module.MOST + 1):
+            ended.add(EndedCommand(**{**dict(one(number)), "results": json.loads(json.dumps(report))}))
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held < 1.1 * module.MOST * text
+    assert ended[module.MOST].results == report
+
+
+def test_halves_of_characters_and_no_numbers_are_kept(now):
+    ended = EndedCommands()
+    odd = EndedCommand.model_construct(**{**dict(one(1)), "message": "\ud800", "results": {"at": float("inf")}})
+    ended.add(odd)
+    assert ended[1] == odd
 
 
 def test_a_damaged_file_or_a_full_disk_ends_nothing(tmp_path, now):

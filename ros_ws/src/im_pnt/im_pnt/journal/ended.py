@@ -5,7 +5,9 @@ back, and the command ends once more, which counts.
 """
 
 import contextlib
+import json
 from pathlib import Path
+from typing import NamedTuple
 
 import pydantic
 
@@ -44,12 +46,20 @@ class EndedCommand(pydantic.BaseModel):
     results: dict[str, object]
 
 
+class _Kept(NamedTuple):
+    """A command as its line in the file: what a calibration returned is three times as large where it is read."""
+
+    symbol: str
+    time: float
+    line: bytes
+
+
 class EndedCommands:
     """The commands that have ended, of all lives of a node that its journal joins."""
 
     def __init__(self) -> None:
         self._file: Path | None = None
-        self._known: dict[int, EndedCommand] = {}
+        self._known: dict[int, _Kept] = {}
         self._lines = 0
 
     def keep_in(self, folder: Path, *, goes_on: bool) -> None:
@@ -73,7 +83,7 @@ class EndedCommands:
 
     def __getitem__(self, number: int) -> EndedCommand:
         """Returns how the command of a number has ended."""
-        return self._known[number]
+        return EndedCommand.model_construct(**json.loads(self._known[number].line))
 
     def largest(self) -> int:
         """Returns the largest number of those that are known, 0 if none is."""
@@ -82,12 +92,11 @@ class EndedCommands:
     def last(self, symbol: str) -> EndedCommand | None:
         """Returns how the last command of a symbol has ended, if it is known."""
         self._forget()
-        return next((each for each in reversed(self._known.values()) if each.symbol == symbol), None)
+        return next((self[number] for number in reversed(self._known) if self._known[number].symbol == symbol), None)
 
     def add(self, ended: EndedCommand) -> None:
         """Keeps how a command has ended; where the disk does not take it, until the node dies."""
-        self._known.pop(ended.number, None)
-        self._known[ended.number] = ended
+        line = self._keep(ended)
         self._forget()
         if self._file is None:
             return
@@ -95,25 +104,30 @@ class EndedCommands:
             self._write_anew()
             return
         with contextlib.suppress(OSError, ValueError), self._file.open("ab", buffering=0) as file:
-            file.write(f"{ended.model_dump_json()}\n".encode())
+            file.write(line)
             self._lines += 1
 
     def _forget(self) -> None:
         oldest = wall() - AGE_S
         left_out = max(0, len(self._known) - MOST)
-        for rank, (number, ended) in enumerate(list(self._known.items())):
-            if rank < left_out or ended.time < oldest:
+        for rank, (number, kept) in enumerate(list(self._known.items())):
+            if rank < left_out or kept.time < oldest:
                 del self._known[number]
 
     def _read(self, line: str) -> None:
         with contextlib.suppress(pydantic.ValidationError):  # the last line may not be whole
-            ended = EndedCommand.model_validate_json(line)
-            self._known.pop(ended.number, None)
-            self._known[ended.number] = ended
+            self._keep(EndedCommand.model_validate_json(line))
+
+    def _keep(self, ended: EndedCommand) -> bytes:
+        """Keeps one as the newest; returns its line."""
+        line = f"{json.dumps(ended.model_dump())}\n".encode()  # pydantic's JSON refuses halves of characters
+        self._known.pop(ended.number, None)
+        self._known[ended.number] = _Kept(ended.symbol, ended.time, line)
+        return line
 
     def _write_anew(self) -> None:
         self._forget()
         if self._file is not None:
             with contextlib.suppress(StoreError, ValueError):
-                write_whole(self._file, "".join(f"{each.model_dump_json()}\n" for each in self._known.values()))
+                write_whole(self._file, b"".join(kept.line for kept in self._known.values()))
                 self._lines = len(self._known)
