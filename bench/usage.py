@@ -2,7 +2,7 @@
 
 import ctypes
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 _LIBC = ctypes.CDLL(None)
@@ -22,14 +22,29 @@ def cpu_s(pid: int) -> float:
 
 def memory_mib(pids: Iterable[int]) -> float:
     """Memory of processes, shared pages counted once in proportion (PSS) [MiB]; without those that ended."""
+    return _kib(pids, ("Pss",)) / 1024.0
+
+
+def own_memory_mib(pids: Iterable[int]) -> float:
+    """Memory that only these processes can give back: anonymous pages and what is swapped of them [MiB].
+
+    Those of a parent and its copies are counted once in proportion. Pages of files are left out: they are the kernel's,
+    and of a library that others have loaded, too, the share changes when those begin and end.
+    """
+    return _kib(pids, ("Pss_Anon", "SwapPss")) / 1024.0
+
+
+def _kib(pids: Iterable[int], fields: Collection[str]) -> int:
+    """The sum of some fields of the mappings of processes [KiB]."""
     total = 0
     for pid in pids:
         try:
             text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
         except OSError:
             continue
-        total += next((int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:")), 0)
-    return total / 1024.0
+        found = (line.partition(":") for line in text.splitlines())
+        total += sum(int(rest.split()[0]) for name, _, rest in found if name in fields)
+    return total
 
 
 def program(pid: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from bench.figures import Line
-from bench.usage import memory_mib, program
+from bench.usage import own_memory_mib, program
 from im_core import names
 
 WEEK_S = 7 * 86_400.0
@@ -25,12 +25,12 @@ class Sample:
         kind: Of the command before it.
         at_s: When, since the first command began [s].
         duration_s: How long the command before it took [s].
-        memory: PSS [MiB].
+        memory: Anonymous pages, swapped ones too [MiB].
         descriptors: Open files.
         threads: Threads.
         shm: Files in ``/dev/shm`` that they have in their memory, each once [MiB].
         disk: Folder of logs, journals and data objects [MiB].
-        memory_of: PSS of each process, by its program and number [MiB].
+        memory_of: That of each process, by its program and number [MiB].
     """
 
     kind: str
@@ -111,7 +111,7 @@ class Trend:
 def sample(pids: Iterable[int], kind: str, at_s: float, duration_s: float) -> Sample:
     """Look at processes, and at the folders of the machine of this ROS domain."""
     found = list(pids)
-    memory_of = {f"{program(pid)} {pid}": memory_mib([pid]) for pid in found}
+    memory_of = {f"{program(pid)} {pid}": own_memory_mib([pid]) for pid in found}
     return Sample(
         kind,
         at_s,

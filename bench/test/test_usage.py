@@ -1,15 +1,30 @@
+import mmap
 import os
 import threading
 import time
 
 import pytest
 
-from bench.usage import cpu_s, memory_mib
+from bench.usage import cpu_s, memory_mib, own_memory_mib
 
 
 def test_memory_of_this_process_is_between_one_and_a_thousand_mib():
     assert 1.0 < memory_mib([os.getpid()]) < 1000.0
     assert memory_mib([2**30]) == pytest.approx(0.0)
+
+
+def test_own_memory_is_what_was_written_and_not_what_was_read_of_a_file(tmp_path):
+    (tmp_path / "library").write_bytes(bytes(32 * 2**20))
+    whole, own = memory_mib([os.getpid()]), own_memory_mib([os.getpid()])
+    with (tmp_path / "library").open("rb") as file:
+        mapped = mmap.mmap(file.fileno(), 0, mmap.MAP_PRIVATE, mmap.PROT_READ)
+    assert sum(mapped[::4096]) == 0
+    assert memory_mib([os.getpid()]) - whole > 30.0
+    assert own_memory_mib([os.getpid()]) - own < 2.0
+    written = bytearray(b"1") * (32 * 2**20)
+    assert own_memory_mib([os.getpid()]) - own > 30.0
+    del written
+    mapped.close()
 
 
 def test_cpu_time_of_a_process_has_that_of_threads_that_ended():
