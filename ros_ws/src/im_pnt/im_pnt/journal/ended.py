@@ -120,7 +120,11 @@ class EndedCommands:
 
     def _keep(self, ended: EndedCommand) -> bytes:
         """Keeps one as the newest; returns its line."""
-        line = f"{json.dumps(ended.model_dump())}\n".encode()  # pydantic's JSON refuses halves of characters
+        try:
+            text = json.dumps(ended.model_dump())  # pydantic's JSON refuses halves of characters
+        except (TypeError, ValueError, RecursionError):  # results that are no JSON could be told to nobody
+            text = json.dumps(ended.model_copy(update={"results": {}}).model_dump())
+        line = f"{text}\n".encode()
         self._known.pop(ended.number, None)
         self._known[ended.number] = _Kept(ended.symbol, ended.time, line)
         return line
