@@ -96,15 +96,22 @@ class Trend:
 
     @classmethod
     def through(cls, at_s: Sequence[float], values: Sequence[float]) -> "Trend":
-        """Least squares; the interval is Student's, of the scatter about the line."""
+        """Least squares; the interval is Student's, of the scatter about the line.
+
+        What a machine holds changes in steps, so that values that follow each other are off the line together and tell
+        less than their number. They count as the independent ones that would tell as much, with the correlation of
+        neighbours (Santer et al., J. Geophys. Res. 105, 2000, eq. 6), three at least.
+        """
         if len(values) < 3:
             return cls(math.nan, math.nan, -math.inf, math.inf)
         mean, apart = float(np.mean(values)), np.subtract(at_s, np.mean(at_s))
         spread = float(apart @ apart)
         slope = float(apart @ np.subtract(values, mean)) / spread
         rest = np.subtract(values, mean) - slope * apart
-        error = math.sqrt(float(rest @ rest) / (len(values) - 2) / spread)
-        reach = float(stats.t.ppf(0.975, len(values) - 2)) * error
+        scatter = float(rest @ rest)
+        together = max(0.0, float(rest[1:] @ rest[:-1]) / scatter) if scatter else 0.0
+        degrees = max(3.0, len(values) * (1.0 - together) / (1.0 + together)) - 2.0
+        reach = float(stats.t.ppf(0.975, degrees)) * math.sqrt(scatter / degrees / spread)
         return cls(mean, slope, slope - reach, slope + reach)
 
 

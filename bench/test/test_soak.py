@@ -80,6 +80,26 @@ def test_the_interval_is_that_of_student():
     assert 0.92 < inside / 400 < 0.98
 
 
+def test_the_interval_holds_where_values_follow_each_other_as_steps_do():
+    """Each is 0.8 of the one before and something new: counted as independent, 50 of 100 intervals have the slope."""
+    rng = np.random.default_rng(3)
+    at_s = np.arange(150.0)
+    inside = 0
+    for _ in range(400):
+        off = np.zeros(150)
+        for k, new in enumerate(rng.standard_normal(150)):
+            off[k] = 0.8 * off[k - 1] + new
+        trend = Trend.through(at_s, 3.0 + 0.5 * at_s + off)
+        inside += trend.low <= 0.5 <= trend.high
+    assert inside / 400 > 0.88
+
+
+def test_growth_in_steps_is_found_and_one_step_is_none():
+    at_s = np.arange(150.0)
+    assert Trend.through(at_s, 1000.0 + np.floor(at_s / 10.0)).low > 0.09
+    assert Trend.through(at_s, 1000.0 + 5.0 * (at_s > 20.0)).low < 0.0
+
+
 def test_a_sample_is_of_the_processes_that_are_named(tmp_path, monkeypatch):
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     (tmp_path / "log").write_bytes(bytes(2**20))
