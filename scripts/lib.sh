@@ -60,6 +60,9 @@ im_defaults() {
   export PYTHONUNBUFFERED=1
   # We have no plug-ins of pydantic, and each process would look through all packages for some.
   export PYDANTIC_DISABLE_PLUGINS=__all__
+  # Work that takes long runs in threads, and in each of its arenas (8 for each processor) malloc keeps the most that any
+  # of them ever needed; what is computed there holds the interpreter's lock.
+  export MALLOC_ARENA_MAX="${MALLOC_ARENA_MAX:-2}"
   # The servo's matrices are small: threads of a BLAS would only disturb it.
   export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 }

@@ -120,6 +120,35 @@ def test_shell_runs_a_command_with_everything_sourced(script):
     assert script("shell", "bash", "-c", "exit 7").returncode == 7
 
 
+ARENAS = """
+import ctypes, sys, threading
+at_work, stay = threading.Barrier(9), threading.Event()
+def work():
+    block = bytes(100_000)
+    at_work.wait()
+    stay.wait()
+for _ in range(8):
+    threading.Thread(target=work, daemon=True).start()
+at_work.wait()
+libc = ctypes.CDLL(None)
+libc.fopen.restype = ctypes.c_void_p
+file = ctypes.c_void_p(libc.fopen(b"/dev/stdout", b"w"))
+libc.malloc_info(0, file)
+libc.fclose(file)
+stay.set()
+"""
+
+
+def test_threads_share_the_arenas_of_malloc(script):
+    """Each arena keeps the most that any thread ever needed in it."""
+
+    def arenas(*command):
+        return script("shell", *command).stdout.count("<heap nr=")
+
+    assert arenas("env", "--unset=MALLOC_ARENA_MAX", "python", "-c", ARENAS) >= 8
+    assert arenas("python", "-c", ARENAS) <= 2
+
+
 def test_scripts_work_without_a_home(script):
     done = script("run", "im_dom", HOME="")
     assert (done.returncode, done.stdout) == (0, "dom\n"), done.stderr
