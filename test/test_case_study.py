@@ -95,7 +95,7 @@ def test_the_nets_are_the_program(first_run):
 
     _, firings = first_run
     ended = [(f.net, f.transition) for f in firings if f.phase == Firing.END]
-    read = [("calibrate_camera", name) for name in ("read_first_pos", "read_next_pos")]
+    read = [("calibrate_camera", name) for name in ("read_first_pos", "read_planned_pos", "read_next_pos")]
     assert sum(map(ended.count, read)) == FEW
     assert ended.count(("motion_coordinator", "move_manip")) == FEW
     assert ended.count(("calibrate_camera", "loop_done")) + ended.count(("calibrate_camera", "skip_done")) == 1

@@ -121,22 +121,18 @@ def test_a_pose_costs_one_call_and_no_more_memory_than_the_one_before(play: Play
         play.pose()
 
 
-def test_the_path_to_the_next_pose_is_known_only_if_it_was_found_from_here(play: Play) -> None:
+def test_the_arm_takes_the_path_that_was_planned_while_it_was_at_the_pose_before(play: Play) -> None:
     play.pose()
     assert play("way_known") == {"planned": False, "near": "home"}, "wherever the arm is at first"
     play("present_look")
     assert play("next_destination") == {"destination": "next_destination", "leaves": "path/left"}
     assert play.host.objects[f"{SYMBOL}/1/next_destination"].name == "p02"
-    play("keep_path")
     play.restart()
-    assert play.pose() == "p02"
+    play("read_planned_pos")
+    assert play.host.objects[f"{SYMBOL}/1/destination"].name == "p02"
     assert play("way_known") == {"planned": True, "near": "here"}
     play("present_look")
     play("next_destination")  # no path is found
-    assert play.pose() == "p03"
-    assert play("way_known") == {"planned": False, "near": "here"}
-    play("keep_path")
-    play("take_up", StateError("mcs has begun anew", code=BEGUN_ANEW))  # the arm may be elsewhere then
     assert play.pose() == "p03"
     assert play("way_known") == {"planned": False, "near": "here"}
 

@@ -16,7 +16,7 @@ class FiringPhase(IntEnum):
 
 #: The net ``calibrate_camera``: what takes the next pose, what is done for the one that the arm has left, what ends a
 #: pose, and what needs no line of its own.
-FIRST = frozenset({"read_first_pos", "read_next_pos"})
+FIRST = frozenset({"read_first_pos", "read_planned_pos", "read_next_pos"})
 BEHIND = frozenset({"find_spot", "keep_observation"})
 LAST = frozenset({"keep_observation", "visit_again", "skip_unreached", "skip_unseen", "skip_unusable", "note_failure"})
 ABORTS = "abort_"
@@ -24,9 +24,10 @@ QUIET = frozenset(
     {
         "begin_pose",
         "end_ahead",
-        "keep_path",
-        "leave_path",
+        "drop_unlooked",
+        "drop_unmeasured",
         "stay",
+        "stay_cancelled",
         "loop_again",
         "loop_done",
         "skip_again",

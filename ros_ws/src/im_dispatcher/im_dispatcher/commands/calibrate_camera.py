@@ -26,9 +26,6 @@ SYMBOL = "calibrate_camera"
 #: Data object: the poses of the command.
 POSES = "calibration_poses"
 
-#: In the memory of the command: number of the pose to which a path from the present one is known.
-AHEAD = "ahead"
-
 #: Code of the failure of whoever needs what was established in a former life of the task that kept it.
 BEGUN_ANEW = "begun_anew"
 
@@ -60,7 +57,7 @@ class CalibrateCamera:
             for action in (
                 self.init_calib,
                 self.read_next_pos,
-                self.keep_path,
+                self.read_planned_pos,
                 self.visit_again,
                 self.skip_pose,
                 self.skip_look,
@@ -115,11 +112,16 @@ class CalibrateCamera:
         done, number = loop.progress, loop.next_pose()
         pose = (await self._poses(ctx)).poses[number - 1]
         ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), pose.name
-        ctx.memory["planned"] = ctx.memory.pop(AHEAD, None) == number
+        ctx.memory["planned"] = False
         ctx.memory["times"] = self._host.noted("times", lambda: self._times_of(ctx).to_dict())
         self._elapsed(ctx)
         await self._host.put_object(ctx.object("destination"), pose, place=f"{SYMBOL}.destination_valid")
         ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
+
+    async def read_planned_pos(self, ctx: ActionContext) -> None:
+        """The same of a destination to which a path was planned while the arm was at the pose before."""
+        await self.read_next_pos(ctx)
+        ctx.memory["planned"] = True
 
     def way_known(self, ctx: ActionContext) -> dict[str, object]:
         """Whether the path to the next destination is known already; the first one is sought from home.
@@ -134,10 +136,6 @@ class CalibrateCamera:
         pose = (await self._poses(ctx)).poses[_loop(ctx).following - 1]
         await self._host.put_object(ctx.object("next_destination"), pose)
         return {"destination": "next_destination", "leaves": f"path/{ctx.command.arguments['group']}"}
-
-    async def keep_path(self, ctx: ActionContext) -> None:
-        """Notes to which pose a path is known."""
-        ctx.memory[AHEAD] = _loop(ctx).following
 
     def present_look(self, ctx: ActionContext) -> dict[str, object]:
         """Which cameras are to look, for what, and how: the pose where the arm is is the one that is looked at."""
@@ -176,7 +174,6 @@ class CalibrateCamera:
         loop = _loop(ctx)
         loop.give_back()
         ctx.memory["loop"] = loop.to_json()
-        ctx.memory.pop(AHEAD, None)
 
     async def collected(self, ctx: ActionContext) -> dict[str, object]:
         """What is to be calibrated from: the numbers of the poses that were observed, and why others were not."""
