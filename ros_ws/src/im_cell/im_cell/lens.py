@@ -52,7 +52,9 @@ class LensModel(ABC):
         if not self.estimated <= len(given) <= most:
             wanted = " or ".join(str(n) for n in range(self.estimated, most + 1))
             raise DataError(f"{self.name} has {wanted} coefficients, got {len(given)}", coefficients=len(given))
-        return np.append(given, np.zeros(most - len(given)))
+        everything = np.zeros(most)
+        everything[: len(given)] = given
+        return everything
 
     @abstractmethod
     def distort(self, xn: ArrayLike, D: ArrayLike) -> Array:

@@ -4,6 +4,7 @@ Where a pose does not fit, one camera's spot is wrong, or the robot's position t
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -234,6 +235,7 @@ def _enough(chosen: Mask, problem: CalibrationProblem, layout: ParameterLayout) 
     return bool(np.all(chosen.sum(axis=1) > problem.fewest_spots)) and 2 * int(chosen.sum()) > layout.cameras_size
 
 
+@cache
 def _gate(dof: int) -> float:
     """Value that chi-square exceeds with probability :data:`FALSE_ALARM`."""
     return float(scipy.stats.chi2.isf(FALSE_ALARM, dof))

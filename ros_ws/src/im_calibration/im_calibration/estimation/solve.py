@@ -149,7 +149,7 @@ class _Cost:
         noise = np.where(used[..., None, None], problem.spot_covariances, np.eye(2))
         self.image_covariances: Array = noise * factors[..., None, None]
         self._image_weights = np.swapaxes(np.linalg.inv(self.image_covariances), 0, 1)
-        self._position_weights = np.linalg.pinv(problem.position_covariances, hermitian=True)
+        self._position_weights = problem.position_weights
 
     def __call__(self, unknowns: Unknowns) -> float:
         focal = unknowns.intrinsics[:, :2] / self._widths
@@ -162,7 +162,7 @@ class _Cost:
         image = np.einsum("nci,ncij,ncj->", residuals, self._image_weights, residuals)
         moved = unknowns.displacements
         position = np.einsum("ni,nij,nj->", moved, self._position_weights, moved)
-        return float(image + position + self._layout.prior(unknowns).chi2)
+        return float(image + position + self._layout.prior_chi2(unknowns))
 
     def relaxed(self, unknowns: Unknowns) -> Unknowns:
         """The same cameras with the LED positions that suit them best, to first order."""

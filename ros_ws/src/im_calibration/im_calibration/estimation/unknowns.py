@@ -1,7 +1,9 @@
 """The unknowns of a calibration and their places in the parameter vector."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,12 +129,12 @@ class ParameterLayout:
         """Number of unknowns."""
         return len(self.prior_precision)
 
-    @property
+    @cached_property
     def cameras_size(self) -> int:
         """Number of unknowns of all cameras, which are the first."""
         return self.size - 3 * self.led - self.joints
 
-    @property
+    @cached_property
     def stated_precision(self) -> Array:
         """Inverse prior variances that the data set states: of LED and joint offsets, 0 elsewhere, shape (size,)."""
         return np.asarray(np.where(np.arange(self.size) < self.cameras_size, 0.0, self.prior_precision))
@@ -141,23 +143,32 @@ class ParameterLayout:
         """The prior at a value of the unknowns; that of lens terms is one of their effect, and thus of fx as well."""
         deviation, precision = unknowns.prior_vector(self), self.prior_precision.copy()
         slopes = np.zeros((self.size, self.size))  # of the whitened deviation by fx, less that by the term itself
-        for c, (size, lens) in enumerate(zip(self.image_sizes, self.lenses, strict=True)):
-            focal, first = float(unknowns.intrinsics[c, 0]), self.camera_slice(c).start
-            reach = lens_reach(focal, size, lens)
-            if reach == 1.0:
-                continue
-            for term, power in enumerate((1, 1, *lens.powers[: lens.estimated]), start=first + 2):
-                if term < first + 4 and reach > 1.0:
-                    continue
-                precision[term] *= reach ** (2 * power)
-                slopes[term, first] = -power * deviation[term] / focal
+        for c, term, power, reach in self._reaching(unknowns):
+            precision[term] *= reach ** (2 * power)
+            slopes[term, self.camera_slice(c).start] = -power * deviation[term] / float(unknowns.intrinsics[c, 0])
         jacobian = slopes * np.sqrt(precision)[:, None]
         cross = slopes * precision[:, None]
         information = np.diag(precision) + cross + cross.T + jacobian.T @ jacobian
         gradient = -precision * deviation - cross.T @ deviation
-        chi2, stated = float(deviation @ (precision * deviation)), self.stated_precision
+        chi2, stated = _chi2(deviation, precision), self.stated_precision
         lens_chi2 = chi2 - float(deviation @ (stated * deviation))
         return Prior(chi2, gradient, information, lens_chi2, information - np.diag(stated))
+
+    def prior_chi2(self, unknowns: "Unknowns") -> float:
+        """The first part of :meth:`prior`, without the others."""
+        precision = self.prior_precision.copy()
+        for _, term, power, reach in self._reaching(unknowns):
+            precision[term] *= reach ** (2 * power)
+        return _chi2(unknowns.prior_vector(self), precision)
+
+    def _reaching(self, unknowns: "Unknowns") -> Iterator[tuple[int, int, int, float]]:
+        """Camera, place and power of terms whose effect is not judged at :data:`LENS_RADIUS`, and the reach there."""
+        for c, (size, lens) in enumerate(zip(self.image_sizes, self.lenses, strict=True)):
+            first, reach = self.camera_slice(c).start, lens_reach(float(unknowns.intrinsics[c, 0]), size, lens)
+            if reach != 1.0:
+                for term, power in enumerate((1, 1, *lens.powers[: lens.estimated]), start=first + 2):
+                    if term >= first + 4 or reach < 1.0:
+                        yield c, term, power, reach
 
     @property
     def led_slice(self) -> slice:
@@ -172,8 +183,12 @@ class ParameterLayout:
 
     def camera_slice(self, c: int) -> slice:
         """Place of the parameters of camera `c`."""
-        start = sum(_count(lens) for lens in self.lenses[:c])
-        return slice(start, start + _count(self.lenses[c]))
+        return self._camera_slices[c]
+
+    @cached_property
+    def _camera_slices(self) -> tuple[slice, ...]:
+        ends = list(accumulate((_count(lens) for lens in self.lenses), initial=0))
+        return tuple(slice(start, end) for start, end in pairwise(ends))
 
     def names(self, camera_names: tuple[str, ...]) -> tuple[str, ...]:
         """Name of each unknown, such as ``ceiling_left.fx``, ``led_offset.x``, ``joint_offset.0``."""
@@ -257,6 +272,10 @@ class Unknowns:
             vector[layout.led_slice] = self.led_offset
         vector[layout.joint_slice] = self.joint_offsets
         return np.where(layout.prior_precision > 0.0, vector - layout.prior_mean, 0.0)
+
+
+def _chi2(deviation: Array, precision: Array) -> float:
+    return float(deviation @ (precision * deviation))
 
 
 def _count(lens: LensModel) -> int:

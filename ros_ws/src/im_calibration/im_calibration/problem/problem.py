@@ -1,6 +1,7 @@
 """What a calibration starts from: where the LED was by the robot, where the cameras saw it, and known lengths."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,6 +192,11 @@ class CalibrationProblem:
     def detected(self) -> Mask:
         """Where a camera saw the LED, shape (c, n)."""
         return np.asarray(~np.isnan(self.spots[..., 0]))
+
+    @cached_property
+    def position_weights(self) -> Array:
+        """Inverse covariances of the positions, 0 along what is known exactly, shape (n, 3, 3) [1/m^2]."""
+        return np.asarray(np.linalg.pinv(self.position_covariances, hermitian=True))
 
     def with_noise(self, image: float, robot: float) -> "CalibrationProblem":
         """The problem with other stated noise; that of the spots of known lengths stays.
