@@ -3,8 +3,6 @@
 import contextlib
 import re
 import shutil
-import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -28,6 +26,7 @@ from im_pnt.execution.functions import idempotent
 from im_pnt.execution.operator import Mode
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from support.warm import Copy, Warm
 
 NETS = {
     **{name: (Path(__file__).parent / "nets" / f"{name}.yaml").read_text() for name in ("front", "middle")},
@@ -110,15 +109,15 @@ class Arm(ManagedNode):
 class Machine:
     """Processes of the nets, an arm, and a client."""
 
-    def __init__(self, folder: Path, arm: Arm) -> None:
-        self.folder, self.arm = folder, arm
+    def __init__(self, folder: Path, arm: Arm, warm: Warm) -> None:
+        self.folder, self.arm, self._warm = folder, arm, warm
         self.processes = {name: self.start(name) for name in NETS}
 
-    def start(self, name: str) -> subprocess.Popen:
-        return subprocess.Popen([sys.executable, __file__, name, str(self.folder)])
+    def start(self, name: str) -> Copy:
+        return self._warm.start(Path(__file__).stem, name, self.folder)
 
     def kill(self, name: str) -> None:
-        self.processes[name].send_signal(signal.SIGKILL)
+        self.processes[name].kill()
         self.processes[name].wait()
 
     def restart(self, name: str) -> None:
@@ -154,14 +153,20 @@ class Machine:
             clock.sleep(0.02)
 
 
+@pytest.fixture(scope="module")
+def warm():
+    with Warm(Path(__file__).stem) as warm:
+        yield warm
+
+
 @pytest.fixture
-def machine(tmp_path):
+def machine(tmp_path, warm):
     for name, text in NETS.items():
         (tmp_path / f"{name}.yaml").write_text(text)
     rclpy.init()
     arm = Arm(tmp_path, parameter_overrides=[Parameter("standalone", value=True)])
     with spin_in_thread(arm):
-        machine = Machine(tmp_path, arm)
+        machine = Machine(tmp_path, arm, warm)
         yield machine
         for process in machine.processes.values():
             process.kill()

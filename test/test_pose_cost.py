@@ -2,11 +2,8 @@
 
 import itertools
 import json
-import os
 import re
-import signal
 import statistics
-import sys
 import threading
 from functools import partial
 from pathlib import Path
@@ -43,6 +40,7 @@ from im_msgs.srv import (
     SpotLook,
 )
 from support.loop import in_loop
+from support.warm import Warm
 
 POSES = 16
 MOST_CALLS = 11
@@ -192,10 +190,12 @@ class Cell(ManagedNode):
 class Cast:
     """All of them, and a client."""
 
-    def __init__(self, folder: Path, process) -> None:
-        self.folder, self._process = folder, process
+    def __init__(self, folder: Path, warm: Warm) -> None:
+        self.folder, self._warm = folder, warm
         self.dom, self.cell = CountingDom(folder / "dispatcher"), Cell()
         self.testbed, self.client = ManagedNode("testbed"), ManagedNode("client")
+        # Here, so that the dispatcher knows of it when it is asked: else its answer may be lost.
+        self.calibration = self.client.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
         self.processes = {name: self.start(name) for name in PROCESSES}
         own = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text())
         own["poses"] = own["poses"][:POSES]
@@ -204,33 +204,51 @@ class Cast:
         self.names = [pose["name"] for pose in own["poses"]]
 
     def start(self, name):
-        return self._process(sys.executable, "-m", PROCESSES[name], *ALONE, "-p", f"journal_dir:={self.folder}")
+        log = self.folder / f"{name}.log"
+        return self._warm.start(PROCESSES[name], *ALONE, "-p", f"journal_dir:={self.folder}", log=log)
 
     def objects(self):
         return [record.name for record in in_loop(self.dom, self.dom.store.records)]
 
     def restart(self, name):
-        os.kill(self.processes[name].pid, signal.SIGKILL)
+        self.processes[name].kill()
+        self.processes[name].wait()
         self.processes[name] = self.start(name)
 
+    def end(self):
+        """Ends the processes; of a test that fails the report has the last of what they said."""
+        for name, process in self.processes.items():
+            process.kill()
+            process.wait()
+            print(f"-- {name}:\n{(self.folder / f'{name}.log').read_text(errors='replace')[-4000:]}")
+
     def calibrate(self, seconds=60.0):
-        service = self.client.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
-        return call_blocking(service, CalibrateCamera.Request(poses_file=str(self.file)), seconds, "a calibration")
+        request = CalibrateCamera.Request(poses_file=str(self.file))
+        return call_blocking(self.calibration, request, seconds, "a calibration")
+
+
+@pytest.fixture(scope="module")
+def warm():
+    with Warm(*PROCESSES.values()) as warm:
+        yield warm
 
 
 @pytest.fixture
-def cast(tmp_path, process, monkeypatch, wait_until):
+def cast(tmp_path, warm, monkeypatch, wait_until):
     for name in ("run", "results"):
         (tmp_path / name).mkdir()
         monkeypatch.setenv(f"IM_{name.upper()}_DIR", str(tmp_path / name))
     rclpy.init(args=ALONE)
-    cast = Cast(tmp_path, process)
-    with spin_in_thread(cast.dom, cast.cell, cast.testbed, cast.client):
-        wait_until(lambda: cast.dom.ready, "the Data Object Manager")
-        for name in PROCESSES:
-            wait_until(lambda: cast.client.count_subscribers(f"/{name}/tokens"), f"{name} to listen")  # noqa: B023
-        yield cast
-    rclpy.try_shutdown()
+    cast = Cast(tmp_path, warm)
+    try:
+        with spin_in_thread(cast.dom, cast.cell, cast.testbed, cast.client):
+            wait_until(lambda: cast.dom.ready, "the Data Object Manager")
+            for name in PROCESSES:
+                wait_until(lambda: cast.client.count_subscribers(f"/{name}/tokens"), f"{name} to listen")  # noqa: B023
+            yield cast
+        rclpy.try_shutdown()
+    finally:
+        cast.end()
 
 
 FOLLOW = """
