@@ -76,7 +76,8 @@ def recorded(recorder, ros, wait_until, tmp_path):
         topic: str(node.get_publishers_info_by_topic(topic)[0].topic_type_hash)
         for topic in ("/described", "/events", "/image", "/tf")
     }
-    wait_until(lambda: late.wait_for_all_acked(), "the last message to arrive")
+    for publisher in (described, events, late):
+        wait_until(publisher.wait_for_all_acked, f"the messages of {publisher.topic_name} to arrive")
     end(child, signal.SIGINT, wait_until)
     return tmp_path / "bag", hashes
 
