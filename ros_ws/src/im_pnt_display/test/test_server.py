@@ -189,16 +189,3 @@ def test_the_address_that_it_tells_answers_also_where_the_port_was_taken(serve):
 )
 def test_the_address_is_one_that_a_browser_takes(host, url):
     assert DisplayServer(host=host).url == url
-
-
-def test_what_is_to_be_shown_is_made_when_somebody_comes_first(serve):
-    made = []
-
-    def make():
-        made.append(server.state.net("n", "/node", {"drawing": "it"}))
-
-    server = serve(before=make)
-    assert not made
-    for _ in range(2):
-        assert [net["net"] for net in json.loads(asked(server, "state.json")[2])["nets"]] == ["n"]
-    assert len(made) == 1

@@ -4,7 +4,6 @@ import asyncio
 import errno
 import socket
 import threading
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from im_core.errors import LinkError
@@ -29,7 +28,6 @@ class DisplayServer:
         port: Port; the next free one is taken where it is in use, any free one for 0.
         operate: Takes what viewers want done with nets; None: they only look.
         recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
-        before: What is done before anybody is shown anything; in a thread of its own.
     """
 
     def __init__(
@@ -38,10 +36,9 @@ class DisplayServer:
         port: int = 8080,
         operate: Operate | None = None,
         recording: "RecordedNets | None" = None,
-        before: Callable[[], None] | None = None,
     ) -> None:
         self.state = DisplayState()
-        self._host, self._port, self._recording, self._before = host, port, recording, before
+        self._host, self._port, self._recording = host, port, recording
         self.state.operable = operate is not None
         self.state.recording = recording.overview if recording is not None else None
         self._operate, self._viewers = operate, Viewers(self.state)
@@ -98,8 +95,6 @@ class DisplayServer:
         if not self._stop.is_set():
             from im_pnt_display.page.site import Site  # with the libraries
 
-            if self._before is not None:
-                await asyncio.to_thread(self._before)
             site = Site(self._host, self._viewers, self._operate, self._recording)
             await site.serve(self._sockets, self._stop)
 

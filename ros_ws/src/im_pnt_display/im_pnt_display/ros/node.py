@@ -1,9 +1,8 @@
 """``pnt_display``: shows every net of the machine on a web page."""
 
 import sys
-import threading
-from collections.abc import Callable, Hashable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial
 
@@ -37,11 +36,9 @@ class DisplayNode(ManagedNode):
         host = declare("host", "127.0.0.1", "address that the page is served on, and answers to besides localhost")
         port = declare("port", 8080, "TCP port of the page, the next free one if in use; 0: any", span=(0, 65535))
         control = declare("control", False, "whether viewers may operate nets; if not, they only look")
-        self.server = DisplayServer(host, port, self._wanted if control else None, before=self._draw_all)
+        self.server = DisplayServer(host, port, self._wanted if control else None)
         self._mcs: Latest[McsState] | None = None
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
-        self._undrawn: dict[Hashable, Callable[[], None]] | None = {}  # what is drawn when somebody comes; then None
-        self._handing_on = threading.Lock()
         self._nodes: dict[str, str] = {}
         self._operators: dict[str, Client] = {}
 
@@ -78,31 +75,14 @@ class DisplayNode(ManagedNode):
             self.server.show(change)
 
     def _describe(self, message: NetDescription) -> None:
-        self._draw((message.net, message.node), partial(self._draw_net if message.json else self._forget_net, message))
+        self._draw(partial(self._draw_net if message.json else self._forget_net, message))
 
     def _refuse(self, message: NetRefusal) -> None:
-        self._draw(message.net, partial(self._draw_refusal, message))
+        self._draw(partial(self._draw_refusal, message))
 
-    def _draw(self, what: Hashable, work: Callable[[], None]) -> None:
-        """Draw beside the loop; before anybody looks only the newest of each thing is kept, in the order they came."""
-        with self._handing_on:
-            if self._undrawn is not None:
-                self._undrawn.pop(what, None)
-                self._undrawn[what] = work
-            else:
-                self._submit(work)
-
-    def _draw_all(self) -> None:
-        """Draw what has come before anybody looked; somebody waits to look."""
-        with self._handing_on:
-            undrawn, self._undrawn = self._undrawn or {}, None
-            begun = [drawn for drawn in map(self._submit, undrawn.values()) if drawn is not None]
-        wait(begun, ANSWER_S)
-
-    def _submit(self, work: Callable[[], None]) -> Future[None] | None:
+    def _draw(self, work: Callable[[], None]) -> None:
         with suppress(RuntimeError):  # the display has closed; nothing more is drawn
-            return self._drawing.submit(work)
-        return None
+            self._drawing.submit(work)
 
     def _draw_net(self, message: NetDescription) -> None:
         with self._warning(f"the description of net {message.net}"):
