@@ -24,8 +24,6 @@ QUIET = frozenset(
     {
         "begin_pose",
         "end_ahead",
-        "drop_unlooked",
-        "drop_unmeasured",
         "stay",
         "stay_cancelled",
         "loop_again",
