@@ -47,7 +47,7 @@ def _measure(config: McsConfig, seed: int) -> tuple[dict[str, list[float]], bool
         present.update(dict.fromkeys(present, 0.0))
 
     with rig(config, seed) as machine:
-        real_time = scheduling.prefer(config.servo.priority, paced=False, leader=0)
+        real_time = scheduling.prefer(config.servo.priority, paced=False)
         machine.to_motion("testbed")
         _watch_parts(machine, present)
         for target in (START, START + WAY, START, START + WAY, START):

@@ -4,7 +4,6 @@ import contextlib
 import ctypes
 import gc
 import os
-import socket
 
 _PR_SET_TIMERSLACK = 29
 #: Pages stay that were touched, now and later (MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT). Without the last one all of
@@ -12,8 +11,6 @@ _PR_SET_TIMERSLACK = 29
 _MCL_TOUCHED = 7
 _FAVOURED_NICENESS = -5  # three times the share of an ordinary process
 _CORE = "IM_SERVO_CORE"
-_FIRST = "\0im/first"  # an abstract name: a host has it once, and it ends with its process
-_place: list[socket.socket] = []  # holds it
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
@@ -34,21 +31,17 @@ def keep_off() -> None:
         os.sched_setaffinity(0, os.sched_getaffinity(0) - {int(os.environ[_CORE])})
 
 
-def prefer(priority: int, paced: bool, leader: int | None = None) -> bool:
+def prefer(priority: int, paced: bool) -> bool:
     """Go before other processes: touched memory locked, garbage collector quiet, as much priority as is permitted.
 
     A paced process sleeps every tick and gets SCHED_FIFO; where it is not permitted, it goes to the core of
-    :func:`reserve`. One that runs as fast as it goes has no deadline, but servo and physics wait for each other twice
-    a tick, and in each of these waits would queue behind whatever else runs: a quarter of a command's time. They take
-    one core between them, so those of the first machine on the host get SCHED_FIFO, if there is a core for the rest
-    of the computer; two machines would starve it. Those of others get the larger share of whatever core they are on,
-    where that is permitted. None is moved: much of each tick of one runs beside the other's.
+    :func:`reserve`. One that runs as fast as it goes would starve the rest of the computer that way, as soon as two
+    machines share it, and it has no deadline: it gets the larger share of whatever core it is on, where that is
+    permitted. Servo and physics are left on cores of their own: much of each tick of one runs beside the other's.
 
     Args:
         priority: Of SCHED_FIFO, 1 to 99.
         paced: Whether the process sleeps until a deadline in every tick.
-        leader: Process that sets the pace of one that is not paced, and gets SCHED_FIFO or does not; 0: one elsewhere.
-            None: this one does.
 
     Returns:
         Whether SCHED_FIFO is in force.
@@ -57,7 +50,7 @@ def prefer(priority: int, paced: bool, leader: int | None = None) -> bool:
     gc.freeze()
     _LIBC.mlockall(_MCL_TOUCHED)
     _LIBC.prctl(_PR_SET_TIMERSLACK, 1)
-    if not paced and not (_goes_first() if leader is None else _has_fifo(leader)):
+    if not paced:
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, _FAVOURED_NICENESS)
         return False
@@ -68,28 +61,6 @@ def prefer(priority: int, paced: bool, leader: int | None = None) -> bool:
             os.sched_setaffinity(0, {int(os.environ[_CORE])})
         return False
     return True
-
-
-def _goes_first() -> bool:
-    """Whether there is a core beside this process's, and no other process of the host goes first."""
-    if len(os.sched_getaffinity(0)) < 2:
-        return False
-    place = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    try:
-        place.bind(_FIRST)
-    except OSError:
-        place.close()
-        return False
-    _place.append(place)
-    return True
-
-
-def _has_fifo(pid: int) -> bool:
-    """Whether another process has SCHED_FIFO."""
-    try:
-        return pid > 0 and os.sched_getscheduler(pid) == os.SCHED_FIFO
-    except ProcessLookupError:
-        return False
 
 
 def _fifo_permitted() -> bool:

@@ -35,18 +35,10 @@ class LawProcess:
             :class:`im_mcs.control.ControllerSetup`: ``joints``, ``period_s``, ``torque_limit``, ``parameters``.
         priority: SCHED_FIFO priority, where permitted.
         paced: Whether the loop sleeps until a deadline in every tick.
-        leader: Process that sets the pace of a loop that does not; 0: none of this host.
     """
 
     def __init__(
-        self,
-        law: str,
-        cell: Cell,
-        model_error: float,
-        groups: Sequence[dict[str, Any]],
-        priority: int,
-        paced: bool,
-        leader: int,
+        self, law: str, cell: Cell, model_error: float, groups: Sequence[dict[str, Any]], priority: int, paced: bool
     ) -> None:
         self.law = law
         self._at_work = False
@@ -54,8 +46,7 @@ class LawProcess:
         model = ControlledModel(cell)
         self._link = LawLink.create(name, model.n, len(model.wrists))
         job: dict[str, object] = {"link": name, "law": law, "cell": cell.model_dump(mode="json")}
-        job |= {"model_error": model_error, "groups": list(groups)}
-        job |= {"priority": priority, "paced": paced, "leader": leader}
+        job |= {"model_error": model_error, "groups": list(groups), "priority": priority, "paced": paced}
         self._process = ChildProcess.of_module("im_mcs.control.law_server", stdin=json.dumps(job))
 
     @property

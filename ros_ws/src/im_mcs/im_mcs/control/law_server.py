@@ -28,7 +28,7 @@ def main() -> int:
     except ImError as error:
         link.fault = error.message
         return 1
-    scheduling.prefer(job["priority"], job["paced"], job["leader"])
+    scheduling.prefer(job["priority"], job["paced"])
     link.answer.post()
     serve(link, model, laws, [len(group["joints"]) for group in job["groups"]])
     return 0

@@ -27,7 +27,6 @@ class LawSource:
         model: Dynamics in the eyes of the laws.
         torque_limit: Largest torques of all joints, shape (18,) [Nm or N].
         wall_period_s: Wall time between ticks [s]; 0: the loop has no deadlines.
-        leader: Process that sets its pace then; 0: none of this host.
 
     Raises:
         ConfigError: A law of its own process cannot be made.
@@ -35,12 +34,7 @@ class LawSource:
     """
 
     def __init__(
-        self,
-        config: McsConfig,
-        model: ControlledModel,
-        torque_limit: NDArray[np.float64],
-        wall_period_s: float,
-        leader: int = 0,
+        self, config: McsConfig, model: ControlledModel, torque_limit: NDArray[np.float64], wall_period_s: float
     ) -> None:
         self._config, self._model, self._torque_limit = config, model, torque_limit
         self._patience_s = config.law_processes.patience * wall_period_s or _UNPACED_PATIENCE_S
@@ -49,7 +43,7 @@ class LawSource:
         self._processes: dict[str, LawProcess] = {}
         try:
             for law in config.law_processes.laws:
-                self._processes[law] = self._start(law, wall_period_s > 0.0, leader)
+                self._processes[law] = self._start(law, paced=wall_period_s > 0.0)
             for process in self._processes.values():
                 process.await_ready(patience_s())
         except ImError:
@@ -87,7 +81,7 @@ class LawSource:
             process.close()
         self._processes.clear()
 
-    def _start(self, law: str, paced: bool, leader: int) -> LawProcess:
+    def _start(self, law: str, paced: bool) -> LawProcess:
         config = self._config
         groups = []
         for preset, group in self._groups_of(law):
@@ -100,7 +94,7 @@ class LawSource:
                     "parameters": config.parameters_of_laws(group)[law],
                 }
             )
-        return LawProcess(law, self._model.cell, config.model_error, groups, config.servo.priority, paced, leader)
+        return LawProcess(law, self._model.cell, config.model_error, groups, config.servo.priority, paced)
 
     def _connect(self, law: str, preset: str, group: str) -> RemoteLaw:
         key = (law, preset, group)

@@ -81,8 +81,7 @@ class Mcs:
         self.answers = Answers(emit, recorder, config.servo.period_s)
         self.loop = ControlLoop(config, self.limits, self.control_model, self.saturations, self.measured.q)
         self._velocity = VelocityEstimator(model.n, config.servo.period_s, config.servo.velocity_bandwidth_rad_s)
-        pace = testbed.wall_period_s, testbed.hardware_pid
-        self._laws = LawSource(config, self.control_model, self.limits.torque, *pace)
+        self._laws = LawSource(config, self.control_model, self.limits.torque, testbed.wall_period_s)
         self._partitions = Partitions(config, model, self.limits, self._laws, lambda: self.measured.q)
         self.groups, self._collision = self._partitions.enter(config.preset)
         self.manager = StateManager(

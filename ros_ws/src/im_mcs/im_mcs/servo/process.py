@@ -65,8 +65,7 @@ class ServoProcess:
     def run(self) -> None:
         """Loop until :meth:`stop`; if the owner is gone, until power is off."""
         paced = self._testbed.wall_period_s > 0.0
-        priority, leader = self._config.servo.priority, self._testbed.hardware_pid
-        self._reporter.real_time = scheduling.prefer(priority, paced, leader)
+        self._reporter.real_time = scheduling.prefer(self._config.servo.priority, paced=paced)
         self._testbed.connect()
         self._reporter.snapshot()
         try:
