@@ -32,7 +32,7 @@ from rosbags.rosbag2.storage_mcap import decompress
 from im_core import unpacking
 from im_core.errors import StoreError
 from im_core.files import MEBIBYTE, FileError, check_regular, read_text, write_whole
-from im_core.yamltext import YamlError, as_data, read_yaml
+from im_core.yamltext import YamlError, as_data, read_yaml, write_yaml
 
 METADATA = "metadata.yaml"
 LARGEST_METADATA = 16 * MEBIBYTE
@@ -232,7 +232,7 @@ def write_metadata(bag: Path, files: Sequence[Path]) -> None:
         raise FileError(bag, "has no message: the recording ended before the first was written")
     contents = [(path, _summary(path)) for path in files]
     content = {"rosbag2_bagfile_information": _described(contents)}
-    write_whole(bag / METADATA, yaml.safe_dump(content, sort_keys=False))
+    write_whole(bag / METADATA, write_yaml(content))
 
 
 def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:

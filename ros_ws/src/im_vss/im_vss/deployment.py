@@ -5,10 +5,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
 from im_cell.robot import load_cell
 from im_core.errors import ImError
+from im_core.yamltext import write_yaml
 from im_vss.catalogue import load_catalogue
 from im_vss.settings import load_settings
 
@@ -25,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ImError as error:
         print(error.message, file=sys.stderr)
         return 1
-    print(yaml.safe_dump({"hosts": hosts}, sort_keys=False), end="")
+    print(write_yaml({"hosts": hosts}), end="")
     return 0
 
 

@@ -9,13 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from im_bringup.bag.chunks import ChunkWriter
 from im_bringup.bag.definitions import Definition, full_definition
 from im_bringup.bag.delivery import Delivery
 from im_core.bag_files import complete_file, write_metadata
 from im_core.errors import DataError, StoreError
+from im_core.yamltext import write_yaml
 
 #: Size of messages after which a chunk is written although nobody asked [bytes].
 _CHUNK = 2**20
@@ -223,4 +222,4 @@ class BagWriter:
 @cache
 def _profiles(delivery: Delivery) -> str:
     """As channels tell it; topics are many, and announced in each part, ways to deliver are few."""
-    return yaml.safe_dump([delivery.to_qos()], sort_keys=False)
+    return write_yaml([delivery.to_qos()])

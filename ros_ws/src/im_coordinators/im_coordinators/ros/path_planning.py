@@ -77,7 +77,7 @@ class PathPlanningFunctions:
     def __init__(self, host: Host) -> None:
         self._host = host
         cell = load_cell()
-        self._tucked = {name: list(side.home) for name, side in cell.sides.items()}
+        self._home = {name: list(side.home) for name, side in cell.sides.items()}
         self._reach = cell.gripper.reach
 
     async def find_configuration(self, ctx: ActionContext) -> None:
@@ -85,14 +85,14 @@ class PathPlanningFunctions:
         here = await self._here(ctx)
         seed = _position(here)
         if ctx.request_arguments["near"] == "home":
-            seed = home_seed(seed, self._tucked[here.group])
+            seed = home_seed(seed, self._home[here.group])
         await self._find(ctx, here, seed)
 
     async def find_another(self, ctx: ActionContext) -> None:
         """Finds other joint positions for the destination, near to where the arm is out of the way."""
         here = await self._here(ctx)
         ctx.memory["another"] = True
-        await self._find(ctx, here, tucked_seed(_position(here), self._tucked[here.group]))
+        await self._find(ctx, here, tucked_seed(_position(here), self._home[here.group]))
 
     async def plan_direct(self, ctx: ActionContext) -> None:
         """Stores the joint-interpolated path to the goal if it is free."""
@@ -102,7 +102,7 @@ class PathPlanningFunctions:
     async def plan_detour(self, ctx: ActionContext) -> None:
         """Stores the path with the arm tucked on the way if it is free."""
         joints, start, goal = _way(ctx)
-        points = detour(start, goal, self._tucked[str(ctx.request_arguments["group"])])
+        points = detour(start, goal, self._home[str(ctx.request_arguments["group"])])
         await self._store(ctx, joints, start, points, "plan_done")
 
     async def check_given(self, ctx: ActionContext) -> None:
