@@ -44,6 +44,7 @@ class Plant:
         self._held_brakes = np.ones(self._n, dtype=np.bool_)
         self._faults, self._may_hold = Faults.none(self._n), self._held_brakes
         self._tick = 0
+        self._stands = False
         self.power = False
         self.q, self.v = self._world.state()
         self._feel(self.q, self.v)
@@ -88,16 +89,20 @@ class Plant:
         """Say what is between the jaws of each gripper."""
         self._grippers.put(objects)
         self._dynamics.carry(self._grippers.held())
+        self._stands = False
 
     def prepare(self) -> None:
         """Compute what the next tick needs of the present state whatever is commanded."""
-        self._actuators.prepare(self.q, self.v)
+        if not self._stands:
+            self._actuators.prepare(self.q, self.v)
 
     def run_tick(self, command: TickCommand | None) -> None:
         """One tick under a command; without one, power is off. Without power every brake is engaged.
 
-        What stands still after a step, with every joint stuck, is not stepped again before the next tick.
+        What stands still after a step, with every joint stuck, is not stepped again before the next tick, nor, without
+        power, before anything else is commanded.
         """
+        powered, held_before = self.power, self._actuators.brakes
         if command is None:
             self._actuators.command(np.zeros(self._n), False, self._may_hold)
             self.power = False
@@ -107,19 +112,27 @@ class Plant:
             self._actuators.command(command.tau, self.power, held & self._may_hold)
             self._grippers.command(command.gripper, command.gripper_force)
         self._tick += 1
+        if not self._stands or powered or self.power or held_before.tobytes() != self._actuators.brakes.tobytes():
+            self._move()
+        if self._grippers.step(self._period):
+            self._dynamics.carry(self._grippers.held())
+            self._stands = False
+
+    def close(self) -> None:
+        """End the simulation."""
+        self._world.close()
+
+    def _move(self) -> None:
+        """The steps of a tick, until nothing moves."""
+        self._stands = False
         for _ in range(self._substeps):
             q, v = self.q, self.v
             self._world.step(self._actuators.applied(q, v))
             self.q, self.v = self._world.state()
             if self._actuators.stuck and max(map(abs, self.v.tolist())) < _AT_REST:
+                self._stands = True
                 break
         self._feel(q, v)
-        if self._grippers.step(self._period):
-            self._dynamics.carry(self._grippers.held())
-
-    def close(self) -> None:
-        """End the simulation."""
-        self._world.close()
 
     def _feel(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
         """Let the wrist sensors feel the step that began at ``q`` with ``v``, shape (n,) each."""

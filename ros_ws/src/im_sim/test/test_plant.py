@@ -2,7 +2,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_cell.link import TickCommand
+from im_cell.link import JawObject, TickCommand
 from im_cell.robot import load_cell, urdf
 from im_sim.plant import Plant
 
@@ -41,6 +41,35 @@ def test_brakes_hold_outstretched_arms_for_ten_seconds(plant, powered):
     for _ in range(round(10.0 / CELL.period)):
         plant.run_tick(command(brakes=HELD, power=powered))
     assert np.abs(plant.q - REACHING).max() < 1e-6
+
+
+def test_what_stands_without_power_is_stepped_again_once_it_may_move(plant):
+    place(plant, REACHING)
+    steps = []
+    world_step = plant._world.step
+    plant._world.step = lambda tau: (steps.append(tau), world_step(tau))
+    for _ in range(200):  # the jaws close meanwhile
+        plant.run_tick(command(brakes=HELD, power=False))
+    stood, steps_before = plant.q.copy(), len(steps)
+    for _ in range(50):
+        plant.run_tick(command(brakes=HELD, power=False))
+    assert len(steps) == steps_before, "nothing moves, and nothing is simulated"
+    plant.run_tick(command(brakes=HELD))
+    assert len(steps) > steps_before
+    for _ in range(20):
+        plant.run_tick(command())
+    assert np.abs(plant.q - stood).max() > 1e-3, "it falls"
+
+
+def test_what_stands_without_power_feels_what_is_put_between_its_jaws(plant):
+    for _ in range(50):
+        plant.run_tick(command(brakes=HELD, power=False))
+    empty = plant.wrench.copy()
+    plant.put((JawObject(width=0.05, stiffness=1e4, mass=1.0), None))
+    for _ in range(50):
+        plant.run_tick(command(brakes=HELD, power=False))
+    gained = np.linalg.norm(plant.wrench[:, :3], axis=1) - np.linalg.norm(empty[:, :3], axis=1)
+    assert gained == pytest.approx([CELL.gravity, 0.0], abs=1e-3)
 
 
 def test_without_brakes_and_torque_the_arm_falls(plant):

@@ -112,6 +112,7 @@ class ServoProcess:
                 self._reporter.linked = True
                 self._reporter.snapshot()  # no tick may come for long, where time stands still
                 self._pacer.restart()
+            self._pacer.wait()  # before the testbed's tick, which is there by then: one sleep a tick, not two
             if self._wait():
                 self._tick()
         except LinkError as error:
@@ -155,7 +156,6 @@ class ServoProcess:
         clock.sleep(_WAIT_S)
 
     def _tick(self) -> None:
-        self._pacer.wait()
         began = clock.monotonic()
         situation = self._mcs.situation
         situation.overruns = self._pacer.missed_in_row
