@@ -6,7 +6,16 @@ import pytest
 
 from im_coordinators.ros import establishment
 from im_coordinators.ros.establishment import Establishment
+from im_coordinators.ros.gripper import gripper_functions
+from im_coordinators.ros.motion import motion_functions
+from im_coordinators.ros.path_planning import planning_functions
+from im_coordinators.ros.vision import vision_functions
 from im_core.errors import StateError, WaitTimeoutError
+from im_dispatcher.command import joined
+from im_dispatcher.commands import installed
+from im_dispatcher.ros.host import DispatcherHost
+from im_pnt.model.action import FunctionAction
+from im_pnt.ros.rerun import installed_nets
 
 
 class Objects(dict):
@@ -26,7 +35,7 @@ class Coordinator:
     """One that hears the tasks with the given lives, the next one after each pause."""
 
     def __init__(self, *lives):
-        self.dom, self._lives = Objects(), list(lives)
+        self.name, self.dom, self._lives = "/coordinator", Objects(), list(lives)
 
     def life(self, task):
         return self._lives[0]
@@ -39,8 +48,15 @@ class Coordinator:
 class Command:
     """The context of an action of a command."""
 
+    def __init__(self, **arguments):
+        self.request_arguments = arguments
+
     def object(self, name):
         return f"1/{name}"
+
+
+def dispatched(host):
+    return joined(command.functions(DispatcherHost(host)) for command in installed())
 
 
 @pytest.mark.parametrize("heard", [(5,), (None, None, 5)], ids=["known", "just begun"])
@@ -57,6 +73,39 @@ def test_another_life_is_noticed_whenever_the_coordinator_began(heard):
         assert raised.value.code == "begun_anew"
 
     asyncio.run(mission())
+
+
+def test_what_was_reserved_in_a_life_that_was_not_heard_of_yet_is_established_when_the_arm_is_found_held():
+    host = Coordinator(5, 6)
+    actions = motion_functions(host).actions
+    command = Command(group="left")
+
+    async def mission():
+        await actions["to_reserve"](command)  # the new life answers, of which the coordinator has not heard
+        await host.pause(1.0)
+        with pytest.raises(StateError, match="begun anew"):
+            await actions["while_reserved"](command)
+        await actions["note_held"](command)
+        await actions["while_reserved"](command)
+
+    asyncio.run(mission())
+
+
+@pytest.mark.parametrize(
+    "functions",
+    [motion_functions, gripper_functions, planning_functions, vision_functions, dispatched],
+    ids=["motion", "gripper", "planning", "vision", "dispatcher"],
+)
+def test_of_every_action_it_can_be_found_out_what_became_of_it(functions):
+    """A node that lost its life, and the end of its journal, asks; who cannot be asked ends the command."""
+    done = {
+        transition.action.function
+        for net in installed_nets().values()
+        for transition in net.transitions.values()
+        if isinstance(transition.action, FunctionAction) and not transition.on_doubt
+    }
+    made = functions(Coordinator(1))
+    assert not (done & set(made.actions)) - set(made.asks)
 
 
 def test_nothing_is_established_at_one_who_is_not_heard(monkeypatch):

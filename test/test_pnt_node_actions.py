@@ -8,10 +8,11 @@ import pytest
 import rclpy
 from action_msgs.msg import GoalStatus
 from control_msgs.action import FollowJointTrajectory
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
+from unique_identifier_msgs.msg import UUID
 
 from im_core import clock, open_commands
 from im_core.ros import qos
@@ -26,6 +27,7 @@ from im_pnt.errors import NetFileError
 from im_pnt.expression.scope import check_net
 from im_pnt.netfile import parse_net
 from im_pnt.ros.commands import notes
+from im_pnt.ros.execution.goals import GoalActions
 from im_pnt.ros.messages import RosTypes
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
@@ -60,6 +62,9 @@ transitions:
   shout:
     {in: idle, out: ready, symbol: shout, on_failure: trouble,
      topic: {name: /hardware/shouts, type: std_msgs/msg/String, message: {data: ho}}}
+  forbidden:
+    {in: idle, out: ready, symbol: forbidden, on_failure: trouble,
+     goal: {name: /hardware/forbidden, type: control_msgs/action/FollowJointTrajectory}}
   absent:
     {in: idle, out: ready, symbol: absent, on_failure: trouble,
      goal: {name: /nowhere/move, type: im_msgs/action/Move}}
@@ -116,6 +121,8 @@ class Hardware(ManagedNode):
         self.changes = self.create_publisher(ObjectChange, "/dom/changes", qos.LATCHED_EVENTS)
         self.refusals = 0
         ActionServer(self, FollowJointTrajectory, "/hardware/follow", self._trajectory)
+        refuse = {"goal_callback": lambda _: GoalResponse.REJECT}
+        ActionServer(self, FollowJointTrajectory, "/hardware/forbidden", self._trajectory, **refuse)
         self.code = 0
         self.events = self.create_publisher(String, "/hardware/events", qos.EVENTS)
         self.stream = self.create_publisher(String, "/hardware/stream", qos.SENSOR)
@@ -223,6 +230,19 @@ def test_a_field_that_does_not_fit_is_named(machine):
     assert "service /hardware/switch.data (boolean) cannot be 'perhaps'" in outcome.status.message
 
 
+def test_a_goal_that_is_rejected_names_who_did(machine):
+    outcome = run(machine[0], "forbidden")
+    assert not outcome.success
+    assert outcome.status.message == "goal /hardware/forbidden was rejected by hardware"
+
+
+def test_a_goal_that_its_server_has_already_is_followed_not_lost(machine, monkeypatch):
+    """A node whose journal has lost its end sends a goal once more; the server rejects what it has."""
+    monkeypatch.setattr(GoalActions, "_goal_id", lambda *_: UUID(uuid=[7] * 16))
+    assert run(machine[0], "follow").success
+    assert run(machine[0], "follow").success
+
+
 def test_a_service_that_answers_a_little_late_has_answered(machine):
     assert run(machine[0], "slow", very=False).success
 
@@ -233,7 +253,7 @@ def test_a_service_that_does_not_answer_leaves_the_transition_in_doubt(machine, 
     node.create_subscription(Firing, "/pnt/firings", lambda f: phases.append((f.transition, f.phase)), qos.EVENTS)
     outcome = run(node, "slow", very=True)
     assert outcome.status.code == "in_doubt"
-    assert "nobody can tell what became of service /hardware/slow of transition slow: waited 0.3" in (
+    assert "nobody can tell what became of service /hardware/slow of transition slow of net worker: waited 0.3" in (
         outcome.status.message
     )
     wait_until(lambda: ("slow", Firing.FAILED) in phases, "the end of the transition")

@@ -9,7 +9,14 @@ from pathlib import Path
 import pytest
 
 from im_core.errors import DataError, ImError, LinkError, StateError
-from im_dispatcher.commands.calibrate_camera import BEGUN_ANEW, COMMAND, SYMBOL, CalibrateCamera
+from im_dispatcher.commands.calibrate_camera import (
+    BEGUN_ANEW,
+    COMMAND,
+    FRESH_S,
+    MOST_TAKE_UPS,
+    SYMBOL,
+    CalibrateCamera,
+)
 from im_dispatcher.poses_file import WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
 from im_pnt.errors import NetError
@@ -47,6 +54,9 @@ class Host:
 
     async def noted_apart(self, key: str, compute, *arguments: object) -> object:
         return compute(*arguments)
+
+    async def pause(self, seconds: float) -> None:
+        self.paused = seconds
 
     def time_steps(self, times: StepTimes) -> None:
         pass
@@ -189,6 +199,21 @@ def test_a_pose_in_doubt_is_visited_again_and_one_that_was_not_begun_is_not_give
     play("note_unkept", StateError("the light went out", code=BEGUN_ANEW))  # while the arm went on to the fourth
     play("take_up", StateError("the light went out", code=BEGUN_ANEW))
     assert [play.pose() for _ in range(3)] == ["p03", "p04", "p05"]
+
+
+def test_what_is_gone_again_and_again_is_not_established_for_ever(play: Play) -> None:
+    gone, may = StateError("mcs has begun anew", code=BEGUN_ANEW), play.guard("begun_anew")
+    play.job.last_failure = gone
+    play.pose()
+    for _ in range(MOST_TAKE_UPS):
+        assert may(gone)
+        play("take_up", gone)
+        assert play.host.paused == FRESH_S, "until who began anew has said how it is"
+    assert not may(gone)
+    play.pose()
+    play("present_look")
+    play("looked_pose")
+    assert may(gone), "a pose was observed since"
 
 
 def test_time_without_a_machine_counts_for_nothing(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,6 +54,9 @@ class Host:
     def warn(self, text: str) -> None:
         self.log.append(text)
 
+    async def pause(self, seconds: float) -> None:
+        self.paused = seconds
+
     def time_steps(self, times: object) -> None:
         pass
 

@@ -20,7 +20,7 @@ from im_core.config import package_file
 from im_core.ros import qos, run
 from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState
-from im_pnt.execution.functions import ActionContext, Functions, woken_by
+from im_pnt.execution.functions import ActionContext, ActionFunction, Functions, idempotent, woken_by
 from im_pnt.mission.host import Host
 from im_pnt.ros.node import PntNode
 from im_pnt.ros.node_host import NodeHost
@@ -45,14 +45,15 @@ class MotionCoordinator(PntNode):
 def motion_functions(host: Host) -> Functions:
     """The functions and enabling functions of the net, for a node or what stands for it."""
     motion = MotionFunctions(host)
+    actions: dict[str, ActionFunction] = {"note_held": motion.note_held, "take_path": motion.take_path}
     return Functions(
         {
+            **actions,
             "group_and_owner": motion.group_and_owner,
             "to_reserve": motion.to_reserve,
             "while_reserved": motion.while_reserved,
             "destination_asked": destination_asked,
             "path_asked": path_asked,
-            "take_path": lambda ctx: take_path(ctx.memory),
             "path_to_follow": motion.path_to_follow,
             "store_position": motion.store_position,
         },
@@ -62,6 +63,7 @@ def motion_functions(host: Host) -> Functions:
             "group_in_motion": of_mcs(lambda ctx: motion.state(ctx) == "motion"),
             "planned_beforehand": woken_by()(lambda ctx: planned_beforehand(ctx.request_arguments, ctx.memory)),
         },
+        {name: idempotent(action) for name, action in actions.items()},
     )
 
 
@@ -84,6 +86,17 @@ class MotionFunctions:
         """The same, where slots and power that are held from now on are established for the command."""
         await self._powered.note(ctx, _group(ctx))
         return self.group_and_owner(ctx)
+
+    async def note_held(self, ctx: ActionContext) -> None:
+        """Notes that what is held is established in the present life of MCS.
+
+        Another may have been noted when it was reserved: a life is heard of later than it gives its first answers.
+        """
+        await self._powered.note(ctx, _group(ctx))
+
+    def take_path(self, ctx: ActionContext) -> None:
+        """Takes the path that was planned beforehand."""
+        take_path(ctx.memory)
 
     async def while_reserved(self, ctx: ActionContext) -> dict[str, object]:
         """The same, of what was reserved in this life of MCS."""

@@ -29,6 +29,10 @@ POSES = "calibration_poses"
 #: Code of the failure of whoever needs what was established in a former life of the task that kept it.
 BEGUN_ANEW = "begun_anew"
 
+#: How often in a row, without a pose in between, what was established is established again; and how long that waits [s]
+#: for who has begun anew to say how it is now: what it said in its former life may be heard until then.
+MOST_TAKE_UPS, FRESH_S = 5, 1.0
+
 #: Codes of the failure to find the light: with more of it there may be a spot, or there are no images any more.
 TOO_FAINT, FORGOTTEN = "spot_too_faint", "look_forgotten"
 
@@ -151,6 +155,7 @@ class CalibrateCamera:
     def looked_pose(self, ctx: ActionContext) -> dict[str, object]:
         """Whose spots and position are to be kept."""
         loop, pose = _loop(ctx), ctx.memory["looked"]
+        ctx.memory.pop("taken_up", None)
         ctx.progress(f"pose {pose} observed", loop.looked_progress)
         return {"number": loop.looked_number, "pose": pose}
 
@@ -171,9 +176,11 @@ class CalibrateCamera:
 
     async def take_up(self, ctx: ActionContext) -> None:
         """Gives the present pose back, if there is one: it is visited again."""
+        await self._host.pause(FRESH_S)
         loop = _loop(ctx)
         loop.give_back()
         ctx.memory["loop"] = loop.to_json()
+        ctx.memory["taken_up"] = _take_ups(ctx) + 1
 
     async def collected(self, ctx: ActionContext) -> dict[str, object]:
         """What is to be calibrated from: the numbers of the poses that were observed, and why others were not."""
@@ -329,7 +336,13 @@ def _dispensable(ctx: ActionContext) -> bool:
 
 
 def _begun_anew(ctx: ActionContext) -> bool:
-    return ctx.last_failure is not None and ctx.last_failure.code == BEGUN_ANEW and not ctx.cancelled
+    """Whether what was established is gone with the life in which it was, and to establish it again may help."""
+    gone = ctx.last_failure is not None and ctx.last_failure.code == BEGUN_ANEW
+    return gone and not ctx.cancelled and _take_ups(ctx) < MOST_TAKE_UPS
+
+
+def _take_ups(ctx: ActionContext) -> int:
+    return int(str(ctx.memory.get("taken_up", 0)))
 
 
 def _reason(ctx: ActionContext) -> str:
