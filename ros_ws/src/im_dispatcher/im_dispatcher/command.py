@@ -47,9 +47,6 @@ class CommandHost(Protocol):
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
         """Does the same in a thread of its own, for what takes long."""
 
-    async def pause(self, seconds: float) -> None:
-        """Lets wall time pass [s]."""
-
     def time_steps(self, times: StepTimes) -> None:
         """Has the firings of all nets timed."""
 

@@ -9,14 +9,7 @@ from pathlib import Path
 import pytest
 
 from im_core.errors import DataError, ImError, LinkError, StateError
-from im_dispatcher.commands.calibrate_camera import (
-    BEGUN_ANEW,
-    COMMAND,
-    FRESH_S,
-    MOST_TAKE_UPS,
-    SYMBOL,
-    CalibrateCamera,
-)
+from im_dispatcher.commands.calibrate_camera import BEGUN_ANEW, COMMAND, MOST_TAKE_UPS, SYMBOL, CalibrateCamera
 from im_dispatcher.poses_file import WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
 from im_pnt.errors import NetError
@@ -54,9 +47,6 @@ class Host:
 
     async def noted_apart(self, key: str, compute, *arguments: object) -> object:
         return compute(*arguments)
-
-    async def pause(self, seconds: float) -> None:
-        self.paused = seconds
 
     def time_steps(self, times: StepTimes) -> None:
         pass
@@ -208,7 +198,6 @@ def test_what_is_gone_again_and_again_is_not_established_for_ever(play: Play) ->
     for _ in range(MOST_TAKE_UPS):
         assert may(gone)
         play("take_up", gone)
-        assert play.host.paused == FRESH_S, "until who began anew has said how it is"
     assert not may(gone)
     play.pose()
     play("present_look")

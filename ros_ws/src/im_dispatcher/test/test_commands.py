@@ -54,9 +54,6 @@ class Host:
     def warn(self, text: str) -> None:
         self.log.append(text)
 
-    async def pause(self, seconds: float) -> None:
-        self.paused = seconds
-
     def time_steps(self, times: object) -> None:
         pass
 

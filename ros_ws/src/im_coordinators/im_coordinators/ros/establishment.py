@@ -10,6 +10,9 @@ from im_pnt.mission.host import Host
 
 HEARD_S, PAUSE_S = 10.0, 0.02
 
+FRESH_S = 1.0
+"""How long one who has begun anew has to say how it is now [s]: what it said in its former life is heard until then."""
+
 
 class Establishment:
     """Keeps in a data object of the command in which life of a task something was established for it.
@@ -45,6 +48,7 @@ class Establishment:
         if not await self._host.dom.is_valid(noted := self._object(ctx, name)):
             return
         if (await self._host.dom.get(noted, UInt64)).data != await self._life():
+            await self._host.pause(FRESH_S)  # nets establish it again, and look at its state for that
             raise lost(self._task, self._what, name)
 
     async def forget(self, ctx: ActionContext, name: str) -> None:

@@ -29,9 +29,8 @@ POSES = "calibration_poses"
 #: Code of the failure of whoever needs what was established in a former life of the task that kept it.
 BEGUN_ANEW = "begun_anew"
 
-#: How often in a row, without a pose in between, what was established is established again; and how long that waits [s]
-#: for who has begun anew to say how it is now: what it said in its former life may be heard until then.
-MOST_TAKE_UPS, FRESH_S = 5, 1.0
+#: How often in a row, without a pose in between, what was established is established again.
+MOST_TAKE_UPS = 5
 
 #: Codes of the failure to find the light: with more of it there may be a spot, or there are no images any more.
 TOO_FAINT, FORGOTTEN = "spot_too_faint", "look_forgotten"
@@ -176,7 +175,6 @@ class CalibrateCamera:
 
     async def take_up(self, ctx: ActionContext) -> None:
         """Gives the present pose back, if there is one: it is visited again."""
-        await self._host.pause(FRESH_S)
         loop = _loop(ctx)
         loop.give_back()
         ctx.memory["loop"] = loop.to_json()

@@ -53,10 +53,6 @@ class DispatcherHost:
         """Does the same in a thread of its own."""
         return await self._host.noted_apart(key, compute, *arguments)
 
-    async def pause(self, seconds: float) -> None:
-        """Lets wall time pass [s]."""
-        await self._host.pause(seconds)
-
     def time_steps(self, times: StepTimes) -> None:
         """Has the firings of all nets timed."""
         self._timed.append(times)
