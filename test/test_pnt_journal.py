@@ -1,5 +1,6 @@
 """Nodes that are killed and come back: the command survives, whichever of its nodes dies and whatever it was doing."""
 
+import asyncio
 import contextlib
 import re
 import shutil
@@ -302,6 +303,8 @@ def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_
     node = ros(Server("front", tmp_path, journal_sync="tape"))
     wait_until(lambda: node.failed, "the node to refuse")
     assert re.search(r"value of the parameter journal_sync.*tape.*disk, os", node.failed)
+    with pytest.raises(StateError, match="front has failed: .*journal_sync"):
+        asyncio.run(node.command("serve"))
 
 
 if __name__ == "__main__":

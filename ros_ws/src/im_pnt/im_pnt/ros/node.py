@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rclpy.parameter import Parameter
 
-from im_core.errors import ImError
+from im_core.errors import ImError, StateError
 from im_core.names import results_dir, run_dir
 from im_core.ros import qos
 from im_core.ros.calls import run_in_thread
@@ -264,10 +264,13 @@ class PntNode(ManagedNode):
             priority: Larger goes first, where commands wait for the same.
 
         Raises:
+            StateError: The node has failed, as with a net that is wrong.
             NotFoundError: No net knows the symbol.
             DataError: The arguments are not what the net declares.
             JournalError: The journal cannot be written: the command would not even begin.
         """
+        if self.failed:
+            raise StateError(f"{self.task_name} has failed: {self.failed}")
         if self._journal is not None:
             self._journal.require_writable()
         number = self.commands.write(symbol, arguments or {}, priority)
