@@ -303,7 +303,7 @@ def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_
     node = ros(Server("front", tmp_path, journal_sync="tape"))
     wait_until(lambda: node.failed, "the node to refuse")
     assert re.search(r"value of the parameter journal_sync.*tape.*disk, os", node.failed)
-    with pytest.raises(StateError, match="front has failed: .*journal_sync"):
+    with pytest.raises(StateError, match=r"front has failed: .*journal_sync"):
         asyncio.run(node.command("serve"))
 
 
