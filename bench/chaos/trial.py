@@ -1,5 +1,6 @@
 """One injection: a command, a fault at a moment drawn from the seed, and what came of it."""
 
+import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,10 @@ SAYS = {
     "vss": ("vss", "vision", "camera"),
     "bootstrap": ("bootstrap",),
 }
+
+
+#: What is quoted or listed in a reason, such as a data object's name, says nothing of who failed.
+_QUOTED = re.compile(r"'[^']*'|\(known: .*")
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,7 @@ def judge(fault: Fault, outcome: Outcome, beside: Collection[str] = ()) -> Verdi
     if outcome.success:
         return Verdict.SUCCESS if plausible(outcome.report) else Verdict.FALSE
     words = [*fault.words, *(word for victim in {*fault.victims, *beside} for word in SAYS.get(victim, (victim,)))]
-    said = outcome.said.lower()
+    said = _QUOTED.sub("", outcome.said.lower())
     return Verdict.TRUE_REASON if any(word in said for word in words) else Verdict.FALSE
 
 

@@ -31,6 +31,7 @@ def ended(code, said="", **report):
         (SERVO, ended(1, "dom is missing (last heard 6.1 s ago)"), Verdict.FALSE),
         (TWO, ended(1, "dom is missing (last heard 6.1 s ago)"), Verdict.TRUE_REASON),
         (SERVO, ended(1), Verdict.FALSE),
+        (TWO, ended(1, "there is no data object 'dom/1/spots'; did you mean 'x'? (known: dom/1/mcs)"), Verdict.FALSE),
     ],
 )
 def test_a_command_ends_true_if_it_succeeds_or_names_who_failed(fault, outcome, verdict):

@@ -155,6 +155,44 @@ def test_entries_done_again_give_the_same_state_at_every_point_and_from_every_sn
         assert net_state(executor) == states[-1][1]
 
 
+@pytest.mark.parametrize("fits", [True, False])
+def test_what_a_builder_leaves_in_memory_is_on_file_with_its_request(fits):
+    """The net that is asked goes on when this process dies, and what comes next relies on what was noted."""
+    front = parse_net(
+        "net: n\nplaces: {idle: 1, kept: , bad: }\ntransitions:\n"
+        "  look: {in: idle, out: kept, symbol: go, request: {to: m.serve, build: note}, on_failure: bad}\n"
+        "  told: {in: kept, out: idle, emit: go_done}\n  missed: {in: bad, out: idle, emit: go_failed}"
+    )
+    back = parse_net(
+        "net: m\nplaces: {asked: , done: , bad: }\nservices: {serve: {entry: asked, done: done, failed: bad}}\n"
+        "transitions: {work: {in: asked, out: done, action: act, on_failure: bad}}"
+    )
+
+    def note(ctx: ActionContext) -> dict[str, object]:
+        ctx.memory["looked"] = "p03" if fits else object()
+        return {}
+
+    functions, entries = {"note": note, "act": hold}, []
+
+    def record(entry: NetEntry) -> None:
+        entries.append(written(entry))
+
+    process = Process([front, back], functions, record=record)
+    process.exchange.nets["m"].rule.record = None
+    process.command("n", "go")
+    process.pump()
+    if not fits:
+        assert not process.held, "nothing is asked for whose ground a journal cannot keep"
+        assert "ctx.memory.looked is <object" in process.recorder.firings[-2].message
+        return
+    again = Process([front, back], functions).exchange.nets["n"]
+    for entry in entries:
+        again.replay(decode_net_entry(entry))
+    (activity,) = again.activities
+    assert activity.lineage.job.memory == {"looked": "p03"}
+    assert net_state(again) == net_state(process.exchange.nets["n"])
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.sampled_from(STEPS), max_size=25))
 def test_what_was_brought_back_is_asked_about_and_goes_on(steps):

@@ -38,6 +38,13 @@ class ActionOwner(Protocol):
     def answered(self, activity: Activity, answer: Answer) -> None:
         """Says what became of an action that is in doubt; from any thread."""
 
+    def built(self, activity: Activity) -> None:
+        """Says that what makes the arguments of a request has returned; what it has left in its job is kept.
+
+        Raises:
+            NetError: A journal cannot keep it.
+        """
+
 
 class Requests(Protocol):
     """Carries requests to other nets."""
@@ -430,6 +437,7 @@ class FunctionRunner:
             arguments = plain_dict(arguments, f"the arguments of {action}")
         if activity not in owner.activities:
             return
+        owner.built(activity)
         before = len(activity.on_cancel)
         self._requests.send_request(activity, arguments)
         if activity.cancelled:  # while the arguments were made

@@ -205,6 +205,14 @@ class Executor:
         """Says what became of an action that is in doubt."""
         self.post(Answered(activity, answer))
 
+    def built(self, activity: Activity) -> None:
+        """Writes what the builder of a request has left in its job: the request may outlive this process.
+
+        Raises:
+            NetError: A journal cannot keep it.
+        """
+        self.rule.keep_data(activity)
+
     def post(self, event: Event) -> None:
         """Puts an event into the queue; like all that does so, from any thread."""
         self._inbox.append(event)

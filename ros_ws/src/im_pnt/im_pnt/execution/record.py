@@ -87,6 +87,18 @@ class EndFired(NamedTuple):
     data: JobData | JobChange | None
 
 
+class RequestBuilt(NamedTuple):
+    """What makes the arguments of a request has left something in its job; the request is sent after that.
+
+    Attributes:
+        number: Number of the activity.
+        data: What its job holds now, or how that has changed.
+    """
+
+    number: int
+    data: JobData | JobChange
+
+
 class GuardBroke(NamedTuple):
     """A guard broke that was asked about a job, known by its number."""
 
@@ -111,6 +123,7 @@ NetEntry = (
     TransitionFired
     | PhaseFired
     | EndFired
+    | RequestBuilt
     | CommandWritten
     | CommandCancelled
     | CommandHeld

@@ -91,6 +91,7 @@ from im_pnt.execution.record import (
     JobForgotten,
     NetEntry,
     PhaseFired,
+    RequestBuilt,
     TransitionFired,
     VisitSettled,
     plain,
@@ -156,6 +157,8 @@ def encode_net_entry(entry: NetEntry) -> list[object]:
             return ["fire", transition] if job is None else ["fire", transition, job]
         case EndFired(number, transition, failure, data):
             return ["end", number, transition, encode_error(failure), _data_fields(data)]
+        case RequestBuilt(number, data):
+            return ["built", number, _data_fields(data)]
         case PhaseFired(number, transition, error):
             return ["phase", number, transition, encode_error(error)]
         case CommandWritten(job):
@@ -192,6 +195,8 @@ def decode_net_entry(content: object) -> NetEntry:
                 return TransitionFired(transition, job)
             case ["end", int(number), str(transition), error, data]:
                 return EndFired(number, transition, decode_error(error), _data_of(data))
+            case ["built", int(number), data] if (kept := _data_of(data)) is not None:
+                return RequestBuilt(number, kept)
             case ["phase", int(number), str(transition), error]:
                 return PhaseFired(number, transition, _reason(error))
             case ["command", *written]:

@@ -22,6 +22,7 @@ from im_pnt.execution.record import (
     JobForgotten,
     NetEntry,
     PhaseFired,
+    RequestBuilt,
     TransitionFired,
     VisitSettled,
     take_data,
@@ -60,6 +61,10 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             if data is not None and activity.lineage.job is not None:
                 take_data(activity.lineage.job, data)
             rule.end(activity, name, error, activity.reply.results if activity.reply is not None else {})
+        case RequestBuilt(number, data):
+            if (job := rule.activities[number].lineage.job) is None:
+                raise ValueError(f"activity {number} is done for no job")
+            take_data(job, data)
         case PhaseFired(number, name, error):
             activity = _running(rule, number, name)
             activity.cancelled = True

@@ -29,6 +29,7 @@ from im_pnt.execution.record import (
     EndFired,
     PhaseFired,
     Record,
+    RequestBuilt,
     TransitionFired,
     changed_data,
     plain_dict,
@@ -511,6 +512,23 @@ class FiringRule:
             self.record(EndFired(activity.number, name, error, data))
         self.end(activity, name, error, results)
         return error
+
+    def keep_data(self, activity: Activity) -> None:
+        """Writes what an action that goes on has changed in its job, if it has.
+
+        Raises:
+            NetError: JSON cannot carry it; the job has what it had.
+        """
+        job = activity.lineage.job
+        if job is None or self.record is None:
+            return
+        try:
+            data = changed_data(job)
+        except NetError:
+            restore_data(job)
+            raise
+        if data is not None:
+            self.record(RequestBuilt(activity.number, data))
 
     def end(self, activity: Activity, name: str, error: ImError | None, results: dict[str, object]) -> None:
         """Fires a transition that ends an activity."""
