@@ -99,6 +99,12 @@ def test_another_request_is_the_first_difference(capsys, monkeypatch):
     assert "another request" in told
 
 
+def test_a_builder_that_leaves_something_else_is_the_first_difference(capsys, monkeypatch):
+    monkeypatch.setattr(PoseLoop, "look", lambda self: self.present)
+    told = differs(capsys, BAGS / "undisturbed")
+    assert "because:  its builder leaves something else: memory" in told
+
+
 def test_a_function_that_judges_otherwise_is_the_first_difference(capsys, monkeypatch):
     def refuse(*_: object) -> None:
         raise DataError("this spot will not do")

@@ -90,6 +90,8 @@ def shown(content: Sequence[object]) -> str:
             return f"{name} fires" + (f": {told_of(error_of(error))}" if error else "")
         case ["phase", _, str(name), error]:
             return f"{name} fires: {told_of(error_of(error))}"
+        case ["built", int(number), data]:
+            return f"what builds the request of action {number} leaves {left_of(data)}"
     return str(content)[:200]
 
 

@@ -208,7 +208,7 @@ class NodeRerun:
         entries.seen += 1
         arrives = kind in INPUTS
         self._compared.inputs += arrives
-        self._compared.firings += not arrives
+        self._compared.firings += not arrives and kind != "built"
         if entries.reached > number:
             return
         if not arrives:
