@@ -43,12 +43,17 @@ def soak(runs: int, minutes: float, seed: int, port: int) -> tuple[list[Sample],
         seed: Of the machine and of the random commands.
         port: Of the display.
 
+    Returns:
+        The samples and how the commands ended; the samples so far are in a file of the results at any time.
+
     Raises:
         ImError: The machine does not start, or does not answer.
     """
     path = deployments.default_path()
     if start(deployments.load(path).with_values(0.0 if runs else 1.0, seed, port), path, START_S) != 0:
         raise StateError("the machine did not start")
+    kept = results_dir() / f"soak-samples-{stamp_name()}.json"
+    print(f"soak: samples in {kept}", flush=True)
     samples: list[Sample] = []
     outcomes: list[Outcome] = []
     try:
@@ -61,6 +66,7 @@ def soak(runs: int, minutes: float, seed: int, port: int) -> tuple[list[Sample],
                 outcomes.append(outcome)
                 pids = [process.pid for process in leftovers.processes()]
                 samples.append(sample(pids, outcome.name, clock.monotonic() - began, outcome.duration_s))
+                write_whole(kept, json.dumps(sample_table(samples), indent=1))
                 told = "" if outcome.as_it_should else f" ENDED WRONGLY: {outcome.message}"
                 print(
                     f"soak: {len(outcomes)}: {outcome.name}, {outcome.duration_s:.1f} s, "
@@ -93,9 +99,7 @@ def _work(options: argparse.Namespace, _: Path) -> Work:
 
 
 def judged(samples: list[Sample], outcomes: list[Outcome]) -> list[Line]:
-    """The figures; all samples are kept in the folder of the results."""
-    content = json.dumps(sample_table(samples), indent=1)
-    print(f"soak: {write_whole(results_dir() / f'soak-samples-{stamp_name()}.json', content)}")
+    """The figures."""
     wrong = [outcome for outcome in outcomes if not outcome.as_it_should]
     kinds = Counter(outcome.name for outcome in outcomes)
     return [
