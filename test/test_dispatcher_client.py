@@ -2,6 +2,7 @@
 
 import io
 import json
+import signal
 import threading
 
 import pytest
@@ -10,6 +11,7 @@ from rclpy.task import Future
 
 from im_bringup.ros import dispatcher
 from im_bringup.ros.calibrate_camera import CalibrateCameraClient
+from im_bringup.ros.interruptible import InterruptibleNode, spun
 from im_bringup.ros.run_command import CommandClient
 from im_core import clock
 from im_core.ros import qos
@@ -92,3 +94,15 @@ def test_a_goal_whose_acceptance_was_lost_is_carried_out_once(ros, stopped, wait
     done = ended(lambda: client.run(ExecuteCommand.Goal(symbol="move")))
     (result,) = wait_until(lambda: done, "the result")
     assert (result.success, len(stopped.begun), len(lost)) == (True, 1, 1)
+
+
+def test_what_rclpy_prints_is_not_among_the_output_of_a_program(capfd, monkeypatch):
+    """It warns on standard output of each timer beyond eight, as a program has that waits for long."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with spun(lambda: InterruptibleNode("talker")) as node:
+        for _ in range(20):
+            node.create_timer(10.0, lambda: None)
+        clock.sleep(0.3)
+        print('{"success": true}')
+        print("Warning, the number of poses is small.")
+    assert capfd.readouterr().out == '{"success": true}\nWarning, the number of poses is small.\n'

@@ -89,8 +89,13 @@ class Command:
         for reader in self._readers:
             reader.join(timeout=10.0)
         said = next((line for line in reversed(self._lines) if not line.startswith("[")), "")
-        printed = json.loads("".join(self._printed)) if code == 0 else {}
-        return Outcome(code, said.partition(": ")[2] or said, printed.get("report", printed), ended)
+        said, printed = said.partition(": ")[2] or said, {}
+        if code == 0:
+            try:
+                printed = json.loads("".join(self._printed))
+            except ValueError as error:  # then nothing was found, and that is no success
+                said = f"what it printed is no JSON: {error}: {''.join(self._printed)[:200]}"
+        return Outcome(code, said, printed.get("report", printed), ended)
 
     @staticmethod
     def _read(stream: IO[str] | None, lines: list[str]) -> None:

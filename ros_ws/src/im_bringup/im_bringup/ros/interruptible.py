@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from typing import TypeVar
+from typing import Any, TextIO, TypeVar, cast
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -15,6 +15,11 @@ from im_bringup.machine import record as machine
 from im_core.errors import ImError, WaitTimeoutError
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
+
+_OF_RCLPY = (
+    "Warning, the number of timers associated with this clock is large.",
+    "Management of this number of timers may be inefficient.",
+)
 
 DONE, FAILED, USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -42,6 +47,25 @@ class InterruptibleNode(GuardedNode):
 NodeT = TypeVar("NodeT", bound=InterruptibleNode)
 
 
+class OwnOutput:
+    """Standard output of a program, without what rclpy says there: 7.1 prints a warning for each timer beyond eight.
+
+    Args:
+        stream: Where the rest goes.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._dropped = stream, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write, unless it is a warning of rclpy, or the end of its line, which comes by itself."""
+        ends, self._dropped = self._dropped and text == "\n", text in _OF_RCLPY
+        return len(text) if ends or self._dropped else self._stream.write(text)
+
+
 @contextlib.contextmanager
 def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
     """Within it ROS is there, and a node spins that SIGINT and SIGTERM interrupt.
@@ -54,7 +78,7 @@ def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
         node = make()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: node.interrupt())
-        with Spinner([node]):
+        with contextlib.redirect_stdout(cast(TextIO, OwnOutput(sys.stdout))), Spinner([node]):
             yield node
     finally:
         rclpy.try_shutdown()
