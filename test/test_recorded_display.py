@@ -24,15 +24,16 @@ NAMES = sorted(path.name for path in BAGS.iterdir() if path.is_dir())
 @pytest.mark.parametrize("name", NAMES)
 def test_firings_lead_to_each_marking_that_was_recorded(name):
     recording = recording_of(BAGS / name)
-    states, compared = recording.states(0), 0
+    states, compared, all_markings = recording.states(0), 0, 0
     for moment in recording.moments:
         if isinstance(marking := moment.event, RecordedMarking):
             before = states[marking.net].marking
+            all_markings += 1
             if before.sequence == marking.sequence:  # on a busy computer firings may come after their marking
                 assert before.tokens == marking.tokens, f"{marking.net} at {moment.at_s:.3f} s"
                 compared += 1
         recording.advance(states, moment)
-    assert compared > 100
+    assert 2 * compared > all_markings > 100
     assert {state.description for state in states.values()} == set(range(len(recording.descriptions)))
 
 
