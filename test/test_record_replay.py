@@ -205,6 +205,7 @@ def test_what_services_and_actions_carry_is_in_the_bag(recorder, ros, wait_until
     topics = {f"{name}/_service_event" for name in events}
     for topic in topics:
         wait_until(lambda topic=topic: node.count_subscribers(topic), f"the recorder on {topic}")
+    clock.sleep(1.0)  # a writer knows its reader earlier than that knows it; what comes between is lost
     client = other.create_client(SetBool, "/teller/set")
     wait_until(client.service_is_ready, "the service")
     asked = client.call_async(SetBool.Request(data=True))
