@@ -102,7 +102,7 @@ class Plant:
         What stands still after a step, with every joint stuck, is not stepped again before the next tick, nor, without
         power, before anything else is commanded.
         """
-        powered, held_before = self.power, self._actuators.brakes
+        held_before = self._actuators.brakes
         if command is None:
             self._actuators.command(np.zeros(self._n), False, self._may_hold)
             self.power = False
@@ -112,7 +112,7 @@ class Plant:
             self._actuators.command(command.tau, self.power, held & self._may_hold)
             self._grippers.command(command.gripper, command.gripper_force)
         self._tick += 1
-        if not self._stands or powered or self.power or held_before.tobytes() != self._actuators.brakes.tobytes():
+        if not self._stands or self.power or held_before.tobytes() != self._actuators.brakes.tobytes():
             self._move()
         if self._grippers.step(self._period):
             self._dynamics.carry(self._grippers.held())
@@ -123,14 +123,14 @@ class Plant:
         self._world.close()
 
     def _move(self) -> None:
-        """The steps of a tick, until nothing moves."""
+        """The steps of a tick, until nothing moves; without power it then stands."""
         self._stands = False
         for _ in range(self._substeps):
             q, v = self.q, self.v
             self._world.step(self._actuators.applied(q, v))
             self.q, self.v = self._world.state()
             if self._actuators.stuck and max(map(abs, self.v.tolist())) < _AT_REST:
-                self._stands = True
+                self._stands = not self.power
                 break
         self._feel(q, v)
 

@@ -99,9 +99,9 @@ class Inquiry:
     def _unknown(self, activity: Activity, answer: Answer) -> ImError:
         now = self._clock()
         return ImError(
-            f"nobody can tell what became of {activity.action} of transition {activity.transition} of net "
-            f"{activity.net}: "
-            f"{activity.doubt}; asked for {now - activity.doubted:.3g} s: {answer.asked or 'no answer'}",
+            f"nobody can tell what became of {activity.action} of transition {activity.transition} "
+            f"of net {activity.net}: {activity.doubt}; "
+            f"asked for {now - activity.doubted:.3g} s: {answer.asked or 'no answer'}",
             code=DOUBT_CODE,
             net=activity.net,
             transition=activity.transition,

@@ -213,9 +213,13 @@ def changed_data(job: Job) -> JobData | JobChange | None:
     """Returns the data of a job when they are written first, then how they have changed, None where they have not.
 
     Raises:
-        NetError: They have a part that JSON cannot carry.
+        NetError: They have a part that JSON cannot carry; the job has what was written last.
     """
-    data, before = data_of(job), job.recorded
+    try:
+        data, before = data_of(job), job.recorded
+    except NetError:
+        _restore_data(job)
+        raise
     if before is None:
         job.recorded = data
         return data
@@ -252,10 +256,10 @@ def take_data(job: Job, data: JobData | JobChange) -> None:
         job.recorded = JobData(_renewed_dict(kept.memory, memory), _renewed_dict(kept.results, results), progress)
     else:
         job.recorded = data
-    restore_data(job)
+    _restore_data(job)
 
 
-def restore_data(job: Job) -> None:
+def _restore_data(job: Job) -> None:
     """Gives a job the data that were written last."""
     memory, results, job.progress = recorded_data(job)
     for mine, kept in ((job.memory, memory), (job.results, results)):

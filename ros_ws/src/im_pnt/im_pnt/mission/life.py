@@ -117,8 +117,7 @@ class Life:
         if now is not None and recorded[0] == "end":
             return "the action ends otherwise"
         if recorded[0] == "built":
-            same = now is not None and now[:2] == recorded[:2]
-            left = left_of(now[2]) if now is not None and same else None
+            left = left_of(now[2]) if now is not None and now[:2] == recorded[:2] else None
             return f"its builder leaves something else: {first_difference(left_of(recorded[2]), left)}"
         first = f"{transition_of(now)} goes first now" if now is not None and now[0] == "fire" else ""
         return executor.hindrance(transition_of(recorded)) or first

@@ -34,7 +34,6 @@ from im_pnt.execution.record import (
     changed_data,
     plain_dict,
     recorded_data,
-    restore_data,
 )
 from im_pnt.execution.values import NetValues, Objects
 from im_pnt.model.action import RequestAction
@@ -500,7 +499,6 @@ class FiringRule:
             try:
                 data = changed_data(job)
             except NetError as unfit:
-                restore_data(job)
                 error = error or unfit
         name = f"{activity.transition}.{'failed' if error else 'end'}"
         if activity.state is not ActivityState.ACTIVE:
@@ -522,11 +520,7 @@ class FiringRule:
         job = activity.lineage.job
         if job is None or self.record is None:
             return
-        try:
-            data = changed_data(job)
-        except NetError:
-            restore_data(job)
-            raise
+        data = changed_data(job)
         if data is not None:
             self.record(RequestBuilt(activity.number, data))
 
