@@ -8,12 +8,14 @@ import threading
 import pytest
 from rclpy.action.server import GoalResponse
 from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from im_bringup.ros import dispatcher
 from im_bringup.ros.calibrate_camera import CalibrateCameraClient
 from im_bringup.ros.interruptible import InterruptibleNode, spun
 from im_bringup.ros.run_command import CommandClient
 from im_core import clock
+from im_core.errors import WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.startup import STATUS_TOPIC
@@ -106,3 +108,23 @@ def test_what_rclpy_prints_is_not_among_the_output_of_a_program(capfd, monkeypat
         print('{"success": true}')
         print("Warning, the number of poses is small.")
     assert capfd.readouterr().out == '{"success": true}\nWarning, the number of poses is small.\n'
+
+
+def test_who_waits_for_a_service_ends_when_interrupted(ros):
+    """Neither for a service that is not there, nor for one that is silent, a program waits after Ctrl-C."""
+    asking, silent = InterruptibleNode("asking"), GuardedNode("silent")
+
+    async def never(request, response):
+        await Future()
+
+    silent.create_service(Trigger, "/silent/answer", never)
+    ros(asking, silent)
+    for service in ("/nobody/answers", "/silent/answer"):
+        client = asking.create_client(Trigger, service)
+        with pytest.raises(WaitTimeoutError, match=service):
+            asking.ask(client, Trigger.Request(), 0.5)
+    threading.Timer(0.3, asking.interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        asking.ask(client, Trigger.Request(), 60.0)
+    with pytest.raises(KeyboardInterrupt):
+        asking.pause(60.0)

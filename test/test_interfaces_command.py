@@ -6,7 +6,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from im_bringup.ros import interfaces
-from im_core.ros.guard import GuardedNode
+from im_bringup.ros.interruptible import InterruptibleNode
 from im_core.ros.node import ManagedNode
 
 
@@ -20,7 +20,8 @@ def recorder(ros):
 
 def test_who_answers_nothing_is_not_waited_for(ros, recorder, wait_until, monkeypatch):
     monkeypatch.setattr(interfaces, "CALL_S", 20.0)
-    oven, asking = ManagedNode("oven", parameter_overrides=[Parameter("standalone", value=True)]), GuardedNode("asking")
+    oven = ManagedNode("oven", parameter_overrides=[Parameter("standalone", value=True)])
+    asking = InterruptibleNode("asking")
     oven.create_service(Trigger, "/oven/bake", lambda request, response: response)
     ros(oven, asking)
     wait_until(lambda: {"oven", "recorder"} <= set(asking.get_node_names()), "the nodes")

@@ -7,8 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
-from im_core import clock
-from im_core.errors import WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.status import status_to_error
 from im_msgs.msg import ObjectInfo
@@ -16,7 +14,6 @@ from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, 
 
 #: Longest wait for /dom to be found, and for an answer [s].
 TIMEOUT_S = 60.0
-_POLL_S = 0.02
 _SOURCE = "im dom"
 
 
@@ -26,29 +23,18 @@ class DomCommand(InterruptibleNode):
     def __init__(self) -> None:
         super().__init__("im_dom")
 
-    def ask(self, kind: Any, service: str, request: object) -> Any:
-        """Returns an answer.
+    def ask_dom(self, kind: Any, service: str, request: object) -> Any:
+        """The answer of a service of ``/dom``.
 
         Raises:
             ImError: What was asked for is refused.
             KeyboardInterrupt: :meth:`interrupt` was called.
             WaitTimeoutError: ``/dom`` does not answer.
         """
-        client = self.create_client(kind, service, qos_profile=qos.QUEUED_SERVICE)
-        self._until(client.service_is_ready, f"the service {service}")
-        future = client.call_async(request)
-        self._until(future.done, f"an answer of {service}")
-        answer: Any = future.result()
+        answer = self.ask(self.create_client(kind, service, qos_profile=qos.QUEUED_SERVICE), request, TIMEOUT_S)
         if not getattr(answer, "success", True):
             raise status_to_error(answer.status)
         return answer
-
-    def _until(self, ready: Callable[[], bool], what: str) -> None:
-        deadline = clock.monotonic() + TIMEOUT_S
-        while not ready():
-            self._pause(_POLL_S)
-            if clock.monotonic() > deadline:
-                raise WaitTimeoutError(what=what, seconds=TIMEOUT_S)
 
 
 def main() -> int:
@@ -86,29 +72,29 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _list(node: DomCommand, _: argparse.Namespace) -> None:
-    for info in node.ask(ListObjects, "/dom/list", ListObjects.Request()).objects:
+    for info in node.ask_dom(ListObjects, "/dom/list", ListObjects.Request()).objects:
         print(_line(info))
 
 
 def _get(node: DomCommand, options: argparse.Namespace) -> None:
-    answer = node.ask(GetObject, "/dom/get", GetObject.Request(name=options.name, as_json=True))
+    answer = node.ask_dom(GetObject, "/dom/get", GetObject.Request(name=options.name, as_json=True))
     print(json.dumps(json.loads(answer.json), indent=2, ensure_ascii=False))
 
 
 def _put(node: DomCommand, options: argparse.Namespace) -> None:
     request = PutObject.Request(name=options.name, type=options.type, json=options.fields, source=_SOURCE)
-    print(_line(node.ask(PutObject, "/dom/put", request).object))
+    print(_line(node.ask_dom(PutObject, "/dom/put", request).object))
 
 
 def _append(node: DomCommand, options: argparse.Namespace) -> None:
-    known = node.ask(GetObject, "/dom/get", GetObject.Request(name=options.name, metadata_only=True)).object
+    known = node.ask_dom(GetObject, "/dom/get", GetObject.Request(name=options.name, metadata_only=True)).object
     request = AppendObject.Request(name=options.name, type=known.type, json=options.fields, source=_SOURCE)
-    print(_line(node.ask(AppendObject, "/dom/append", request).object))
+    print(_line(node.ask_dom(AppendObject, "/dom/append", request).object))
 
 
 def _invalidate(node: DomCommand, options: argparse.Namespace) -> None:
     request = InvalidateObject.Request(name=options.name, source=_SOURCE)
-    node.ask(InvalidateObject, "/dom/invalidate", request)
+    node.ask_dom(InvalidateObject, "/dom/invalidate", request)
 
 
 def _line(info: ObjectInfo) -> str:

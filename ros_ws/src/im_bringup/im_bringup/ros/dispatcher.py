@@ -8,7 +8,7 @@ from im_bringup.machine import record as machine
 from im_bringup.machine.record import MachineRecord
 from im_bringup.ros.interruptible import InterruptibleNode
 from im_core import clock
-from im_core.errors import LinkError, WaitTimeoutError
+from im_core.errors import LinkError
 from im_core.ros import qos
 from im_core.ros.heartbeats import LEASE_S
 from im_core.startup import STATUS_TOPIC
@@ -61,7 +61,7 @@ class DispatcherClient(InterruptibleNode):
         begun, known, away = clock.monotonic(), self._incarnation, False
         self._heard = begun
         while not future.done():
-            self._pause(_POLL_S)
+            self.pause(_POLL_S)
             if clock.monotonic() - begun > limit_s:
                 return None
             silent = clock.monotonic() - self._heard
@@ -75,11 +75,11 @@ class DispatcherClient(InterruptibleNode):
         return future.result()
 
     def _until(self, ready: Callable[[], bool], what: str, seconds: float = DISCOVERY_S) -> None:
-        deadline = clock.monotonic() + seconds
-        while not ready():
-            self._pause(_POLL_S)
-            if clock.monotonic() > deadline and not _starting(machine.read()):
-                raise WaitTimeoutError(what=what, seconds=seconds)
+        super()._until(ready, what, seconds)
+
+    def _may_yet_come(self) -> bool:
+        """What is late comes yet where the machine is being started."""
+        return _starting(machine.read())
 
     def _hear(self, message: TaskStatus) -> None:
         if message.name == "dispatcher":

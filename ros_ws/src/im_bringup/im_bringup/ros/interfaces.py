@@ -5,16 +5,13 @@ import sys
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 
-import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.node import Node, NodeNameNonExistentError
 
+from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, InterruptibleNode, spun
 from im_core import clock
 from im_core.errors import ImError
-from im_core.ros.calls import call_blocking
-from im_core.ros.guard import GuardedNode
-from im_core.ros.run import Spinner
 
 # the graph is known when nothing has changed for so long; on a busy computer that takes its time
 SETTLED_S = 3.0
@@ -39,7 +36,7 @@ _MANY = 6
 CALL_S = 30.0
 
 
-def tables(node: Node) -> str:
+def tables(node: InterruptibleNode) -> str:
     """The page, from what the graph holds now."""
     owners: dict[str, set[str]] = {}
     listeners: dict[str, set[str]] = {}
@@ -75,7 +72,7 @@ def tables(node: Node) -> str:
     return "\n".join(parts)
 
 
-def _described(node: Node, owners: Iterable[str]) -> dict[tuple[str, str, str, str, str], set[str]]:
+def _described(node: InterruptibleNode, owners: Iterable[str]) -> dict[tuple[str, str, str, str, str], set[str]]:
     """Name, type, range, when it acts and description of every parameter of nodes, with those that have it.
 
     Raises:
@@ -84,10 +81,10 @@ def _described(node: Node, owners: Iterable[str]) -> dict[tuple[str, str, str, s
     rows: dict[tuple[str, str, str, str, str], set[str]] = {}
     for owner in owners:
         listing = node.create_client(ListParameters, f"{owner}{LISTING}")
-        listed = call_blocking(listing, ListParameters.Request(), CALL_S, f"parameters of {owner}")
+        listed = node.ask(listing, ListParameters.Request(), CALL_S)
         telling = node.create_client(DescribeParameters, f"{owner}/describe_parameters")
         request = DescribeParameters.Request(names=listed.result.names)
-        for told in call_blocking(telling, request, CALL_S, f"parameters of {owner}").descriptors:
+        for told in node.ask(telling, request, CALL_S).descriptors:
             acts = "at the start" if told.read_only else "at any time"
             row = told.name, _TYPES[told.type], _range(told), acts, told.description
             rows.setdefault(row, set()).add(owner)
@@ -111,12 +108,12 @@ def _whose(nodes: set[str]) -> str:
     return ", ".join(f"`{node}`" for node in sorted(nodes)) if len(nodes) < _MANY else "all nodes"
 
 
-def settle(node: Node) -> None:
+def settle(node: InterruptibleNode) -> None:
     """Wait for the end of discovery: until the graph has not changed for a while."""
     graph, since = _graph(node), clock.monotonic()
     deadline = since + DISCOVERY_AT_MOST_S
     while (now := clock.monotonic()) - since < SETTLED_S and now < deadline:
-        clock.sleep(_LOOK_S)
+        node.pause(_LOOK_S)
         before, graph = graph, _graph(node)
         since = since if graph == before else clock.monotonic()
 
@@ -147,22 +144,20 @@ def main() -> int:
     argparse.ArgumentParser(
         prog="interfaces", description="Print the interfaces of the running machine as Markdown."
     ).parse_args()
-    rclpy.init(args=[])
-    node = GuardedNode("interfaces")
     try:
-        with Spinner([node]):
+        with spun(lambda: InterruptibleNode("interfaces")) as node:
             settle(node)
             page = tables(node)
+    except KeyboardInterrupt:
+        return INTERRUPTED
     except ImError as error:
         print(f"interfaces: {error.message}", file=sys.stderr)
-        return 1
-    finally:
-        rclpy.try_shutdown()
+        return FAILED
     if "/bootstrap" not in page:
         print("interfaces: no machine runs in this ROS domain; start one with scripts/start.sh", file=sys.stderr)
-        return 3
+        return NOT_RUNNING
     print(page, end="")
-    return 0
+    return DONE
 
 
 if __name__ == "__main__":

@@ -9,9 +9,11 @@ from collections.abc import Callable, Iterator
 from typing import Any, TextIO, TypeVar, cast
 
 import rclpy
+from rclpy.client import Client
 from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.machine import record as machine
+from im_core import clock
 from im_core.errors import ImError, WaitTimeoutError
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
@@ -20,6 +22,8 @@ _OF_RCLPY = (
     "Warning, the number of timers associated with this clock is large.",
     "Management of this number of timers may be inefficient.",
 )
+
+_POLL_S = 0.02
 
 DONE, FAILED, USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -39,9 +43,52 @@ class InterruptibleNode(GuardedNode):
         """Stop waiting; from a signal handler."""
         self._interrupted.set()
 
-    def _pause(self, seconds: float) -> None:
+    def ask(self, client: Client, request: object, timeout_s: float) -> Any:
+        """The answer of a service.
+
+        Args:
+            client: Of the service, made by this node.
+            request: What is asked.
+            timeout_s: Longest wait for the service to be found, and for its answer [s].
+
+        Raises:
+            KeyboardInterrupt: :meth:`interrupt` was called.
+            WaitTimeoutError: It is not there, or does not answer.
+        """
+        self._until(client.service_is_ready, f"the service {client.srv_name}", timeout_s)
+        future = client.call_async(request)
+        try:
+            self._until(future.done, f"an answer of {client.srv_name}", timeout_s)
+        except WaitTimeoutError:
+            client.remove_pending_request(future)
+            raise
+        return future.result()
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass.
+
+        Raises:
+            KeyboardInterrupt: :meth:`interrupt` was called.
+        """
         if self._interrupted.wait(seconds):
             raise KeyboardInterrupt
+
+    def _until(self, ready: Callable[[], bool], what: str, seconds: float) -> None:
+        """Wait until something is so.
+
+        Raises:
+            KeyboardInterrupt: :meth:`interrupt` was called.
+            WaitTimeoutError: It is not in time, and is not worth waiting for any longer.
+        """
+        deadline = clock.monotonic() + seconds
+        while not ready():
+            self.pause(_POLL_S)
+            if clock.monotonic() > deadline and not self._may_yet_come():
+                raise WaitTimeoutError(what=what, seconds=seconds)
+
+    def _may_yet_come(self) -> bool:
+        """Whether what is late is worth waiting for all the same."""
+        return False
 
 
 NodeT = TypeVar("NodeT", bound=InterruptibleNode)

@@ -16,11 +16,10 @@ from std_srvs.srv import Trigger
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.recovery import McsCondition, Step, next_step
-from im_bringup.ros.interruptible import InterruptibleNode, spun
+from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, InterruptibleNode, spun
 from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.ros import qos
-from im_core.ros.calls import call_blocking
 from im_core.ros.latest import Latest
 from im_msgs.msg import McsState, TaskRegistry
 
@@ -31,8 +30,6 @@ CALL_S = 30.0
 PATIENCE_S = 6.0
 _POLL_S = 0.1
 _SERVO = "mcs: servo"
-
-DONE, FAILED, NOT_RUNNING, INTERRUPTED = 0, 1, 3, 130
 
 
 class RecoverClient(InterruptibleNode):
@@ -85,7 +82,7 @@ class RecoverClient(InterruptibleNode):
             if step is Step.RESTART:
                 settled = now
             self._take_step(step)
-            self._pause(_POLL_S)
+            self.pause(_POLL_S)
 
     def _tasks(self) -> dict[str, str]:
         """How far each task is.
@@ -116,7 +113,7 @@ class RecoverClient(InterruptibleNode):
         self._say(f"MCS is {message.state}{': ' + message.reason if message.reason else ''}; {step.value}")
         try:
             if step is Step.RESET or not self._change_state(step.value):  # an emergency stop may be latched
-                answer = call_blocking(self._reset, Trigger.Request(), CALL_S, "/mcs/reset")
+                answer = self.ask(self._reset, Trigger.Request(), CALL_S)
                 self._failure = "" if answer.success else answer.message
         except ImError as error:
             self._failure = error.message
@@ -130,7 +127,7 @@ class RecoverClient(InterruptibleNode):
             WaitTimeoutError: No answer.
         """
         request = ChangeState.Request(transition=Transition(label=label))
-        answer = call_blocking(self._lifecycle, request, CALL_S, f"/mcs/change_state {label}")
+        answer = self.ask(self._lifecycle, request, CALL_S)
         return bool(answer.success)
 
     def _missing(self, tasks: dict[str, str]) -> str:

@@ -4,26 +4,19 @@ import argparse
 import sys
 from pathlib import Path
 
-import rclpy
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-
 from im_bringup.calibration.summary import error_lines
 from im_bringup.calibration.truth import add_to_report
-from im_bringup.machine.interrupts import interrupt_once
+from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
 from im_cell.robot.truth import CellTruth
 from im_core.arrivals import read_json
-from im_core.errors import ImError, StateError
+from im_core.errors import StateError
 from im_core.names import results_dir
-from im_core.ros.calls import call_blocking
-from im_core.ros.guard import GuardedNode
-from im_core.ros.run import Spinner
 from im_msgs.srv import GetTruth
 
 TIMEOUT_S = 10.0
 
 
-def get_truth(node: Node) -> CellTruth:
+def get_truth(node: InterruptibleNode) -> CellTruth:
     """The truth of the testbed that runs.
 
     Raises:
@@ -31,7 +24,7 @@ def get_truth(node: Node) -> CellTruth:
         WaitTimeoutError: It does not answer.
     """
     client = node.create_client(GetTruth, "/testbed/get_truth")
-    answer = call_blocking(client, GetTruth.Request(), TIMEOUT_S, "true cameras")
+    answer = node.ask(client, GetTruth.Request(), TIMEOUT_S)
     if not answer.success:
         raise StateError(answer.message)
     return read_json(CellTruth, answer.json, "the truth of the testbed")
@@ -43,21 +36,12 @@ def main() -> int:
     parser.add_argument("report", type=Path, nargs="?", help="report.json (default: the latest)")
     arguments = parser.parse_args()
     path = arguments.report or results_dir() / "latest" / "report.json"
-    interrupt_once()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = GuardedNode("truth_error")
-    try:
-        with Spinner([node]):
-            report = add_to_report(path, get_truth(node))
-    except ImError as error:
-        print(f"truth_error: {error.message}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    finally:
-        rclpy.try_shutdown()
-    print(error_lines(report))
-    return 0
+
+    def measure(node: InterruptibleNode) -> int:
+        print(error_lines(add_to_report(path, get_truth(node))))
+        return DONE
+
+    return talk(lambda: InterruptibleNode("truth_error"), measure, "truth_error")
 
 
 if __name__ == "__main__":
