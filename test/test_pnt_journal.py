@@ -25,8 +25,11 @@ from im_msgs.action import Move
 from im_pnt.execution.events import ModeSet
 from im_pnt.execution.functions import idempotent
 from im_pnt.execution.operator import Mode
+from im_pnt.journal.folder import Folder
+from im_pnt.journal.log import look
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_analysis.cli.journal import described
 from support.warm import Copy, Warm
 
 NETS = {
@@ -131,7 +134,7 @@ class Machine:
         for _ in range(30):
             with contextlib.suppress(WaitTimeoutError):
                 return call_blocking(client, Trigger.Request(), 4.0, "attach of the test")
-        return pytest.fail("the command did not end")
+        return pytest.fail(f"the command did not end\n{self.journals()}")
 
     def serve(self):
         """Gives a command; its answer may never come."""
@@ -150,8 +153,13 @@ class Machine:
     def until(self, condition, what: str, seconds: float = 60.0) -> None:
         deadline = clock.monotonic() + seconds
         while not condition():
-            assert clock.monotonic() < deadline, f"waited {seconds} s for {what}, in vain"
+            assert clock.monotonic() < deadline, f"waited {seconds} s for {what}, in vain\n{self.journals()}"
             clock.sleep(0.02)
+
+    def journals(self) -> str:
+        """What each node has on file: who waits for whom where a command does not end."""
+        folders = (self.folder / "journal" / name for name in NETS)
+        return "\n\n".join("\n".join(described(look(Folder(folder)), 30)) for folder in folders if folder.exists())
 
 
 @pytest.fixture(scope="module")
