@@ -303,8 +303,8 @@ def test_a_node_goes_on_saying_what_it_has_forgotten(tmp_path, ros, wait_until):
     node.create_subscription(DiagnosticArray, "/diagnostics", lambda told: heard.extend(told.status), qos.STATUS)
     told = wait_until(lambda: [s for s in heard if s.name == "front: journal"], "the node to say it")[0]
     assert told.level == DiagnosticStatus.WARN
-    assert f"{journal}: the last record" in told.message
-    assert "was not written whole (6 bytes) and is dropped" in told.values[0].value
+    assert f"{journal}: what was written last" in told.message
+    assert "is not whole (6 bytes) and is dropped" in told.values[0].value
 
 
 def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_until):

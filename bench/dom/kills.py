@@ -5,6 +5,7 @@ a line for each change that the store has acknowledged.
 """
 
 import json
+import os
 import random
 import subprocess
 import sys
@@ -13,11 +14,14 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
+from bench.dom.power import Disk
 from im_dom.record import ObjectRecord
 from im_dom.store import ObjectStore
 
 NAMES = [f"object/{number}" for number in range(6)]
 KIND = "std_msgs/msg/String"
+#: Arguments of the interpreter that begin the process which is killed; folder and seed follow.
+COMMAND = ("-m", "bench.dom.kills")
 
 #: Of an object: its version, whether that is valid, and the hash of its data.
 Facts = tuple[int, bool, str]
@@ -35,12 +39,13 @@ def facts(store: ObjectStore) -> dict[str, Facts]:
     }
 
 
-def kill_once(folder: Path, seed: int) -> int:
+def kill_once(folder: Path, seed: int, *, power: bool = False) -> int:
     """Kill a process that changes the store of a folder, and compare.
 
     Args:
         folder: Holds the store, with what former lives have left.
         seed: Of what it does, and of when it is killed.
+        power: Whether the power goes with it: what was not synchronised is there by chance only.
 
     Returns:
         How many acknowledged changes were looked at.
@@ -53,12 +58,16 @@ def kill_once(folder: Path, seed: int) -> int:
     started = facts(before)
     before.close()
     most = draw.randrange(200)
-    command = [sys.executable, "-m", "bench.dom.kills", str(folder), str(seed)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as child:
+    command = [sys.executable, *COMMAND, str(folder), str(seed)]
+    disk = Disk(folder) if power else None
+    environment = {**os.environ, **(disk.environment if disk else {})}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as child:
         assert child.stdout is not None
         lines = [child.stdout.readline() for _ in range(most + 1)]
         child.kill()
         lines += child.stdout.readlines()
+    if disk is not None:
+        disk.lose_power(draw)
     told = [json.loads(line) for line in lines if line.endswith(b"\n")]
     assert told, "it has said nothing"
     store = ObjectStore(folder / "dom.sqlite")

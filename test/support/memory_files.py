@@ -1,9 +1,13 @@
 """Files of a journal in memory, for tests: they outlive processes that are only played, and may fail or be cut off."""
 
 import errno
+from random import Random
 
 from im_pnt.errors import JournalError
 from im_pnt.journal.folder import Growing
+
+#: What a disk writes at once [bytes].
+SECTOR = 512
 
 
 class MemoryFiles:
@@ -42,11 +46,23 @@ class MemoryFiles:
         other._steps = None
         return other
 
-    def unplugged(self) -> "MemoryFiles":
-        """Returns the files as another process finds them when the computer has lost its power: the synchronised."""
+    def unplugged(self, draw: Random | None = None) -> "MemoryFiles":
+        """Returns the files as another process finds them when the computer has lost its power.
+
+        Args:
+            draw: How much of what was not synchronised is there all the same, and which of its sectors are filled;
+                None: nothing is.
+        """
         other = self.reborn()
         for name, content in self.contents.items():
-            del other.contents[name][self._safe.get(id(content), 0) :]
+            safe = self._safe.get(id(content), 0)
+            there = other.contents[name]
+            del there[safe if draw is None else draw.randint(safe, len(content)) :]
+            filled = draw.random() if draw is not None else 1.0
+            for sector in range(safe - safe % SECTOR, len(there), SECTOR):
+                if draw is not None and draw.random() > filled:
+                    begin, end = max(safe, sector), min(sector + SECTOR, len(there))
+                    there[begin:end] = bytes(end - begin)
         return other
 
     def synchronised(self, content: bytearray) -> None:

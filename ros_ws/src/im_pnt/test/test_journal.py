@@ -151,8 +151,8 @@ def test_a_torn_last_record_is_dropped_and_said(sync, more):
     assert again.exchange.nets["n"].marking() == {"a": 3}
     start = files.contents[name].rindex(b"\n") + 1
     assert troubles.texts == [
-        f"memory/{name}: the last record, at byte {start}, was not written whole ({size - start} bytes) and is dropped"
-        + more
+        f"memory/{name}: what was written last, from byte {start} on, is not whole ({size - start} bytes) "
+        f"and is dropped{more}"
     ]
     again.turn()
     assert again.exchange.nets["n"].marking() == {"b": 1}

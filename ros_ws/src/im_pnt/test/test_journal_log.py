@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from random import Random
 
 import pytest
 from hypothesis import given, settings
@@ -84,7 +85,7 @@ def test_with_any_byte_changed_nothing_is_read_and_the_place_is_named():
 @given(st.binary(max_size=300))
 def test_no_content_whatever_breaks_the_reader(content):
     try:
-        found = scan(content, "file")
+        found = scan(content, "file", Sync.OS)
     except JournalError:
         return
     assert found.size + found.torn == len(content)
@@ -102,6 +103,56 @@ def test_a_file_that_a_power_cut_left_longer_than_its_content_loses_only_its_las
     size = ends_of(content)[-2]
     recovered = reread(content[: size + 7] + bytes(500))
     assert [batch for _, batch in recovered.batches] == BATCHES[:-1]
+
+
+@pytest.mark.parametrize("sync", Sync)
+def test_after_a_loss_of_power_what_was_synchronised_is_there_and_of_the_rest_a_beginning(sync):
+    """Whichever sectors of what was not synchronised the disk has filled."""
+    batches = [json.dumps([["x" * length, number]]) for number, length in enumerate((5, 300, 2000, 40, 700, 9, 5000))]
+    files = MemoryFiles()
+    log = Log(files, sync)
+    log.replace(HEADER, {"state": 1})
+    lost = 0
+    for count, batch in enumerate(batches, start=1):
+        log.append(batch)
+        for seed in range(200):
+            unplugged = files.unplugged(Random(seed))
+            recovered = Log(unplugged, sync).recover()
+            found = [record.body.decode() for record, _ in recovered.batches]
+            assert found == batches[: len(found)]
+            assert sync is Sync.OS or len(found) == count
+            lost += count - len(found)
+    assert (lost > 0) is (sync is Sync.OS)
+
+
+def test_a_loss_of_power_while_a_batch_is_written_takes_that_batch_only():
+    """The disk has some of its sectors, in any order, and has not said that it has them."""
+    files = MemoryFiles()
+    log = Log(files, Sync.DISK)
+    log.replace(HEADER, {"state": 1})
+    log.append('[["safe"]]')
+    files.dies_after(1)  # it is written, and not synchronised
+    with pytest.raises(MemoryFiles.Death):
+        log.append(json.dumps([["y" * 3000]]))
+    torn = set()
+    for seed in range(300):
+        recovered = Log(files.unplugged(Random(seed)), Sync.DISK).recover()
+        assert [record.body for record, _ in recovered.batches][:1] == [b'[["safe"]]']
+        torn.add(recovered.torn)
+    assert len(torn) > 10
+
+
+def test_zeros_in_what_was_synchronised_are_damage():
+    content = bytearray(written(MemoryFiles()))
+    content += frame(json.dumps([["z" * 3000]]).encode(), int(content.splitlines()[-1][9:17], 16))[0]
+    end = content.rindex(b"\n", 0, -1) + 1
+    content[end + 600 : end + 1700] = bytes(1100)
+    files = MemoryFiles()
+    more, _ = frame(b"[]", 0)
+    files.contents["000001.journal"] = content + more
+    with pytest.raises(JournalError, match="record 7 at byte"):
+        Log(files, Sync.DISK).recover()
+    assert Log(files.reborn(), Sync.OS).recover().torn == len(content) + len(more) - end
 
 
 def test_other_versions_and_other_files_are_refused():

@@ -54,7 +54,7 @@ class Journal:
         node: Name of the process.
         sync: When a record counts as written.
         compact_bytes: Size of the file above which a new one is begun with a snapshot, however young it is [bytes].
-        observer: Is told of a last record that was not written whole, and of a journal that was set aside.
+        observer: Is told of what was not written whole at the end, and of a journal that was set aside.
 
     Attributes:
         found: Nets in the journal that was found, with the files they came from; empty if there was none.
@@ -169,7 +169,7 @@ class Journal:
             return None
 
     def _look_at(self, recovered: Recovered) -> None:
-        """Reads the header, and tells of a last record that was not written whole."""
+        """Reads the header, and tells of what was not written whole."""
         header = recovered.header
         match header:
             case {"node": str(node), "nets": dict(nets)}:
@@ -182,7 +182,7 @@ class Journal:
         if recovered.torn:
             power = "if the computer lost its power, more may be missing, and an action that began may begin again"
             self._observer.forgot(
-                f"{recovered.file}: the last record, at byte {recovered.size}, was not written whole "
+                f"{recovered.file}: what was written last, from byte {recovered.size} on, is not whole "
                 f"({recovered.torn} bytes) and is dropped{'' if self._sync is Sync.DISK else f'; {power}'}",
             )
 

@@ -2,8 +2,9 @@
 
 A record is a line with its length and a checksum that covers all records before it, ``00000042 9ae0daaf [...]``: bytes
 of the body in decimal, CRC-32 in hexadecimal, the body (JSON without line breaks), a line feed. A process that is
-killed while it writes leaves a beginning of its last record, and that never contains the line feed; whatever else does
-not fit is damage.
+killed while it writes leaves a beginning of its last record, and that never contains the line feed. A computer that
+loses its power may have lengthened the file and not filled all sectors of what was not synchronised; no record contains
+a zero byte. Whatever else does not fit is damage.
 
 ``000007.journal`` is written as ``000007.new`` and synchronised before it is renamed, and ``000006.journal`` is removed
 only then: at every instant the last ``.journal`` is whole.
@@ -24,6 +25,7 @@ from im_pnt.journal.folder import Files, Growing
 FORMAT = "im_pnt journal"
 VERSION = 1
 HEAD_BYTES = 18
+_SECTOR = 512
 _MOST_DIGITS = 8
 MOST_BYTES = 10**_MOST_DIGITS - 1
 """Longest body of a record [bytes]."""
@@ -59,7 +61,7 @@ class Scan:
         records: Its whole records.
         size: Where the last whole record ends [bytes].
         checksum: That of the last whole record; the next continues it.
-        torn: Bytes of the record that was being written when the process ended, 0 if none was.
+        torn: Bytes behind it, of what was being written when the process ended or the computer lost its power.
     """
 
     records: tuple[Record, ...]
@@ -82,12 +84,13 @@ def frame(body: bytes, checksum: int) -> tuple[bytes, int]:
     return b"%08d %08x %b\n" % (len(body), checksum, body), checksum
 
 
-def scan(data: bytes, file: str) -> Scan:
+def scan(data: bytes, file: str, sync: "Sync") -> Scan:
     """Reads all records of a file.
 
     Args:
         data: Content of the file.
         file: Its name, for messages.
+        sync: How it was written: a loss of power takes the last record at most, or more.
 
     Raises:
         DamagedJournalError: A record is damaged; names file, offset and number of the record.
@@ -98,6 +101,9 @@ def scan(data: bytes, file: str) -> Scan:
         end = data.find(b"\n", offset)
         line = data[offset:end] if end >= 0 else data[offset:]
         why = _damage(line, checksum, torn=end < 0)
+        last = end < 0 or end + 1 == len(data)
+        if why and (last or sync is Sync.OS) and _unfilled(data, offset):
+            return Scan(tuple(records), offset, checksum, len(data) - offset)
         if why:
             number = len(records) + 1
             raise DamagedJournalError(
@@ -114,8 +120,6 @@ def scan(data: bytes, file: str) -> Scan:
 
 def _damage(line: bytes, checksum: int, torn: bool) -> str:
     """Why a line is no record, or no beginning of one; empty if it is."""
-    if torn:
-        line = line.rstrip(b"\0")  # a computer that lost its power may have lengthened the file, and not filled it
     head = line[:HEAD_BYTES]
     if not _HEAD.match(head) and not all(_fits(byte, place) for place, byte in enumerate(head)):
         return f"it begins with {bytes(head)!r}, not with a length and a checksum"
@@ -126,6 +130,11 @@ def _damage(line: bytes, checksum: int, torn: bool) -> str:
         return f"it has {max(0, len(line) - HEAD_BYTES)} bytes, and its length says {bytes(head[:_MOST_DIGITS])!r}"
     found = zlib.crc32(line[HEAD_BYTES:], checksum)
     return "" if head[9:17] == b"%08x" % found else f"its checksum is {found:08x}, not {head[9:17].decode()}"
+
+
+def _unfilled(data: bytes, offset: int) -> bool:
+    """Whether a sector behind an offset was not filled: it ends with a zero byte."""
+    return b"\0" in data[offset | _SECTOR - 1 :: _SECTOR] + data[-1:]
 
 
 def _fits(byte: int, place: int) -> bool:
@@ -156,7 +165,7 @@ class Recovered:
         state: The snapshot it begins with.
         batches: What was written since, batch by batch; each was written whole.
         size: Where the last whole batch ends [bytes].
-        torn: Bytes of a batch that was not written whole, and was dropped; 0 if there was none.
+        torn: Bytes of what was not written whole, and was dropped; 0 if there was nothing.
     """
 
     file: str
@@ -197,7 +206,7 @@ class Log:
             name = _newest(self._files)
             if name is None:
                 return None
-            found, recovered = _read(self._files, name)
+            found, recovered = _read(self._files, name, self._sync)
             self._file = self._files.extend(name, found.size)
         except OSError as error:
             raise self._failed("read", error) from error
@@ -303,7 +312,7 @@ def look(files: Files) -> Recovered | None:
     """
     try:
         name = _newest(files)
-        return None if name is None else _read(files, name)[1]
+        return None if name is None else _read(files, name, Sync.OS)[1]
     except OSError as error:
         raise JournalError(f"{files.name}: the journal cannot be read: {error}", file=files.name) from error
 
@@ -314,9 +323,9 @@ def _newest(files: Files) -> str | None:
     return max(names, key=lambda match: int(match[1]))[0] if names else None
 
 
-def _read(files: Files, name: str) -> tuple[Scan, Recovered]:
+def _read(files: Files, name: str, sync: Sync) -> tuple[Scan, Recovered]:
     file = f"{files.name}/{name}"
-    found = scan(files.read(name), file)
+    found = scan(files.read(name), file, sync)
     return found, _parse(found, file)
 
 
