@@ -14,7 +14,7 @@
 #   scripts/bench.sh --nets             firings, search, remote tokens, journal; against SNAKES, pm4py and libpetri
 #   scripts/bench.sh --mcs              motion control: tracking, lines, the tick, deadlines, lockstep
 #   scripts/bench.sh --vss              vision: frames and answers a second, and where the time goes
-#   scripts/bench.sh --dom              data objects: puts and gets beside a bare service; 200 kills of the store
+#   scripts/bench.sh --dom              data objects: puts and gets beside a bare service; 200 kills, 200 losses of power
 #   scripts/bench.sh --bag              recording beside the machine: messages a second, gaps, the recorder's CPU time
 #   scripts/bench.sh --calibration      the solver: errors over the bound and over OpenCV, coverage, verdicts
 #   scripts/bench.sh --spot             how well the light is found in an image

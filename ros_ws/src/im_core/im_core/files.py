@@ -120,7 +120,7 @@ def write_whole(path: Path, content: str | bytes) -> Path:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder, and those it is in, where they are missing.
+    """Make a folder, and those it is in, where they are missing; they are there after a loss of power, too.
 
     Returns:
         `path`.
@@ -129,7 +129,23 @@ def make_folder(path: Path) -> Path:
         StoreError: It cannot be made, or is something else.
     """
     try:
+        missing = [each for each in (path, *path.parents) if not each.exists()]
         path.mkdir(parents=True, exist_ok=True)
+        for each in missing:
+            synchronise_names(each.parent)
     except OSError as error:
         raise StoreError.of("made", path, error) from error
     return path
+
+
+def synchronise_names(folder: Path) -> None:
+    """Return when the disk has the names of what is in a folder.
+
+    Raises:
+        OSError: It cannot.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

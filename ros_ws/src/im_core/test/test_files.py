@@ -3,11 +3,12 @@
 import os
 import stat
 import threading
+from pathlib import Path
 
 import pytest
 
 from im_core.errors import StoreError
-from im_core.files import write_whole
+from im_core.files import make_folder, write_whole
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):
@@ -70,3 +71,16 @@ def test_a_reader_sees_one_whole_version(tmp_path):
     reader.join()
     assert seen <= {digit * 50_000 for digit in "0123"}
     assert os.listdir(tmp_path) == ["a"]
+
+
+def test_a_new_folder_is_there_after_a_loss_of_power(tmp_path, monkeypatch):
+    synchronised = []
+
+    def note(descriptor):
+        synchronised.append(Path(f"/proc/self/fd/{descriptor}").readlink())
+
+    monkeypatch.setattr(os, "fsync", note)
+    assert make_folder(tmp_path / "a" / "b") == tmp_path / "a" / "b"
+    assert sorted(synchronised) == [tmp_path, tmp_path / "a"]
+    make_folder(tmp_path / "a" / "b")
+    assert len(synchronised) == 2

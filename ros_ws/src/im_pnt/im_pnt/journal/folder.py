@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 from typing import Protocol
 
+from im_core.errors import StoreError
+from im_core.files import make_folder, synchronise_names
 from im_pnt.errors import JournalError
 
 LOCK = "lock"
@@ -111,9 +113,9 @@ class Folder:
         self.name = str(path)
         self._lock: int | None = None
         try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise JournalError(f"{path}: no journal can be kept there: {error}", file=self.name) from error
+            make_folder(path)
+        except StoreError as error:
+            raise JournalError(f"no journal can be kept: {error.message}", file=self.name) from error
 
     def lock(self) -> None:
         """Takes the folder for this process, until it ends.
@@ -162,7 +164,7 @@ class Folder:
     def rename(self, name: str, new: str) -> None:
         """Renames a file, at once for whoever looks, and durably."""
         (self.path / name).rename(self.path / new)
-        self._sync()
+        synchronise_names(self.path)
 
     def remove(self, name: str) -> None:
         """Removes a file."""
@@ -173,11 +175,4 @@ class Folder:
         (self.path / folder).mkdir(parents=True)
         for name in names:
             (self.path / name).rename(self.path / folder / name)
-        self._sync()
-
-    def _sync(self) -> None:
-        folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        synchronise_names(self.path)
