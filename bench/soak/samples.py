@@ -44,6 +44,9 @@ class Sample:
     memory_of: Mapping[str, float] = field(default_factory=dict)
 
 
+_WARM_UP = 0.1
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A field of :class:`Sample` that is judged.
@@ -52,11 +55,13 @@ class Quantity:
         name: The field.
         unit: Its unit.
         week: Growth in a week that is no trouble.
+        warm_up: Share of the samples that is left out: until then it fills.
     """
 
     name: str
     unit: str
     week: float
+    warm_up: float = _WARM_UP
 
 
 #: What a week may add: a quarter of a machine's memory; on the disk, what its logs may hold with those before them; and
@@ -66,7 +71,7 @@ QUANTITIES = (
     Quantity("descriptors", "", 64.0),
     Quantity("threads", "", 16.0),
     Quantity("shm", "MiB", 64.0),
-    Quantity("disk", "MiB", 512.0),
+    Quantity("disk", "MiB", 512.0, warm_up=0.5),  # how the last hundred commands have ended is kept
 )
 #: A command may take so much longer after a week, as a share of the mean of its kind.
 LONGER = 0.1
@@ -132,9 +137,9 @@ def sample(pids: Iterable[int], kind: str, at_s: float, duration_s: float) -> Sa
     )
 
 
-def after_warm_up(samples: Sequence[Sample]) -> list[Sample]:
-    """Without the first tenth, three at least: caches fill, and modules are loaded with the first that needs them."""
-    return list(samples[max(3, len(samples) // 10) :])
+def after_warm_up(samples: Sequence[Sample], share: float = _WARM_UP) -> list[Sample]:
+    """Without the first share, three at least: caches fill, and modules are loaded with the first that needs them."""
+    return list(samples[max(3, int(len(samples) * share)) :])
 
 
 def lines(samples: Sequence[Sample]) -> list[Line]:
@@ -147,7 +152,8 @@ def lines(samples: Sequence[Sample]) -> list[Line]:
     at_s = [each.at_s for each in used]
     result = []
     for quantity in QUANTITIES:
-        trend = Trend.through(at_s, [getattr(each, quantity.name) for each in used])
+        settled = after_warm_up(samples, quantity.warm_up)
+        trend = Trend.through([each.at_s for each in settled], [getattr(each, quantity.name) for each in settled])
         result += _of(quantity.name, quantity.unit, trend, quantity.week)
     result += _of_each_process(used)
     kinds = {each.kind for each in used}

@@ -2,6 +2,7 @@
 
 import json
 import tracemalloc
+from itertools import pairwise
 
 import pytest
 
@@ -50,7 +51,6 @@ def test_only_the_last_ones_are_kept_and_not_for_ever(tmp_path, now):
     ended.keep_in(tmp_path, goes_on=False)
     for number in range(1, 3 * module.MOST + 1):
         ended.add(one(number))
-        assert len((tmp_path / "commands.jsonl").read_text().splitlines()) <= 2 * module.MOST
     again = EndedCommands()
     again.keep_in(tmp_path, goes_on=True)
     for each in (ended, again):
@@ -59,6 +59,29 @@ def test_only_the_last_ones_are_kept_and_not_for_ever(tmp_path, now):
     now[0] += module.AGE_S + 1.0
     assert 3 * module.MOST not in again
     assert again.last("pick") is None
+
+
+def test_the_file_stays_about_as_long_as_what_is_kept(tmp_path, now):
+    ended, file = EndedCommands(), tmp_path / "commands.jsonl"
+    ended.keep_in(tmp_path, goes_on=False)
+    report, sizes = {"report": "x" * 10_000}, []
+    for number in range(1, 4 * module.MOST + 1):
+        ended.add(one(number).model_copy(update={"results": report}))
+        sizes.append(file.stat().st_size)
+    line = len(file.read_bytes().splitlines()[-1]) + 1
+    assert max(sizes) <= 1.21 * module.MOST * line
+    assert sum(later < sooner for sooner, later in pairwise(sizes)) < 20, "it is seldom written anew"
+
+
+def test_what_is_kept_is_bounded_whatever_commands_return(tmp_path, now, monkeypatch):
+    monkeypatch.setattr(module, "MOST_BYTES", 100_000)
+    ended, file = EndedCommands(), tmp_path / "commands.jsonl"
+    ended.keep_in(tmp_path, goes_on=False)
+    for number, length in enumerate([30_000] * 10 + [500_000, 10], start=1):
+        ended.add(one(number).model_copy(update={"results": {"report": "x" * length}}))
+        assert file.stat().st_size <= 1.2 * max(100_000, length + 1000)
+        assert number in ended
+    assert [number in ended for number in (10, 11, 12)] == [False, False, True]
 
 
 def test_what_a_command_returned_takes_no_more_than_its_text(now):

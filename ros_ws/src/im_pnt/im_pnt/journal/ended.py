@@ -18,8 +18,14 @@ from im_core.files import make_folder, read_text, write_whole
 MOST = 100
 """Commands that are kept, the newest ones."""
 
+MOST_BYTES = 16 << 20
+"""What they take together, in memory and in the file; the newest is kept whatever it takes."""
+
 AGE_S = 7 * 86400.0
 """Time for which one is kept [s]."""
+
+_SHARE, _BLOCK = 1.2, 64 << 10
+"""The file is written anew when it is so much longer than what is kept, and longer than this [bytes]."""
 
 
 class EndedCommand(pydantic.BaseModel):
@@ -60,7 +66,7 @@ class EndedCommands:
     def __init__(self) -> None:
         self._file: Path | None = None
         self._known: dict[int, _Kept] = {}
-        self._lines = 0
+        self._bytes = self._written = 0
 
     def keep_in(self, folder: Path, *, goes_on: bool) -> None:
         """Has them kept in a folder.
@@ -100,19 +106,23 @@ class EndedCommands:
         self._forget()
         if self._file is None:
             return
-        if self._lines >= 2 * MOST:
+        if self._written + len(line) > max(_SHARE * self._bytes, _BLOCK):
             self._write_anew()
             return
         with contextlib.suppress(OSError, ValueError), self._file.open("ab", buffering=0) as file:
             file.write(line)
-            self._lines += 1
+            self._written += len(line)
 
     def _forget(self) -> None:
         oldest = wall() - AGE_S
-        left_out = max(0, len(self._known) - MOST)
-        for rank, (number, kept) in enumerate(list(self._known.items())):
-            if rank < left_out or kept.time < oldest:
-                del self._known[number]
+        for number, kept in list(self._known.items()):
+            too_many = len(self._known) > MOST or (self._bytes > MOST_BYTES and len(self._known) > 1)
+            if too_many or kept.time < oldest:
+                self._drop(number)
+
+    def _drop(self, number: int) -> None:
+        if (kept := self._known.pop(number, None)) is not None:
+            self._bytes -= len(kept.line)
 
     def _read(self, line: str) -> None:
         with contextlib.suppress(pydantic.ValidationError):  # the last line may not be whole
@@ -125,8 +135,9 @@ class EndedCommands:
         except (TypeError, ValueError, RecursionError):  # results that are no JSON could be told to nobody
             text = json.dumps(ended.model_copy(update={"results": {}}).model_dump())
         line = f"{text}\n".encode()
-        self._known.pop(ended.number, None)
+        self._drop(ended.number)
         self._known[ended.number] = _Kept(ended.symbol, ended.time, line)
+        self._bytes += len(line)
         return line
 
     def _write_anew(self) -> None:
@@ -134,4 +145,4 @@ class EndedCommands:
         if self._file is not None:
             with contextlib.suppress(StoreError, ValueError):
                 write_whole(self._file, b"".join(kept.line for kept in self._known.values()))
-                self._lines = len(self._known)
+                self._written = self._bytes
