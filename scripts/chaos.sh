@@ -10,6 +10,8 @@
 #   scripts/chaos.sh --everything --injections 50    kills all processes, starts the machine again (and kills that
 #                                            start, too, in every second injection), and compares what
 #                                            the command then finds with what it finds undisturbed
+#   scripts/chaos.sh --everything --power disk --injections 20    the power goes, too: what was not synchronised is there
+#                                            by chance only; with journal_sync: disk, or os
 #   scripts/chaos.sh --port 8081             another port for the display of the machine
 #   scripts/chaos.sh --minutes 30 --out results/chaos.jsonl    in pieces: adds to the file, goes on with its next seed
 #   scripts/chaos.sh --out results/chaos.jsonl --docs docs/reliability.md    injects nothing, writes the table there

@@ -12,14 +12,17 @@ import yaml
 
 from bench.chaos import everything, machine, records, trial
 from bench.chaos.command import Command
-from bench.chaos.faults import KINDS, ROLES
+from bench.chaos.faults import JOURNALS, KINDS, ROLES
 from bench.chaos.records import Result, Verdict
 from bench.chaos.safety import Watch
 from bench.chaos.trial import Setting
+from bench.power.plug import Plug
 from im_bringup.machine.interrupts import interrupt_once
-from im_core import clock
+from im_bringup.tasks import deployment as deployments
+from im_core import clock, names
 from im_core.config import package_file
 from im_core.errors import ImError, StateError
+from im_pnt.journal.log import Sync
 
 #: The first poses of the cell, without those at which an arm that was interrupted elsewhere may hide the light.
 POSES, HIDING = 18, ("p09", "p10")
@@ -48,10 +51,18 @@ def main() -> int:
         action="store_true",
         help="kill -9 of all processes instead, and a start: does the command go on to what it finds undisturbed?",
     )
+    parser.add_argument(
+        "--power",
+        choices=[sync.value for sync in Sync],
+        help="with --everything: the power goes, too, and what was not synchronised; journals are kept with this "
+        "journal_sync",
+    )
     parser.add_argument("--port", type=int, default=8080, help="of the display")
     parser.add_argument("--out", type=Path, metavar="FILE", help="add a line for each injection; the table is of all")
     parser.add_argument("--docs", type=Path, metavar="PAGE", help="write the table of --out there, and inject nothing")
     arguments = parser.parse_args()
+    if arguments.power is not None and not arguments.everything:
+        parser.error("--power takes everything down: --everything")
     if arguments.docs is not None and arguments.out is None:
         parser.error("--docs needs --out, the file that it sums up")
     interrupt_once()
@@ -82,18 +93,35 @@ def _run(arguments: argparse.Namespace, results: list[Result]) -> None:
     """
     with tempfile.TemporaryDirectory() as folder:
         poses, seeds = _few_poses(Path(folder)), _seeds(arguments, results)
+        file = _synchronising(Path(folder), arguments.power) if arguments.power else None
+        plug = Plug(names.run_dir()) if arguments.power else None
         lost = True
         while lost:
-            with machine.running(arguments.factor, 1, arguments.port):
+            with machine.running(arguments.factor, 1, arguments.port, file):
                 setting, undisturbed = _setting(poses, arguments)
                 if arguments.everything:
-                    again = partial(machine.begin, arguments.factor, 1, arguments.port, fresh=False)
-                    dies = partial(machine.die_starting, arguments.factor, 1, arguments.port)
+                    again = partial(machine.begin, arguments.factor, 1, arguments.port, fresh=False, file=file)
+                    dies = partial(machine.die_starting, arguments.factor, 1, arguments.port, file=file)
                     for seed in seeds:
-                        _keep(everything.run(seed, setting, again, dies, undisturbed), results, arguments.out)
-                    return
+                        _keep(everything.run(seed, setting, again, dies, undisturbed, plug), results, arguments.out)
+                    break
                 with Watch() as watch:
                     lost = _inject(seeds, setting, watch, results, arguments.out)
+        if plug is not None:
+            plug.close()
+
+
+def _synchronising(folder: Path, sync: str) -> Path:
+    """The default deployment with another ``journal_sync``, in a file of its own."""
+    content = yaml.safe_load(deployments.default_path().read_text(encoding="utf-8"))
+    for processes in content["hosts"].values():
+        for tasks in processes.values():
+            for name in JOURNALS:
+                if name in tasks:
+                    tasks[name].setdefault("parameters", {})["journal_sync"] = sync
+    path = folder / "synchronising.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
 
 
 def _seeds(arguments: argparse.Namespace, results: list[Result]) -> Iterator[int]:

@@ -8,10 +8,11 @@ from typing import Any
 from bench.chaos.command import Command, Outcome
 from bench.chaos.records import Result, Verdict
 from bench.chaos.trial import HANG_S, Setting, plausible
+from bench.power.plug import Plug
 from im_bringup.machine import leftovers
 from im_core import clock, names, open_commands
 
-KIND = "kill -9 of everything"
+KIND, POWER = "kill -9 of everything", "loss of power"
 #: How far a number may be from that of the undisturbed command, in standard deviations of the difference: the noise
 #: of another life of the testbed is drawn anew, and the command may do without other poses.
 DEVIATIONS = 5.0
@@ -27,6 +28,7 @@ def run(
     start: Callable[[], None],
     die_starting: Callable[[float], None],
     reference: Mapping[str, Any],
+    plug: Plug | None = None,
 ) -> Result:
     """One death of everything during a command, and what became of that when the machine was there again.
 
@@ -37,6 +39,7 @@ def run(
         die_starting: Begins to do so, and kills all of it after a time [s]; so it goes in every second injection, once
             or several times, before the machine starts.
         reference: Report of the undisturbed command.
+        plug: Is pulled, too: what the machine had not synchronised is gone.
     """
     draw = Random(seed)
     step, later_s = draw.randrange(setting.steps), draw.uniform(0.0, 0.5)
@@ -45,6 +48,8 @@ def run(
     command.await_step(step, HANG_S)
     clock.sleep(later_s)
     leftovers.end_all()
+    if plug is not None:
+        plug.pull(draw)
     unfinished = open_commands.noted(names.run_dir())
     told = command.outcome(HANG_S)
     for seconds in starts_s:
@@ -54,8 +59,9 @@ def run(
     outcome = Command(number=unfinished[-1].number).outcome(HANG_S) if unfinished else told
     verdict = judge(outcome, reference)
     recovery_s = max(0.0, outcome.ended - began - setting.duration_s) if unfinished else 0.0
-    fault = f"{KIND} at step {step}" + "".join(f", of a start after {seconds:.1f} s" for seconds in starts_s)
-    return Result(seed, setting.factor, KIND, fault, verdict, outcome.said, recovery_s)
+    kind = KIND if plug is None else POWER
+    fault = f"{kind} at step {step}" + "".join(f", of a start after {seconds:.1f} s" for seconds in starts_s)
+    return Result(seed, setting.factor, kind, fault, verdict, outcome.said, recovery_s)
 
 
 def judge(outcome: Outcome, reference: Mapping[str, Any]) -> Verdict:

@@ -5,7 +5,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -25,26 +25,33 @@ _POLL_S = 0.05
 
 
 @contextmanager
-def running(factor: float, seed: int, port: int) -> Iterator[None]:
-    """A machine of this ROS domain, stopped at the end.
+def running(factor: float, seed: int, port: int, file: Path | None = None) -> Iterator[None]:
+    """A machine of this ROS domain, stopped at the end; arguments as of :func:`begin`.
 
     Raises:
         StateError: It does not start.
     """
-    begin(factor, seed, port, fresh=True)
+    begin(factor, seed, port, fresh=True, file=file)
     try:
         yield
     finally:
         stop.stop(say=lambda _: None)
 
 
-def begin(factor: float, seed: int, port: int, fresh: bool) -> None:
-    """Start a machine of this ROS domain; unless ``fresh`` it goes on with what the one before had not ended.
+def begin(factor: float, seed: int, port: int, fresh: bool, file: Path | None = None) -> None:
+    """Start a machine of this ROS domain.
+
+    Args:
+        factor: Clock factor.
+        seed: Of the testbed.
+        port: Of the display.
+        fresh: Whether it does not go on with what the one before had not ended.
+        file: Its deployment; None: the default.
 
     Raises:
         StateError: It does not start.
     """
-    path = deployments.default_path()
+    path = file or deployments.default_path()
     deployment = deployments.load(path).with_values(factor, seed, port)
     try:
         code = start(deployment, path, START_S, fresh)
@@ -55,7 +62,7 @@ def begin(factor: float, seed: int, port: int, fresh: bool) -> None:
         raise StateError("the machine did not start")
 
 
-def die_starting(factor: float, seed: int, port: int, seconds: float) -> None:
+def die_starting(factor: float, seed: int, port: int, seconds: float, file: Path | None = None) -> None:
     """Begin to start a machine that goes on with what the one before had not ended, and kill all of it.
 
     Args:
@@ -63,8 +70,9 @@ def die_starting(factor: float, seed: int, port: int, seconds: float) -> None:
         seed: Of the testbed.
         port: Of the display.
         seconds: After how long [s].
+        file: Its deployment; None: the default.
     """
-    given = ["--factor", str(factor), "--seed", str(seed), "--port", str(port)]
+    given = [*((str(file),) if file else ()), "--factor", str(factor), "--seed", str(seed), "--port", str(port)]
     argv = [sys.executable, "-m", "im_bringup.machine.start", *given]
     process = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     clock.sleep(seconds)
@@ -110,9 +118,11 @@ def pid_of(role: str) -> int:
 
 
 def keep_logs(seed: int) -> Path:
-    """Copy the logs of the machine, which the next start removes, into the results; where they are."""
+    """Copy logs and journals of the machine, which do not stay as they are, into the results; where they are."""
     folder = names.results_dir() / f"chaos-{seed}-{clock.stamp_name()}"
-    shutil.copytree(names.run_dir() / "log", folder)
+    for part in ("log", "journal"):
+        with suppress(shutil.Error):  # a file that has gone meanwhile
+            shutil.copytree(names.run_dir() / part, folder / part)
     return folder
 
 

@@ -14,7 +14,7 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
-from bench.dom.power import Disk
+from bench.power.disk import Disk
 from im_dom.record import ObjectRecord
 from im_dom.store import ObjectStore
 

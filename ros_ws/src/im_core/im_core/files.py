@@ -1,6 +1,7 @@
 """Files from elsewhere are read within limits; files of ours are written whole or not at all."""
 
 import contextlib
+import errno
 import os
 import stat
 import threading
@@ -89,7 +90,7 @@ def read_text(path: str | Path, largest: int = LARGEST) -> str:
 
 
 def write_whole(path: Path, content: str | bytes) -> Path:
-    """Write a file in one step: whoever reads it, even after a loss of power, sees the old one or the new one.
+    """Write a file in one step: whoever reads it sees the old one or the new one, which after this outlives the power.
 
     Args:
         path: The file; where it is a symbolic link, what it points to is replaced.
@@ -110,6 +111,7 @@ def write_whole(path: Path, content: str | bytes) -> Path:
             file.flush()
             os.fsync(file.fileno())
         os.replace(beside, target)
+        synchronise_names(target.parent)
     except BaseException as error:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
@@ -139,13 +141,16 @@ def make_folder(path: Path) -> Path:
 
 
 def synchronise_names(folder: Path) -> None:
-    """Return when the disk has the names of what is in a folder.
+    """Return when the disk has the names of what is in a folder, if its file system knows of such a thing.
 
     Raises:
-        OSError: It cannot.
+        OSError: The disk has failed.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
     finally:
         os.close(descriptor)
