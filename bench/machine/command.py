@@ -15,12 +15,12 @@ from rclpy.signals import SignalHandlerOptions
 
 from bench.figures import Line
 from bench.machine.limit import bare_cost, limit_lines
+from bench.machine.truth import get_truth
 from bench.usage import cpu_s, memory_mib
 from im_bringup.calibration.truth import truth_error
 from im_bringup.machine import leftovers, stop
 from im_bringup.machine.start import start
 from im_bringup.ros.calibrate_camera import CalibrateCameraClient
-from im_bringup.ros.truth_error import get_truth
 from im_bringup.tasks import deployment as deployments
 from im_core import clock
 from im_core.errors import StateError

@@ -20,9 +20,9 @@ from std_srvs.srv import Trigger
 
 from bench.figures import Line
 from bench.machine.deadlines import GROUP, Operator, smaller
+from bench.machine.truth import get_truth
 from im_bringup.machine import stop
 from im_bringup.machine.start import start
-from im_bringup.ros.truth_error import get_truth
 from im_cell.camera_model import CameraModel
 from im_cell.robot.truth import CellTruth
 from im_core import clock

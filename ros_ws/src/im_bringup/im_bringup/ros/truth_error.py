@@ -13,18 +13,15 @@ from im_core.errors import StateError
 from im_core.names import results_dir
 from im_msgs.srv import GetTruth
 
-TIMEOUT_S = 10.0
+SERVICE, TIMEOUT_S = "/testbed/get_truth", 10.0
 
 
-def get_truth(node: InterruptibleNode) -> CellTruth:
-    """The truth of the testbed that runs.
+def truth_in(answer: GetTruth.Response) -> CellTruth:
+    """The truth of the testbed, as it has answered.
 
     Raises:
         StateError: The testbed has none yet.
-        WaitTimeoutError: It does not answer.
     """
-    client = node.create_client(GetTruth, "/testbed/get_truth")
-    answer = node.ask(client, GetTruth.Request(), TIMEOUT_S)
     if not answer.success:
         raise StateError(answer.message)
     return read_json(CellTruth, answer.json, "the truth of the testbed")
@@ -38,7 +35,8 @@ def main() -> int:
     path = arguments.report or results_dir() / "latest" / "report.json"
 
     def measure(node: InterruptibleNode) -> int:
-        print(error_lines(add_to_report(path, get_truth(node))))
+        answer = node.ask(node.create_client(GetTruth, SERVICE), GetTruth.Request(), TIMEOUT_S)
+        print(error_lines(add_to_report(path, truth_in(answer))))
         return DONE
 
     return talk(lambda: InterruptibleNode("truth_error"), measure, "truth_error")
