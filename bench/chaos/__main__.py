@@ -5,6 +5,7 @@ import itertools
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 
@@ -91,10 +92,10 @@ def _run(arguments: argparse.Namespace, results: list[Result]) -> None:
     Raises:
         ImError: The machine does not start, or fails undisturbed.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         poses, seeds = _few_poses(Path(folder)), _seeds(arguments, results)
         file = _synchronising(Path(folder), arguments.power) if arguments.power else None
-        plug = Plug(names.run_dir()) if arguments.power else None
+        plug = stack.enter_context(closing(Plug(names.run_dir()))) if arguments.power else None
         lost = True
         while lost:
             with machine.running(arguments.factor, 1, arguments.port, file):
@@ -104,11 +105,9 @@ def _run(arguments: argparse.Namespace, results: list[Result]) -> None:
                     dies = partial(machine.die_starting, arguments.factor, 1, arguments.port, file=file)
                     for seed in seeds:
                         _keep(everything.run(seed, setting, again, dies, undisturbed, plug), results, arguments.out)
-                    break
+                    return
                 with Watch() as watch:
                     lost = _inject(seeds, setting, watch, results, arguments.out)
-        if plug is not None:
-            plug.close()
 
 
 def _synchronising(folder: Path, sync: str) -> Path:

@@ -66,7 +66,7 @@ class EndedCommands:
     def __init__(self) -> None:
         self._file: Path | None = None
         self._known: dict[int, _Kept] = {}
-        self._bytes = self._written = 0
+        self._written = 0
 
     def keep_in(self, folder: Path, *, goes_on: bool) -> None:
         """Has them kept in a folder.
@@ -106,7 +106,7 @@ class EndedCommands:
         self._forget()
         if self._file is None:
             return
-        if self._written + len(line) > max(_SHARE * self._bytes, _BLOCK):
+        if self._written + len(line) > max(_SHARE * self._size(), _BLOCK):
             self._write_anew()
             return
         with contextlib.suppress(OSError, ValueError), self._file.open("ab", buffering=0) as file:
@@ -114,15 +114,15 @@ class EndedCommands:
             self._written += len(line)
 
     def _forget(self) -> None:
-        oldest = wall() - AGE_S
+        oldest, size = wall() - AGE_S, self._size()
         for number, kept in list(self._known.items()):
-            too_many = len(self._known) > MOST or (self._bytes > MOST_BYTES and len(self._known) > 1)
+            too_many = len(self._known) > MOST or (size > MOST_BYTES and len(self._known) > 1)
             if too_many or kept.time < oldest:
-                self._drop(number)
+                del self._known[number]
+                size -= len(kept.line)
 
-    def _drop(self, number: int) -> None:
-        if (kept := self._known.pop(number, None)) is not None:
-            self._bytes -= len(kept.line)
+    def _size(self) -> int:
+        return sum(len(kept.line) for kept in self._known.values())
 
     def _read(self, line: str) -> None:
         with contextlib.suppress(pydantic.ValidationError):  # the last line may not be whole
@@ -135,9 +135,8 @@ class EndedCommands:
         except (TypeError, ValueError, RecursionError):  # results that are no JSON could be told to nobody
             text = json.dumps(ended.model_copy(update={"results": {}}).model_dump())
         line = f"{text}\n".encode()
-        self._drop(ended.number)
+        self._known.pop(ended.number, None)
         self._known[ended.number] = _Kept(ended.symbol, ended.time, line)
-        self._bytes += len(line)
         return line
 
     def _write_anew(self) -> None:
@@ -145,4 +144,4 @@ class EndedCommands:
         if self._file is not None:
             with contextlib.suppress(StoreError, ValueError):
                 write_whole(self._file, b"".join(kept.line for kept in self._known.values()))
-                self._written = self._bytes
+                self._written = self._size()
