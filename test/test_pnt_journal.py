@@ -36,13 +36,14 @@ NETS = {
     **{name: (Path(__file__).parent / "nets" / f"{name}.yaml").read_text() for name in ("front", "middle")},
     "back": """
 net: back
-places: {wanted: , thought: , planned: , impossible: }
+places: {wanted: , thought: , moved: , planned: , impossible: }
 services: {plan: {entry: wanted, done: planned, failed: impossible}}
 transitions:
   think: {in: wanted, out: thought, action: think, on_failure: impossible}
   move:
-    {in: thought, out: planned, on_failure: impossible,
-     goal: {name: /arm/move, type: im_msgs/action/Move}}
+    {in: thought, out: moved, on_failure: impossible,
+     goal: {name: /arm/move, type: im_msgs/action/Move, build: way}}
+  tell: {in: moved, out: planned, action: tell, on_failure: impossible}
 """,
 }
 
@@ -54,7 +55,7 @@ class Server(PntNode):
         self.folder = folder
         settings = {"standalone": True, "journal_dir": str(folder / "journal"), **settings}
         parameters = [Parameter(parameter, value=value) for parameter, value in settings.items()]
-        functions = {"think": self.think}
+        functions = {"think": self.think, "way": self.way, "tell": self.tell}
         asks = {"think": idempotent(self.think)}
         super().__init__(
             name,
@@ -73,6 +74,15 @@ class Server(PntNode):
         while not (self.folder / "thought").exists():
             await pause(self, 0.02)
         ctx.result["answer"] = 42
+
+    def way(self, ctx):
+        """Builds the goal, and notes that."""
+        ctx.memory["way"] = "here"
+        return {}
+
+    def tell(self, ctx):
+        """Relies on what was noted with the goal."""
+        ctx.result["way"] = ctx.memory["way"]
 
     def phase_start(self) -> None:
         super().phase_start()

@@ -169,6 +169,22 @@ def test_a_cancelled_action_may_time_out():
     assert process.results[0].error.code == "in_doubt"
 
 
+@pytest.mark.parametrize("cancelled", [False, True])
+def test_an_action_that_was_called_off_because_of_its_time_ends_for_that_reason(cancelled):
+    """Not because it was called off, as it says itself: who reads that looks for somebody who has cancelled."""
+    text = COMMAND.replace("action: f", "action: f, timeout: 2")
+    process = Process([parse_net(text)], {"f": hold}, clock=Clock())
+    number = process.command("n", "go")
+    process.wait(3.0)
+    if cancelled:
+        process.exchange.nets["n"].post(CommandCancelled(number, ENOUGH))
+    process.end("t", ImError("cancelled by net n", code="cancelled"))
+    error = process.results[0].error
+    assert (error.code, "waited 2 s for function f" in error.message) == (
+        ("cancelled", False) if cancelled else ("timeout", True)
+    )
+
+
 def test_cancelling_everything_reaches_actions_that_no_command_asked_for():
     process = Process([parse_net(TIMED.format("priority: 0"))], {"f": hold})
     process.pump()

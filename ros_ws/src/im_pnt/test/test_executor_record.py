@@ -101,6 +101,8 @@ def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
             case "go":
                 numbers.append(process.command("n", "go"))
             case "end" | "fail" if process.held:
+                ending = next(held for held in process.held if held[1].transition == process.held[-1][1].transition)
+                ending[2].memory["ended"] = ending[1].number
                 process.end(process.held[-1][1].transition, ImError("no", count=count) if step == "fail" else None)
             case "cancel":
                 executor.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
@@ -153,6 +155,19 @@ def test_entries_done_again_give_the_same_state_at_every_point_and_from_every_sn
         for entry in process.entries[first:]:
             executor.replay(decode_net_entry(entry))
         assert net_state(executor) == states[-1][1]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.sampled_from(STEPS), max_size=25))
+def test_an_action_of_which_it_is_on_file_that_it_has_ended_has_left_there_what_it_left(steps):
+    """Wherever the file ends: before its transition fires a data object may have to be stored, or be looked at."""
+    process, _ = run(steps)
+    executor = fresh().exchange.nets["n"]
+    for entry in process.entries:
+        executor.replay(decode_net_entry(entry))
+        for activity in executor.activities:
+            if activity.reply is not None and activity.lineage.job is not None:
+                assert activity.lineage.job.memory["ended"] == activity.number
 
 
 @pytest.mark.parametrize("fits", [True, False])

@@ -65,7 +65,7 @@ def _name_of(event: Delivery) -> tuple[type, object]:
             return RequestArrived, request.id
         case RequestCancelled(request_id, _):
             return RequestCancelled, request_id
-        case ActivityEnded(number, _, _):
+        case ActivityEnded(number):
             return ActivityEnded, number
 
 

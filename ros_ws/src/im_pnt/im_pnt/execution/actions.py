@@ -183,6 +183,8 @@ class Actions:
     def finish(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
         """Ends an action; before it counts as a success, it returns and stores, and its data objects are looked at."""
         self._rule.values.stale()
+        if error is not None and error.code == "cancelled" and self.inquiry.called_off(activity):
+            error = activity.doubt
         if error is None and not activity.concluded and self._rule.values.has_effects(activity.transition):
             activity.concluded = True
             self._conclude(activity, results)

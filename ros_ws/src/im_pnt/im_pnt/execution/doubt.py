@@ -79,6 +79,12 @@ class Inquiry:
             case Outcome.UNKNOWN:
                 self._asker.finish(activity, self._unknown(activity, answer), {})
 
+    def called_off(self, activity: Activity) -> bool:
+        """Whether an action was asked to end early because of its time, and by nobody: that is why it ends so."""
+        job, doubt = activity.lineage.job, activity.doubt
+        late = doubt is not None and doubt.code == WaitTimeoutError.default_code
+        return late and activity.state is ActivityState.IN_DOUBT and not (job is not None and job.cancelled)
+
     def _strike(self, activity: Activity) -> None:
         what = f"{activity.action} of transition {activity.transition}"
         self._asker.call_off(activity)

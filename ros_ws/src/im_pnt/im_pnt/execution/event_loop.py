@@ -37,10 +37,10 @@ from im_pnt.execution.firing.rest import close_forgotten, drop_stale, expire, se
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.firing.visits import cancelled_visit
 from im_pnt.execution.functions import ActionFunction, GuardFunction
-from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job
+from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, Reply
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.execution.operator import Mode, Operator
-from im_pnt.execution.record import ActivityEnded, EndFired, NetEntry, TransitionFired, plain_dict
+from im_pnt.execution.record import ActivityEnded, EndFired, NetEntry, TransitionFired, changed_data, plain_dict
 from im_pnt.execution.timers import Timers
 from im_pnt.expression.scope import read_objects
 from im_pnt.model.expand import active_place
@@ -326,21 +326,22 @@ class EventLoop:
             self.conflicts.wake_job(job)
 
     def _ended(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
-        rule = self.rule
+        rule, data = self.rule, None
+        runs = rule.activities.get(activity.number) is activity
         if rule.record is not None:
             try:
                 results = plain_dict(results, f"the results of {activity.action}")
+                if runs and activity.lineage.job is not None:
+                    data = changed_data(activity.lineage.job)
             except NetError as unfit:
                 error, results = error or unfit, {}
-        entry = ActivityEnded(activity.number, error, results)
-        if rule.record is not None:
-            rule.record(entry)
-        if rule.activities.get(activity.number) is not activity:
+            rule.record(ActivityEnded(activity.number, error, results, data))
+        if not runs:
             outcome = f"failed ({error})" if error else "confirmed"
             text = f"{activity.action} of transition {activity.transition} {outcome} after it had been given up"
             rule.notifier.troubled(text)
             return
-        apply_entry(rule, entry)
+        activity.reply = Reply(error, results)
         self.actions.finish(activity, error, results)
 
     # Deciding.

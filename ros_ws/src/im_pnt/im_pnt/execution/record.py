@@ -35,12 +35,31 @@ from im_pnt.execution.events import (
 from im_pnt.execution.jobs import Job, JobData
 
 
+class JobChange(NamedTuple):
+    """How the data of a job have changed: differences of memory and results (None: none), and the progress."""
+
+    memory: list[object] | None
+    results: list[object] | None
+    progress: float
+
+
 class ActivityEnded(NamedTuple):
-    """An action has ended (not: a plain function), known by the number of its activity."""
+    """An action has ended (not: a plain function).
+
+    What it has left in its job is told with that: before its transition fires something may be stored, and who comes
+    back in between finishes what the action has begun.
+
+    Attributes:
+        number: Number of the activity.
+        error: Why it failed, None if it has not.
+        results: Results of a request, or what is kept of another answer.
+        data: What its job holds now, or how that has changed; None: it has not, or nobody has looked yet.
+    """
 
     number: int
     error: ImError | None
     results: dict[str, object]
+    data: JobData | JobChange | None = None
 
 
 class TransitionFired(NamedTuple):
@@ -63,14 +82,6 @@ class PhaseFired(NamedTuple):
     error: ImError
 
 
-class JobChange(NamedTuple):
-    """How the data of a job have changed: differences of memory and results (None: none), and the progress."""
-
-    memory: list[object] | None
-    results: list[object] | None
-    progress: float
-
-
 class EndFired(NamedTuple):
     """``t.end*``, ``t.failed*`` or ``t.given_up`` of an activity.
 
@@ -87,8 +98,8 @@ class EndFired(NamedTuple):
     data: JobData | JobChange | None
 
 
-class RequestBuilt(NamedTuple):
-    """What makes the arguments of a request has left something in its job; the request is sent after that.
+class MessageBuilt(NamedTuple):
+    """What makes a request, a goal or a message has left something in its job; that is sent afterwards.
 
     Attributes:
         number: Number of the activity.
@@ -123,7 +134,7 @@ NetEntry = (
     TransitionFired
     | PhaseFired
     | EndFired
-    | RequestBuilt
+    | MessageBuilt
     | CommandWritten
     | CommandCancelled
     | CommandHeld

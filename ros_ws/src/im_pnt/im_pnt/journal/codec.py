@@ -13,7 +13,8 @@ Of a net, ``["net", name, entry]``::
     ["cancel", id | null, error]                       a command, or everything, should end early
     ["hold", id, bool]                                 nothing more is begun for a command, or it goes on
     ["request_cancelled", request, error]              so should a request
-    ["ended", number, error | null, results]           an action has ended
+    ["ended", number, error | null, results]  ["ended", number, error | null, results, data]    an action has ended
+    ["built", number, data]                            what an action sends is made, and leaves after that
     ["mode", name]  ["pause", bool]                    how the net is operated
     ["fire", transition]  ["fire", transition, job]     for the job whose token is oldest, or for this one (0: none)
     ["phase", number, transition, error]
@@ -91,7 +92,7 @@ from im_pnt.execution.record import (
     JobForgotten,
     NetEntry,
     PhaseFired,
-    RequestBuilt,
+    MessageBuilt,
     TransitionFired,
     VisitSettled,
     plain,
@@ -157,7 +158,7 @@ def encode_net_entry(entry: NetEntry) -> list[object]:
             return ["fire", transition] if job is None else ["fire", transition, job]
         case EndFired(number, transition, failure, data):
             return ["end", number, transition, encode_error(failure), _data_fields(data)]
-        case RequestBuilt(number, data):
+        case MessageBuilt(number, data):
             return ["built", number, _data_fields(data)]
         case PhaseFired(number, transition, error):
             return ["phase", number, transition, encode_error(error)]
@@ -196,7 +197,7 @@ def decode_net_entry(content: object) -> NetEntry:
             case ["end", int(number), str(transition), error, data]:
                 return EndFired(number, transition, decode_error(error), _data_of(data))
             case ["built", int(number), data] if (kept := _data_of(data)) is not None:
-                return RequestBuilt(number, kept)
+                return MessageBuilt(number, kept)
             case ["phase", int(number), str(transition), error]:
                 return PhaseFired(number, transition, _reason(error))
             case ["command", *written]:
@@ -239,8 +240,8 @@ def encode_delivery(event: Delivery) -> list[object]:
             return ["request", encode_request(request)]
         case RequestCancelled(request_id, error):
             return ["request_cancelled", request_id, encode_error(error)]
-        case ActivityEnded(number, failure, results):
-            return ["ended", number, encode_error(failure), results]
+        case ActivityEnded(number, failure, results, data):
+            return ["ended", number, encode_error(failure), results, *([] if data is None else [_data_fields(data)])]
 
 
 def decode_delivery(content: object) -> Delivery:
@@ -263,8 +264,8 @@ def decode_delivery(content: object) -> Delivery:
             return RequestArrived(decode_request(request))
         case ["request_cancelled", str(request_id), error]:
             return RequestCancelled(request_id, _reason(error))
-        case ["ended", int(number), error, dict(results)]:
-            return ActivityEnded(number, decode_error(error), results)
+        case ["ended", int(number), error, dict(results), *data] if len(data) <= 1:
+            return ActivityEnded(number, decode_error(error), results, _data_of(data[0] if data else None))
     raise ValueError(f"{str(content)[:200]} is no event")
 
 

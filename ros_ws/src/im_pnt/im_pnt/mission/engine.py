@@ -9,9 +9,8 @@ from im_pnt.execution.actions import ActionOwner, Ask, FunctionRunner, Perform
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity, Reply
-from im_pnt.execution.record import EndFired, take_data
+from im_pnt.execution.record import ActivityEnded, take_data
 from im_pnt.execution.values import Objects
-from im_pnt.journal.codec import decode_net_entry
 from im_pnt.mission.life import Life
 from im_pnt.mission.script import Reading, Script, ScriptHost
 from im_pnt.model.action import FunctionAction
@@ -22,8 +21,16 @@ ENDED = "its recorded end"
 class ActionsAgain(Protocol):
     """How actions that reach other tasks are done again; made for each life of a node."""
 
-    def performers(self, script: Script, functions: Functions) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
-        """Returns what carries out the actions of each kind, and what finds out what became of them."""
+    def performers(
+        self, script: Script, functions: Functions, keep: Callable[[Activity], None]
+    ) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
+        """Returns what carries out the actions of each kind, and what finds out what became of them.
+
+        Args:
+            script: Gives what was read.
+            functions: Builders and handlers.
+            keep: Has kept what the builder of an action has left in its job.
+        """
 
     def objects(self, host: ScriptHost, spawn: Callable[..., None], known: Callable[[], None]) -> Objects:
         """Returns the data objects of expressions."""
@@ -77,20 +84,13 @@ class NotDoneAgain:
                     raise DataError(f"{text} what makes its functions", net=net.name)
         return found
 
-    def leave(self, activity: Activity) -> None:
-        """Leaves in a job what an action that is not done again has left."""
-        entries = self._life.entries[activity.net]
-        for content, _ in entries.recorded[entries.reached :]:
-            match content:
-                case ["end", int(number), *_] if number == activity.number:
-                    entry = decode_net_entry(content)
-                    assert isinstance(entry, EndFired)
-                    job = activity.lineage.job
-                    if entry.data is not None and job is not None:
-                        before = deepcopy(job.recorded)
-                        take_data(job, entry.data)
-                        job.recorded = before  # what has changed since is told again
-                    return
+    def leave(self, activity: Activity, ended: ActivityEnded) -> None:
+        """Leaves in a job what an action that is not done again has left, as its end was recorded."""
+        job = activity.lineage.job
+        if ended.data is not None and job is not None:
+            before = deepcopy(job.recorded)
+            take_data(job, ended.data)
+            job.recorded = before  # what has changed since is told again
 
 
 async def forever(_: ActionContext) -> None:

@@ -31,11 +31,35 @@ BY_TIME = frozenset(("timeout", "in_doubt"))
 
 
 class Entries:
-    """What was recorded of a net, and how much of it has happened again."""
+    """What was recorded of a net, and how much of it has happened again.
+
+    Attributes:
+        recorded: The entries, each with the turn of the loop in which it was told.
+        reached: How many of them have happened again.
+        seen: How many of them have been looked at.
+    """
 
     def __init__(self) -> None:
         self.recorded: list[tuple[list[object], Turn]] = []
         self.reached = self.seen = 0
+        self._early: set[int] = set()
+
+    def advance(self, now: list[object]) -> bool:
+        """Takes note that an entry has happened again; returns whether it is one that was to come.
+
+        What makes a message may be done a little earlier than it was: the loop had something else to do first.
+        """
+        rank = self.reached
+        if now[0] == "built":
+            later = (each for each in range(self.reached, len(self.recorded)) if self.recorded[each][0] == now)
+            rank = next(later, rank)
+        if rank >= len(self.recorded) or not _same(self.recorded[rank][0], now):
+            return False
+        self._early.add(rank)
+        while self.reached in self._early:
+            self._early.remove(self.reached)
+            self.reached += 1
+        return True
 
     def next(self) -> list[object] | None:
         """Returns what comes next; None: nothing."""
@@ -61,8 +85,10 @@ def error_of(content: object) -> ImError | None:
         raise DataError(str(error)) from error
 
 
-def alike(recorded: list[object], now: list[object]) -> bool:
-    """Whether entries differ only in the sentence of a time-out, which says how long it was."""
+def _same(recorded: list[object], now: list[object]) -> bool:
+    """Whether entries differ in nothing but the sentence of a time-out, which says how long it was."""
+    if recorded == now:
+        return True
     match recorded, now:
         case ["end" | "phase", *_], ["end" | "phase", *_] if len(recorded) == len(now):
             rank = 3
@@ -90,8 +116,11 @@ def shown(content: Sequence[object]) -> str:
             return f"{name} fires" + (f": {told_of(error_of(error))}" if error else "")
         case ["phase", _, str(name), error]:
             return f"{name} fires: {told_of(error_of(error))}"
+        case ["ended", int(number), error, _, *data]:
+            left = f" and leaves {left_of(data[0])}" if data else ""
+            return f"action {number} ends {told_of(error_of(error))}{left}"
         case ["built", int(number), data]:
-            return f"what builds the request of action {number} leaves {left_of(data)}"
+            return f"what builds the message of action {number} leaves {left_of(data)}"
     return str(content)[:200]
 
 

@@ -7,7 +7,7 @@ from im_pnt.execution.jobs import Activity, ActivityState, Lineage
 from im_pnt.execution.record import NetEntry
 from im_pnt.journal.codec import encode_net_entry
 from im_pnt.mission.difference import Difference, first_difference
-from im_pnt.mission.entries import INPUTS, Entries, alike, left_of, plain, shown, transition_of
+from im_pnt.mission.entries import INPUTS, Entries, left_of, plain, shown, transition_of
 from im_pnt.mission.stream import NodeStream
 from im_pnt.model.net import Net
 
@@ -68,13 +68,12 @@ class Life:
         """
         entries, now = self.entries[name], plain(encode_net_entry(entry))
         recorded = entries.next()
-        if recorded == now or (recorded is not None and alike(recorded, now)):
-            entries.reached += 1
+        if entries.advance(now):
             return
         executor = self.executors[name]
         if recorded is None:
             then, why = "nothing more", ""
-        elif recorded[0] in INPUTS:
+        elif recorded[0] in INPUTS and not _ends_too(recorded, now):
             then, why = f"goes on with what arrives: {shown(recorded)}", ""
         else:
             then, why = shown(recorded), self._reason(executor, recorded, now)
@@ -96,8 +95,8 @@ class Life:
     ) -> Difference:
         command = 0
         match content:
-            case ["end" | "phase", int(number), *_] if (found := self.gone.get((name, number))) is not None:
-                command = _command(found.lineage)
+            case ["end" | "ended" | "phase", int(number), *_] if (found := self.gone.get((name, number))) is not None:
+                transition, command = transition or found.transition, _command(found.lineage)
             case _:
                 command = _next_command(executor, transition)
         return Difference(self.node, name, transition, command, self.turn.stamp, then, now, why)
@@ -114,6 +113,9 @@ class Life:
             if recorded[3] != now[3]:
                 return f"the action ends otherwise: {first_difference(recorded[3], now[3], 'failure')}"
             return f"its function leaves something else: {first_difference(left_of(recorded[4]), left_of(now[4]))}"
+        if now is not None and _ends_too(recorded, now):
+            then, again = (left_of(each[4]) if len(each) > 4 else None for each in (recorded, now))
+            return f"its function leaves something else: {first_difference(then, again)}"
         if now is not None and recorded[0] == "end":
             return "the action ends otherwise"
         if recorded[0] == "built":
@@ -128,6 +130,11 @@ class Life:
             case ["fire", str(taken), *_] if taken in names:
                 return names.index(taken)
         return 0
+
+
+def _ends_too(recorded: list[object], now: list[object]) -> bool:
+    """Whether the same action ends: how, and with what answer, has been compared when it did."""
+    return recorded[0] == now[0] == "ended" and recorded[1] == now[1]
 
 
 def in_doubt(executor: Executor, number: int) -> bool:

@@ -141,7 +141,7 @@ class NodeRerun:
     def _enter(self, net: Net, state: dict[str, object]) -> None:
         functions, script = self._functions, self._script
         assert functions is not None
-        others, asks = self._world.performers(script, functions)
+        others, asks = self._world.performers(script, functions, lambda each: self._life.executors[each.net].built(each))
         runner = Labelled(script, functions, self, script.spawn, others, asks, lambda: self._time)
         check: CheckObjects = lambda names, done: self._checks.append((names, done))  # noqa: E731
         objects = self._world.objects(self._host, script.spawn, self._guards_changed)
@@ -239,7 +239,7 @@ class NodeRerun:
             waits = self._script.waits_for(activity)
             given = isinstance(activity.action, RequestAction) or number in self._before[name]
             if not given and waits == ENDED:
-                self._not_again.leave(activity)
+                self._not_again.leave(activity, event)
             elif not given and waits:
                 raise self._life.differs(
                     activity, f"ends {told_of(event.error)}", f"waits for {waits}", "another function"
@@ -271,8 +271,7 @@ class NodeRerun:
         match entries.next():
             case ["end" | "phase", int(number), *_] as content if number in self._before[executor.net.name]:
                 executor.replay(decode_net_entry(content))
-                entries.reached += 1
-                return True
+                return entries.advance(content)
         return False
 
     # Requests of the nets.

@@ -23,6 +23,7 @@ from im_pnt.execution.conflicts import StrategyBook
 from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
+from im_pnt.execution.jobs import Activity
 from im_pnt.expression.scope import check_net
 from im_pnt.journal.journal import Journal
 from im_pnt.journal.log import Sync
@@ -129,7 +130,7 @@ class PntNode(ManagedNode):
         self._notes = CommandNotes(self, noted, self.commands.numbered)
         self._library = Library([Path(file) for file in net_files], verifier)
         self.loader = Loader(self, self._library, self.exchange.nets, self._publisher)
-        around = Surroundings(self, self.functions, self.heartbeats, self.log)
+        around = Surroundings(self, self.functions, self.heartbeats, self.log, self._keep)
         goals = GoalActions(around, self.spawn, lambda: self.exchange.book.prefix)
         awaits = AwaitActions(around)
         self._kinds: dict[type, RosAction] = {
@@ -395,6 +396,17 @@ class PntNode(ManagedNode):
                 await outcome
         finally:
             apart.leave()
+
+    def _keep(self, activity: Activity) -> None:
+        """Has on file what the builder of an action has left in its job, before what it has built leaves.
+
+        Raises:
+            NetError: JSON cannot carry it.
+            JournalError: It cannot be written.
+        """
+        self.exchange.nets[activity.net].built(activity)
+        if self._journal is not None:
+            self._journal.write()
 
     def _command_ended(self) -> None:
         self._scopes.tidy()

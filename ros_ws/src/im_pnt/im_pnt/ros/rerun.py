@@ -93,11 +93,14 @@ def interface_of(name: str) -> Any:
 class RosWorld:
     """How actions that reach other tasks are done again (:class:`im_pnt.mission.rerun.ActionsAgain`)."""
 
-    def performers(self, script: Script, functions: Functions) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
+    def performers(
+        self, script: Script, functions: Functions, keep: Callable[[Activity], None]
+    ) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
         """Returns what carries out the actions of each kind, and what finds out what became of them."""
 
         async def sent(activity: Activity, action: Any, context: ActionContext, message: Any) -> None:
             filled = fill(message, await fields_of(functions, action, context), str(action))
+            keep(activity)
             script.sent(sent_key(activity), packed_message(filled))
 
         async def service(activity: Activity, context: ActionContext) -> dict[str, object]:

@@ -22,7 +22,7 @@ from im_pnt.execution.record import (
     JobForgotten,
     NetEntry,
     PhaseFired,
-    RequestBuilt,
+    MessageBuilt,
     TransitionFired,
     VisitSettled,
     take_data,
@@ -61,7 +61,7 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             if data is not None and activity.lineage.job is not None:
                 take_data(activity.lineage.job, data)
             rule.end(activity, name, error, activity.reply.results if activity.reply is not None else {})
-        case RequestBuilt(number, data):
+        case MessageBuilt(number, data):
             if (job := rule.activities[number].lineage.job) is None:
                 raise ValueError(f"activity {number} is done for no job")
             take_data(job, data)
@@ -70,9 +70,11 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             activity.cancelled = True
             doubtful = name.endswith((".lost", ".lost.cancelling"))
             rule.move(activity, ActivityState.IN_DOUBT if doubtful else ActivityState.CANCELLING, error)
-        case ActivityEnded(number, failure, results):
-            if number in rule.activities:
-                rule.activities[number].reply = Reply(failure, results)
+        case ActivityEnded(number, failure, results, data):
+            if (ended := rule.activities.get(number)) is not None:
+                if data is not None and ended.lineage.job is not None:
+                    take_data(ended.lineage.job, data)
+                ended.reply = Reply(failure, results)
         case CommandWritten(job):
             if job.symbol not in rule.readers:
                 raise ValueError(f"the net does not know the command {job.symbol}")

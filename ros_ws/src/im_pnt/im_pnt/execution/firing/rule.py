@@ -29,7 +29,7 @@ from im_pnt.execution.record import (
     EndFired,
     PhaseFired,
     Record,
-    RequestBuilt,
+    MessageBuilt,
     TransitionFired,
     changed_data,
     plain_dict,
@@ -512,17 +512,17 @@ class FiringRule:
         return error
 
     def keep_data(self, activity: Activity) -> None:
-        """Writes what an action that goes on has changed in its job, if it has.
+        """Writes what an action that goes on has changed in its job, if it has; of one that has ended nothing.
 
         Raises:
             NetError: JSON cannot carry it; the job has what it had.
         """
         job = activity.lineage.job
-        if job is None or self.record is None:
+        if job is None or self.record is None or self.activities.get(activity.number) is not activity:
             return
         data = changed_data(job)
         if data is not None:
-            self.record(RequestBuilt(activity.number, data))
+            self.record(MessageBuilt(activity.number, data))
 
     def end(self, activity: Activity, name: str, error: ImError | None, results: dict[str, object]) -> None:
         """Fires a transition that ends an activity."""

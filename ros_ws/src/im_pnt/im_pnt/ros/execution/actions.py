@@ -58,13 +58,22 @@ class Surroundings:
         functions: Registered builders and handlers.
         heartbeats: Tells who is alive.
         log: Is told what is sent, and what is answered.
+        keep: Has on file what the builder of an action has left in its job.
     """
 
-    def __init__(self, node: ManagedNode, functions: Functions, heartbeats: Heartbeats, log: MissionLog) -> None:
+    def __init__(
+        self,
+        node: ManagedNode,
+        functions: Functions,
+        heartbeats: Heartbeats,
+        log: MissionLog,
+        keep: Callable[[Activity], None],
+    ) -> None:
         self.node = node
         self.functions = functions
         self.heartbeats = heartbeats
         self.log = log
+        self._keep = keep
 
     async def wait(
         self, future: Any, task: str | None, timeout_s: float, what: str, there: Callable[[], bool] = lambda: True
@@ -137,9 +146,10 @@ class Surroundings:
         """Returns what is sent for an action: a message, filled, and noted.
 
         Raises:
-            ImError: As of :func:`fields_of`, or a field does not fit.
+            ImError: As of :func:`fields_of`, a field does not fit, or what the builder has left cannot be kept.
         """
         filled = fill(message, await fields_of(self.functions, action, context), str(action))
+        self._keep(activity)
         self.log.sent(sent_key(activity), packed_message(filled))
         return filled
 
