@@ -141,7 +141,7 @@ class NodeRerun:
     def _enter(self, net: Net, state: dict[str, object]) -> None:
         functions, script = self._functions, self._script
         assert functions is not None
-        others, asks = self._world.performers(script, functions, lambda each: self._life.executors[each.net].built(each))
+        others, asks = self._world.performers(script, functions, self._keep)
         runner = Labelled(script, functions, self, script.spawn, others, asks, lambda: self._time)
         check: CheckObjects = lambda names, done: self._checks.append((names, done))  # noqa: E731
         objects = self._world.objects(self._host, script.spawn, self._guards_changed)
@@ -274,7 +274,11 @@ class NodeRerun:
                 return entries.advance(content)
         return False
 
-    # Requests of the nets.
+    # What the nets send.
+
+    def _keep(self, activity: Activity) -> None:
+        """Compares what a builder has left with what it left."""
+        self._life.executors[activity.net].built(activity)
 
     def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
         """Compares a request with what was asked."""

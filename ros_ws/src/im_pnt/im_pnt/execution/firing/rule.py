@@ -27,9 +27,9 @@ from im_pnt.execution.marking import Tokens
 from im_pnt.execution.notification import Leaving, Notifier, Observer, Outlet, Phase, failure_of
 from im_pnt.execution.record import (
     EndFired,
+    MessageBuilt,
     PhaseFired,
     Record,
-    MessageBuilt,
     TransitionFired,
     changed_data,
     plain_dict,
