@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from im_core import clock
 from im_core.errors import StateError, WaitTimeoutError
-from im_core.open_commands import OpenCommandNote, noted
+from im_core.open_commands import OpenCommandNote, note, noted
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.node import ManagedNode
@@ -340,7 +340,7 @@ transitions:
 """
 
 
-def test_how_a_command_has_ended_is_known_after_the_death_of_its_node(tmp_path, ros):
+def test_how_a_command_has_ended_is_known_after_the_death_of_its_node_and_in_the_mission_after_it(tmp_path, ros):
     (tmp_path / "say.yaml").write_text(SAY)
     first = Server("say", tmp_path)
     first.phase_configure()
@@ -350,7 +350,8 @@ def test_how_a_command_has_ended_is_known_after_the_death_of_its_node(tmp_path, 
         pass
     first._commit()
     killed = tmp_path / "killed"
-    shutil.copytree(tmp_path / "journal", killed / "journal")  # as a kill leaves it
+    for part in ("journal", "ended"):
+        shutil.copytree(tmp_path / part, killed / part)  # as a kill leaves it
     first.destroy_node()
     again = Server("say", tmp_path, journal_dir=str(killed / "journal"))
     again.phase_configure()
@@ -360,9 +361,17 @@ def test_how_a_command_has_ended_is_known_after_the_death_of_its_node(tmp_path, 
         assert (ended.value.value.success, ended.value.value.results) == (True, {"said": text})
     assert again.commands.write("say", {"text": "three"}) == 3
     again.destroy_node()
-    (killed / "journal" / "say").rename(tmp_path / "aside")
+    note(aside := killed / "missions" / "one", "say", [OpenCommandNote("say", 3, "say")])
+    (killed / "journal").rename(aside / "journal")
     anew = Server("say", tmp_path, journal_dir=str(killed / "journal"))
     anew.phase_configure()
-    with pytest.raises(StateError, match="no command has the number 1"):
+    with pytest.raises(StopIteration) as ended:
         anew.commands.attach("say", number=1).send(None)
+    assert ended.value.value.results == {"said": "one"}
+    with pytest.raises(StopIteration) as ended:
+        anew.commands.attach("say", number=3).send(None)
+    assert ended.value.value.status.message == (
+        f"the machine was started anew before it had ended; what it has left is kept in {aside}"
+    )
+    assert anew.commands.write("say", {"text": "four"}) == 4
     anew.destroy_node()

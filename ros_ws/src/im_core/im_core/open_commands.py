@@ -9,6 +9,9 @@ from im_core.arrivals import read_json
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE, make_folder, read_text, write_whole
 
+MISSIONS = "missions"
+"""Folder in that of a machine's run: what former missions have left, each in a folder of its own."""
+
 _FOLDER = "commands"
 
 
@@ -47,3 +50,9 @@ def noted(run_dir: Path) -> list[OpenCommandNote]:
             continue
         found += [OpenCommandNote(file.stem, number, symbol) for number, symbol in entries]
     return found
+
+
+def set_aside(run_dir: Path) -> list[tuple[OpenCommandNote, Path]]:
+    """The commands that were set aside unfinished, each with the folder of what it has left."""
+    folders = sorted((run_dir / MISSIONS).glob("*"))
+    return [(command, folder) for folder in folders for command in noted(folder)]

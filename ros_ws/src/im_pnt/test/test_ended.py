@@ -26,33 +26,30 @@ def now(monkeypatch):
 
 def test_what_ended_before_a_death_is_known_after_it(tmp_path, now):
     first = EndedCommands()
-    first.keep_in(tmp_path / "ended", goes_on=False)
+    file = tmp_path / "ended" / "n.jsonl"
+    first.keep_in(file, sync=True)
     for number in (3, 1, 2):
         first.add(one(number))
     first.add(one(1, "place"))
-    with (tmp_path / "ended" / "commands.jsonl").open("ab") as file:
-        file.write(one(9).model_dump_json().encode()[:-5])  # the node died while it wrote
+    with file.open("ab") as cut:
+        cut.write(one(9).model_dump_json().encode()[:-5])  # the node died while it wrote
     again = EndedCommands()
-    again.keep_in(tmp_path / "ended", goes_on=True)
+    again.keep_in(file, sync=False)
     assert [number in again for number in (1, 2, 3, 9)] == [True, True, True, False]
     assert again[3] == one(3)
     assert again.last("pick") == one(2)
     assert again.last("place") == one(1, "place")
     assert again.last("wave") is None
     assert again.largest() == 3
-    anew = EndedCommands()
-    anew.keep_in(tmp_path / "ended", goes_on=False)
-    assert 3 not in anew
-    assert (tmp_path / "ended" / "commands.jsonl").read_text() == ""
 
 
 def test_only_the_last_ones_are_kept_and_not_for_ever(tmp_path, now):
     ended = EndedCommands()
-    ended.keep_in(tmp_path, goes_on=False)
+    ended.keep_in(tmp_path / "commands.jsonl", sync=False)
     for number in range(1, 3 * module.MOST + 1):
         ended.add(one(number))
     again = EndedCommands()
-    again.keep_in(tmp_path, goes_on=True)
+    again.keep_in(tmp_path / "commands.jsonl", sync=False)
     for each in (ended, again):
         assert 2 * module.MOST not in each
         assert 2 * module.MOST + 1 in each
@@ -63,7 +60,7 @@ def test_only_the_last_ones_are_kept_and_not_for_ever(tmp_path, now):
 
 def test_the_file_stays_about_as_long_as_what_is_kept(tmp_path, now):
     ended, file = EndedCommands(), tmp_path / "commands.jsonl"
-    ended.keep_in(tmp_path, goes_on=False)
+    ended.keep_in(file, sync=False)
     report, sizes = {"report": "x" * 10_000}, []
     for number in range(1, 4 * module.MOST + 1):
         ended.add(one(number).model_copy(update={"results": report}))
@@ -76,7 +73,7 @@ def test_the_file_stays_about_as_long_as_what_is_kept(tmp_path, now):
 def test_what_is_kept_is_bounded_whatever_commands_return(tmp_path, now, monkeypatch):
     monkeypatch.setattr(module, "MOST_BYTES", 100_000)
     ended, file = EndedCommands(), tmp_path / "commands.jsonl"
-    ended.keep_in(tmp_path, goes_on=False)
+    ended.keep_in(file, sync=False)
     for number, length in enumerate([30_000] * 10 + [500_000, 10], start=1):
         ended.add(one(number).model_copy(update={"results": {"report": "x" * length}}))
         assert file.stat().st_size <= 1.2 * max(100_000, length + 1000)
@@ -111,7 +108,7 @@ def test_halves_of_characters_and_no_numbers_are_kept(now):
 def test_a_damaged_file_or_a_full_disk_ends_nothing(tmp_path, now):
     (tmp_path / "commands.jsonl").write_bytes(b"\xff\x00{}\n[]\n")
     ended = EndedCommands()
-    ended.keep_in(tmp_path, goes_on=True)
+    ended.keep_in(tmp_path / "commands.jsonl", sync=False)
     (tmp_path / "commands.jsonl").unlink()
     (tmp_path / "commands.jsonl").mkdir()
     ended.add(one(1))

@@ -14,7 +14,8 @@ from im_core.errors import StoreError
 from im_core.files import make_folder
 
 PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm")
-FOLDER, KEPT = "missions", 5
+KEPT = 5
+"""Missions that were not gone on with, the newest ones."""
 #: Folder of a mission that is being set aside; only then it gets its name.
 _MOVING = "unfinished"
 _NUMBERED = re.compile(r"\d{8}-\d{6}-\d{1,9}")
@@ -36,7 +37,7 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
     Raises:
         StoreError: Something cannot be moved.
     """
-    moving = run_dir / FOLDER / _MOVING
+    moving = run_dir / open_commands.MISSIONS / _MOVING
     unfinished = open_commands.noted(run_dir) or open_commands.noted(moving)
     known = ", ".join(f"{command.symbol} (number {command.number} of {command.task})" for command in unfinished)
     if unfinished and not fresh and (run_dir / "journal").is_dir() and not moving.exists():
@@ -51,7 +52,7 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
 def _set_aside(run_dir: Path) -> Path | None:
     """Moves what there is of a mission, also the rest of one whose move was cut short; it stays whole."""
     found = [run_dir / part for part in PARTS if (run_dir / part).exists()]
-    folder = run_dir / FOLDER
+    folder = run_dir / open_commands.MISSIONS
     moving = folder / _MOVING
     if not found and not moving.exists():
         return None

@@ -1,11 +1,13 @@
-"""How the last commands of a node have ended, in memory and in a file beside its journal.
+"""How the last commands of a node have ended, in memory and in a file that outlives its journal.
 
 What has ended is written before the journal has it. A node that dies in between has the command under way when it is
-back, and the command ends once more, which counts.
+back, and the command ends once more, which counts. Whoever waits for a command asks its node again when that is back,
+and the machine may have ended that command, and died, and have been started anew in between: so the file stays.
 """
 
 import contextlib
 import json
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,25 +63,25 @@ class _Kept(NamedTuple):
 
 
 class EndedCommands:
-    """The commands that have ended, of all lives of a node that its journal joins."""
+    """The commands that have ended, of all lives of a node."""
 
     def __init__(self) -> None:
         self._file: Path | None = None
+        self._sync = False
         self._known: dict[int, _Kept] = {}
         self._written = 0
 
-    def keep_in(self, folder: Path, *, goes_on: bool) -> None:
-        """Has them kept in a folder.
+    def keep_in(self, file: Path, *, sync: bool) -> None:
+        """Has them kept in a file, with those that are there.
 
         Args:
-            folder: The folder.
-            goes_on: Whether the node goes on where it was; else those that are there are forgotten.
+            file: The file.
+            sync: Whether the disk must have what is written, so that it outlives a loss of power.
         """
-        self._file = make_folder(folder) / "commands.jsonl"
-        if goes_on:
-            with contextlib.suppress(DataError, StoreError):  # there is none, or the disk has damaged it
-                for line in read_text(self._file).splitlines():
-                    self._read(line)
+        self._file, self._sync = make_folder(file.parent) / file.name, sync
+        with contextlib.suppress(DataError, StoreError):  # there is none, or the disk has damaged it
+            for line in read_text(self._file).splitlines():
+                self._read(line)
         self._write_anew()
 
     def __contains__(self, number: int) -> bool:
@@ -112,6 +114,8 @@ class EndedCommands:
         with contextlib.suppress(OSError, ValueError), self._file.open("ab", buffering=0) as file:
             file.write(line)
             self._written += len(line)
+            if self._sync:
+                os.fsync(file.fileno())
 
     def _forget(self) -> None:
         oldest, size = wall() - AGE_S, self._size()

@@ -9,6 +9,7 @@ from rclpy.parameter import Parameter
 
 from im_core.errors import ImError, StateError
 from im_core.names import results_dir, run_dir
+from im_core.open_commands import set_aside
 from im_core.ros import qos
 from im_core.ros.calls import run_in_thread
 from im_core.ros.dom import DomClient
@@ -171,9 +172,11 @@ class PntNode(ManagedNode):
         self.detail = nets_sentence(self.exchange.nets)
         goes_on = self._journal is not None and self._journal.start(self.exchange, self._transport.link)
         if self._journal is not None:
-            self.commands.ended.keep_in(Path(self._journal_dir) / self.task_name / "ended", goes_on=goes_on)
+            beside, name = Path(self._journal_dir).parent, self.task_name
+            self.commands.ended.keep_in(beside / "ended" / f"{name}.jsonl", sync=self._journal_sync is Sync.DISK)
+            self.commands.give_up([each for each in set_aside(beside) if each[0].task == name])
+        self.commands.take_up()
         if goes_on:
-            self.commands.take_up()
             self.get_logger().info(f"{self.task_name} goes on where its journal ends")
             for executor in self.exchange.nets.values():
                 self._publisher.marked(executor)

@@ -1,12 +1,14 @@
 """The commands of a node's nets: who waits for them, who is told of them, and how the last ones ended."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from diagnostic_msgs.msg import KeyValue
 
 from im_core.clock import stamp_name, wall
-from im_core.errors import ArgumentError, NotFoundError, StateError
+from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
+from im_core.open_commands import OpenCommandNote
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import ok_status, to_status
@@ -136,6 +138,18 @@ class Commands:
         self._count = max(self._count, entered, self.ended.largest(), *self._open)  # so that no number is given twice
         self._told_began()
 
+    def give_up(self, left: Iterable[tuple[OpenCommandNote, Path]]) -> None:
+        """Ends the commands of missions that are not gone on with: whoever still asks for one hears what became of it.
+
+        Args:
+            left: The commands, each with the folder of what it has left.
+        """
+        for command, folder in left:
+            if command.number not in self.ended:
+                why = f"the machine was started anew before it had ended; what it has left is kept in {folder}"
+                result = CommandResult(False, ImError(why, code="set_aside"), {})
+                self.ended.add(_ended(command.number, command.symbol, result))
+
     def reader(self, symbol: str) -> Executor:
         """Returns the net that reads a symbol.
 
@@ -256,13 +270,8 @@ class Commands:
 
     def _closing(self, number: int, symbol: str) -> Callable[[CommandResult], None]:
         def closed(result: CommandResult) -> None:
-            status = ok_status() if result.error is None else to_status(result.error)
-            outcome = CommandOutcome(result.success, status, result.results)
-            facts = {fact.key: fact.value for fact in status.facts}
-            why = {"code": status.code, "message": status.message, "facts": facts}
-            ended = EndedCommand(
-                number=number, symbol=symbol, time=wall(), success=result.success, results=result.results, **why
-            )
+            ended = _ended(number, symbol, result)
+            outcome = _outcome(ended)
             self.ended.add(ended)
             self._open.pop(number, None)
             self._listeners.pop(number, None)
@@ -272,6 +281,15 @@ class Commands:
             self._told_ended()
 
         return closed
+
+
+def _ended(number: int, symbol: str, result: CommandResult) -> EndedCommand:
+    status = ok_status() if result.error is None else to_status(result.error)
+    facts = {fact.key: fact.value for fact in status.facts}
+    why = {"code": status.code, "message": status.message, "facts": facts}
+    return EndedCommand(
+        number=number, symbol=symbol, time=wall(), success=result.success, results=result.results, **why
+    )
 
 
 def _outcome(ended: EndedCommand) -> CommandOutcome:
