@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 from itertools import pairwise
 
 import pytest
@@ -10,6 +11,7 @@ from rclpy.parameter import Parameter
 
 from im_bringup.tasks.agent import Agent, Died, ProcessCommand, Started
 from im_core import clock
+from im_core.ros import calls
 from im_core.ros.node import ManagedNode
 
 NODE = '''\
@@ -116,3 +118,27 @@ def test_a_phase_that_ends_has_turned_before_less_is_allowed(ros, wait_until):
     lowered = [(before, after) for before, after in pairwise(changes) if after[0] < before[0]]
     assert len(lowered) == 2
     assert all(after[1] > before[1] for before, after in lowered)
+
+
+def test_of_a_thread_that_takes_long_the_log_says_where_it_is(monkeypatch, ros, capfd):
+    """A Service that is not answered for a minute: does it compute, or wait for what does not come?"""
+    monkeypatch.setattr(calls, "LONG_S", 0.2)
+    node = ros(ManagedNode("oven", parameter_overrides=[Parameter("standalone", value=True)]))
+    end, baked = threading.Event(), threading.Event()
+
+    def bake_a_loaf():
+        end.wait(60.0)
+
+    async def bake():
+        await calls.run_in_thread(node, bake_a_loaf)
+        baked.set()
+
+    node.spawn(bake())
+    told, deadline = "", clock.monotonic() + 60.0
+    while "in bake_a_loaf" not in told and clock.monotonic() < deadline:
+        told += capfd.readouterr().err
+        clock.sleep(0.05)
+    end.set()
+    assert "bake_a_loaf has not ended after 0.2 s" in told
+    assert "in bake_a_loaf" in told
+    assert baked.wait(60.0)

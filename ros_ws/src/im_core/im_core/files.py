@@ -140,6 +140,20 @@ def make_folder(path: Path) -> Path:
     return path
 
 
+def move(source: Path, target: Path) -> None:
+    """Move a file or a folder; after a loss of power it is where it was moved to.
+
+    Raises:
+        StoreError: It cannot be moved.
+    """
+    try:
+        source.rename(target)
+        for folder in dict.fromkeys((target.parent, source.parent)):
+            synchronise_names(folder)
+    except OSError as error:
+        raise StoreError.of("moved", source, error) from error
+
+
 def synchronise_names(folder: Path) -> None:
     """Return when the disk has the names of what is in a folder, if its file system knows of such a thing.
 

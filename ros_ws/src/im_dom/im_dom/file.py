@@ -5,8 +5,8 @@ from contextlib import closing
 from pathlib import Path
 
 from im_core.clock import stamp_name
-from im_core.errors import DataError, StoreError
-from im_core.files import make_folder
+from im_core.errors import DataError
+from im_core.files import make_folder, move
 
 SCHEMA_VERSION = 4
 
@@ -86,9 +86,6 @@ def _set_aside(path: Path) -> Path:
     make_folder(folder)
     for end in _BESIDE:
         part = path.with_name(f"{path.name}{end}")
-        try:
-            if part.exists():
-                part.rename(folder / part.name)
-        except OSError as error:
-            raise StoreError.of("moved", part, error) from error
+        if part.exists():
+            move(part, folder / part.name)
     return folder

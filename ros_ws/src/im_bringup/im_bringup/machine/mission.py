@@ -10,8 +10,7 @@ from pathlib import Path
 
 from im_core import open_commands
 from im_core.clock import stamp_name
-from im_core.errors import StoreError
-from im_core.files import make_folder
+from im_core.files import make_folder, move
 
 PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm")
 KEPT = 5
@@ -61,10 +60,7 @@ def _set_aside(run_dir: Path) -> Path | None:
     number = _number(before[-1]) + 1 if before else 1
     aside = folder / f"{stamp_name()}-{number}"
     for source, target in [*((part, moving / part.name) for part in found), (moving, aside)]:
-        try:
-            source.rename(target)
-        except OSError as error:
-            raise StoreError.of("moved", source, error) from error
+        move(source, target)
     for old in [*before, aside][:-KEPT]:
         shutil.rmtree(old, ignore_errors=True)
     return aside

@@ -1,5 +1,6 @@
 """Waiting for services, threads and futures with a time-out that says what it waited for."""
 
+import faulthandler
 import threading
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
@@ -16,6 +17,8 @@ ResultT = TypeVar("ResultT")
 
 #: How long work in a thread may take unless its caller says less [s], and how many threads a node may leave behind.
 LONGEST_S = 3600.0
+#: After how long the log says where the threads are [s].
+LONG_S = 30.0
 MOST_LEFT_BEHIND = 20
 
 _left_behind: WeakKeyDictionary[ManagedNode, set[threading.Thread]] = WeakKeyDictionary()
@@ -146,7 +149,8 @@ async def run_in_thread(
 ) -> ResultT:
     """Run what takes long, or may block (files, data bases, processes), in a thread of its own: the loop goes on.
 
-    A thread cannot be ended: one whose time is over is left behind, and what it brings is dropped.
+    A thread cannot be ended: one whose time is over is left behind, and what it brings is dropped. Of one that takes
+    long the log says where it is: whether it computes, or waits for what does not come.
 
     Args:
         node: The node in whose loop this waits.
@@ -169,8 +173,13 @@ async def run_in_thread(
         carry(lambda: function(*args), ended)
         left.discard(threading.current_thread())
 
+    def tell() -> None:
+        node.get_logger().warning(f"{name} has not ended after {LONG_S:g} s; this is where all threads are")
+        faulthandler.dump_traceback()
+
     thread = threading.Thread(target=run, name=name, daemon=True)
     thread.start()
+    alarm = node.alarms.after(LONG_S, tell)
     try:
         result: ResultT = await wait(node, ended, timeout_s, f"the end of {name}")
     except WaitTimeoutError:
@@ -178,4 +187,6 @@ async def run_in_thread(
         if not thread.is_alive():
             left.discard(thread)
         raise
+    finally:
+        node.alarms.cancel(alarm)
     return result

@@ -175,4 +175,5 @@ class Folder:
         (self.path / folder).mkdir(parents=True)
         for name in names:
             (self.path / name).rename(self.path / folder / name)
-        synchronise_names(self.path)
+        for each in (self.path / folder, self.path):
+            synchronise_names(each)
