@@ -60,6 +60,16 @@ def test_a_mission_that_was_half_set_aside_stays_one(tmp_path, monkeypatch, kill
         assert said == [f"commands had not ended when the machine was: {ends}"]
 
 
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_mission_that_was_set_aside_whole_and_lost_its_name_does_not_hinder_the_one_after_it(tmp_path, fresh):
+    leave(tmp_path / "missions" / "unfinished", b"one", [OpenCommandNote("dispatcher", 3, "home")])
+    leave(tmp_path, b"two", [OpenCommandNote("dispatcher", 4, "calibrate_camera")])
+    assert mission.prepare(tmp_path, fresh, lambda _: None) is not fresh
+    contents = {path.parent.parent.parent: path.read_bytes() for path in tmp_path.rglob("*.journal")}
+    one, *two = sorted((tmp_path / "missions").iterdir(), key=lambda path: path.name.rpartition("-")[2])
+    assert contents == {one: b"one", (two[0] if fresh else tmp_path): b"two"}
+
+
 def test_an_unfinished_mission_is_gone_on_with_unless_told_otherwise(tmp_path):
     leave(tmp_path, b"one", [OpenCommandNote("dispatcher", 3, "calibrate_camera")])
     said = []

@@ -37,6 +37,8 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
         StoreError: Something cannot be moved.
     """
     moving = run_dir / open_commands.MISSIONS / _MOVING
+    if any((moving / part).exists() and (run_dir / part).exists() for part in PARTS):
+        _give_name(moving)  # it was whole when the mission that is here began
     unfinished = open_commands.noted(run_dir) or open_commands.noted(moving)
     known = ", ".join(f"{command.symbol} (number {command.number} of {command.task})" for command in unfinished)
     if unfinished and not fresh and (run_dir / "journal").is_dir() and not moving.exists():
@@ -51,16 +53,20 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
 def _set_aside(run_dir: Path) -> Path | None:
     """Moves what there is of a mission, also the rest of one whose move was cut short; it stays whole."""
     found = [run_dir / part for part in PARTS if (run_dir / part).exists()]
-    folder = run_dir / open_commands.MISSIONS
-    moving = folder / _MOVING
+    moving = run_dir / open_commands.MISSIONS / _MOVING
     if not found and not moving.exists():
         return None
     make_folder(moving)
-    before = sorted((path for path in folder.iterdir() if _NUMBERED.fullmatch(path.name)), key=_number)
-    number = _number(before[-1]) + 1 if before else 1
-    aside = folder / f"{stamp_name()}-{number}"
-    for source, target in [*((part, moving / part.name) for part in found), (moving, aside)]:
-        move(source, target)
+    for part in found:
+        move(part, moving / part.name)
+    return _give_name(moving)
+
+
+def _give_name(moving: Path) -> Path:
+    """Names a mission that was moved; of those that have names the newest are kept."""
+    before = sorted((path for path in moving.parent.iterdir() if _NUMBERED.fullmatch(path.name)), key=_number)
+    aside = moving.with_name(f"{stamp_name()}-{_number(before[-1]) + 1 if before else 1}")
+    move(moving, aside)
     for old in [*before, aside][:-KEPT]:
         shutil.rmtree(old, ignore_errors=True)
     return aside

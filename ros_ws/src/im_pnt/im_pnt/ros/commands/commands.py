@@ -180,6 +180,7 @@ class Commands:
         job = executor.command(command, self._closing(number, symbol))
         self._count = number
         self._open[number] = OpenCommand(job, executor)
+        self._node.get_logger().info(f"command {number}: {symbol}")
         self._told_began()
         return number
 
@@ -273,6 +274,8 @@ class Commands:
             ended = _ended(number, symbol, result)
             outcome = _outcome(ended)
             self.ended.add(ended)
+            how = "done" if ended.success else f"failed: {ended.message}"
+            self._node.get_logger().info(f"command {number}: {symbol} {how}")
             self._open.pop(number, None)
             self._listeners.pop(number, None)
             for promise in self._waiting.pop(number, []):
