@@ -100,7 +100,8 @@ def write_whole(path: Path, content: str | bytes) -> Path:
         `path`.
 
     Raises:
-        StoreError: It cannot be written; what was there before is untouched.
+        StoreError: It cannot be written, and what was there before is untouched; or the disk failed when the new one
+            had its name, and a loss of power decides which of them is there.
     """
     target = path.resolve() if path.is_symlink() and path.exists() else path
     beside = target.with_name(f".{target.name[:100]}.{os.getpid()}.{threading.get_native_id()}")
