@@ -18,8 +18,9 @@ from im_dispatcher.commands.calibrate_camera import CalibrateCamera
 from im_dispatcher.job import PoseLoop
 from im_pnt.execution.functions import Functions
 from im_pnt.mission.difference import Difference, first_difference
+from im_pnt.mission.entries import Entries
 from im_pnt.mission.rerun import NodeRerun
-from im_pnt.mission.stream import streams_of
+from im_pnt.mission.stream import Turn, streams_of
 from im_pnt.ros.node import PntNode
 from im_pnt.ros.rerun import BAD_INPUT, DIFFERS, EQUAL, RosMessages, RosWorld, main
 from im_pnt_analysis import verify_to_load
@@ -167,14 +168,29 @@ def test_where_data_differ_first():
     assert first_difference([1], [1]) == ""
 
 
+def test_what_makes_a_message_may_be_done_earlier_than_it_was_and_counts_once():
+    entries, turn = Entries(), Turn(0.0, 0, [])
+    then = [["token", "a", 1], ["built", 7, {"progress": 0.5}], ["fire", "t"]]
+    entries.recorded = [(entry, turn) for entry in then]
+    assert not entries.advance(["built", 7, {"progress": 0.6}])
+    assert entries.advance(then[1])
+    assert entries.next() == then[0]
+    assert not entries.advance(then[2]), "nothing else may"
+    assert entries.advance(then[0])
+    assert entries.next() == then[2], "the message was made"
+    assert entries.advance(then[2])
+    assert entries.next() is None
+
+
 # What a node tells is enough.
 
 NET = """
 net: walker
 commands: {walk: {arguments: {steps: {type: integer}}}}
-places: {ready: {tokens: 1, resource: true}, walking: , tired: }
+places: {ready: {tokens: 1, resource: true}, counted: , walking: , tired: }
 transitions:
-  begin: {symbol: walk, in: ready, out: walking, action: count_steps, on_failure: tired}
+  begin: {symbol: walk, in: ready, out: counted, action: count_steps, on_failure: tired}
+  tell: {in: counted, out: walking, topic: {name: /steps, type: std_msgs/msg/String, build: words}, on_failure: tired}
   step: {in: walking, out: walking, guard: more_steps, action: step_once, on_failure: tired}
   rest: {in: walking, out: ready, guard: not more_steps, emit: walk_done, result: {}}
   give_up: {in: tired, out: ready, emit: walk_failed}
@@ -188,13 +204,17 @@ def made(host):
         ctx.memory["left"] = ctx.command.arguments["steps"]
         ctx.memory["at"] = host.noted("at", lambda: [host.executor("walker").sequence, id(object())])
 
+    def words(ctx):
+        ctx.memory["told"] = f"{ctx.memory['left']} steps"
+        return {"data": ctx.memory["told"]}
+
     async def step_once(ctx):
         ctx.memory["left"] -= 1
         await host.pause(0.01)
         if ctx.memory["left"] < 0:
             raise DataError("below the ground")
 
-    actions = {"count_steps": count_steps, "step_once": step_once}
+    actions = {"count_steps": count_steps, "words": words, "step_once": step_once}
     return Functions(actions, {"more_steps": lambda ctx: ctx.memory["left"] != 0})
 
 
@@ -237,6 +257,14 @@ def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_u
     entries = [item[2][0] for turn in stream.turns for item in turn.items if item[0] == "net"]
     firings = sum(entry in ("fire", "end") for entry in entries)
     assert compared.firings == firings > 10
+    assert entries.count("built") == 2, "what a message is made of is on file with what that left in memory"
+    at = entries.index("ended", entries.index("ended") + 1)  # the first one ends the message
+    (left,) = [item for turn in stream.turns for item in turn.items if item[0] == "net"][at][2][4:]
+    assert left["memory"] == ["keys", {"left": ["set", 2]}, []]
+    left["memory"][1]["left"] = ["set", 1]
+    with pytest.raises(Difference, match=r"its function leaves something else: memory.*left.*1.*now 2"):
+        NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
+    left["memory"][1]["left"] = ["set", 2]
 
     for turn in stream.turns:
         for item in turn.items:
