@@ -1,5 +1,6 @@
 """What a pose of calibrate_camera costs: the Dispatcher and its Coordinators as processes, beside a DOM that counts."""
 
+import contextlib
 import itertools
 import json
 import re
@@ -18,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core import clock
 from im_core.config import package_file
+from im_core.errors import WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.guard import GuardedActionClient
@@ -33,6 +35,7 @@ from im_msgs.srv import (
     GetGroupState,
     GroupCommand,
     InverseKinematics,
+    ListCommands,
     LoadNet,
     ReserveGroup,
     SetLight,
@@ -194,7 +197,7 @@ class Cast:
         self.folder, self._warm = folder, warm
         self.dom, self.cell = CountingDom(folder / "dispatcher"), Cell()
         self.testbed, self.client = ManagedNode("testbed"), ManagedNode("client")
-        # Here, so that the dispatcher knows of it when it is asked: else its answer may be lost.
+        # Here: what is asked, or answered, before client and server know each other is lost.
         self.calibration = self.client.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
         self.processes = {name: self.start(name) for name in PROCESSES}
         own = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text())
@@ -206,6 +209,14 @@ class Cast:
     def start(self, name):
         log = self.folder / f"{name}.log"
         return self._warm.start(PROCESSES[name], *ALONE, "-p", f"journal_dir:={self.folder}", log=log)
+
+    def be_known(self):
+        """Waits until the dispatcher has discovered the client: what asks last is discovered last, and is answered."""
+        asking = self.client.create_client(ListCommands, "/dispatcher/list_commands")
+        for _ in range(20):
+            with contextlib.suppress(WaitTimeoutError):
+                return call_blocking(asking, ListCommands.Request(), 3.0, "the dispatcher to know the client")
+        return pytest.fail("the dispatcher does not answer")
 
     def objects(self):
         return [record.name for record in in_loop(self.dom, self.dom.store.records)]
@@ -245,6 +256,7 @@ def cast(tmp_path, warm, monkeypatch, wait_until):
             wait_until(lambda: cast.dom.ready, "the Data Object Manager")
             for name in PROCESSES:
                 wait_until(lambda: cast.client.count_subscribers(f"/{name}/tokens"), f"{name} to listen")  # noqa: B023
+            cast.be_known()
             yield cast
         rclpy.try_shutdown()
     finally:
