@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 
 from im_bringup.tasks.agent import Agent, Died, ProcessCommand, Started
 from im_core import clock
-from im_core.ros import calls
+from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
 
 NODE = '''\
@@ -120,9 +120,8 @@ def test_a_phase_that_ends_has_turned_before_less_is_allowed(ros, wait_until):
     assert all(after[1] > before[1] for before, after in lowered)
 
 
-def test_of_a_thread_that_takes_long_the_log_says_where_it_is(monkeypatch, ros, capfd):
+def test_of_a_thread_that_takes_long_the_log_says_where_it_is(ros, capfd):
     """A Service that is not answered for a minute: does it compute, or wait for what does not come?"""
-    monkeypatch.setattr(calls, "LONG_S", 0.2)
     node = ros(ManagedNode("oven", parameter_overrides=[Parameter("standalone", value=True)]))
     end, baked = threading.Event(), threading.Event()
 
@@ -130,7 +129,7 @@ def test_of_a_thread_that_takes_long_the_log_says_where_it_is(monkeypatch, ros, 
         end.wait(60.0)
 
     async def bake():
-        await calls.run_in_thread(node, bake_a_loaf)
+        await run_in_thread(node, bake_a_loaf, tell_after_s=0.2)
         baked.set()
 
     node.spawn(bake())

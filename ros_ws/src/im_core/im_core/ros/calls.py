@@ -145,7 +145,11 @@ def carry(function: Callable[[], object], ended: Future) -> None:
 
 
 async def run_in_thread(
-    node: ManagedNode, function: Callable[..., ResultT], *args: object, timeout_s: float = LONGEST_S
+    node: ManagedNode,
+    function: Callable[..., ResultT],
+    *args: object,
+    timeout_s: float = LONGEST_S,
+    tell_after_s: float = LONG_S,
 ) -> ResultT:
     """Run what takes long, or may block (files, data bases, processes), in a thread of its own: the loop goes on.
 
@@ -157,6 +161,7 @@ async def run_in_thread(
         function: What is to be run.
         *args: Its arguments.
         timeout_s: Longest wait, wall time [s].
+        tell_after_s: When the log says where all threads are, for it takes long [s].
 
     Raises:
         WaitTimeoutError: It has not ended in time.
@@ -174,12 +179,12 @@ async def run_in_thread(
         left.discard(threading.current_thread())
 
     def tell() -> None:
-        node.get_logger().warning(f"{name} has not ended after {LONG_S:g} s; this is where all threads are")
+        node.get_logger().warning(f"{name} has not ended after {tell_after_s:g} s; this is where all threads are")
         faulthandler.dump_traceback()
 
     thread = threading.Thread(target=run, name=name, daemon=True)
     thread.start()
-    alarm = node.alarms.after(LONG_S, tell)
+    alarm = node.alarms.after(tell_after_s, tell)
     try:
         result: ResultT = await wait(node, ended, timeout_s, f"the end of {name}")
     except WaitTimeoutError:

@@ -11,7 +11,7 @@ from im_core.errors import ImError, StateError
 from im_core.names import results_dir, run_dir
 from im_core.open_commands import set_aside
 from im_core.ros import qos
-from im_core.ros.calls import run_in_thread
+from im_core.ros.calls import LONGEST_S, run_in_thread
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
@@ -391,7 +391,7 @@ class PntNode(ManagedNode):
             self.spawn(_called(work))
 
         apart = context.apart(post)
-        outcome = await run_in_thread(self, _outcome_of, function, apart)
+        outcome = await run_in_thread(self, _outcome_of, function, apart, tell_after_s=LONGEST_S)
         try:
             if isinstance(outcome, Exception):
                 raise outcome
