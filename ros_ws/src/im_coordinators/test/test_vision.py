@@ -3,7 +3,13 @@
 import pytest
 
 from im_coordinators.vision import another_look_may_help, require_spot
-from im_core.errors import DataError, ImError
+from im_core.config import package_file
+from im_core.errors import DataError, ImError, LinkError
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Activity
+from im_pnt.model.action import ServiceAction
+from im_pnt.netfile import load_net, parse_net
+from support.process import Process, hold
 
 
 @pytest.mark.parametrize(
@@ -32,3 +38,54 @@ def test_one_camera_that_sees_the_light_is_enough() -> None:
     with pytest.raises(DataError, match="no camera sees the light: wall: too faint; floor: blocked") as caught:
         require_spot({"wall": "too faint", "floor": "blocked"}, 2)
     assert (caught.value.code, caught.value.facts["causes"]) == ("spot_not_found", ["too faint", "blocked"])
+
+
+ASKS = """
+net: asks
+places: {idle: {tokens: 1, resource: true}, done: , bad: }
+escalate: bad
+transitions:
+  ask:
+    symbol: go
+    in: idle
+    out: done
+    request: {to: vision_coordinator.calibrate, arguments: {cameras: [wall], observations: [1], directory: there}}
+  end: {in: done, out: idle, emit: go_done}
+  fail: {in: bad, out: idle, emit: go_failed}
+"""
+GONE = LinkError("vss is missing (it died and was started again meanwhile)")
+NONE = ImError("there is no estimate", code="degenerate")
+
+
+@pytest.mark.parametrize(
+    ("answers", "asked", "failure"),
+    [
+        ([None], ["do_calibrate"], None),
+        ([GONE, None], ["do_calibrate", "calibrate_again"], None),
+        ([GONE, GONE], ["do_calibrate", "calibrate_again"], GONE),
+        ([NONE], ["do_calibrate"], NONE),
+    ],
+    ids=["there", "died once", "died twice", "no estimate"],
+)
+def test_a_calibration_is_asked_for_once_more_where_who_computes_it_has_died(answers, asked, failure) -> None:
+    sent, left = [], list(answers)
+
+    async def perform(activity: Activity, _: ActionContext) -> dict[str, object]:
+        sent.append(activity.transition)
+        if (error := left.pop(0)) is not None:
+            raise error
+        return {}
+
+    net = load_net(package_file("im_coordinators", "nets/vision_coordinator.yaml"))
+    functions = dict.fromkeys(("light_on", "light_as_found", "forget_light", "look_exposure", "nominal_exposure"), hold)
+    functions |= dict.fromkeys(("longer_exposure", "store_spots", "keep_observation", "store_calibration"), hold)
+    process = Process(
+        [net, parse_net(ASKS)],
+        actions={**functions, "calibration_problem": lambda ctx: {}},
+        guards={"another_look_may_help": lambda ctx: False},
+        others={ServiceAction: perform},
+    )
+    process.command("asks", "go")
+    (ended,) = process.results
+    assert sent == asked
+    assert ended.error is failure

@@ -133,7 +133,7 @@ DIRECT = [
     for name, transition in load_net(file).transitions.items()
     if isinstance(transition.action, ServiceAction | GoalAction | TopicAction)
 ]
-OF_NO_SERVICE = {"find_pos", "do_calibrate"}
+OF_NO_SERVICE = {"find_pos", "do_calibrate", "calibrate_again"}
 """They ask, and reckon: nobody needs to hold anything for it."""
 
 
