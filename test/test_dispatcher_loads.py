@@ -1,5 +1,7 @@
 """The Dispatcher takes a net into execution only if it may run with all others, and with what its commands need."""
 
+import contextlib
+import shutil
 import threading
 
 import pytest
@@ -9,7 +11,9 @@ from im_core.errors import ImError
 from im_core.ros.run import spin_in_thread
 from im_dispatcher.ros.node import Dispatcher
 from im_msgs.srv import LoadNet
-from im_pnt.netfile import parse_net
+from im_pnt.journal.journal import fingerprint
+from im_pnt.netfile import parse_net, yaml_text
+from im_pnt.ros.node import PntNode
 
 GRAB = """
 net: grab
@@ -22,16 +26,25 @@ transitions:
 """
 
 
+@contextlib.contextmanager
+def life(wait_until, *given):
+    """A life of the dispatcher."""
+    rclpy.init(args=["--ros-args", *(word for each in ("standalone:=true", *given) for word in ("-p", each))])
+    node = Dispatcher()
+    try:
+        with spin_in_thread(node):
+            wait_until(lambda: node.ready or node.failed, "the dispatcher", 60.0)
+            assert not node.failed
+            yield node
+    finally:
+        rclpy.try_shutdown()
+
+
 @pytest.fixture
 def dispatcher(tmp_path, monkeypatch, wait_until):
     monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
-    rclpy.init(args=["--ros-args", "-p", "standalone:=true", "-p", "commands:=demo"])
-    node = Dispatcher()
-    with spin_in_thread(node):
-        wait_until(lambda: node.ready or node.failed, "the dispatcher", 60.0)
-        assert not node.failed
+    with life(wait_until, "commands:=demo") as node:
         yield node
-    rclpy.try_shutdown()
 
 
 def done(node, work):
@@ -100,3 +113,44 @@ def test_a_net_that_cannot_be_loaded_is_refused_in_a_sentence(dispatcher, fields
     assert not answer.success
     assert sentence in answer.message
     assert "\n" not in answer.message
+
+
+def with_texts(net, old, new):
+    """A net with another text in its file."""
+    text = yaml_text(net)
+    assert old in text
+    return parse_net(text.replace(old, new, 1))
+
+
+def the_same(node):
+    return with_texts(node.exchange.nets["demo"].written, "Moves", "Moves")
+
+
+def other_arguments(node):
+    return with_texts(node.exchange.nets["home"].written, "default: left", "default: right")
+
+
+def another_net(_):
+    asked = "{to: home.home, arguments: {group: left}}"
+    return parse_net(GRAB.replace("NEED", "left_arm, left_cart").replace("ASKED", asked))
+
+
+@pytest.mark.parametrize("half", [False, True], ids=["whole", "half"])
+@pytest.mark.parametrize("change", [the_same, other_arguments, another_net])
+def test_what_was_loaded_comes_back_with_what_its_commands_need(tmp_path, monkeypatch, wait_until, change, half):
+    """Also where the process has died before the net of the cell had it."""
+    monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
+    run, killed = tmp_path / "run", tmp_path / "killed"
+    with life(wait_until, "commands:=demo,home", f"journal_dir:={run / 'journal'}") as node:
+        net = change(node)
+        assert done(node, PntNode.load_net(node, net) if half else node.load_net(net)) is None
+        shutil.copytree(run, killed)  # as a kill leaves it
+    with life(wait_until, "commands:=demo,home", f"journal_dir:={killed / 'journal'}") as node:
+        assert fingerprint(node.exchange.nets[net.name].written) == fingerprint(net)
+        ((symbol, declared),) = net.commands.items()
+
+        def known():
+            told = node.exchange.nets["cell"].written.commands.get(symbol)
+            return told is not None and told.arguments == declared.arguments
+
+        wait_until(known, "the net of the cell to have its command")

@@ -21,6 +21,7 @@ from im_msgs.msg import CalibrationReport
 from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Command, Job
+from im_pnt.journal.journal import fingerprint
 from im_pnt.mission.host import Host
 from im_pnt.model.arguments import Busy
 from im_pnt.model.net import Net
@@ -64,10 +65,14 @@ class Dispatcher(PntNode):
         super().phase_configure()
 
     def completed(self, nets: list[Net]) -> list[Net]:
-        """The nets, and before them the one of what their commands need, which hands these on."""
+        """The nets, and before them the one of what their commands need, which hands these on.
+
+        A journal brings that back as it was: perhaps the process died between a net and what its commands need.
+        """
         others = [net for net in nets if net.name != cell.NAME]
         self._know(Needs(others, self._resources))
-        return [self._library.kept(cell.cell_net(self._needs)), *others]
+        before = [net for net in nets if net.name == cell.NAME]
+        return [*(before or [self._library.kept(cell.cell_net(self._needs))]), *others]
 
     def phase_start(self) -> None:
         """Start the nets, then take commands."""
@@ -76,6 +81,14 @@ class Dispatcher(PntNode):
         self.create_service(LoadNet, "/dispatcher/load_net", self._load_net)
         self.create_service(UnloadNet, "/dispatcher/unload_net", self._unload_net)
         self.offer_commands(self._run)
+        self.spawn(self._complete_cell())
+
+    async def _complete_cell(self) -> None:
+        """Ends what a former life had begun when it loaded or unloaded a net."""
+        try:
+            await self._change_cell(self._needs)
+        except ImError as error:
+            self.get_logger().error(f"what commands need is as before the last net came or went: {error.message}")
 
     async def load_net(self, net: Net, patience_s: float = 0.0, beside: Sequence[Net] = ()) -> Verification:
         """Take a net into execution, and what its commands need into the net of the cell.
@@ -87,8 +100,9 @@ class Dispatcher(PntNode):
         """
         if net.name == cell.NAME:
             raise StateError(f"net {net.name} is made of what commands need; load the nets of these")
-        others = [each for each in self._command_nets() if each.name != net.name]
-        needs = Needs([*others, net], self._resources)
+        # each at its place: in another order it would be another net of the cell
+        nets = {each.name: each for each in self._command_nets()}
+        needs = Needs([*{**nets, net.name: net}.values()], self._resources)
         self._line.require_same(needs)
         changed = cell.cell_net(needs)
         await self.loader.verified_alone(net)
@@ -132,7 +146,7 @@ class Dispatcher(PntNode):
 
     async def _change_cell(self, needs: Needs, without: str = "") -> None:
         net = cell.cell_net(needs)
-        if net.transitions == self.exchange.nets[cell.NAME].written.transitions:
+        if fingerprint(net) == fingerprint(self.exchange.nets[cell.NAME].written):
             self._know(needs)
             return
         report = await self.loader.verified(net, without=without)
