@@ -15,6 +15,7 @@ from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
 from im_core import clock, open_commands
+from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.guard import GuardedActionClient
@@ -123,7 +124,7 @@ class Hardware(ManagedNode):
         ActionServer(self, FollowJointTrajectory, "/hardware/follow", self._trajectory)
         refuse = {"goal_callback": lambda _: GoalResponse.REJECT}
         ActionServer(self, FollowJointTrajectory, "/hardware/forbidden", self._trajectory, **refuse)
-        self.code = 0
+        self.code = self.followed = 0
         self.events = self.create_publisher(String, "/hardware/events", qos.EVENTS)
         self.stream = self.create_publisher(String, "/hardware/stream", qos.SENSOR)
         self.state = self.create_publisher(String, "/hardware/state", qos.LATCHED)
@@ -144,6 +145,7 @@ class Hardware(ManagedNode):
         return response
 
     async def _trajectory(self, goal):
+        self.followed += 1
         goal.succeed()
         words = "left_j3 was 0.2 rad behind" if self.code else ""
         return FollowJointTrajectory.Result(error_code=self.code, error_string=words)
@@ -241,6 +243,29 @@ def test_a_goal_that_its_server_has_already_is_followed_not_lost(machine, monkey
     monkeypatch.setattr(GoalActions, "_goal_id", lambda *_: UUID(uuid=[7] * 16))
     assert run(machine[0], "follow").success
     assert run(machine[0], "follow").success
+
+
+def test_a_net_that_was_loaded_again_sends_goals_of_its_own(machine):
+    """They had the ids of those before; the server knew these, and the first result counted for another goal."""
+    node, hardware, _, _ = machine
+    before = hardware.followed
+    for _ in range(2):
+        assert run(node, "follow").success
+        done, failed = threading.Event(), []
+
+        async def load(done=done, failed=failed):
+            try:
+                await node.load_net(parse_net(NET))
+            except ImError as error:
+                failed.append(error)
+            done.set()
+
+        node.executor.create_task(load())
+        node.wake()
+        assert done.wait(60.0)
+        assert not failed
+    assert run(node, "follow").success
+    assert hardware.followed == before + 3
 
 
 def test_a_service_that_answers_a_little_late_has_answered(machine):

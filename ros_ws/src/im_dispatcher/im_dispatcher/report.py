@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from im_core.errors import StoreError
-from im_core.files import make_folder, write_whole
+from im_core.files import make_folder, synchronise_names, write_whole
 
 LATEST = "latest"
 
@@ -136,6 +136,7 @@ def make_directory(results: Path, stamp: str) -> Path:
         path = results / (stamp if attempt == 0 else f"{stamp}-{attempt}")
         try:
             path.mkdir()
+            synchronise_names(results)
         except FileExistsError:
             continue
         except OSError as error:
@@ -156,6 +157,7 @@ def write_report(directory: Path, report: Mapping[str, object]) -> Path:
         link.unlink(missing_ok=True)
         link.symlink_to(directory.name)
         os.replace(link, directory.parent / LATEST)
+        synchronise_names(directory.parent)
     except OSError as error:
         raise StoreError.of("written", directory.parent / LATEST, error) from error
     return path

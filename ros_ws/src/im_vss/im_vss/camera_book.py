@@ -24,7 +24,7 @@ from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 from im_cell.robot import Camera, Cell
 from im_core.errors import DataError, NotFoundError
-from im_core.files import write_whole
+from im_core.files import make_folder, write_whole
 from im_vss.stereo import rectify
 
 
@@ -245,7 +245,7 @@ class CameraBook:
         if covariance.parameters:
             contents[COVARIANCE] = covariance_yaml(covariance)
         try:
-            self._directory.mkdir(parents=True, exist_ok=True)
+            make_folder(self._directory)
             if not covariance.parameters:
                 (self._directory / COVARIANCE).unlink(missing_ok=True)
             for name, text in contents.items():

@@ -20,7 +20,7 @@ from im_cell.calibration_files import (
 )
 from im_cell.camera_covariance import CameraCovariance
 from im_core.errors import DataError
-from im_core.files import write_whole
+from im_core.files import make_folder, write_whole
 
 
 def write_results(
@@ -66,7 +66,7 @@ def write_results(
     contents |= _pictures(calibration, problem)
     target = Path(directory)
     try:
-        target.mkdir(parents=True, exist_ok=True)
+        make_folder(target)
         return tuple(write_whole(target / name, content) for name, content in contents.items())
     except OSError as error:
         raise DataError(f"The results cannot be written to {target}: {error.strerror}.", file=str(target)) from error

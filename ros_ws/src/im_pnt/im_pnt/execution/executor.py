@@ -172,6 +172,14 @@ class Executor:
         """Takes what happens before it does; None: no journal."""
         return self.rule.record
 
+    def count_on(self, former: "Executor") -> None:
+        """Goes on with the numbers of the net whose place it takes: none of its actions and jobs has that of another.
+
+        Others know actions by their numbers: a server would take the goal of one for that of the other.
+        """
+        self.rule.notifier.sequence = max(self.sequence, former.sequence)
+        self.rule.ledger.count = max(self.rule.ledger.count, former.rule.ledger.count)
+
     # From any thread.
 
     def command(self, command: Command, on_closed: Callable[[CommandResult], None] | None = None) -> Job:

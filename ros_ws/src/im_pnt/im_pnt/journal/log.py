@@ -239,8 +239,9 @@ class Log:
         except OSError as error:
             if file is not None:
                 file.close()
-                with contextlib.suppress(OSError):  # what was begun would keep a full disk full
-                    self._files.remove(f"{name}.new")
+                for end in ("new", "journal"):  # what was begun would keep a full disk full, or count at the next start
+                    with contextlib.suppress(OSError):
+                        self._files.remove(f"{name}.{end}")
             raise self._failed("written", error) from error
         if self._file is not None:
             self._file.close()

@@ -378,6 +378,8 @@ class PntNode(ManagedNode):
         )
         if state is not None:
             restore_net(executor, state)
+        elif net.name in self.exchange.nets:
+            executor.count_on(self.exchange.nets[net.name])
         (enter or self.exchange.add)(executor)
         self._mission.loaded(executor)
         self._publisher.described(executor)

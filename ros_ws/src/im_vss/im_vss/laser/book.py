@@ -12,7 +12,7 @@ from im_cell.calibration_files import LASER, CalibrationFiles, LaserEstimate, la
 from im_cell.laser_model import LaserModel
 from im_cell.robot import LaserScanner
 from im_core.errors import DataError
-from im_core.files import write_whole
+from im_core.files import make_folder, write_whole
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class LaserBook:
         path = self._directory / LASER
         with self._changing:
             try:
-                self._directory.mkdir(parents=True, exist_ok=True)
+                make_folder(self._directory)
                 write_whole(path, laser_yaml(estimate))
             except OSError as error:
                 raise DataError(f"{path}: cannot be written: {error.strerror}", file=str(path)) from error
