@@ -6,7 +6,7 @@ import signal
 import threading
 
 import pytest
-from rclpy.action.server import GoalResponse
+from rclpy.action.server import CancelResponse, GoalResponse
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -15,13 +15,13 @@ from im_bringup.ros.calibrate_camera import CalibrateCameraClient
 from im_bringup.ros.interruptible import InterruptibleNode, spun
 from im_bringup.ros.run_command import CommandClient
 from im_core import clock
-from im_core.errors import WaitTimeoutError
+from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.startup import STATUS_TOPIC
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import TaskStatus
-from im_msgs.srv import CalibrateCamera
+from im_msgs.srv import CalibrateCamera, ListCommands
 
 RESULTS = {"message": "", "directory": "/results/1", "report": {"message": "fits"}}
 
@@ -32,25 +32,41 @@ class Stopped(GuardedNode):
     def __init__(self) -> None:
         super().__init__("dispatcher")
         self.away = threading.Event()
-        self.begun, self.attached = [], 0
+        self.begun, self.attached, self.numbers = [], [], [3]  # of which the first was an older command
+        self.incarnation, self.takes, self.cancelled = 7, True, []
         self._status = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self.create_timer(0.1, self._beat)
         self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._lose)
-        GuardedActionServer(self, ExecuteCommand, "/dispatcher/execute", self._do, goal_callback=self._accept)
+        self.create_service(ListCommands, "/dispatcher/list_commands", self._list)
+        GuardedActionServer(
+            self, ExecuteCommand, "/dispatcher/execute", self._do,
+            goal_callback=self._accept, cancel_callback=self._may_cancel,
+        )  # fmt: skip
 
     def _beat(self):
         if not self.away.is_set():
-            self._status.publish(TaskStatus(name="dispatcher", incarnation=7, phase=TaskStatus.READY))
+            self._status.publish(TaskStatus(name="dispatcher", incarnation=self.incarnation, phase=TaskStatus.READY))
 
     async def _lose(self, request, response):
+        if self.takes:
+            self.numbers.append(self.numbers[-1] + 1)
         await Future()
+
+    def _list(self, request, response):
+        response.last = self.numbers[-1]
+        return response
+
+    def _may_cancel(self, handle):
+        self.cancelled.append(handle.request.attach)
+        return CancelResponse.ACCEPT
 
     def _accept(self, goal):
         self.begun.append(goal)
         return GoalResponse.ACCEPT
 
     async def _do(self, handle):
-        self.attached += bool(handle.request.attach)
+        if handle.request.attach:
+            self.attached.append(handle.request.command_id)
         handle.succeed()
         return ExecuteCommand.Result(success=True, results=json.dumps(RESULTS))
 
@@ -79,7 +95,60 @@ def test_the_answer_of_a_dispatcher_that_was_silent_is_sought_where_it_can_be_ha
     assert not stopped.attached
     stopped.away.clear()
     (response,) = wait_until(lambda: done, "the answer")
-    assert (response.success, response.message, stopped.attached) == (True, "fits", 1)
+    assert (response.success, response.message, stopped.attached) == (True, "fits", [4])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "why"),
+    [
+        ([3], "the dispatcher was away before it had written calibrate_camera down; run it again"),
+        ([3, 4, 5], "which of the commands 4 to 5 is this calibrate_camera is not known"),
+    ],
+)
+def test_what_another_command_has_found_is_not_the_answer_to_this_one(ros, stopped, wait_until, numbers, why):
+    """The last calibration that has ended may be of another day."""
+    client, said = ros(CalibrateCameraClient(None)), []
+    stopped.takes = False
+
+    def calibrate():
+        with pytest.raises(StateError) as refused:
+            client.calibrate([], "")
+        said.append(refused.value.message)
+        return refused.value.message
+
+    ended(calibrate)
+    wait_until(lambda: client.count_services("/dispatcher/calibrate_camera") and client._incarnation, "the dispatcher")
+    clock.sleep(1.0)
+    stopped.numbers, stopped.incarnation = numbers, 8
+    (message,) = wait_until(lambda: said, "the refusal")
+    assert why in message
+    assert not stopped.attached
+
+
+def test_who_was_interrupted_while_the_dispatcher_was_away_cancels_when_it_is_back(ros, wait_until):
+    """The first life died with the cancellation."""
+
+    class Dying(Stopped):
+        async def _do(self, handle):
+            self.numbers.append(self.numbers[-1] + (not handle.request.attach))
+            return await Future()
+
+    node, client = ros(Dying()), ros(CommandClient(io.StringIO()))
+
+    def run():
+        with pytest.raises(KeyboardInterrupt):
+            client.run(ExecuteCommand.Goal(symbol="move"))
+        return "left alone"
+
+    done = ended(run)
+    wait_until(lambda: node.begun, "the command")
+    clock.sleep(1.0)  # until it is known to be accepted
+    client.interrupt()
+    wait_until(lambda: node.cancelled == [False], "the cancellation")
+    node.incarnation = 8
+    wait_until(lambda: node.cancelled == [False, True], "the cancellation of what the second life goes on with")
+    client.interrupt()
+    wait_until(lambda: done, "the end of who was interrupted twice")
 
 
 def test_a_goal_whose_acceptance_was_lost_is_carried_out_once(ros, stopped, wait_until, monkeypatch):

@@ -52,26 +52,29 @@ class CalibrateCameraClient(DispatcherClient):
         Raises:
             KeyboardInterrupt: :meth:`interrupt` was called.
             LinkError: The dispatcher fell silent.
+            StateError: It died before it had written the command down, or which one it is is not known.
             WaitTimeoutError: There is no such service.
         """
         self._until(self._dispatcher_there, f"the service {SERVICE}")
         self._lines = ProgressLines()
+        before = self.moment()
         request = CalibrateCamera.Request(cameras=cameras, poses_file=poses_file)
         response = self._answer(self._client.call_async(request), asked_once=True)
         if response is None:
             print("calibrate_camera: the dispatcher was away and is back; waiting for the command", file=sys.stderr)
+            number = self.begun_since(before, NET)  # not the last one that has ended: that may be of another day
         while response is None:
-            response = self._attached()
+            response = self._attached(number)
         return response
 
     def _dispatcher_there(self) -> bool:
         """Whether the service can be called."""
         return super()._dispatcher_there() and self._client.service_is_ready()
 
-    def _attached(self) -> Any | None:
-        """The answer to the command that is running or ended last, None if the dispatcher died again."""
+    def _attached(self, number: int) -> Any | None:
+        """The answer to a command that is running or has ended, None if the dispatcher died again."""
         self._until(self._attach.server_is_ready, f"the action {ACTION}", SILENCE_S)
-        goal = ExecuteCommand.Goal(symbol=NET, attach=True)
+        goal = ExecuteCommand.Goal(symbol=NET, attach=True, command_id=number)
         handle = self._answer(self._attach.send_goal_async(goal), ACCEPT_S)
         answer = None if handle is None else self._answer(handle.get_result_async())
         if answer is None:

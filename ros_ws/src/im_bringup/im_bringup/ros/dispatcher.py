@@ -2,31 +2,50 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.record import MachineRecord
 from im_bringup.ros.interruptible import InterruptibleNode
 from im_core import clock
-from im_core.errors import LinkError
+from im_core.errors import LinkError, StateError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.heartbeats import LEASE_S
 from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import TaskStatus
+from im_msgs.srv import ListCommands
 
-ACTION = "/dispatcher/execute"
+ACTION, LIST_SERVICE = "/dispatcher/execute", "/dispatcher/list_commands"
 #: Longest wait for the service to be found, and longest silence of the dispatcher [s] of wall time: a dispatcher that
 #: died is started again within a few seconds, on a busy computer later; one without a machine is not.
 DISCOVERY_S = 60.0
 SILENCE_S = 60.0
 ALONE_S = 6.0
 _POLL_S = 0.02
+#: Longest wait for the answer of a service that answers at once [s].
+ANSWER_S = 10.0
+#: How long a dispatcher that was silent and lives may take to begin what it was asked for [s].
+BEGINS_S = 20.0
 #: Time after which a goal that met the server of a former life is sent again [s].
 ACCEPT_S = 2.0
 #: After a silence so long [s] an answer may be lost: it is near the lease after which DDS drops what it owes.
 LOSSY_S = 0.5 * LEASE_S
 #: What goes on where a user no longer waits.
 GOES_ON = "; the machine goes on with the command"
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A moment in the life of a Dispatcher.
+
+    Attributes:
+        last: The largest number that a command had been given.
+        incarnation: Which life it was.
+    """
+
+    last: int
+    incarnation: int
 
 
 class DispatcherClient(InterruptibleNode):
@@ -40,7 +59,56 @@ class DispatcherClient(InterruptibleNode):
         super().__init__(name)
         self._heard = clock.monotonic()
         self._incarnation = 0
+        self._list = self.create_client(ListCommands, LIST_SERVICE)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
+
+    def listed(self) -> ListCommands.Response:
+        """What the Dispatcher tells of its commands.
+
+        Raises:
+            LinkError: The dispatcher fell silent.
+            WaitTimeoutError: It does not answer.
+        """
+        answer: ListCommands.Response = self._asked(self._list, ListCommands.Request())
+        return answer
+
+    def moment(self) -> "Moment":
+        """What the Dispatcher had been given until now.
+
+        Raises:
+            LinkError: The dispatcher fell silent.
+            WaitTimeoutError: It does not answer.
+        """
+        return Moment(self.listed().last, self._incarnation)
+
+    def begun_since(self, before: "Moment", symbol: str) -> int:
+        """The number of a command whose dispatcher has died, or was silent, since it was asked for it.
+
+        Args:
+            before: When it was asked.
+            symbol: What for.
+
+        Raises:
+            StateError: No command was begun, or several were.
+            LinkError: The dispatcher fell silent.
+            WaitTimeoutError: It does not answer.
+        """
+        deadline = clock.monotonic() + BEGINS_S
+        while not (new := range(before.last + 1, self.listed().last + 1)):
+            if self._incarnation != before.incarnation or clock.monotonic() > deadline:
+                raise StateError(f"the dispatcher was away before it had written {symbol} down; run it again")
+            self.pause(1.0)
+        if len(new) > 1:
+            which = f"the dispatcher was away, and which of the commands {new[0]} to {new[-1]} is this {symbol}"
+            raise StateError(f"{which} is not known; im run lists those under way, and attaches to one by its number")
+        return new[0]
+
+    def _asked(self, client: Any, request: Any) -> Any:
+        self._until(lambda: self._dispatcher_there() and client.service_is_ready(), f"the service {client.srv_name}")
+        answer = self._answer(client.call_async(request), ANSWER_S)
+        if answer is None:
+            raise WaitTimeoutError(what=f"the answer of {client.srv_name}", seconds=ANSWER_S)
+        return answer
 
     def _dispatcher_there(self) -> bool:
         """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""

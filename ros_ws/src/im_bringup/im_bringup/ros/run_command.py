@@ -28,18 +28,17 @@ from im_bringup.ros.dispatcher import (
 )
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, USAGE, talk
 from im_core.arrivals import read_json
-from im_core.errors import ArgumentError, NotFoundError, StateError, StoreError, WaitTimeoutError, require_text
+from im_core.errors import ArgumentError, NotFoundError, StateError, StoreError, require_text
 from im_core.files import write_whole
 from im_core.names import run_dir
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
-from im_msgs.srv import ControlCommand, ListCommands
+from im_msgs.srv import ControlCommand
 
 LIST = "/dispatcher/commands"
 CONTROLS = ("cancel", "pause", "resume")
-ANSWER_S = 10.0
 MOST_NUMBER = 2**32 - 1
 
 
@@ -55,9 +54,9 @@ class CommandClient(DispatcherClient):
         self._progress = progress
         self._told: list[dict[str, Any]] | None = None
         self._number = 0
+        self._cancelling = False
         self._line = ""
         self._execute: ActionClient = GuardedActionClient(self, ExecuteCommand, ACTION)
-        self._list = self.create_client(ListCommands, "/dispatcher/list_commands")
         self._control = self.create_client(ControlCommand, "/dispatcher/control_command")
         self.create_subscription(String, LIST, self._learn, qos.LATCHED)
 
@@ -80,7 +79,7 @@ class CommandClient(DispatcherClient):
 
     def under_way(self) -> Sequence[CommandState]:
         """Returns the commands that have not ended."""
-        return list(self._asked(self._list, ListCommands.Request()).commands)
+        return list(self.listed().commands)
 
     def control(self, number: int, request: str) -> str:
         """Cancels, pauses or resumes a command; returns what was done.
@@ -99,15 +98,17 @@ class CommandClient(DispatcherClient):
         Raises:
             KeyboardInterrupt: It was interrupted for the second time, or before the command was written down.
             LinkError: The dispatcher fell silent.
+            StateError: It died before it had written the command down, or which one it is is not known.
         """
         self._number = int(goal.command_id)
+        before = None if self._number else self.moment()
         handle = self._sent(goal)
         while True:
             result = None if handle is None else self._ended(handle)
             if result is not None:
                 return result
-            if not self._number:
-                raise StateError("the dispatcher died before it had written the command down; run it again")
+            if before is not None and not self._number:
+                self._number = self.begun_since(before, goal.symbol)
             print(f"im run: the dispatcher died and is back; attaching to number {self._number}", file=sys.stderr)
             # in a new mission the number may be that of another command
             again = ExecuteCommand.Goal(attach=True, command_id=self._number, symbol=goal.symbol)
@@ -133,20 +134,18 @@ class CommandClient(DispatcherClient):
     def _ended(self, handle: Any) -> Any | None:
         future = handle.get_result_async()
         try:
+            if self._cancelling:  # a former life was asked to, and may have died with that
+                handle.cancel_goal_async()
             answer = self._answer(future)
         except KeyboardInterrupt:
+            if self._cancelling:
+                raise
             print("im run: cancelling the command; interrupt again to leave it alone", file=sys.stderr)
             self._interrupted.clear()
+            self._cancelling = True
             handle.cancel_goal_async()
             answer = self._answer(future)
         return None if answer is None else answer.result
-
-    def _asked(self, client: Any, request: Any) -> Any:
-        self._until(lambda: self._dispatcher_there() and client.service_is_ready(), f"the service {client.srv_name}")
-        answer = self._answer(client.call_async(request), ANSWER_S)
-        if answer is None:
-            raise WaitTimeoutError(what=f"the answer of {client.srv_name}", seconds=ANSWER_S)
-        return answer
 
     def _learn(self, message: String) -> None:
         self._told = read_json(dict[str, list[dict[str, Any]]], message.data, LIST)["commands"]

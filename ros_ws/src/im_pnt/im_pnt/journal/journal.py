@@ -219,6 +219,11 @@ class Journal:
             self._log.append(f"[{','.join(entries)}]")
             entries.clear()
 
+    @property
+    def unwritten(self) -> bool:
+        """Whether something has happened that is not on file."""
+        return bool(self._entries)
+
     def require_writable(self) -> None:
         """Writes what has happened, an empty batch if nothing has: who asks for something new hears of a full disk now.
 

@@ -11,7 +11,7 @@ from im_core.errors import ImError, StateError
 from im_core.names import results_dir, run_dir
 from im_core.open_commands import set_aside
 from im_core.ros import qos
-from im_core.ros.calls import LONGEST_S, run_in_thread
+from im_core.ros.calls import LONGEST_S, pause, run_in_thread
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
@@ -55,6 +55,8 @@ from im_pnt.verification import Verification, Verifier, accept
 __all__ = ["CommandOutcome", "OpenCommand", "PntNode", "ProgressListener"]
 
 TIDY_PERIOD_S = 2.0
+WRITTEN_S = 0.1
+"""How often it is looked whether a journal that could not be written is [s]."""
 
 
 class PntNode(ManagedNode):
@@ -443,8 +445,11 @@ class PntNode(ManagedNode):
         self._mission.publish()
 
     async def _written(self) -> None:
-        """Waits until the commands that are open are in the journal, and noted for whoever starts the machine again."""
+        """Waits until what was asked for is in the journal, and noted for whoever starts the machine again."""
         self._loop.turn()
+        while not self._may_turn() or (self._journal is not None and self._journal.unwritten):
+            await pause(self, WRITTEN_S)
+            self._loop.turn()
         await self._notes.written()
 
     def _commit(self) -> None:

@@ -91,6 +91,11 @@ class Commands:
         self._waiting: dict[int, list[Promise]] = {}
         self._listeners: dict[int, list[ProgressListener]] = {}
 
+    @property
+    def last(self) -> int:
+        """The largest number that a command was given, of all lives of the node; 0: none."""
+        return self._count
+
     def symbols(self) -> list[str]:
         """Returns the symbols that the nets read from their tapes."""
         return sorted({symbol for executor in self._nets.values() for symbol in executor.net.symbols()})

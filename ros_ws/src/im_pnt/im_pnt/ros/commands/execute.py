@@ -112,6 +112,7 @@ class ExecuteServer:
 
     def _list_open(self, _: ListCommands.Request, response: ListCommands.Response) -> ListCommands.Response:
         response.commands = [self._state(command) for command in self._commands.open()]
+        response.last = self._commands.last
         return response
 
     def _state(self, command: OpenCommand) -> CommandState:
@@ -128,7 +129,7 @@ class ExecuteServer:
             needs=list(needs),
         )
 
-    def _control_command(
+    async def _control_command(
         self, request: ControlCommand.Request, response: ControlCommand.Response
     ) -> ControlCommand.Response:
         try:
@@ -145,6 +146,7 @@ class ExecuteServer:
         except ImError as error:
             response.success, response.message = False, error.message
             return response
+        await self._written()  # it holds whoever dies now
         response.success = True
         response.message = f"{request.request} {command.job.command.symbol} (number {request.command_id})"
         return response
