@@ -3,6 +3,8 @@
 import io
 import json
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -177,6 +179,24 @@ def test_what_rclpy_prints_is_not_among_the_output_of_a_program(capfd, monkeypat
         print('{"success": true}')
         print("Warning, the number of poses is small.")
     assert capfd.readouterr().out == '{"success": true}\nWarning, the number of poses is small.\n'
+
+
+TALKS = """
+import os, sys
+from im_bringup.ros.interruptible import InterruptibleNode, spun
+print("before")
+with spun(lambda: InterruptibleNode("talker")):
+    os.write(1, b"RTPS_TRANSPORT_SHM Error\\n")
+    print("own")
+os.write(1, b"after\\n")
+"""
+
+
+def test_what_libraries_print_is_not_among_the_output_of_a_program():
+    """Fast DDS prints its errors on standard output: a report was no JSON any more."""
+    said = subprocess.run([sys.executable, "-c", TALKS], capture_output=True, text=True, check=True)
+    assert said.stdout == "before\nown\nafter\n"
+    assert "RTPS_TRANSPORT_SHM Error" in said.stderr
 
 
 def test_who_waits_for_a_service_ends_when_interrupted(ros):

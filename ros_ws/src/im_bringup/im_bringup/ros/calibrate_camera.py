@@ -110,14 +110,16 @@ def main() -> int:
         cameras = [require_text(name, "--cameras") for name in arguments.cameras]
     except ImError as error:
         parser.error(error.message)
-    progress = sys.stderr if arguments.json else sys.stdout
+
+    def make() -> CalibrateCameraClient:
+        return CalibrateCameraClient(sys.stderr if arguments.json else sys.stdout)
 
     def calibrate(client: CalibrateCameraClient) -> int:
         began = clock.monotonic()
         response = client.calibrate(cameras, poses)
         return show(response, arguments.json, clock.monotonic() - began)
 
-    return talk(lambda: CalibrateCameraClient(progress), calibrate, "calibrate_camera", GOES_ON)
+    return talk(make, calibrate, "calibrate_camera", GOES_ON)
 
 
 def show(response: Any, as_json: bool, seconds: float) -> int:

@@ -114,21 +114,40 @@ class OwnOutput:
 
 
 @contextlib.contextmanager
+def own_output() -> Iterator[None]:
+    """Within it standard output is the program's own: what libraries print there goes to standard error.
+
+    Fast DDS prints its errors, at any time and without being asked.
+    """
+    with contextlib.ExitStack() as stack:
+        out, number = sys.stdout, sys.__stdout__.fileno() if sys.__stdout__ is not None else -1
+        if out is sys.__stdout__:
+            out.flush()
+            out = stack.enter_context(os.fdopen(os.dup(number), "w", encoding=out.encoding, errors=out.errors))
+            stack.callback(os.dup2, out.fileno(), number)
+            stack.callback(out.flush)
+            os.dup2(2, number)
+        stack.enter_context(contextlib.redirect_stdout(cast(TextIO, OwnOutput(out))))
+        yield
+
+
+@contextlib.contextmanager
 def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
     """Within it ROS is there, and a node spins that SIGINT and SIGTERM interrupt.
 
     Args:
         make: Makes the node.
     """
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = make()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: node.interrupt())
-        with contextlib.redirect_stdout(cast(TextIO, OwnOutput(sys.stdout))), Spinner([node]):
-            yield node
-    finally:
-        rclpy.try_shutdown()
+    with own_output():
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            node = make()
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, lambda *_: node.interrupt())
+            with Spinner([node]):
+                yield node
+        finally:
+            rclpy.try_shutdown()
 
 
 def talk(make: Callable[[], NodeT], use: Callable[[NodeT], int], who: str, goes_on: str = "") -> int:

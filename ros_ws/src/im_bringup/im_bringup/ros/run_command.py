@@ -188,8 +188,11 @@ def main() -> int:
         parser.error(f"the command comes first: im run {options.name} ...; a number stands for one that was begun")
     if options.json and options.attach is None:
         parser.error("--json goes with --attach, or behind the name of a command")
-    progress = sys.stderr if "--json" in texts else sys.stdout
-    return talk(lambda: CommandClient(progress), lambda client: _do(client, options, texts[1:]), "im run", GOES_ON)
+
+    def client() -> CommandClient:
+        return CommandClient(sys.stderr if "--json" in texts else sys.stdout)
+
+    return talk(client, lambda client: _do(client, options, texts[1:]), "im run", GOES_ON)
 
 
 def _command_number(text: str) -> int:
