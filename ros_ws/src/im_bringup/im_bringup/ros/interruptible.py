@@ -120,13 +120,14 @@ def own_output() -> Iterator[None]:
     Fast DDS prints its errors, at any time and without being asked.
     """
     with contextlib.ExitStack() as stack:
-        out, number = sys.stdout, sys.__stdout__.fileno() if sys.__stdout__ is not None else -1
-        if out is sys.__stdout__:
+        out: TextIO = sys.stdout
+        if out is sys.__stdout__:  # and nobody has put something else in its place
             out.flush()
+            number = out.fileno()
             out = stack.enter_context(os.fdopen(os.dup(number), "w", encoding=out.encoding, errors=out.errors))
             stack.callback(os.dup2, out.fileno(), number)
             stack.callback(out.flush)
-            os.dup2(2, number)
+            os.dup2(sys.stderr.fileno(), number)
         stack.enter_context(contextlib.redirect_stdout(cast(TextIO, OwnOutput(out))))
         yield
 
