@@ -22,11 +22,13 @@ from im_core.ros.calls import call_blocking, pause
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
 from im_msgs.action import Move
+from im_pnt.errors import JournalError
 from im_pnt.execution.events import ModeSet
 from im_pnt.execution.functions import idempotent
 from im_pnt.execution.operator import Mode
 from im_pnt.journal.folder import Folder
 from im_pnt.journal.log import look
+from im_pnt.netfile import parse_net
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.cli.journal import described
@@ -375,3 +377,33 @@ def test_how_a_command_has_ended_is_known_after_the_death_of_its_node_and_in_the
     )
     assert anew.commands.write("say", {"text": "four"}) == 4
     anew.destroy_node()
+
+
+CRY = """
+net: cry
+places: {idle: {tokens: 1, resource: true}}
+transitions: {cry: {symbol: cry, in: idle, out: idle, emit: cry_done}}
+"""
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_net_that_cannot_be_written_down_does_not_come(tmp_path, ros, wait_until, monkeypatch, known):
+    """Its journal would be that of other nets, and nobody could come back from it."""
+    (tmp_path / "say.yaml").write_text(SAY)
+    node = ros(Server("say", tmp_path))
+    wait_until(lambda: node.ready, "the node")
+    before, refused = dict(node.exchange.nets), []
+
+    def full():
+        raise JournalError("the journal cannot be written: No space left on device", file="journal")
+
+    async def load():
+        try:
+            await node.load_net(parse_net(SAY if known else CRY), 30.0)
+        except JournalError as error:
+            refused.append(error.message)
+
+    monkeypatch.setattr(node._journal, "compact", full)
+    node.spawn(load())
+    wait_until(lambda: refused, "the refusal")
+    assert node.exchange.nets == before

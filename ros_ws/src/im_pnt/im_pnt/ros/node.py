@@ -19,6 +19,7 @@ from im_core.startup import nets_sentence
 from im_msgs.msg import ObjectChange
 from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.packets import began_at, new_epoch
+from im_pnt.errors import JournalError, NetError
 from im_pnt.execution.actions import Ask, FunctionRunner
 from im_pnt.execution.conflicts import StrategyBook
 from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
@@ -221,13 +222,25 @@ class PntNode(ManagedNode):
             VerificationError: The net may not run; carries the firing sequence that shows why.
             NetError: It names a function that is not registered, or does not fit to the present marking.
             StateError: The present net of that name does not come to rest; says what keeps it.
+            JournalError: The journal cannot be written; all is as it was.
         """
         await run_in_thread(self, self.functions.check, net)  # a user's module may take long to import
         report, state = await self.loader.prepare(net, patience_s, beside)
+        former = self.exchange.nets.get(net.name)
         self._take_in(self._library.kept(net), report, state)
         self._prepare_partners()
-        if self._journal is not None:
-            self._journal.compact()
+        try:
+            if self._journal is not None:
+                self._journal.compact()
+        except (JournalError, NetError):  # a journal of other nets would not be one to come back from
+            if former is None:
+                del self.exchange.nets[net.name]
+                self._publisher.withdrawn(net.name)
+            else:
+                self.exchange.nets[net.name] = former
+                self._publisher.described(former)
+                self._publisher.marked(former)
+            raise
         if self._execute is not None:
             self._execute.tell()
         await self.sources.look()
