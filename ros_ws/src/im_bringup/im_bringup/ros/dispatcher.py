@@ -23,8 +23,6 @@ DISCOVERY_S = 60.0
 SILENCE_S = 60.0
 ALONE_S = 6.0
 _POLL_S = 0.02
-#: Longest wait for the answer of a service that answers at once [s].
-ANSWER_S = 10.0
 #: How long a dispatcher that was silent and lives may take to begin what it was asked for [s].
 BEGINS_S = 20.0
 #: Time after which a goal that met the server of a former life is sent again [s].
@@ -36,7 +34,7 @@ GOES_ON = "; the machine goes on with the command"
 
 
 @dataclass(frozen=True)
-class Moment:
+class DispatcherMoment:
     """A moment in the life of a Dispatcher.
 
     Attributes:
@@ -63,25 +61,31 @@ class DispatcherClient(InterruptibleNode):
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
 
     def listed(self) -> ListCommands.Response:
-        """What the Dispatcher tells of its commands.
+        """What the Dispatcher tells of its commands; one that is back, and does not know us yet, is asked again.
 
         Raises:
             LinkError: The dispatcher fell silent.
             WaitTimeoutError: It does not answer.
         """
-        answer: ListCommands.Response = self._asked(self._list, ListCommands.Request())
-        return answer
+        deadline, answer = clock.monotonic() + SILENCE_S, None
+        while answer is None:
+            if clock.monotonic() > deadline:
+                raise WaitTimeoutError(what=f"an answer of {LIST_SERVICE}", seconds=SILENCE_S)
+            self._until(self._can_list, f"the service {LIST_SERVICE}")
+            answer = self._answer(self._list.call_async(ListCommands.Request()), ACCEPT_S)
+        told: ListCommands.Response = answer
+        return told
 
-    def moment(self) -> "Moment":
+    def moment(self) -> "DispatcherMoment":
         """What the Dispatcher had been given until now.
 
         Raises:
             LinkError: The dispatcher fell silent.
             WaitTimeoutError: It does not answer.
         """
-        return Moment(self.listed().last, self._incarnation)
+        return DispatcherMoment(self.listed().last, self._incarnation)
 
-    def begun_since(self, before: "Moment", symbol: str) -> int:
+    def begun_since(self, before: "DispatcherMoment", symbol: str) -> int:
         """The number of a command whose dispatcher has died, or was silent, since it was asked for it.
 
         Args:
@@ -103,12 +107,8 @@ class DispatcherClient(InterruptibleNode):
             raise StateError(f"{which} is not known; im run lists those under way, and attaches to one by its number")
         return new[0]
 
-    def _asked(self, client: Any, request: Any) -> Any:
-        self._until(lambda: self._dispatcher_there() and client.service_is_ready(), f"the service {client.srv_name}")
-        answer = self._answer(client.call_async(request), ANSWER_S)
-        if answer is None:
-            raise WaitTimeoutError(what=f"the answer of {client.srv_name}", seconds=ANSWER_S)
-        return answer
+    def _can_list(self) -> bool:
+        return self._dispatcher_there() and self._list.service_is_ready()
 
     def _dispatcher_there(self) -> bool:
         """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""

@@ -39,6 +39,7 @@ from im_msgs.srv import ControlCommand
 
 LIST = "/dispatcher/commands"
 CONTROLS = ("cancel", "pause", "resume")
+ANSWER_S = 10.0
 MOST_NUMBER = 2**32 - 1
 
 
@@ -146,6 +147,13 @@ class CommandClient(DispatcherClient):
             handle.cancel_goal_async()
             answer = self._answer(future)
         return None if answer is None else answer.result
+
+    def _asked(self, client: Any, request: Any) -> Any:
+        self._until(lambda: self._dispatcher_there() and client.service_is_ready(), f"the service {client.srv_name}")
+        answer = self._answer(client.call_async(request), ANSWER_S)
+        if answer is None:
+            raise WaitTimeoutError(what=f"the answer of {client.srv_name}", seconds=ANSWER_S)
+        return answer
 
     def _learn(self, message: String) -> None:
         self._told = read_json(dict[str, list[dict[str, Any]]], message.data, LIST)["commands"]
