@@ -22,7 +22,7 @@ from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.startup import STATUS_TOPIC
 from im_msgs.action import ExecuteCommand
-from im_msgs.msg import TaskStatus
+from im_msgs.msg import CommandState, TaskStatus
 from im_msgs.srv import CalibrateCamera, ListCommands
 
 RESULTS = {"message": "", "directory": "/results/1", "report": {"message": "fits"}}
@@ -35,7 +35,7 @@ class Stopped(GuardedNode):
         super().__init__("dispatcher")
         self.away = threading.Event()
         self.begun, self.attached, self.numbers = [], [], [3]  # of which the first was an older command
-        self.incarnation, self.takes, self.cancelled = 7, True, []
+        self.incarnation, self.takes, self.cancelled, self.open = 7, True, [], []
         self._status = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self.create_timer(0.1, self._beat)
         self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._lose)
@@ -56,6 +56,7 @@ class Stopped(GuardedNode):
 
     def _list(self, request, response):
         response.last = self.numbers[-1]
+        response.commands = [CommandState(command_id=number, symbol=symbol) for number, symbol in self.open]
         return response
 
     def _may_cancel(self, handle):
@@ -101,13 +102,14 @@ def test_the_answer_of_a_dispatcher_that_was_silent_is_sought_where_it_can_be_ha
 
 
 @pytest.mark.parametrize(
-    ("numbers", "why"),
+    ("opened", "why"),
     [
-        ([3], "the dispatcher was away before it had written calibrate_camera down; run it again"),
-        ([3, 4, 5], "which of the commands 4 to 5 is this calibrate_camera is not known"),
+        ([], "the dispatcher was away before it had written calibrate_camera down; run it again"),
+        ([(7, "home")], "the dispatcher was away before it had written calibrate_camera down; run it again"),
+        ([(7, "calibrate_camera"), (9, "calibrate_camera")], "which of the commands 7, 9 is this calibrate_camera is"),
     ],
 )
-def test_what_another_command_has_found_is_not_the_answer_to_this_one(ros, stopped, wait_until, numbers, why):
+def test_what_another_command_has_found_is_not_the_answer_to_this_one(ros, stopped, wait_until, opened, why):
     """The last calibration that has ended may be of another day."""
     client, said = ros(CalibrateCameraClient(None)), []
     stopped.takes = False
@@ -121,7 +123,7 @@ def test_what_another_command_has_found_is_not_the_answer_to_this_one(ros, stopp
     ended(calibrate)
     wait_until(lambda: client.count_services("/dispatcher/calibrate_camera") and client._incarnation, "the dispatcher")
     clock.sleep(1.0)
-    stopped.numbers, stopped.incarnation = numbers, 8
+    stopped.numbers, stopped.open, stopped.incarnation = [3, *(number for number, _ in opened)], opened, 8
     (message,) = wait_until(lambda: said, "the refusal")
     assert why in message
     assert not stopped.attached

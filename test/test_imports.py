@@ -161,6 +161,7 @@ OPEN_FILES = {
     "im_core/bag.py": "the reader of bags",
     "im_core/bag_files.py": "record by record, of limited size; the delivery of a topic, out of its own file",
     "im_bringup/bag/writer.py": "what it writes itself",
+    "im_bringup/ros/interruptible.py": "standard output of the program",
     "im_pnt/journal/ended.py": "what it writes itself",
     "im_bringup/tasks/upkeep.py": "logs of the machine's own processes",
     "im_core/process.py": "logs and standard input of children",

@@ -98,12 +98,12 @@ class DispatcherClient(InterruptibleNode):
             WaitTimeoutError: It does not answer.
         """
         deadline = clock.monotonic() + BEGINS_S
-        while not (new := range(before.last + 1, self.listed().last + 1)):
+        while not (new := _begun(self.listed(), before.last, symbol)):
             if self._incarnation != before.incarnation or clock.monotonic() > deadline:
                 raise StateError(f"the dispatcher was away before it had written {symbol} down; run it again")
             self.pause(1.0)
         if len(new) > 1:
-            which = f"the dispatcher was away, and which of the commands {new[0]} to {new[-1]} is this {symbol}"
+            which = f"the dispatcher was away, and which of the commands {', '.join(map(str, new))} is this {symbol}"
             raise StateError(f"{which} is not known; im run lists those under way, and attaches to one by its number")
         return new[0]
 
@@ -152,6 +152,14 @@ class DispatcherClient(InterruptibleNode):
     def _hear(self, message: TaskStatus) -> None:
         if message.name == "dispatcher":
             self._heard, self._incarnation = clock.monotonic(), message.incarnation
+
+
+def _begun(told: ListCommands.Response, last: int, symbol: str) -> list[int]:
+    """Numbers of the commands of a symbol after a number: of those that have ended the last one, whatever it is."""
+    new = {command.command_id: command.symbol for command in told.commands if command.command_id > last}
+    if told.last > last:
+        new.setdefault(told.last, symbol)
+    return [number for number, name in new.items() if name == symbol]
 
 
 def _starting(record: MachineRecord | None) -> bool:

@@ -28,7 +28,7 @@ from im_bringup.ros.dispatcher import (
 )
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, USAGE, talk
 from im_core.arrivals import read_json
-from im_core.errors import ArgumentError, NotFoundError, StateError, StoreError, require_text
+from im_core.errors import ArgumentError, NotFoundError, StateError, StoreError, WaitTimeoutError, require_text
 from im_core.files import write_whole
 from im_core.names import run_dir
 from im_core.ros import qos

@@ -93,8 +93,8 @@ class Commands:
 
     @property
     def last(self) -> int:
-        """The largest number that a command was given, of all lives of the node; 0: none."""
-        return self._count
+        """The largest number of a command that has ended or has not, of all lives of the node; 0: there was none."""
+        return max(self.ended.largest(), *self._open, 0)
 
     def symbols(self) -> list[str]:
         """Returns the symbols that the nets read from their tapes."""
