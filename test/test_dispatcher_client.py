@@ -111,20 +111,19 @@ def test_the_answer_of_a_dispatcher_that_was_silent_is_sought_where_it_can_be_ha
 )
 def test_what_another_command_has_found_is_not_the_answer_to_this_one(ros, stopped, wait_until, opened, why):
     """The last calibration that has ended may be of another day."""
-    client, said = ros(CalibrateCameraClient(None)), []
+    client = ros(CalibrateCameraClient(None))
     stopped.takes = False
 
     def calibrate():
         with pytest.raises(StateError) as refused:
             client.calibrate([], "")
-        said.append(refused.value.message)
         return refused.value.message
 
-    ended(calibrate)
+    done = ended(calibrate)
     wait_until(lambda: client.count_services("/dispatcher/calibrate_camera") and client._incarnation, "the dispatcher")
     clock.sleep(1.0)
     stopped.numbers, stopped.open, stopped.incarnation = [3, *(number for number, _ in opened)], opened, 8
-    (message,) = wait_until(lambda: said, "the refusal")
+    (message,) = wait_until(lambda: done, "the refusal")
     assert why in message
     assert not stopped.attached
 

@@ -15,7 +15,6 @@ from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
 from im_core import clock, open_commands
-from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.guard import GuardedActionClient
@@ -32,6 +31,7 @@ from im_pnt.ros.execution.goals import GoalActions
 from im_pnt.ros.messages import RosTypes
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from support.loop import in_loop
 
 NET = """
 net: worker
@@ -251,19 +251,7 @@ def test_a_net_that_was_loaded_again_sends_goals_of_its_own(machine):
     before = hardware.followed
     for _ in range(2):
         assert run(node, "follow").success
-        done, failed = threading.Event(), []
-
-        async def load(done=done, failed=failed):
-            try:
-                await node.load_net(parse_net(NET))
-            except ImError as error:
-                failed.append(error)
-            done.set()
-
-        node.executor.create_task(load())
-        node.wake()
-        assert done.wait(60.0)
-        assert not failed
+        assert in_loop(node, node.load_net, parse_net(NET)) is not None, "it was refused"
     assert run(node, "follow").success
     assert hardware.followed == before + 3
 

@@ -76,7 +76,7 @@ class DispatcherClient(InterruptibleNode):
         told: ListCommands.Response = answer
         return told
 
-    def moment(self) -> "DispatcherMoment":
+    def moment(self) -> DispatcherMoment:
         """What the Dispatcher had been given until now.
 
         Raises:
@@ -85,7 +85,7 @@ class DispatcherClient(InterruptibleNode):
         """
         return DispatcherMoment(self.listed().last, self._incarnation)
 
-    def begun_since(self, before: "DispatcherMoment", symbol: str) -> int:
+    def begun_since(self, before: DispatcherMoment, symbol: str) -> int:
         """The number of a command whose dispatcher has died, or was silent, since it was asked for it.
 
         Args:

@@ -197,10 +197,10 @@ def main() -> int:
     if options.json and options.attach is None:
         parser.error("--json goes with --attach, or behind the name of a command")
 
-    def client() -> CommandClient:
+    def make() -> CommandClient:
         return CommandClient(sys.stderr if "--json" in texts else sys.stdout)
 
-    return talk(client, lambda client: _do(client, options, texts[1:]), "im run", GOES_ON)
+    return talk(make, lambda client: _do(client, options, texts[1:]), "im run", GOES_ON)
 
 
 def _command_number(text: str) -> int:

@@ -173,12 +173,11 @@ class Executor:
         return self.rule.record
 
     def count_on(self, former: "Executor") -> None:
-        """Goes on with the numbers of the net whose place it takes: none of its actions and jobs has that of another.
+        """Goes on, before it does anything, with the numbers of the net whose place it takes: none is given twice.
 
-        Others know actions by their numbers: a server would take the goal of one for that of the other.
+        Others know actions and jobs by their numbers: a server would take the goal of one for that of the other.
         """
-        self.rule.notifier.sequence = max(self.sequence, former.sequence)
-        self.rule.ledger.count = max(self.rule.ledger.count, former.rule.ledger.count)
+        self.rule.notifier.sequence, self.rule.ledger.count = former.sequence, former.rule.ledger.count
 
     # From any thread.
 

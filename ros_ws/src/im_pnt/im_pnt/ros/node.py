@@ -459,10 +459,11 @@ class PntNode(ManagedNode):
 
     async def _written(self) -> None:
         """Waits until what was asked for is in the journal, and noted for whoever starts the machine again."""
-        self._loop.turn()
-        while not self._may_turn() or (self._journal is not None and self._journal.unwritten):
+        while not self._may_turn():
             await pause(self, WRITTEN_S)
-            self._loop.turn()
+        self._loop.turn()
+        while self._journal is not None and self._journal.unwritten:  # the loop tries again
+            await pause(self, WRITTEN_S)
         await self._notes.written()
 
     def _commit(self) -> None:
