@@ -3,6 +3,7 @@
 import asyncio
 
 import pytest
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_coordinators.ros import establishment
 from im_coordinators.ros.establishment import Establishment
@@ -49,7 +50,7 @@ class Command:
     """The context of an action of a command."""
 
     def __init__(self, **arguments):
-        self.request_arguments = arguments
+        self.request_arguments, self.memory = arguments, {}
 
     def object(self, name):
         return f"1/{name}"
@@ -89,6 +90,20 @@ def test_what_was_reserved_in_a_life_that_was_not_heard_of_yet_is_established_wh
         await actions["while_reserved"](command)
 
     asyncio.run(mission())
+
+
+def test_a_move_in_doubt_is_planned_to_where_it_was_to_lead_and_not_as_far_again_from_where_the_arm_is():
+    """A coordinator that was away for longer than /mcs keeps results cannot know that the arm is there already."""
+    host = Coordinator(1)
+    made = motion_functions(host).actions
+    asked = {"group": "left", "destination": "", "position": [0.0, 0.0, 0.1], "orientation": [], "frame": "tool"}
+    command = Command(**asked, joints=[], path="", near="here")
+    host.dom[command.object("path/left")] = JointTrajectory(points=[JointTrajectoryPoint(positions=[0.5, 1.5])])
+
+    assert made["destination_asked"](command)["frame"] == "tool"
+    asyncio.run(made["path_to_follow"](command))
+    again = made["destination_asked"](command)
+    assert again == {"group": "left", "near": "here", "leaves": "path/left", "joints": [0.5, 1.5]}
 
 
 @pytest.mark.parametrize(

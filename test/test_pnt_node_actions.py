@@ -21,7 +21,7 @@ from im_core.ros.guard import GuardedActionClient
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_msgs.action import ExecuteCommand, Move
-from im_msgs.msg import Firing, ObjectChange, Status
+from im_msgs.msg import Firing, ObjectChange, Status, TaskStatus
 from im_msgs.srv import ControlCommand, GetObject, ListCommands
 from im_pnt.errors import NetFileError
 from im_pnt.expression.scope import check_net
@@ -256,6 +256,33 @@ def test_a_net_that_was_loaded_again_sends_goals_of_its_own(machine):
     assert hardware.followed == before + 3
 
 
+def test_a_server_whose_task_starts_is_asked_when_it_has_come_to_the_end_of_that(machine, wait_until):
+    """What it serves is there before: it would refuse what it cannot do yet."""
+    node, hardware, noted, _ = machine
+    wait_until(lambda: node.heartbeats.incarnation("hardware") == hardware.incarnation, "a heartbeat")
+    noted.clear()
+    hardware._set_phase(TaskStatus.CONFIGURED, "")
+    wait_until(lambda: node.heartbeats.starting("hardware"), "the phase")
+    _, outcomes = begin(node, "switch", on=True)
+    clock.sleep(1.0)
+    assert (noted, outcomes) == ([], [])
+    hardware._set_phase(TaskStatus.READY, "")
+    wait_until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].success
+    assert noted == ["on"]
+
+
+def test_who_does_not_come_to_the_end_of_its_start_is_named(machine, monkeypatch, wait_until):
+    node, hardware, _, _ = machine
+    monkeypatch.setattr("im_pnt.ros.execution.actions.patience_s", lambda: 1.0)
+    hardware._set_phase(TaskStatus.LOADED, "")
+    wait_until(lambda: node.heartbeats.starting("hardware"), "the phase")
+    message = run(node, "switch", on=True).status.message
+    hardware._set_phase(TaskStatus.READY, "")
+    assert message.endswith("is not there: hardware has not come to the end of its start")
+    wait_until(lambda: not node.heartbeats.starting("hardware"), "the phase")
+
+
 def test_a_service_that_answers_a_little_late_has_answered(machine):
     assert run(machine[0], "slow", very=False).success
 
@@ -394,12 +421,12 @@ def test_a_result_is_judged_by_the_error_code_that_its_type_names(machine):
     assert outcome.status.message.endswith("PATH_TOLERANCE_VIOLATED (-4): left_j3 was 0.2 rad behind")
 
 
-def begin(node, symbol):
+def begin(node, symbol, **arguments):
     """A command that has begun: the node knows its number, and its action runs."""
     numbers, outcomes = [], []
 
     async def work():
-        outcomes.append(await node.command(symbol, started=numbers.append))
+        outcomes.append(await node.command(symbol, arguments, started=numbers.append))
 
     node.spawn(work())
     deadline = clock.monotonic() + 60.0

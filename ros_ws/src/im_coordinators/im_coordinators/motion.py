@@ -1,6 +1,6 @@
 """What the Motion Coordinator decides: what an arm is to do, in what state it is, and whether a position counts."""
 
-from collections.abc import Iterable, Mapping, MutableMapping
+from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 from typing import Protocol
 
 from im_core.errors import DataError, StateError
@@ -69,6 +69,34 @@ def take_path(memory: MutableMapping[str, object]) -> None:
         memory: Of the request.
     """
     memory["path_taken"] = True
+
+
+def depends_on_here(arguments: Mapping[str, object]) -> bool:
+    """Whether where a move is to lead depends on where the tool is when it is planned.
+
+    Args:
+        arguments: Of the request.
+    """
+    return bool(arguments["position"]) and (arguments["frame"] == "tool" or not arguments["orientation"])
+
+
+def note_end(memory: MutableMapping[str, object], positions: Sequence[float]) -> None:
+    """Keeps where a path leads that is about to be followed.
+
+    Args:
+        memory: Of the request.
+        positions: Joint positions at its end, shape (n,) [rad, m].
+    """
+    memory["leads_to"] = [float(position) for position in positions]
+
+
+def end_noted(memory: Mapping[str, object]) -> object:
+    """Returns where the path led that was followed for a request, None where none was or it need not be known.
+
+    Args:
+        memory: Of the request; of a move in doubt nobody knows how far its arm has gone: it may be there already.
+    """
+    return memory.get("leads_to")
 
 
 def require_rest(group: str, at_rest: bool, reason: str = "") -> None:

@@ -4,7 +4,15 @@ from dataclasses import dataclass
 
 import pytest
 
-from im_coordinators.motion import DESTINATIONS, planned_beforehand, require_rest, state_for, take_path, way_asked
+from im_coordinators.motion import (
+    DESTINATIONS,
+    depends_on_here,
+    planned_beforehand,
+    require_rest,
+    state_for,
+    take_path,
+    way_asked,
+)
 from im_core.errors import DataError, StateError
 
 NOTHING = {"destination": "", "position": [], "joints": [], "path": ""}
@@ -33,6 +41,20 @@ def test_a_path_that_was_planned_beforehand_is_taken_once() -> None:
     assert planned_beforehand({"planned": True}, memory)
     take_path(memory)
     assert not planned_beforehand({"planned": True}, memory)
+
+
+@pytest.mark.parametrize(
+    ("asked", "depends"),
+    [
+        ({"joints": [0.0]}, False),
+        ({"destination": "goal"}, False),
+        ({"position": [0, 0, 1], "orientation": [0, 0, 0]}, False),
+        ({"position": [0, 0, 1]}, True),  # as the tool is turned now
+        ({"position": [0, 0, 1], "orientation": [0, 0, 0], "frame": "tool"}, True),
+    ],
+)
+def test_some_moves_lead_to_where_depends_on_where_the_tool_is(asked: dict[str, object], depends: bool) -> None:
+    assert depends_on_here({**NOTHING, "orientation": [], "frame": "world", **asked}) is depends
 
 
 def test_a_position_measured_in_motion_is_refused() -> None:

@@ -118,6 +118,18 @@ def test_no_answer_in_time_is_no_answer():
     assert "no answer came in 30 s" in process.recorder.firings[-1].message
 
 
+def test_an_answer_that_came_while_the_loop_stood_still_counts_though_its_time_is_over():
+    process = timed("timeout: 1")
+    process.pump()
+    executor, asked = process.exchange.nets["n"], []
+    executor._loop.actions.ask = lambda activity, answered: asked.append(answered)
+    process.wait(1.1)
+    process.clock.time += 60.0
+    asked[-1](Answer(Outcome.DONE))
+    executor.pump()
+    assert process.marking("n") == {"b": 1}
+
+
 def test_there_is_nothing_to_ask_about_without_an_action():
     with pytest.raises(NetError, match=r"no action function 'go' to ask about \(did you mean 'goo'"):
         Functions({"goo": hold}, asks={"go": lambda ctx: Answer(Outcome.DONE)})

@@ -208,6 +208,34 @@ def test_what_a_builder_leaves_in_memory_is_on_file_with_its_request(fits):
     assert net_state(again) == net_state(process.exchange.nets["n"])
 
 
+NEXT = parse_net("""
+net: n
+places: {a: 1, b: , lost: }
+transitions: {t: {in: a, out: b, action: f, on_failure: lost}}
+""")
+
+
+def test_what_was_brought_back_is_asked_about_when_its_node_fires_and_not_while_it_is_configured():
+    """Until then those who are asked, and what an action that is done again needs, may not be there."""
+    before = Process([NEXT], {"f": hold})
+    before.pump()
+    asked = []
+
+    def ask(_):
+        asked.append("f")
+        return Answer(Outcome.DONE)
+
+    back = Process([NEXT], {"f": hold}, clock=Clock(), asks={"f": ask})
+    executor = back.exchange.nets["n"]
+    restore_net(executor, net_state(before.exchange.nets["n"]))
+    executor.resume()
+    assert back.marking("n") == {"t.in_doubt": 1}
+    assert not asked
+    assert executor.next_wakeup() is not None
+    back.pump()
+    assert (asked, back.marking("n")) == (["f"], {"b": 1})
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.sampled_from(STEPS), max_size=25))
 def test_what_was_brought_back_is_asked_about_and_goes_on(steps):

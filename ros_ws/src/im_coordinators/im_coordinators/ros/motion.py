@@ -8,6 +8,9 @@ from im_coordinators.motion import (
     DESTINATIONS,
     HOLDING_STATES,
     POWERED_STATES,
+    depends_on_here,
+    end_noted,
+    note_end,
     planned_beforehand,
     require_rest,
     state_for,
@@ -106,7 +109,10 @@ class MotionFunctions:
     async def path_to_follow(self, ctx: ActionContext) -> dict[str, object]:
         """The goal of a move: the path of the command, of an arm that has not lost its power since."""
         await self._powered.require(ctx, _group(ctx))
-        return {"path": await self._host.dom.get(ctx.object(_path(ctx)), JointTrajectory)}
+        path = await self._host.dom.get(ctx.object(_path(ctx)), JointTrajectory)
+        if depends_on_here(ctx.request_arguments) and path.points:
+            note_end(ctx.memory, path.points[-1].positions)
+        return {"path": path}
 
     async def store_position(self, ctx: ActionContext, answer: GetGroupState.Response) -> None:
         """Stores the position that MCS measured at rest, where the command has brought the arm."""
@@ -123,11 +129,13 @@ class MotionFunctions:
 
 
 def destination_asked(ctx: ActionContext) -> dict[str, object]:
-    """Where the arm is to move: whatever way the request says it."""
+    """Where the arm is to move: whatever way the request says it; once it was under way, to where that way led."""
     asked = ctx.request_arguments
     way = way_asked(asked, (*DESTINATIONS, "path"), "move_robot")
-    details = {name: asked[name] for name in DETAILS}
-    return {"group": asked["group"], way: asked[way], "near": asked["near"], "leaves": _path(ctx), **details}
+    here = {"group": asked["group"], "near": asked["near"], "leaves": _path(ctx)}
+    if (end := end_noted(ctx.memory)) is not None:
+        return {**here, "joints": end}
+    return {**here, way: asked[way], **{name: asked[name] for name in DETAILS}}
 
 
 def path_asked(ctx: ActionContext) -> dict[str, object]:

@@ -24,18 +24,22 @@ LEASE_S = 20.0
 #: Tasks that are followed; a machine has a dozen.
 MOST_TASKS = 1000
 
+_STARTING = (TaskStatus.LOADED, TaskStatus.CONFIGURED)
+
 
 @dataclass(frozen=True)
 class Heartbeat:
     """Last sign of life of a task: its incarnation, when that was heard first, and when it was heard last [s].
 
-    ``pid`` is its process where that is one of this host, else 0.
+    ``pid`` is its process where that is one of this host, else 0; ``starting``: it has not passed all phases of its
+    start yet.
     """
 
     incarnation: int
     since: float
     heard: float
     pid: int
+    starting: bool
 
 
 @dataclass(eq=False)
@@ -84,6 +88,11 @@ class Heartbeats:
         """When the present incarnation of a task was heard first (monotonic) [s], None if it was never heard."""
         last = self._last.get(task)
         return last.since if last else None
+
+    def starting(self, task: str) -> bool:
+        """Whether a task was heard last while it started: what it serves is there, and it cannot do it yet."""
+        last = self._last.get(task)
+        return last is not None and last.starting
 
     def missing(self, task: str, since: int | None = None) -> str:
         """Why a task cannot answer, or an empty string.
@@ -168,7 +177,7 @@ class Heartbeats:
     def _hear(self, message: TaskStatus) -> None:
         known, now = self._last.get(message.name), clock.monotonic()
         if known is not None and known.incarnation == message.incarnation:
-            self._last[message.name] = replace(known, heard=now)
+            self._last[message.name] = replace(known, heard=now, starting=message.phase in _STARTING)
             return
         if known is None and len(self._last) >= MOST_TASKS:
             self._last = {name: last for name, last in self._last.items() if now - last.heard <= SILENCE_S}
@@ -176,7 +185,8 @@ class Heartbeats:
             if len(self._last) >= MOST_TASKS:
                 raise DataError(f"task {message.name[:100]} is not followed: {MOST_TASKS} others are")
         pid = message.pid if message.host == self._host else 0
-        self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now, pid=pid)
+        starting = message.phase in _STARTING
+        self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now, pid=pid, starting=starting)
         if known is not None:
             self._tell(message.name)
             for returned in self._returned.get(message.name, ()):

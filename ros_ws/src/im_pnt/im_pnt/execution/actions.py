@@ -215,14 +215,14 @@ class Actions:
         at_once = False
 
     def resume(self) -> None:
-        """Goes on with the actions that ran when the process died."""
+        """Goes on with the actions that ran when the process died; others are reached once the node fires."""
         why = ImError("the process that ran it has died and come back", code="restarted")
         for activity in list(self._rule.activities.values()):
             index = self._rule.number[f"{activity.transition}.start"]
             if activity.reply is not None:
                 self.finish(activity, *activity.reply)
             elif isinstance(activity.action, AwaitAction) and activity.state is not ActivityState.IN_DOUBT:
-                self.begin(index, activity)  # it has no effect, and is awaited again
+                self._begin_soon(index, activity)  # it has no effect, and is awaited again
             elif not isinstance(activity.action, RequestAction) or activity.state is ActivityState.IN_DOUBT:
                 self.inquiry.doubt(activity, why)
             elif self._runner.waits(activity):
@@ -230,7 +230,10 @@ class Actions:
                 activity.deadline = None if timeout is None else self._clock() + timeout
                 self.inquiry.watch(activity)
             else:
-                self.begin(index, activity)
+                self._begin_soon(index, activity)
+
+    def _begin_soon(self, index: int, activity: Activity) -> None:
+        activity.timer = self._timers.at(self._clock(), lambda: self.begin(index, activity))
 
     def _learn(self, activity: Activity, success: bool) -> None:
         strategy = self._rule.transitions[self._rule.number[f"{activity.transition}.start"]].strategy

@@ -55,12 +55,13 @@ class Inquiry:
             activity.timer = self._timers.at(activity.deadline, lambda: self._strike(activity))
 
     def doubt(self, activity: Activity, why: ImError) -> None:
-        """Brings an action in doubt, and asks about it."""
+        """Brings an action in doubt, and asks about it as soon as time may strike: once its node fires."""
         if not self._runs(activity):
             return
         if activity.state is not ActivityState.IN_DOUBT:
             self._rule.move(activity, ActivityState.IN_DOUBT, why)
-        self._ask(activity)
+        self._timers.cancel(activity.timer)
+        activity.timer = self._timers.at(self._clock(), lambda: self._ask(activity))
 
     def take_answer(self, activity: Activity, answer: Answer) -> None:
         """Takes an answer; one that comes when the action has ended, or was answered before, changes nothing."""

@@ -145,6 +145,8 @@ class EventLoop:
         self._pumping = True
         self.rule.notifier.begin()
         try:
+            while self._inbox:  # an answer that has come counts before the time that was left for it
+                self._take_event()
             if self._timers.next() is not None:
                 self._strike()
             return self._pump(limit)

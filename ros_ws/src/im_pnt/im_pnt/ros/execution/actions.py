@@ -15,6 +15,7 @@ from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.interfaces import interface_class
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import status_to_error
+from im_core.startup import patience_s
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
@@ -112,6 +113,8 @@ class Surroundings:
     async def until_ready(self, ready: Callable[[], bool], made: float, task: str | None, what: str) -> None:
         """Waits for a server to be discovered, and to have discovered us: what is sent before may be lost.
 
+        One whose task starts, and could not do yet what it is asked for, is waited for as long as a start may take.
+
         Args:
             ready: Whether the server is discovered.
             made: When the client was made (monotonic) [s].
@@ -121,11 +124,14 @@ class Surroundings:
         Raises:
             StateError: It is not there.
         """
-        deadline = monotonic() + DISCOVERY_TIMEOUT_S
         since = self.heartbeats.incarnation(task) if task else None
-        while not ready():
-            missing = self.heartbeats.missing(task, since) if task else ""
-            if missing or monotonic() > deadline:
+        discovery, latest = monotonic() + DISCOVERY_TIMEOUT_S, monotonic() + patience_s()
+        while (starting := task is not None and self.heartbeats.starting(task)) or not ready():
+            if starting:
+                discovery, missing = latest, f"{task} has not come to the end of its start"
+            else:
+                missing = self.heartbeats.missing(task, since) if task else ""
+            if (missing and not starting) or monotonic() > discovery:
                 raise StateError(f"{what} is not there" + (f": {missing}" if missing else ""))
             await pause(self.node, 0.05)
         heard = self.heartbeats.heard_since(task) if task else None
