@@ -407,3 +407,24 @@ def test_a_net_that_cannot_be_written_down_does_not_come(tmp_path, ros, wait_unt
     node.spawn(load())
     wait_until(lambda: refused, "the refusal")
     assert node.exchange.nets == before
+
+
+def test_a_net_whose_going_cannot_be_written_down_stays(tmp_path, ros, wait_until, monkeypatch):
+    (tmp_path / "say.yaml").write_text(SAY)
+    node = ros(Server("say", tmp_path))
+    wait_until(lambda: node.ready, "the node")
+    before, refused = list(node.exchange.nets.items()), []
+
+    def full():
+        raise JournalError("the journal cannot be written: No space left on device", file="journal")
+
+    async def unload():
+        try:
+            await node.unload_net("say", 30.0)
+        except JournalError as error:
+            refused.append(error.message)
+
+    monkeypatch.setattr(node._journal, "compact", full)
+    node.spawn(unload())
+    wait_until(lambda: refused, "the refusal")
+    assert list(node.exchange.nets.items()) == before

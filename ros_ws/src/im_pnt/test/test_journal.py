@@ -9,8 +9,10 @@ import pytest
 from im_core import clock
 from im_core.errors import ImError, LinkError
 from im_pnt.errors import JournalError
+from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.events import CommandCancelled, TokenArrived
-from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Command, CommandResult
 from im_pnt.execution.notification import Observer
 from im_pnt.journal import journal
@@ -475,6 +477,29 @@ def test_who_asks_for_something_new_hears_of_a_full_disk_at_once():
     process.exchange.nets["n"].command(Command(1, "go"))
     process.turn()
     assert JournalledProcess("x", [net], files.reborn()).exchange.nets["n"].marking() == {"b": 1}
+
+
+def test_the_file_of_a_net_that_was_succeeded_takes_nothing_more():
+    """What happens in the new net does not fit the old one: who came back from both would not come back."""
+    net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b, symbol: go}}")
+    other = parse_net("net: n\nplaces: {a: 1, c: }\ntransitions: {u: {in: a, out: c, symbol: go}}")
+    files = MemoryFiles()
+    process = JournalledProcess("x", [net], files)
+    files.full = True
+    functions = Functions()
+    runner = process.journal.guard(FunctionRunner(functions, process.exchange, lambda work: work.close()))
+    new = Executor(other, functions, runner, process.exchange, record=process.journal.recorder("n"))
+    process.exchange.succeed(new)
+    with pytest.raises(JournalError, match="No space left"):
+        process.journal.renew()
+    assert process.journal.unwritten
+    new.command(Command(1, "go"))
+    with pytest.raises(JournalError, match="No space left"):
+        process.turn()
+    assert JournalledProcess("x", [net], files.reborn()).exchange.nets["n"].marking() == {"a": 1}
+    files.full = False
+    process.turn()
+    assert JournalledProcess("x", [other], files.reborn()).exchange.nets["n"].marking() == {"c": 1}
 
 
 def test_a_snapshot_that_finds_no_room_leaves_the_old_file_and_keeps_nobody_from_going_on():

@@ -19,8 +19,9 @@ MOST_WAITING = 1000
 #: How much is done together at most.
 MOST_TOGETHER = 200
 
-#: Who was answered together asks again at about the same time. So much longer is waited for each of them [s], the first
-#: of which would else have the disk for itself while the others wait for it; and how seldom is looked [s].
+#: Who was answered together asks again at about the same time, the first of which would else have the disk for itself
+#: while the others wait for it. Half of those who ask at once are waited for, so long for each [s]: while these are
+#: served, the others take their answers and ask again; and how seldom is looked [s].
 GATHER_S = 0.0002
 LOOK_S = 0.0005
 #: And as long as it took before, where a computer or a disk is busy, but at most so long [s].
@@ -111,12 +112,12 @@ class Worker:
                     ended.set_exception(found)
                 else:
                     ended.set_result(found)
-            several = max(len(asked), several // 2)
+            several = max((len(asked) + self._work.qsize() + 1) // 2, several // 2)
             if last:
                 return
 
     def _gather(self, several: int, took_s: float) -> None:
-        """Waits until as many have asked as were answered together before, but not much longer than that took [s]."""
+        """Waits until so many have asked, but not much longer than it took to serve those before [s]."""
         deadline = clock.monotonic() + several * GATHER_S + min(took_s, MOST_GATHER_S)
         while (missing := several - 1 - self._work.qsize()) > 0 and clock.monotonic() < deadline:
             clock.sleep(max(LOOK_S, missing * GATHER_S / 2))

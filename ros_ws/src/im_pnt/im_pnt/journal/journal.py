@@ -80,6 +80,7 @@ class Journal:
         self._exchange: Exchange | None = None
         self._link: Link | None = None
         self._entries: list[str] = []
+        self._outdated = False
         self._described: dict[str, tuple[Net, dict[str, str]]] = {}
         self._compact_at = self._compact_soon = compact_bytes
         self._compacted_at = clock.monotonic()
@@ -143,7 +144,7 @@ class Journal:
             self.epoch = link.epoch
         exchange.inboxes.record = self._record_exchange
         link.record = self._record_link
-        link.held = lambda: bool(self._entries)
+        link.held = lambda: self.unwritten
         if recovered is not None:
             link.come_back()
         if recovered is not None:
@@ -215,14 +216,16 @@ class Journal:
             JournalError: It cannot be written; nothing may leave now, and it may be tried again.
         """
         entries = self._entries
-        if entries:
+        if self._outdated:
+            self.compact()
+        elif entries:
             self._log.append(f"[{','.join(entries)}]")
             entries.clear()
 
     @property
     def unwritten(self) -> bool:
         """Whether something has happened that is not on file."""
-        return bool(self._entries)
+        return bool(self._entries) or self._outdated
 
     def require_writable(self) -> None:
         """Writes what has happened, an empty batch if nothing has: who asks for something new hears of a full disk now.
@@ -230,7 +233,7 @@ class Journal:
         Raises:
             JournalError: As :meth:`write`.
         """
-        if self._entries:
+        if self.unwritten:
             self.write()
         else:
             self._log.append("[]")
@@ -254,8 +257,18 @@ class Journal:
                 self._compact_at = self._compact_soon = 2 * size
                 self._observer.troubled("", f"the journal is not compacted now: {error}")
 
+    def renew(self) -> None:
+        """Begins a new file for a net that has taken the place of one that goes on; nothing is written to the old one.
+
+        Raises:
+            JournalError: As :meth:`compact`; it is tried again with the next write.
+            NetError: Likewise.
+        """
+        self._outdated = True
+        self.compact()
+
     def compact(self) -> None:
-        """Begins a new file with a snapshot; also to be called when a net was added or replaced.
+        """Begins a new file with a snapshot; also to be called when a net was added or has gone.
 
         Raises:
             JournalError: It cannot be written; the old file is still in use.
@@ -267,6 +280,7 @@ class Journal:
         state = {"nets": nets, "exchange": exchange_state(self._exchange), "link": link_state(self._link)}
         self._log.replace(self._header(), state)
         self._entries.clear()  # the snapshot has all that has happened
+        self._outdated = False
         self._compact_at = max(self._compact_bytes, 4 * self._log.size)
         self._compact_soon = max(min(COMPACT_SOON_BYTES, self._compact_bytes), 4 * self._log.size)
         self._compacted_at = clock.monotonic()

@@ -256,12 +256,20 @@ class PntNode(ManagedNode):
         Raises:
             NotFoundError: There is none of that name.
             StateError: Another net of this node asks it, or it does not come to rest; says what keeps it.
+            JournalError: The journal cannot be written; all is as it was.
         """
         await self.loader.until_it_may_go(name, patience_s)
-        del self.exchange.nets[name]
-        self._publisher.withdrawn(name)
+        nets = self.exchange.nets
+        before = dict(nets)
+        del nets[name]
         if self._journal is not None:
-            self._journal.compact()
+            try:
+                self._journal.compact()
+            except (JournalError, NetError):
+                nets.clear()
+                nets.update(before)  # in the order in which they were
+                raise
+        self._publisher.withdrawn(name)
         if self._execute is not None:
             self._execute.tell()
 
@@ -338,6 +346,8 @@ class PntNode(ManagedNode):
 
         Raises:
             StateError: Something is under way in the present net that the new one does not have.
+            JournalError: The journal cannot be written. It has taken the place all the same, and nothing leaves until
+                that can be written.
         """
         present = self.exchange.nets[net.name]
         while present.pump():
@@ -347,10 +357,10 @@ class PntNode(ManagedNode):
         self._prepare_partners()
         self.exchange.nets[net.name].resume()
         self.commands.take_up()
-        if self._journal is not None:
-            self._journal.compact()
         if self._execute is not None:
             self._execute.tell()
+        if self._journal is not None:
+            self._journal.renew()
 
     def _prepare_partners(self) -> None:
         """Makes ready to write to the nets of other nodes that those of this node talk to."""
