@@ -12,7 +12,7 @@ from im_core.errors import DataError, ImError, LinkError, StateError
 from im_dispatcher.commands.calibrate_camera import BEGUN_ANEW, COMMAND, MOST_TAKE_UPS, SYMBOL, CalibrateCamera
 from im_dispatcher.poses_file import WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
-from im_pnt.errors import NetError
+from im_pnt.errors import JournalError, NetError
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Command, Job, Lineage
 from im_pnt.model.net import Net
@@ -237,3 +237,11 @@ def test_a_command_whose_report_cannot_be_written_ends_and_says_both(play: Play)
     message = str(play.job.results["message"])
     assert message.startswith("the arm is gone; there is no report: ")
     assert message.endswith("cannot be written: No such file or directory")
+
+
+def test_a_command_whose_reason_could_not_be_noted_ends_with_what_failed_last(play: Play) -> None:
+    """As on a full disk: the journal refused the action that was to note it, and no failure came with the token."""
+    play.pose()
+    play.job.last_failure = JournalError("the journal cannot be written: No space left on device", file="journal")
+    play("report_failure")
+    assert play.job.results == {"message": "the journal cannot be written: No space left on device"}

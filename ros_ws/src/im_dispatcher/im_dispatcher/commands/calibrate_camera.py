@@ -344,7 +344,9 @@ def _take_ups(ctx: ActionContext) -> int:
 
 
 def _reason(ctx: ActionContext) -> str:
-    return "nobody says why" if ctx.failure is None else ctx.failure.message
+    """Why the token is where it is; where nothing came with it, what failed last for the command."""
+    failure = ctx.failure or ctx.last_failure
+    return "nobody says why" if failure is None else failure.message
 
 
 def _standing(command: Job) -> str:
