@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray
 
 from bench.dom import bare
@@ -45,7 +46,7 @@ class _Client(ManagedNode):
         self.bare_put = self.create_client(PutObject, bare.PUT, qos_profile=qos.QUEUED_SERVICE)
         self.bare_get = self.create_client(GetObject, bare.GET, qos_profile=qos.QUEUED_SERVICE)
         self._message = UInt8MultiArray(data=array("B", bytes(BYTES)))
-        self._data = array("B", bytes(BYTES))
+        self._data = array("B", serialize_message(self._message))
 
     async def dom_puts(self, number: int) -> object:
         return await self.dom.put(f"bench/{number % NAMES}", self._message)
@@ -54,13 +55,12 @@ class _Client(ManagedNode):
         return await self.dom.get(f"bench/{number % NAMES}", UInt8MultiArray)
 
     async def bare_puts(self, number: int) -> object:
-        request = PutObject.Request(
-            name=f"bench/{number % NAMES}", type="std_msgs/msg/UInt8MultiArray", data=self._data
-        )
+        name = f"bench/{number % NAMES}"
+        request = PutObject.Request(name=name, type=bare.KIND, data=self._data, source=self.task_name)
         return await self._bare(self.bare_put, request)
 
     async def bare_gets(self, number: int) -> object:
-        return await self._bare(self.bare_get, GetObject.Request(name=f"bench/{number % NAMES}"))
+        return await self._bare(self.bare_get, GetObject.Request(name=f"bench/{number % NAMES}", type=bare.KIND))
 
     async def _bare(self, client: Any, request: object) -> object:
         promise = self.promise()
