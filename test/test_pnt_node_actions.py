@@ -283,6 +283,25 @@ def test_who_does_not_come_to_the_end_of_its_start_is_named(machine, monkeypatch
     wait_until(lambda: not node.heartbeats.starting("hardware"), "the phase")
 
 
+def test_a_server_whose_task_is_silent_is_asked_when_it_is_heard_again(machine, monkeypatch, wait_until):
+    node, hardware, noted, _ = machine
+    monkeypatch.setattr("im_core.ros.heartbeats.SILENCE_S", 2.0)
+    noted.clear()
+    hardware._heartbeat.cancel()
+    try:
+        wait_until(lambda: node.heartbeats.missing("hardware"), "the silence")
+        outcome = run(node, "switch", cancel_after=1.0, on=True)
+        _, outcomes = begin(node, "switch", on=True)
+        clock.sleep(1.0)
+        assert (noted, outcomes) == ([], [])
+    finally:
+        hardware._heartbeat.reset()
+    assert outcome.status.message == "service /hardware/switch was cancelled before it was sent"
+    wait_until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].success
+    assert noted == ["on"]
+
+
 def test_a_service_that_answers_a_little_late_has_answered(machine):
     assert run(machine[0], "slow", very=False).success
 

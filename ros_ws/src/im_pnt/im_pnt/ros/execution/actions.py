@@ -110,34 +110,47 @@ class Surroundings:
         finally:
             alarms.cancel(alarm)
 
-    async def until_ready(self, ready: Callable[[], bool], made: float, task: str | None, what: str) -> None:
+    async def until_ready(
+        self,
+        ready: Callable[[], bool],
+        made: float,
+        task: str | None,
+        what: str,
+        unwanted: Callable[[], bool] = lambda: False,
+    ) -> None:
         """Waits for a server to be discovered, and to have discovered us: what is sent before may be lost.
 
-        One whose task starts, and could not do yet what it is asked for, is waited for as long as a start may take.
+        One whose task is silent is waited for, too: who died or stood still may be there again soon. One whose task
+        starts, and could not do yet what it is asked for, is waited for as long as a start may take.
 
         Args:
             ready: Whether the server is discovered.
             made: When the client was made (monotonic) [s].
             task: Task of the server, if it is known.
             what: What is waited for.
+            unwanted: Whether nothing is to be sent any more.
 
         Raises:
             StateError: It is not there.
         """
-        since = self.heartbeats.incarnation(task) if task else None
-        discovery, latest = monotonic() + DISCOVERY_TIMEOUT_S, monotonic() + patience_s()
-        while (starting := task is not None and self.heartbeats.starting(task)) or not ready():
-            if starting:
-                discovery, missing = latest, f"{task} has not come to the end of its start"
-            else:
-                missing = self.heartbeats.missing(task, since) if task else ""
-            if (missing and not starting) or monotonic() > discovery:
-                raise StateError(f"{what} is not there" + (f": {missing}" if missing else ""))
+        began = monotonic()
+        while not unwanted() and ((why := self._not_yet(task)) or not ready()):
+            starts = task is not None and self.heartbeats.starting(task)
+            if monotonic() > began + (patience_s() if starts else DISCOVERY_TIMEOUT_S):
+                raise StateError(f"{what} is not there" + (f": {why}" if why else ""))
             await pause(self.node, 0.05)
         heard = self.heartbeats.heard_since(task) if task else None
         settled = SETTLING_S + max(made, heard or made)
         if settled > monotonic():
             await pause(self.node, settled - monotonic())
+
+    def _not_yet(self, task: str | None) -> str:
+        """Why a task cannot be asked now, or an empty string."""
+        if task is None:
+            return ""
+        if self.heartbeats.starting(task):
+            return f"{task} has not come to the end of its start"
+        return self.heartbeats.missing(task)
 
     def task(self, action: ServiceAction | GoalAction) -> str | None:
         """Returns the task whose heartbeat is watched while an answer is awaited."""
@@ -196,7 +209,9 @@ class ServiceActions:
         what = f"transition {activity.transition}"
 
         async def call() -> Any:
-            await around.until_ready(client.service_is_ready, made, task, f"the service {action.name} ({what})")
+            there = f"the service {action.name} ({what})"
+            await around.until_ready(client.service_is_ready, made, task, there, lambda: activity.cancelled)
+            require_wanted(activity)
             limit = time_left(activity, SERVICE_TIMEOUT_S)
             waited = f"an answer of {action.name} ({what})"
             return await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
@@ -296,6 +311,16 @@ async def handled(
         if inspect.isawaitable(outcome):
             await outcome
     return plain_fields(answer, context.answer_ways, f"the answer of {action.name}")
+
+
+def require_wanted(activity: Activity) -> None:
+    """Nothing is sent for an action that was asked to end meanwhile.
+
+    Raises:
+        ImError: It was.
+    """
+    if activity.cancelled:
+        raise ImError(f"{activity.action} was cancelled before it was sent", code="cancelled")
 
 
 def time_left(activity: Activity, default: float) -> float:

@@ -23,7 +23,14 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import Action, GoalAction
-from im_pnt.ros.execution.actions import Surroundings, answer_key, failure_of, require_success, time_left
+from im_pnt.ros.execution.actions import (
+    Surroundings,
+    answer_key,
+    failure_of,
+    require_success,
+    require_wanted,
+    time_left,
+)
 from im_pnt.ros.messages import packed_message
 
 ACCEPT_TIMEOUT_S = 30.0
@@ -85,9 +92,9 @@ class GoalActions:
         goal = await around.sent(activity, action, context, interface_class(action.type).Goal())
 
         async def reach() -> Any:
-            await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
-            if activity.cancelled:
-                raise ImError(f"{action} was cancelled before it was sent", code="cancelled")
+            there = f"the action {action.name}"
+            await around.until_ready(client.server_is_ready, made, task, there, lambda: activity.cancelled)
+            require_wanted(activity)
             asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
             accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
             handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, client.server_is_ready)
