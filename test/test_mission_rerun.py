@@ -106,6 +106,18 @@ def test_a_builder_that_leaves_something_else_is_the_first_difference(capsys, mo
     assert "because:  its builder leaves something else: memory" in told
 
 
+def test_a_data_object_that_is_not_stored_any_more_is_a_difference(capsys, monkeypatch):
+    """The nets fire as they did: what was stored is read from the recording."""
+
+    async def store_calibration(*_: object) -> None:
+        pass
+
+    monkeypatch.setattr(vision.VisionFunctions, "store_calibration", store_calibration)
+    told = differs(capsys, BAGS / "undisturbed")
+    assert "the bag:  put calibration: " in told
+    assert "now:      nothing of that kind" in told
+
+
 def test_a_function_that_judges_otherwise_is_the_first_difference(capsys, monkeypatch):
     def refuse(*_: object) -> None:
         raise DataError("this spot will not do")

@@ -58,10 +58,14 @@ class NotDoneAgain:
 
     Args:
         life: The nets.
+
+    Attributes:
+        known: Their names.
     """
 
     def __init__(self, life: Life) -> None:
         self._life = life
+        self.known: set[str] = set()
 
     def functions(self, *, others_made: bool) -> dict[str, Callable[..., object]]:
         """Returns what stands for actions that nets name as ``module:function``.
@@ -82,6 +86,7 @@ class NotDoneAgain:
                 elif not others_made:
                     text = f"net {net.name} calls {action.function}; {self._life.node} does not say by made_by"
                     raise DataError(f"{text} what makes its functions", net=net.name)
+        self.known |= found.keys()
         return found
 
     def leave(self, activity: Activity, ended: ActivityEnded) -> None:

@@ -30,6 +30,9 @@ from im_pnt.model.action import RequestAction
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
 
+#: What functions ask of data objects and services, beside what the engine sends for actions.
+STORED = ("put", "append", "invalidate", "ask")
+
 #: Time by which a time-out may have struck later than it was due: the loop was busy [s].
 SLACK_S = 1.0
 
@@ -96,10 +99,19 @@ class NodeRerun:
             for executor in self._life.executors.values():
                 while executor.due and self._life.pump(executor):
                     pass
+        self._script.step()
         for name, entries in self._life.entries.items():
             if entries.next() is not None:
                 raise self._life.missing(name)
+        if self._all_again and (left := self._script.never_sent(STORED)) is not None:
+            what, content = left
+            raise self._life.differs(None, f"{what}: {str(content)[:160]}", "nothing of that kind", "another function")
         return self._compared
+
+    @property
+    def _all_again(self) -> bool:
+        """Whether all that was done is done again: nothing was under way before, and nothing may move something."""
+        return not any(self._before.values()) and not self._not_again.known
 
     # Nets.
 

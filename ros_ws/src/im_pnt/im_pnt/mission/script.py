@@ -1,7 +1,7 @@
 """What stands for the world when functions of nets are run again: what they read comes from the recording."""
 
 from collections import deque
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import Callable, Collection, Coroutine, Generator
 from typing import Any, Protocol, TypeVar
 
 from im_core.errors import ImError
@@ -99,6 +99,14 @@ class Script:
         """Returns what was asked for then, and is not now."""
         left = self._sent.get(named([kind, activity.net, activity.number]))
         return left[0] if left else None
+
+    def never_sent(self, kinds: Collection[str]) -> tuple[str, object] | None:
+        """Returns what of some kinds was asked for then, and has not been again, in words; None: nothing."""
+        for name, left in self._sent.items():
+            words = name.split("\x00")
+            if left and words[0] in kinds:
+                return " ".join(words), left[0]
+        return None
 
     # For who stands for the node.
 

@@ -73,11 +73,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def measured(mission: Mission) -> list[MeasuredFiring]:
-    """The ends of the firings of a mission, in testbed time."""
+    """The ends of the firings of a mission, in testbed time, but for those cut short or begun before the recording."""
     return [
         MeasuredFiring(f"{each.net}.{each.transition}", max(each.end_s - each.begin_s, 0.0), each.failed)
         for each in mission.firings
-        if each.end_s is not None
+        if each.end_s is not None and each.begun and not each.cancelled
     ]
 
 

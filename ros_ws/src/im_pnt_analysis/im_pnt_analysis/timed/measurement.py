@@ -212,7 +212,7 @@ def _estimate_net(
         if times and transition.action is not None and mine:
             good = len(times) - failed[f"{net.name}.{name}"]
             span = estimate_share(good, len(times))
-            as_written = good == len(times) and span.low <= transition.success
+            as_written = good in (0, len(times)) and span.low <= transition.success <= span.high
             success = transition.success if as_written else good / len(times), span
             estimated = replace(estimated, delay=estimate_delay(times), success=success)
         found[name] = estimated

@@ -19,7 +19,7 @@ FIELDS = {
     "im_msgs/msg/Firing": ("stamp", *Firing._fields),
     "im_msgs/msg/NetDescription": ("net", "node", "json"),
 }
-_START, _END, _FAILED = 0, 1, 2
+_START, _END, _FAILED, _CANCEL = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,8 @@ class RecordedFiring:
         begin_s: Testbed time of the start, from the first firing of the bag [s].
         end_s: Testbed time of the end; None: the bag does not hold it [s].
         failed: Whether it failed.
+        begun: Whether the bag holds its start; else it began before, and ``begin_s`` is its end.
+        cancelled: Whether its action was asked to end early.
         after: Transition of its net whose token it took last, and so waited for; empty: none in the bag.
     """
 
@@ -59,6 +61,8 @@ class RecordedFiring:
     begin_s: float
     end_s: float | None
     failed: bool
+    begun: bool
+    cancelled: bool
     after: str
 
     @property
@@ -110,7 +114,7 @@ class Mission:
         """Statistics of the transitions that have an action, the longest in all first."""
         taken: dict[tuple[str, str], list[RecordedFiring]] = {}
         for firing in self.firings:
-            if firing.end_s is not None and self._acts(firing):
+            if firing.end_s is not None and firing.begun and self._acts(firing):
                 taken.setdefault((firing.net, firing.transition), []).append(firing)
         told = [self._times(*name, firings) for name, firings in taken.items()]
         return sorted(told, key=lambda times: -times.count * times.mean_s)
@@ -237,17 +241,25 @@ def net_told(bag: Path, told: Any) -> Net:
 
 
 def _firings(events: Sequence[Any], nets: Mapping[str, Net]) -> list[RecordedFiring]:
-    """Starts and ends joined: the ends of a transition come in the order of its starts, command by command."""
+    """Starts and ends joined: the ends of a transition come in the order of its starts, command by command.
+
+    What ran in a net that begins anew, and counts its events from 1 again, has not ended.
+    """
     time = MissionTime(events[0])
     found: list[dict[str, Any]] = []
-    running: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
+    running: dict[str, dict[tuple[str, int], list[dict[str, Any]]]] = {}
     ended: dict[str, list[str]] = {}
+    last: dict[str, int] = {}
     for event in events:
         moment_s = time.of(event)
+        if event.sequence <= last.get(event.net, 0):
+            running.pop(event.net, None)
+        last[event.net] = event.sequence
+        begun = running.setdefault(event.net, {}).setdefault((event.transition, event.command_id), [])
+        if event.phase == _CANCEL and begun:
+            begun[0]["cancelled"] = True
         if event.phase not in (_START, _END, _FAILED):
             continue
-        key = event.net, event.transition, event.command_id
-        begun = running.setdefault(key, [])
         if event.phase == _START or not begun:
             firing = {
                 "net": event.net,
@@ -256,6 +268,8 @@ def _firings(events: Sequence[Any], nets: Mapping[str, Net]) -> list[RecordedFir
                 "begin_s": moment_s,
                 "end_s": None,
                 "failed": False,
+                "begun": event.phase == _START or not event.duration,  # one that takes no time has no start
+                "cancelled": False,
                 "after": _giver(event, nets, ended.get(event.net, [])),
             }
             found.append(firing)
