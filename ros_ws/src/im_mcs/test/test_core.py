@@ -236,6 +236,32 @@ def test_a_lost_testbed_ends_the_goal(bench, target):
     assert not bench.mcs.manager.lost  # stopped before for another reason
 
 
+def test_jaws_of_another_testbed_stay_where_they_are(bench):
+    """Not where those of the one before were told to be: the first setpoint is where it is."""
+    for request, given in (("reserve", {"group": "left"}), ("power_on", {})):
+        assert bench.ask(request, **given)["success"]
+    assert bench.ask("set_gripper", gripper="left_gripper", opening=0.02)["success"]
+    bench.mcs.lose_testbed(LinkError("the testbed's physics process is gone"))
+    bench.mcs.find_testbed()
+    bench.mcs.tick([])
+    assert bench.driver.drive.gripper[0] == pytest.approx(0.02), "they are where they were"
+    bench.mcs.lose_testbed(LinkError("the testbed's physics process is gone"))
+    bench.driver.drive = bench.driver.drive._replace(gripper=np.array([0.08, 0.08]))
+    bench.mcs.find_testbed()
+    bench.mcs.tick([])
+    assert bench.driver.drive.gripper[0] == pytest.approx(0.08)
+
+
+def test_a_pause_ends_with_who_had_the_group(bench, target):
+    bench.to_motion("left")
+    assert bench.ask("pause", group="left")["success"]
+    for request in ("disable_motion", "power_off"):
+        assert bench.ask(request)["success"]
+    assert bench.ask("release", group="left")["success"]
+    bench.to_motion("left")
+    assert bench.move("left", target)["success"]
+
+
 def test_grippers(bench):
     bench.ask("reserve", group="left")
     refused(bench.ask("set_gripper", gripper="left_gripper", opening=0.02), "set_gripper", "reserved")

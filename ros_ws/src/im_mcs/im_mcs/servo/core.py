@@ -177,6 +177,8 @@ class Mcs:
         """The testbed has stopped listening; whatever was powered is estopped, and what was measured is forgotten."""
         before = self.manager.state
         self._protect(error)
+        if self.grippers.moving:
+            self.grippers.drop_goals(error, self.measured.gripper)
         self.manager.lost = self.manager.lost or self.manager.state is not before
         self.recorder.keep()
         self.wants_time = self.held = False
@@ -185,12 +187,14 @@ class Mcs:
             group.monitor.restart()
 
     def find_testbed(self) -> None:
-        """The testbed is there again: what it says now counts.
+        """The testbed is there again, or another one in its place: what it says now counts.
 
         Raises:
             LinkError: It does not answer.
         """
+        before = self.measured.gripper
         self.measured = self.manager.measured = self._testbed.read()
+        self.grippers.find(before, self.measured.gripper)
 
     def repartition(self, preset: str) -> None:
         """Divide the joints into the groups of another preset.

@@ -80,6 +80,12 @@ class Grippers:
         self.opening = measured.copy()
         self.force = np.full(len(self._names), np.inf)
 
+    def find(self, before: NDArray[np.float64], measured: NDArray[np.float64]) -> None:
+        """Jaws that were lost are there again; those that are elsewhere stay where they are now, shapes (m,) [m]."""
+        elsewhere = np.abs(measured - before) > _REACHED_M
+        self.opening = np.where(elsewhere, measured, self.opening)
+        self.force = np.where(elsewhere, np.inf, self.force)
+
     def move(self, number: int, name: str, opening: float, force: float, measured: NDArray[np.float64]) -> None:
         """Let jaws go to an opening.
 

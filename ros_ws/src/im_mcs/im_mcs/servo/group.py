@@ -150,8 +150,9 @@ class ControlledGroup:
         self.setpoint = self.planner.setpoint
 
     def disengage(self) -> None:
-        """No setpoint, no torque."""
+        """No setpoint, no torque; who engages it next begins without the pause of who had it before."""
         self.engaged = False
+        self._rates.paused = False
         self.monitor.restart()
 
     def switch(self, law: str) -> None:
