@@ -2,6 +2,7 @@
 
 import json
 from array import array
+from pathlib import Path
 
 import pytest
 import rclpy
@@ -12,7 +13,7 @@ from std_msgs.msg import Int32, String, UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core import clock
-from im_core.errors import DataError, ImError, WaitTimeoutError
+from im_core.errors import DataError, ImError, StoreError, WaitTimeoutError
 from im_core.files import LARGEST
 from im_core.ros import dom as dom_client
 from im_core.ros import qos
@@ -190,7 +191,12 @@ def test_bytes_that_are_no_message_of_the_type_are_refused(three, kind):
 
 def test_a_type_that_is_not_installed_is_refused(three):
     _, mine, _ = three
-    for kind, sentence in (("std_msgs/msg/Strin", "did you mean 'String'"), ("no_such/msg/Type", "no_such")):
+    for kind, sentence in (
+        ("std_msgs/msg/Strin", "did you mean 'String'"),
+        ("no_such/msg/Type", "no_such"),
+        ("unittest/__main__/X", "unittest"),  # to import that would end the thread that does
+        ("unittest/msg/X", "unittest"),
+    ):
         answer = ask(mine, mine.dom._put, PutObject.Request(name="a", type=kind, data=b"\0\1\0\0"))
         assert (answer.success, answer.status.code) == (False, "not_found")
         assert sentence in answer.status.message
@@ -278,6 +284,44 @@ def test_an_object_for_a_place_that_does_not_exist_is_refused(three, monkeypatch
     monkeypatch.setattr("im_dom.ros.node.DESCRIBED_S", 0.2)
     with pytest.raises(ImError, match="there is no place of net cell 'ther'; did you mean 'there'"):
         mine.do(mine.dom.put("a", String(), place="cell.ther"))
+
+
+def test_an_object_whose_place_goes_while_the_disk_is_full_loses_its_validity_later(three, monkeypatch, wait_until):
+    dom, mine, other = three
+    described = other.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED)
+    described.publish(NetDescription(net="cell", node="/other", json='{"places": ["there"]}'))
+    monkeypatch.setattr("im_dom.ros.node.ABANDON_AGAIN_S", 0.1)
+    mine.do(mine.dom.put("a", String(), place="cell.there"))
+    abandon, full = dom.store.abandon, [True, True]
+
+    def abandoned(*arguments):
+        if full:
+            full.pop()
+            raise StoreError("no space left on device", file=Path("dom.sqlite"), reason="no space")
+        return abandon(*arguments)
+
+    monkeypatch.setattr(dom.store, "abandon", abandoned)
+    described.publish(NetDescription(net="cell", node="/other", json='{"places": []}'))
+    wait_until(lambda: ("a", 1, False) in mine.changes, "the change")
+    assert not full
+
+
+def test_what_the_store_does_when_nobody_waits_for_it_any_more_is_told_all_the_same(three, monkeypatch, wait_until):
+    dom, mine, _ = three
+    wait_until(lambda: dom.ready, "the node")
+    monkeypatch.setattr(dom._worker, "_timeout_s", 0.2)
+    mine.do(mine.dom.put("a", String(data="one")))
+    put = dom.store.put
+
+    def slow(*arguments, **more):
+        clock.sleep(0.5)
+        return put(*arguments, **more)
+
+    monkeypatch.setattr(dom.store, "put", slow)
+    with pytest.raises(ImError, match="the objects' store to answer"):
+        mine.do(mine.dom.put("a", String(data="two")))
+    wait_until(lambda: ("a", 2, True) in mine.changes, "the change")
+    assert mine.do(mine.dom.get("a", String)).data == "two"
 
 
 def test_json_is_taken_as_it_is_given_out(three):

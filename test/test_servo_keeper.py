@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from im_mcs.ros.servo_keeper import ServoKeeper
-from im_mcs.state import State
+from im_mcs.state import Event, State
 
 LOSS, ASKED = "the testbed is gone", "request on /mcs/estop"
 
@@ -16,7 +16,15 @@ def keeper():
     """A keeper whose servo is estopped, and ``tell``: what that servo says."""
     node = SimpleNamespace(get_logger=lambda: logging.getLogger("keeper"), wake=lambda: None)
     keeper = ServoKeeper(node, SimpleNamespace(state="inactive"), None, 1.0, SimpleNamespace(), lambda: None)
-    keeper._owner = SimpleNamespace(client=SimpleNamespace(state=lambda: State.ESTOPPED))
+    servo = SimpleNamespace(state=State.ESTOPPED, told=[])
+    client = SimpleNamespace(
+        state=lambda: servo.state,
+        send=lambda event, arguments: servo.told.append((event, arguments)),
+        beat=lambda: None,
+        silence_s=lambda: 0.0,
+    )
+    keeper._owner = SimpleNamespace(client=client, process=SimpleNamespace(check=lambda: None))
+    keeper.servo = servo
     return keeper
 
 
@@ -43,3 +51,16 @@ def test_a_stop_that_is_asked_for_after_a_loss_stays(keeper):
     tell(keeper, LOSS, True, left="motion")
     tell(keeper, ASKED, False)
     assert not keeper.lost
+
+
+def test_a_servo_that_has_not_heard_of_a_stop_is_told_until_it_has(keeper):
+    """It hung, or its testbed was away, when somebody asked for it."""
+    tell(keeper, ASKED, False)
+    keeper.poll()
+    assert keeper.servo.told == []
+    keeper.servo.state = State.COLD
+    keeper.poll()
+    assert keeper.servo.told == [(Event.ESTOP, {"reason": ASKED})]
+    keeper.servo.state = State.ESTOPPED
+    keeper.poll()
+    assert len(keeper.servo.told) == 1

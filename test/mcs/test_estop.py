@@ -8,6 +8,7 @@ import pytest
 from im_cell.link import PanelEnd, ServoEnd, StopEnd
 from im_core import names
 from im_core.ros.calls import call_blocking
+from im_mcs.client.stop_mark import StopMark
 from im_mcs.state import UNCONFIGURED_MESSAGE
 from im_msgs.srv import InjectFault, ReserveGroup
 
@@ -130,3 +131,14 @@ def test_reset_waits_until_what_is_broken_is_mended(client, panel, fault, joint,
     assert not answer.success
     assert sentence in answer.message
     assert client.trigger("reset").success
+
+
+def test_a_stop_that_was_asked_for_outlives_who_was_asked(client):
+    """Kept in the run folder until it is reset: a node that comes after the death of this one begins stopped."""
+    assert client.trigger("estop").success
+    client.until(lambda: client.state() == "estopped")
+    later = StopMark()
+    assert later.read() == CAUSE
+    assert client.trigger("reset").success
+    assert later.read() == ""
+    client.to_motion()

@@ -73,6 +73,15 @@ def scheduled(pid: int, thread: int | None = None) -> Scheduled | None:
     return Scheduled(int(ran) * 1e-9, int(queued) * 1e-9)
 
 
+def threads_queued_s(pid: int) -> float:
+    """For how long all threads of a process together have waited for a processor, as far as they live [s]."""
+    try:
+        threads = [int(name) for name in os.listdir(f"/proc/{pid}/task")]
+    except FileNotFoundError:
+        return 0.0
+    return sum(found.queued_s for thread in threads if (found := scheduled(pid, thread)) is not None)
+
+
 def mappings(least: int) -> list[tuple[int, int]]:
     """Where the anonymous memory of this process is that it may read and write.
 

@@ -37,6 +37,10 @@ class Places:
         self._of_net[net] = frozenset(read_json(_Told, text, f"the description of net {net}").places)
         return self._of_net[net]
 
+    def of(self, net: str) -> frozenset[str]:
+        """The places that a net has now; none if it is not known."""
+        return self._of_net.get(net, frozenset())
+
     def require(self, place: str) -> None:
         """Make sure that a place exists.
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from im_core.errors import LinkError, StateError
+from im_mcs.protocol.requests import request_message
 from im_mcs.state import State
 
 LEFT = slice(0, 9)
@@ -234,6 +235,20 @@ def test_a_lost_testbed_ends_the_goal(bench, target):
     assert not bench.mcs.manager.lost
     bench.mcs.lose_testbed(LinkError("the testbed's physics process is gone"))
     assert not bench.mcs.manager.lost  # stopped before for another reason
+
+
+def test_an_emergency_stop_is_obeyed_while_the_testbed_is_away(bench):
+    """It was refused like all else, and the arms moved when the testbed was back."""
+    bench.mcs.lose_testbed(LinkError("the testbed's physics process is gone"))
+    away = LinkError("the testbed does not answer")
+    bench.mcs.refuse(request_message(1001, "estop", {"reason": "a hand"}), away)
+    bench.mcs.refuse(request_message(1002, "reserve", {"group": "left"}), away)
+    assert bench.reply(1001)["success"]
+    refused(bench.reply(1002), "does not answer")
+    bench.mcs.find_testbed()
+    bench.mcs.tick([])
+    assert bench.mcs.manager.state is State.ESTOPPED
+    refused(bench.ask("reserve", group="left"), "a hand")
 
 
 def test_jaws_of_another_testbed_stay_where_they_are(bench):

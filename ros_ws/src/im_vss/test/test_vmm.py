@@ -170,14 +170,25 @@ def test_other_modules_and_other_leases_are_refused(module):
         module.work(lease)
 
 
-def test_a_lease_of_who_only_computes_lasts_while_no_processor_is_given():
+def test_a_lease_of_who_only_computes_lasts_while_no_processor_is_given(monkeypatch):
     module, vmm = VmComputer(rig=None), VisionModuleManager("computing", ["vm_computer"], 60.0, 0.2)
+    monkeypatch.setattr("im_vss.modules.module.threads_queued_s", lambda pid: clock.monotonic())  # a busy computer
     with vmm.lend("vm_computer", VisionClient("late")) as lease:
-        assert module.run(lease, lambda: clock.sleep(0.5)) is None  # as on a busy computer
+        assert module.run(lease, lambda: clock.sleep(0.5)) is None
         assert lease.valid
     with vmm.lend("vm_computer", VisionClient("long")) as lease, pytest.raises(WaitTimeoutError, match="long"):
         module.run(lease, compute)
     assert vmm.state("vm_computer").lapsed == 1
+    module.close()
+
+
+def test_a_lease_of_who_computes_ends_though_his_thread_sleeps():
+    """He waits for something else than a processor, and perhaps for ever: an import, a lock."""
+    module, over = VmComputer(rig=None), threading.Event()
+    vmm = VisionModuleManager("computing", ["vm_computer"], 60.0, 0.5)
+    with vmm.lend("vm_computer", VisionClient("stuck")) as lease, pytest.raises(WaitTimeoutError, match="stuck"):
+        module.run(lease, lambda: over.wait(30.0))
+    over.set()
     module.close()
 
 

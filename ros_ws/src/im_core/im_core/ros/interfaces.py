@@ -4,23 +4,30 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
+from ament_index_python import has_resource
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 
 from im_core.errors import DataError, NotFoundError
+
+KINDS = ("msg", "srv", "action")
 
 
 @cache
 def interface_class(name: str) -> Any:
     """The class of ``package/msg/Type``, ``package/srv/Type`` or ``package/action/Type``, or of a service's events.
 
+    Nothing is imported but what an installed package has for its types: names come from anybody.
+
     Raises:
         NotFoundError: No such package or type is installed.
     """
     package, kind, type_name = (*name.split("/"), "", "")[:3]
     try:
+        if kind not in KINDS or not has_resource("rosidl_interfaces", package):
+            raise ImportError(package)
         module = import_module(f"{package}.{kind}")
-    except (ImportError, ValueError):
+    except (ImportError, ValueError, OSError):
         raise NotFoundError(kind=f"package with {kind} types", name=package) from None
     known = [entry for entry in vars(module) if entry[:1].isupper() and "_" not in entry]
     if type_name not in known and not (type_name.endswith("_Event") and hasattr(module, type_name)):

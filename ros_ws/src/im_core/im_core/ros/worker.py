@@ -47,14 +47,21 @@ class Worker:
         together: Callable[[Sequence[Callable[[], object]]], Sequence[object]],
     ) -> None:
         self._node, self._name, self._timeout_s, self._together = node, name, timeout_s, together
-        self._work: queue.SimpleQueue[tuple[Callable[[], Any], Promise] | None] = queue.SimpleQueue()
+        self._work: queue.SimpleQueue[tuple[Callable[[], Any], Promise, Callable[[Any], None]] | None]
+        self._work = queue.SimpleQueue()
         self._asked: deque[tuple[float, Promise]] = deque()  # when each is late, in their order; of the loop
         self._watching = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    async def run(self, function: Callable[[], ResultT]) -> ResultT:
+    async def run(
+        self, function: Callable[[], ResultT], late: Callable[[ResultT], None] = lambda _: None
+    ) -> ResultT:
         """Have a function called, and await what it returns.
+
+        Args:
+            function: The function.
+            late: Called in the loop with what it returned, if that was when nobody waited for it any more.
 
         Raises:
             StateError: Too much waits already.
@@ -64,7 +71,7 @@ class Worker:
         if self._work.qsize() >= MOST_WAITING:
             raise StateError(f"{self._name}: {MOST_WAITING} requests wait already; ask again")
         ended = self._node.promise()
-        self._work.put((function, ended))
+        self._work.put((function, ended, late))
         self._asked.append((clock.monotonic() + self._timeout_s, ended))
         if not self._watching:
             self._watch()
@@ -103,12 +110,13 @@ class Worker:
                 else:
                     asked.append(following)
             began = clock.monotonic()
-            done = self._together([work for work, _ in asked])
+            done = self._done([work for work, _, _ in asked])
             took_s = clock.monotonic() - began
-            for (_, ended), found in zip(asked, done, strict=True):
-                if ended.done():  # it was late
-                    continue
-                if isinstance(found, Exception):
+            for (_, ended, late), found in zip(asked, done, strict=True):
+                if ended.done():
+                    if not isinstance(found, Exception):
+                        self._node.spawn(_told(late, found))
+                elif isinstance(found, Exception):
                     ended.set_exception(found)
                 else:
                     ended.set_result(found)
@@ -116,8 +124,18 @@ class Worker:
             if last:
                 return
 
+    def _done(self, works: Sequence[Callable[[], object]]) -> Sequence[object]:
+        try:
+            return self._together(works)
+        except BaseException as error:  # the thread goes on, whatever foreign code raises
+            return [StateError(f"{self._name} broke: {error!r}")] * len(works)
+
     def _gather(self, several: int, took_s: float) -> None:
         """Waits until so many have asked, but not much longer than it took to serve those before [s]."""
         deadline = clock.monotonic() + several * GATHER_S + min(took_s, MOST_GATHER_S)
         while (missing := several - 1 - self._work.qsize()) > 0 and clock.monotonic() < deadline:
             clock.sleep(max(LOOK_S, missing * GATHER_S / 2))
+
+
+async def _told(late: Callable[[Any], None], found: object) -> None:
+    late(found)

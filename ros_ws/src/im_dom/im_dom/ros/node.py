@@ -11,7 +11,7 @@ from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError, StateError, WaitTimeoutError
 from im_core.names import run_dir
 from im_core.ros import qos, run
-from im_core.ros.calls import wait
+from im_core.ros.calls import pause, wait
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.ros.reminders import Reminders
@@ -30,6 +30,9 @@ ANSWER_S = 30.0
 #: How long a request may wait for an object to be valid [s], and how many may.
 LONGEST_WAIT_S = 3600.0
 MOST_WAITING = 1000
+
+#: How soon the objects of places that have gone are looked at again, where the store could not do it [s].
+ABANDON_AGAIN_S = 2.0
 
 #: How long the net of a place may take to be described, as to a node that has just begun [s].
 DESCRIBED_S = 5.0
@@ -151,8 +154,14 @@ class DomNode(ManagedNode):
         def abandon() -> list[ObjectRecord]:
             return self.store.abandon(net, places, self.task_name, self._now_ns())
 
-        for record in await self._ask(abandon):
-            self._tell(to_info(record))
+        while self._places.of(net) == places:  # else it was described anew meanwhile
+            try:
+                for record in await self._ask(abandon):
+                    self._tell(to_info(record))
+                return
+            except ImError as error:
+                self.get_logger().error(f"objects of places that net {net} does not have any more: {error.message}")
+                await pause(self, ABANDON_AGAIN_S)
 
     def _get(
         self, request: GetObject.Request, response: GetObject.Response
@@ -243,8 +252,12 @@ class DomNode(ManagedNode):
         return response
 
     async def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:
+        def late(record: ObjectRecord) -> None:  # who asked was told of a time-out; it has changed all the same
+            if changed:
+                self._tell(to_info(record))
+
         try:
-            fill_info(response.object, await self._ask(operation))
+            fill_info(response.object, await self._ask(operation, late))
         except ImError as error:
             response.success, response.status = False, to_status(error)
             return response
@@ -253,10 +266,12 @@ class DomNode(ManagedNode):
             self._tell(response.object)
         return response
 
-    def _ask(self, work: Callable[[], ResultT]) -> Coroutine[Any, Any, ResultT]:
+    def _ask(
+        self, work: Callable[[], ResultT], late: Callable[[ResultT], None] = lambda _: None
+    ) -> Coroutine[Any, Any, ResultT]:
         """Has something done in the store, together with what else waits for it; what is answered is on the disk."""
         assert self._worker is not None, "the services are offered when the store is open"
-        return self._worker.run(work)
+        return self._worker.run(work, late)
 
     def _tell(self, info: ObjectInfo) -> None:
         self._change.object = info

@@ -1,5 +1,6 @@
 """The servo process in the life of the node: start, signs of life, end, and what changes there."""
 
+import threading
 from collections import deque
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -9,12 +10,13 @@ from im_cell.link import ClockEnd
 from im_core import clock, names
 from im_core.errors import ImError, LinkError, StateError
 from im_core.process import ChildProcess
-from im_core.ros.calls import wait
+from im_core.ros.calls import run_in_thread, wait
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.startup import patience_s
 from im_mcs.client.servo_client import OnState, ServoClient
 from im_mcs.client.stop_circuits import StopCircuits
+from im_mcs.client.stop_mark import StopMark
 from im_mcs.client.time_source import FlowingTime, TestbedTime
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.protocol.channel import ServoChannel
@@ -32,6 +34,10 @@ POLL_S = 0.02
 _LONGER = 1.1
 """The servo process says itself for what it waited in vain; only if it does not, the node says so."""
 _ESTOP_ANSWER_S = 0.2
+_TELL_AGAIN_S = 0.5
+"""How soon a servo that is not stopped, and should be, is told again [s]."""
+_MARK_S = 30.0
+"""How long it may take to keep a stop on the disk [s]."""
 
 
 class ServoOwner:
@@ -111,7 +117,9 @@ class ServoKeeper:
     ) -> None:
         self._node, self._lifecycle = node, lifecycle
         self._circuits = circuits
-        self._stop_cause, self._stops = "", 0
+        self._mark, self._marking = StopMark(), threading.Lock()
+        self._stop_cause, self._stops = self._mark.read(), 0
+        self._told_again, self._resets = 0.0, 0
         self._testbed_lost = self._servo_lost = False
         self._silence_s = silence_s
         self._reason = ""
@@ -217,7 +225,9 @@ class ServoKeeper:
         self._testbed_lost = False
         self._latch(reason)
         if self._owner is None:
-            return f"{self.reason}; {self._circuits.cut()}"
+            done = self._circuits.cut()
+            await self._keep_mark()
+            return f"{self.reason}; {done}"
         promise = self._node.promise()
         try:
             self._owner.client.send(Event.ESTOP, {"reason": reason}, promise.set_result)
@@ -225,10 +235,11 @@ class ServoKeeper:
             error = reply.error
         except ImError as trouble:
             error = trouble
+        done = "" if error is None else self._circuits.cut()
         self.follow()
+        await self._keep_mark()
         if error is None:
             return f"MCS is {self.state.value}"
-        done = self._circuits.cut()
         self._node.get_logger().error(f"emergency stop without the servo: {error.message}; {done}")
         return f"MCS is {self.state.value}; the servo did not answer: {error.message}; {done}"
 
@@ -246,14 +257,35 @@ class ServoKeeper:
             if not self._stop_cause:
                 self.client()
         else:
-            if self._stop_cause and self._owner.client.state() is not State.ESTOPPED:
-                await request(Event.ESTOP, {"reason": self._stop_cause})  # it has not heard of it, and shall
-            await request(Event.RESET, {})
+            self._resets += 1
+            try:
+                if self._stop_cause and self._owner.client.state() is not State.ESTOPPED:
+                    await request(Event.ESTOP, {"reason": self._stop_cause})  # it has not heard of it, and shall
+                await request(Event.RESET, {})
+            finally:
+                self._resets -= 1
             if self._stops != stops:
                 raise StateError("reset was overtaken by another emergency stop", request=Event.RESET.value)
         self._circuits.restore()
         self._stop_cause, self._testbed_lost = "", False
+        await self._keep_mark()
         self._changed()
+
+    async def _keep_mark(self) -> None:
+        """Keeps in the run folder that somebody has asked for a stop, or that it is reset."""
+
+        def keep() -> None:
+            with self._marking:
+                cause = self._stop_cause
+                if cause:
+                    self._mark.set(cause)
+                else:
+                    self._mark.clear()
+
+        try:
+            await run_in_thread(self._node, keep, timeout_s=_MARK_S)
+        except (ImError, OSError) as error:
+            self._node.get_logger().error(f"the death of /mcs would change whether it is stopped: {error}")
 
     def _latch(self, cause: str) -> None:
         """Remember an emergency stop; the first cause stays."""
@@ -300,6 +332,15 @@ class ServoKeeper:
             return
         owner.client.beat()
         self._listen_to(owner.client)
+        self._tell_again(owner.client)
+
+    def _tell_again(self, client: ServoClient) -> None:
+        """Has a servo stop that has not heard of an emergency stop: it hung then, or its testbed was away."""
+        if not self._stop_cause or self._resets or self._hang is not None or client.state() is State.ESTOPPED:
+            return
+        if clock.monotonic() > self._told_again:
+            self._told_again = clock.monotonic() + _TELL_AGAIN_S
+            client.send(Event.ESTOP, {"reason": self._stop_cause})
 
     def follow(self) -> None:
         """Let the lifecycle and ``/mcs/state`` follow what has happened in the servo."""

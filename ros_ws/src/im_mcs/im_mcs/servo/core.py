@@ -24,7 +24,7 @@ from im_mcs.servo.gripper import Grippers
 from im_mcs.servo.hardware import GuardedTestbed
 from im_mcs.servo.partition import Partitions
 from im_mcs.servo.torque_stream import Ended
-from im_mcs.state import POWERED, State
+from im_mcs.state import POWERED, Event, State
 from im_mcs.state.manager import StateManager
 from im_mcs.testbed import Drive, TestbedInterface
 
@@ -152,8 +152,11 @@ class Mcs:
             self._write()
 
     def refuse(self, message: dict[str, Any], error: ImError) -> None:
-        """Answer a request that cannot even be looked at."""
-        self.answers.reply(request_id(message), error)
+        """Answer a request that cannot be carried out; an emergency stop can always."""
+        if message.get("request") == Event.ESTOP.value:
+            self._dispatch.run(message)
+        else:
+            self.answers.reply(request_id(message), error)
 
     def protective_stop(self, fault: ImError, groups: Sequence[str] | None = None) -> None:
         """Let groups decelerate on their paths and hold, until they are resumed; all groups if none are named."""

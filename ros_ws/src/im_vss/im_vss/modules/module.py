@@ -8,7 +8,7 @@ from typing import ClassVar, TypeVar
 
 from im_core import clock
 from im_core.errors import WaitTimeoutError
-from im_core.procfs import scheduled
+from im_core.procfs import scheduled, threads_queued_s
 from im_vss.managers.vmm import Lease
 from im_vss.rig import Rig
 
@@ -63,14 +63,19 @@ class VisionModule:
 
 
 def _without_processor(most_s: float) -> Callable[[], float]:
-    """A function that tells for how long the calling thread has not run from now on, at most ``most_s`` [s]."""
+    """A function that tells for how long the calling thread has waited for a processor from now on, at most [s].
+
+    For one itself, or for another thread of the process that waited for one and had what it needs: the interpreter.
+    Who waits for anything else, as for what will never come, has no time spared.
+    """
     pid, thread = os.getpid(), threading.get_native_id()
-    began, before = clock.monotonic(), scheduled(pid, thread)
+    began, before, queued_s = clock.monotonic(), scheduled(pid, thread), threads_queued_s(pid)
 
     def elapsed() -> float:
         now = scheduled(pid, thread)
         if before is None or now is None:
             return 0.0
-        return min(most_s, max(0.0, clock.monotonic() - began - (now.ran_s - before.ran_s)))
+        idle_s = clock.monotonic() - began - (now.ran_s - before.ran_s)
+        return min(most_s, max(0.0, idle_s), max(0.0, threads_queued_s(pid) - queued_s))
 
     return elapsed
