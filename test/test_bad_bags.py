@@ -1,5 +1,6 @@
 """Bags that are cut, spoilt, foreign, or of types that changed: one sentence from all that works on a bag."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from im_bringup.bag import BagReader, BagWriter
+from im_bringup.bag import BagReader, BagWriter, Delivery
 from im_bringup.bag import writer as bag_writer
 from im_bringup.ros import replay
 from im_core.bag_files import METADATA
@@ -20,8 +21,8 @@ from im_vss.ros import recalibrate
 RECORDED = Path(__file__).parent / "data" / "bags" / "faults"
 
 
-def replayed(bag, monkeypatch):
-    monkeypatch.setattr("sys.argv", ["replay", bag, "--rate", "1000"])
+def replayed(bag, monkeypatch, *options):
+    monkeypatch.setattr("sys.argv", ["replay", bag, "--rate", "1000", *options])
     return replay.main()
 
 
@@ -198,3 +199,32 @@ def test_a_file_without_metadata_is_taken_by_itself(tmp_path, monkeypatch):
         assert sum(bag.counts.values()) > 1000
     assert other.stat().st_size == part.stat().st_size * 9 // 10
     assert not (part.parent / METADATA).exists()
+
+
+def with_a_foreign_name(folder):
+    """A bag with a topic whose name ROS 2 does not allow, and one whose name it does."""
+    writer = BagWriter(folder / "bag")
+    for number, topic in enumerate(("/cam-1/text", "/text")):
+        writer.add_topic(topic, "std_msgs/msg/String", Delivery(True, False, 1))
+        writer.write(topic, 5 + number, b"\0\1\0\0\2\0\0\0x\0")
+    writer.close()
+    return str(folder / "bag")
+
+
+def test_topics_with_names_that_ros_does_not_allow_are_left_out(tmp_path, monkeypatch, capsys):
+    bag = with_a_foreign_name(tmp_path)
+    assert replayed(bag, monkeypatch) == 0
+    told = capsys.readouterr()
+    sentence = "/cam-1/text is no full name of a topic: .*; --remap /cam-1/text:=/NEW gives it another\n"
+    assert re.fullmatch(f"replay: /cam-1/text is left out: {sentence}", told.err)
+    assert "replay: 1 messages published" in told.out
+    assert replayed(bag, monkeypatch, "--topics", "/cam-1/text") == 2
+    assert re.fullmatch(f"replay: {sentence}", capsys.readouterr().err)
+    assert replayed(bag, monkeypatch, "--remap", "/cam-1/text:=/cam_1/text") == 0
+    assert "replay: 2 messages published" in capsys.readouterr().out
+
+
+def test_new_names_that_ros_does_not_allow_are_refused(tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        replayed(with_a_foreign_name(tmp_path), monkeypatch, "--remap", "/text:=/9x")
+    assert "error: --remap /text:=/9x: /9x is no full name of a topic: " in capsys.readouterr().err

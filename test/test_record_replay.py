@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import signal
 from pathlib import Path
 
@@ -164,6 +165,15 @@ def test_a_recorder_that_is_killed_leaves_a_bag_that_opens(recorder, ros, wait_u
             message for *_, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
         ]
     assert len(decoded) == len(events)
+
+
+def test_a_folder_that_is_removed_ends_the_recording_with_a_sentence(recorder, wait_until, tmp_path):
+    child = recorder()
+    shutil.rmtree(tmp_path / "bag")
+    wait_until(lambda: child.poll() is not None, "the end of the recording")
+    _, *told = child.out.read_text().splitlines()
+    assert (child.returncode, len(told)) == (1, 1)
+    assert told[0].startswith(f"record: {tmp_path / 'bag'} cannot be written: ")
 
 
 def test_a_bag_is_never_overwritten(script, tmp_path):

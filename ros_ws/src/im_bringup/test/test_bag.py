@@ -3,11 +3,13 @@ import itertools
 import multiprocessing
 import os
 import random
+import shutil
 
 import pytest
 
 from im_bringup import bag
 from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits, chosen_topics
+from im_bringup.bag import writer as bag_writer
 from im_core.bag import messages_of
 from im_core.errors import DataError, StoreError
 
@@ -133,6 +135,46 @@ def test_a_disk_that_is_full_leaves_whole_chunks_and_a_bag_that_opens(tmp_path, 
     writer.close()
     with BagReader(tmp_path / "bag") as reader:
         assert [data[0] for _, _, data in reader.messages(["/a", "/b"])] == [0, 1, 2, 3]
+
+
+def nothing_written(file, data):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_disk_that_is_full_from_the_first_message_on_is_said_once(tmp_path, monkeypatch):
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING, RELIABLE)
+    writer.write("/a", 5, b"lost")
+    with monkeypatch.context() as full:
+        full.setattr(os, "write", nothing_written)
+        with pytest.raises(StoreError, match="No space left on device"):
+            writer.flush()
+    writer.close()
+    with pytest.raises(DataError, match="has no message: the recording ended before the first was written"):
+        BagReader(tmp_path / "bag")
+
+
+def test_a_folder_that_is_removed_ends_the_recording(tmp_path):
+    writer = written_in_parts(tmp_path / "bag", PartLimits(), count=4)
+    shutil.rmtree(tmp_path / "bag")
+    with pytest.raises(StoreError, match=f"{tmp_path / 'bag'} cannot be written: .*No such file"):
+        writer.flush()
+    with pytest.raises(StoreError, match="No such file"):
+        writer.close()
+
+
+def test_a_part_that_cannot_be_begun_leaves_those_before_it(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    writer = written_in_parts(tmp_path / "bag", PartLimits(size_bytes=300), count=2)
+    with monkeypatch.context() as full:
+        full.setattr(bag_writer, "_PartFile", refuse)
+        with pytest.raises(StoreError, match="No space left on device"):
+            writer.write("/a", 1002 * 10**9, bytes([2]) * 100)
+    writer.close()
+    with BagReader(tmp_path / "bag") as reader:
+        assert [data[0] for _, _, data in reader.messages(["/a"])] == [0, 1, 2]
 
 
 def test_a_message_has_the_time_and_the_number_of_its_source(tmp_path):

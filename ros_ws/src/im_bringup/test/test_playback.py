@@ -1,5 +1,7 @@
 """Pace, pause, step, seek and loop of a replay, with a clock that the test moves."""
 
+import threading
+
 import pytest
 
 from im_bringup.bag import BagReader, BagWriter, Delivery
@@ -30,6 +32,7 @@ class Time:
             self.controls.press(key)
         else:
             assert seconds is not None, "paused for ever"
+            assert seconds <= threading.TIMEOUT_MAX
             self.now += seconds
 
 
@@ -84,6 +87,17 @@ def test_keys_seek_both_ways(bag, time):
     time.script = [(102.5, "right"), (104.0, "left")]
     found = [number for number, _ in played(bag, time)]
     assert found == [0, 1, 2, 8, 9, *range(5, 20)]
+
+
+def test_a_message_that_is_due_in_centuries_is_waited_for(tmp_path, time):
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING, Delivery(True, False, 5))
+    for number, stamp_ns in enumerate((0, 1_700_000_000 * 10**9)):
+        writer.write("/a", stamp_ns, bytes([number]))
+    writer.close()
+    time.script = [(8000.0, "q")]
+    with BagReader(tmp_path / "bag") as reader:
+        assert played(reader, time, rate=0.1) == [(0, 0.0)]
 
 
 def test_a_loop_begins_again_and_ends_when_asked(bag, time):

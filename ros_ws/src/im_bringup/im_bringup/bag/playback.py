@@ -13,6 +13,8 @@ from im_core.errors import DataError
 JUMP_S = 5.0
 #: Messages of a latched topic that come first: several nodes may have latched one each, of which a bag does not tell.
 LATCHED = 100
+#: An event waits no longer than 292 years, a message may be due later [s].
+_LONGEST_WAIT_S = 3600.0
 KEYS = "space: pause, .: step, left and right: 5 s back and on, q: end"
 
 Message = tuple[str, int, bytes]
@@ -138,5 +140,5 @@ class Playback:
             left = due + paused_s - clock.monotonic()
             if left <= 0.0:
                 break
-            controls.changed.wait(left)
+            controls.changed.wait(min(left, _LONGEST_WAIT_S))
         return paused_s

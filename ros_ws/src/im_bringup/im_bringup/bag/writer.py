@@ -71,6 +71,10 @@ class _PartFile:
         self._written += done
         self._waiting = bytearray()
 
+    def is_empty(self) -> bool:
+        """Whether nothing of it came to the disk."""
+        return not self._written
+
     def close(self) -> None:
         """Close it; what was not flushed is gone."""
         os.close(self._file)
@@ -157,7 +161,7 @@ class BagWriter:
         """
         self._flushed = self._size
         self._attempt(self._write_chunk)
-        free = shutil.disk_usage(self.path).free
+        free = self._attempt(lambda: shutil.disk_usage(self.path).free)
         if free < self._limits.free_bytes:
             kept = self._limits.free_bytes / 2**20
             reason = f"{free / 2**20:.0f} MiB are free on the disk, and {kept:.0f} stay free"
@@ -172,19 +176,22 @@ class BagWriter:
         if self._broken is None:
             self._end_part()
             return
+        if self._file.path in self._parts:
+            return  # the next could not be begun
         self._file.close()
-        if not self._file.path.stat().st_size and self._parts:
-            self._file.path.unlink()  # nothing of it came to the disk; those before it are listed
+        if self._file.is_empty():
+            if self._parts:  # they are listed; without, the empty file tells why there is no message
+                self._file.path.unlink(missing_ok=True)
             return
         complete_file(self._file.path)
         write_metadata(self.path, [*self._parts, self._file.path])
 
-    def _attempt(self, act: Callable[[], Any]) -> None:
+    def _attempt(self, act: Callable[[], Any]) -> Any:
         """Do what may find the disk full."""
         if self._broken is not None:
             raise self._broken
         try:
-            act()
+            return act()
         except OSError as error:
             self._broken = StoreError.of("written", self.path, error)
             raise self._broken from error

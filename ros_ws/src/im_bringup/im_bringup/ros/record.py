@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from im_bringup.bag import BagWriter, Delivery, default_folder
 from im_core import clock
-from im_core.errors import ImError, StoreError
+from im_core.errors import DataError, ImError, StoreError
 from im_core.ros.graph import GraphWatch
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
@@ -147,6 +149,19 @@ def to_profile(delivery: Delivery) -> QoSProfile:
     )
 
 
+def check_topic_name(name: str) -> None:
+    """Whether a topic can have this name.
+
+    Raises:
+        DataError: It is no full topic name, as ROS allows them.
+    """
+    try:
+        validate_full_topic_name(name)
+    except InvalidTopicNameException as error:
+        reason = str(error).splitlines()[0].removeprefix("Invalid topic name: ").removesuffix(":")
+        raise DataError(f"{name} is no full name of a topic: {reason}", topic=name) from error
+
+
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="record", description="Record topics into a bag (MCAP) until Ctrl-C.")
@@ -168,7 +183,7 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: recorder.request_stop())
     print(f"record: into {path}; Ctrl-C ends it", flush=True)
-    trouble: StoreError | None = None
+    trouble: ImError | None = None
     try:
         recorder.record()
     except StoreError as error:
@@ -185,11 +200,11 @@ def main() -> int:
     return 0
 
 
-def closed(bag: BagWriter) -> StoreError | None:
+def closed(bag: BagWriter) -> ImError | None:
     """Finish a bag; why its last part could not be written, if it could not."""
     try:
         bag.close()
-    except StoreError as error:
+    except ImError as error:
         return error
     return None
 

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import operator
 import select
 import signal
 import sys
@@ -21,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 
 from im_bringup.bag import BagReader, BagWriter, chosen_topics
 from im_bringup.bag.playback import KEYS, Controls, Playback
-from im_bringup.ros.record import to_profile
+from im_bringup.ros.record import check_topic_name, to_profile
 from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError
 from im_core.one_bag import parsed
@@ -107,26 +108,35 @@ class Replay:
 
     def _found(self) -> bool:
         """Whether there are subscribers, and all that are known of are connected."""
-        known = {topic: self._node.count_subscribers(topic) for topic in self._publishers}
-        connected = (self._publishers[topic].get_subscription_count() >= count for topic, count in known.items())
-        return any(known.values()) and all(connected)
+        publishers = self._publishers.values()
+        known = [self._node.count_subscribers(publisher.topic_name) for publisher in publishers]
+        found = [publisher.get_subscription_count() for publisher in publishers]
+        return any(known) and all(map(operator.ge, found, known))
 
     def _sleep_until(self, deadline: float) -> None:
         while not self.controls.ended and (left := deadline - clock.monotonic()) > 0.0:
             clock.sleep(min(left, _LONGEST_SLEEP_S))
 
 
-def known_topics(bag: BagReader, topics: Sequence[str], named: bool) -> list[str]:
-    """Those whose types are known here; others are left out with a sentence.
+def known_topics(bag: BagReader, topics: Sequence[str], names: Mapping[str, str], named: bool) -> list[str]:
+    """Those whose types are known here and whose names ROS allows; others are left out with a sentence.
+
+    Args:
+        bag: The bag.
+        topics: Topics in it.
+        names: Other names for some of them.
+        named: Whether the user named them.
 
     Raises:
         NotFoundError: A topic that the user named has a type that is not known here.
+        DataError: It has a name that ROS does not allow.
     """
     known = []
     for topic in topics:
         try:
             interface_class(bag.types[topic])
-        except NotFoundError as error:
+            _check_name(topic, names)
+        except (NotFoundError, DataError) as error:
             if named:
                 raise
             print(f"replay: {topic} is left out: {error.message}", file=sys.stderr)
@@ -188,12 +198,23 @@ def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
     return sum(counts.values())
 
 
+def _check_name(topic: str, names: Mapping[str, str]) -> None:
+    try:
+        check_topic_name(names.get(topic, topic))
+    except DataError as error:
+        raise DataError(f"{error.message}; --remap {topic}:=/NEW gives it another", topic=topic) from error
+
+
 def _renamed(texts: Sequence[str], parser: argparse.ArgumentParser) -> dict[str, str]:
     names = {}
     for text in texts:
         old, sign, new = text.partition(":=")
         if not (old.startswith("/") and sign and new.startswith("/")):
             parser.error(f"--remap {text} is not of the form /old:=/new")
+        try:
+            check_topic_name(new)
+        except DataError as error:
+            parser.error(f"--remap {text}: {error.message}")
         names[old] = new
     return names
 
@@ -243,13 +264,15 @@ def main() -> int:
         return _extracted(arguments.bag, arguments.topics, arguments.extract)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
-        with BagReader(arguments.bag) as bag:
-            chosen = known_topics(bag, chosen_topics(bag.types, arguments.topics), bool(arguments.topics))
+        with BagReader(arguments.bag) as bag, contextlib.ExitStack() as undo:
+            chosen_topics(bag.types, names)
+            chosen = known_topics(bag, chosen_topics(bag.types, arguments.topics), names, bool(arguments.topics))
             topics = [topic for topic in chosen if not (arguments.clock and topic == _CLOCK)]
             if not any(bag.counts[topic] for topic in topics):
                 raise DataError(f"there is nothing in {arguments.bag} that could be replayed")
-            chosen_topics(bag.types, names)
-            replay = Replay(GuardedNode("replay"), bag, topics, names)
+            node = GuardedNode("replay")
+            undo.callback(node.destroy_node)
+            replay = Replay(node, bag, topics, names)
             if arguments.clock:
                 replay.tell_time()
             controls = replay.controls
