@@ -84,9 +84,31 @@ def test_a_pause_moves_what_follows_and_a_step_lets_one_through(bag, time):
 
 
 def test_keys_seek_both_ways(bag, time):
-    time.script = [(102.5, "right"), (104.0, "left")]
+    time.script = [(102.5, "right"), (103.7, "left")]
     found = [number for number, _ in played(bag, time)]
-    assert found == [0, 1, 2, 8, 9, *range(5, 20)]
+    assert found == [0, 1, 2, 8, *range(4, 20)]
+
+
+@pytest.fixture
+def silent_bag(tmp_path):
+    """Messages at 0, 1, 2, 60 and 61 s."""
+    writer = BagWriter(tmp_path / "silent")
+    writer.add_topic("/a", STRING, Delivery(True, False, 5))
+    for number, second in enumerate((0, 1, 2, 60, 61)):
+        writer.write("/a", (1000 + second) * 10**9, bytes([number]))
+    writer.close()
+    with BagReader(tmp_path / "silent") as reader:
+        yield reader
+
+
+def test_keys_seek_from_where_the_replay_stands(silent_bag, time):
+    time.script = [(103.0, "left")]
+    assert played(silent_bag, time, most=5) == [(0, 0.0), (1, 1.0), (2, 2.0), (0, 3.0), (1, 4.0)]
+
+
+def test_a_pause_does_not_move_the_place_to_seek_from(silent_bag, time):
+    time.script = [(104.0, " "), (130.0, "right"), (140.0, " ")]  # from 4 s: 51 s are left from 9 s to the next
+    assert played(silent_bag, time)[3:] == [(3, 91.0), (4, 92.0)]
 
 
 def test_a_message_that_is_due_in_centuries_is_waited_for(tmp_path, time):

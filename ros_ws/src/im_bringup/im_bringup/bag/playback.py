@@ -118,7 +118,8 @@ class Playback:
                 return None
             if self._controls.jump_s:
                 jump_s, self._controls.jump_s = self._controls.jump_s, 0.0
-                return (message[1] - self._bag.begin_ns) * 1e-9 + jump_s
+                passed_s = (clock.monotonic() - began) * self._rate
+                return place_s + min(passed_s, (message[1] - begin_ns) * 1e-9) + jump_s
             yield message
         return None
 
