@@ -122,6 +122,8 @@ def test_replay_publishes_the_same_on_the_same_topics(recorded, ros, script, wai
     assert "replay: 201 messages published" in done.stdout
     wait_until(lambda: len(events) == 200 and len(texts) >= 1, "the replayed messages")
     wait_until(lambda: len(times) >= 1, "the time of the bag")
+    stamps = [(told.clock.sec, told.clock.nanosec) for told in times]
+    assert stamps == sorted(stamps)
     with BagReader(path) as bag:
         assert times[-1].clock.sec >= bag.begin_ns // 10**9
         assert [bytes(data) for data in events] == [data for _, _, data in bag.messages(["/events"])]

@@ -78,6 +78,28 @@ def test_a_start_in_the_middle_begins_with_what_is_latched_there(bag, time):
     assert found[:4] == [("latched 0", 0.0), ("latched 4", 0.0), (6, 0.5), (7, 1.5)]
 
 
+def test_the_time_begins_at_the_place_and_never_goes_back(bag, time):
+    time.script = [(102.5, "right")]
+    told = []
+    playback = Playback(bag, ["/a", "/latched"], time.controls, start_s=5.5, begins=told.append)
+    stamps = [stamp_ns * 1e-9 - 1000.0 for _, stamp_ns, _ in playback.messages()]
+    assert [place_ns * 1e-9 - 1000.0 for place_ns in told] == pytest.approx([5.5, 13.0])
+    assert stamps[:7] == pytest.approx([5.5, 5.5, 6.0, 7.0, 13.0, 13.0, 13.0])
+    assert stamps == sorted(stamps)
+
+
+def test_what_is_latched_comes_in_the_order_of_time(tmp_path, time):
+    writer = BagWriter(tmp_path / "bag")
+    for topic in ("/a", "/b"):
+        writer.add_topic(topic, STRING, Delivery(True, True, 1))
+    for number, topic in enumerate(("/b", "/a", "/b", "/a", "/a")):
+        writer.write(topic, (1000 + number) * 10**9, bytes([number]))
+    writer.close()
+    with BagReader(tmp_path / "bag") as reader:
+        messages = Playback(reader, ["/a", "/b"], time.controls, start_s=3.5).messages()
+        assert [data[0] for _, _, data in messages] == [0, 1, 2, 3, 4]
+
+
 def test_a_pause_moves_what_follows_and_a_step_lets_one_through(bag, time):
     time.script = [(102.5, " "), (110.0, "."), (111.0, "."), (120.0, " ")]
     assert played(bag, time)[:7] == [(0, 0.0), (1, 1.0), (2, 2.0), (3, 10.0), (4, 11.0), (5, 21.0), (6, 22.0)]

@@ -2,7 +2,7 @@
 
 import threading
 from collections import deque
-from collections.abc import Collection, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from im_bringup.bag.reader import BagReader
@@ -60,6 +60,7 @@ class Playback:
         rate: Speed; 2 plays twice as fast.
         start_s: Where to begin, from the first message of the bag [s].
         loop: Whether to begin again at the end.
+        begins: Called with the time in the bag [ns] at which it begins, and goes on after each seek.
 
     Raises:
         DataError: The bag ends before ``start_s``.
@@ -73,18 +74,27 @@ class Playback:
         rate: float = 1.0,
         start_s: float = 0.0,
         loop: bool = False,
+        begins: Callable[[int], None] | None = None,
     ) -> None:
         if not 0.0 <= start_s <= bag.duration_s:
             raise DataError(f"the bag lasts {bag.duration_s:.3f} s: there is no {start_s:g} s in it", seconds=start_s)
         self._bag, self._topics, self._controls = bag, topics, controls
-        self._rate, self._start_s, self._loop = rate, start_s, loop
+        self._rate, self._start_s, self._loop, self._begins = rate, start_s, loop, begins
 
     def messages(self) -> Iterator[Message]:
-        """Topic, time [ns] and bytes, when they are due; what is latched before the place of the start comes first."""
+        """Topic, time [ns] and bytes, when they are due.
+
+        What was latched before the place where it begins, or goes on after a seek, comes first, with the time of the
+        place.
+        """
         place_s = self._start_s
         while True:
-            yield from self._latched(place_s)
-            jumped_to = yield from self._from(place_s)
+            begin_ns = self._bag.begin_ns + round(place_s * 1e9)
+            if self._begins is not None:
+                self._begins(begin_ns)
+            for topic, _, data in self._latched(begin_ns):
+                yield topic, begin_ns, data
+            jumped_to = yield from self._from(begin_ns)
             if jumped_to is not None:
                 place_s = min(max(0.0, jumped_to), self._bag.duration_s)
             elif self._loop and not self._controls.ended:
@@ -92,23 +102,22 @@ class Playback:
             else:
                 return
 
-    def _latched(self, place_s: float) -> list[Message]:
-        """The messages that one who came to latched topics at this place would have got."""
+    def _latched(self, begin_ns: int) -> list[Message]:
+        """The messages that one who came to latched topics at this time would have got, in order of time."""
         deliveries = self._bag.deliveries
         kept = {
             t: deque[Message](maxlen=max(deliveries[t].depth, LATCHED)) for t in self._topics if deliveries[t].latched
         }
-        for message in self._until(kept, place_s):
+        for message in self._until(kept, begin_ns):
             kept[message[0]].append(message)
-        return [message for messages in kept.values() for message in messages]
+        return sorted((message for messages in kept.values() for message in messages), key=lambda each: each[1])
 
-    def _until(self, topics: Collection[str], place_s: float) -> Iterator[Message]:
-        end_ns = self._bag.begin_ns + round(place_s * 1e9)
-        return self._bag.messages(topics, end_ns=end_ns) if place_s > 0.0 else iter(())
+    def _until(self, topics: Collection[str], end_ns: int) -> Iterator[Message]:
+        return self._bag.messages(topics, end_ns=end_ns) if end_ns > self._bag.begin_ns else iter(())
 
-    def _from(self, place_s: float) -> Generator[Message, None, float | None]:
-        """Messages from a place on; returns where to go on, if the user wants to be elsewhere [s]."""
-        begin_ns = self._bag.begin_ns + round(place_s * 1e9)
+    def _from(self, begin_ns: int) -> Generator[Message, None, float | None]:
+        """Messages from a time on; returns where to go on, if the user wants to be elsewhere [s]."""
+        place_s = (begin_ns - self._bag.begin_ns) * 1e-9
         began = clock.monotonic()
         for message in self._bag.messages(self._topics, begin_ns):
             due = began + (message[1] - begin_ns) * 1e-9 / self._rate

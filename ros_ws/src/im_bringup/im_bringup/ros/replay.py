@@ -65,18 +65,24 @@ class Replay:
             self._publishers[topic] = node.create_publisher(message_class, name, to_profile(bag.deliveries[topic]))
             self._check_definition(bag, topic, name)
         self._clock: Publisher | None = None
+        self._told_ns: int | None = None
 
-    def tell_time(self) -> None:
+    def provide_clock(self) -> None:
         """Publish the time of the bag on /clock from now on."""
         self._clock = self._node.create_publisher(Clock, _CLOCK, qos.CLOCK)
+
+    def tell_time(self, stamp_ns: int) -> None:
+        """Publish a time of the bag on /clock, if that is wanted and it is not what was told last [ns]."""
+        if self._clock is not None and stamp_ns != self._told_ns:
+            self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
+            self._told_ns = stamp_ns
 
     def play(self, playback: Playback) -> int:
         """Publish all messages of a playback; returns their number."""
         self._await_subscribers()
         count = 0
         for topic, stamp_ns, data in playback.messages():
-            if self._clock is not None:
-                self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
+            self.tell_time(stamp_ns)
             self._publishers[topic].publish(data)
             count += 1
         self._sleep_until(clock.monotonic() + DRAIN_S)
@@ -274,10 +280,12 @@ def main() -> int:
             undo.callback(node.destroy_node)
             replay = Replay(node, bag, topics, names)
             if arguments.clock:
-                replay.tell_time()
+                replay.provide_clock()
             controls = replay.controls
             controls.paused = arguments.paused
-            playback = Playback(bag, topics, controls, arguments.rate, arguments.start, arguments.loop)
+            playback = Playback(
+                bag, topics, controls, arguments.rate, arguments.start, arguments.loop, replay.tell_time
+            )
             for number in (signal.SIGINT, signal.SIGTERM):
                 signal.signal(number, lambda *_: controls.end())
             seconds = (bag.duration_s - arguments.start) / arguments.rate
