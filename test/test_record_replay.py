@@ -18,7 +18,8 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
-from im_bringup.bag import BagReader
+from im_bringup.bag import BagReader, BagWriter, Delivery
+from im_bringup.ros.record import BagRecorder
 from im_core import clock
 from im_core.bag import messages_of, topics_of
 from im_core.ros import qos
@@ -181,6 +182,60 @@ def test_a_folder_that_is_removed_ends_the_recording_with_a_sentence(recorder, w
 def test_a_bag_is_never_overwritten(script, tmp_path):
     done = script("record", "-o", tmp_path)
     assert (done.returncode, f"the bag {tmp_path} cannot be made" in done.stderr) == (2, True)
+
+
+def test_names_that_are_no_full_names_of_topics_are_refused(script, tmp_path):
+    done = script("record", "-o", tmp_path / "bag", "--topics", "/tf", "joint_states")
+    assert done.returncode == 2
+    assert "error: --topics: joint_states is no full name of a topic: " in done.stderr
+    assert not (tmp_path / "bag").exists()
+
+
+def test_topics_that_never_appeared_are_named(recorder, ros, wait_until):
+    publisher = ros(Node("source")).create_publisher(String, "/a", 10)
+    child = recorder("--topics", "/a", "/never", "/nowhere")
+    wait_until(publisher.get_subscription_count, "the recorder")
+    end(child, signal.SIGINT, wait_until)
+    assert "record: nobody published on /never, /nowhere\n" in child.out.read_text()
+
+
+class Queue:
+    """Stands for a subscription: messages that wait, with the time of their arrival [s]."""
+
+    msg_type = String
+
+    def __init__(self, *waiting):
+        self.handle, self._waiting = self, list(waiting)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def take_message(self, _, raw):
+        if not self._waiting:
+            return None
+        second, data = self._waiting.pop(0)
+        told = {"received_timestamp": second * 10**9, "source_timestamp": 1, "publication_sequence_number": 1}
+        return data, told
+
+
+def test_a_clock_that_is_set_back_while_messages_wait_keeps_the_order_of_a_topic(tmp_path):
+    bag = BagWriter(tmp_path / "bag")
+    bag.add_topic("/a", "std_msgs/msg/String", Delivery(True, False, 10))
+    recorder = BagRecorder(None, None, bag, [])
+    recorder._subscriptions["/a"] = Queue((10, b"0"), (11, b"1"), (5, b"2"), (6, b"3"))
+    recorder.drain()
+    bag.close()
+    with BagReader(tmp_path / "bag") as reader:
+        assert [data for _, _, data in reader.messages(["/a"])] == [b"0", b"1", b"2", b"3"]
+
+
+def test_extracting_goes_with_nothing_that_is_of_publishing(script, tmp_path):
+    done = script("replay", "nowhere", "--extract", tmp_path / "new", "--start", "3", "--loop")
+    assert done.returncode == 2
+    assert "error: --extract publishes nothing: it does not go with --start, --loop" in done.stderr
 
 
 @pytest.mark.parametrize("arguments", [["nowhere"], ["nowhere", "--rate", "0"], ["nowhere", "--remap", "a=b"], []])

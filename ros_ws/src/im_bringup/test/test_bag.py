@@ -177,6 +177,18 @@ def test_a_part_that_cannot_be_begun_leaves_those_before_it(tmp_path, monkeypatc
         assert [data[0] for _, _, data in reader.messages(["/a"])] == [0, 1, 2]
 
 
+def test_a_clock_that_is_set_back_keeps_the_order_of_arrival(tmp_path):
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING, RELIABLE)
+    for number, second in enumerate((10, 11, 12, 6, 7, 8, 14)):
+        writer.write("/a", second * 10**9, bytes([number]))
+        writer.flush()
+    writer.close()
+    with BagReader(tmp_path / "bag") as reader:
+        read = [(stamp_ns // 10**9, data[0]) for _, stamp_ns, data in reader.messages(["/a"])]
+    assert read == [(10, 0), (11, 1), (12, 2), (12, 3), (12, 4), (12, 5), (14, 6)]
+
+
 def test_a_message_has_the_time_and_the_number_of_its_source(tmp_path):
     from mcap.reader import make_reader
 

@@ -72,6 +72,18 @@ def test_a_joint_left_out_of_some_messages_is_old(tmp_path):
     np.testing.assert_allclose(ages[:, 0], [0.005 * (k % 4) for k in range(9)], atol=1e-8)
 
 
+def test_a_bag_of_two_starts_of_a_testbed_is_refused(tmp_path):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kind = "sensor_msgs/msg/JointState"
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/joint_states", kind, typestore=store)
+        for k, stamp_ns in enumerate((10**9, 2 * 10**9, 25 * 10**8, 0, 10**9)):
+            data = store.serialize_cdr(joint_states(store, [("a", float(k))], stamp_ns), kind)
+            writer.write(connection, 10**18 + k * 10**9, data)
+    with pytest.raises(DataError, match=r"fall from 2\.500 to 0\.000 s, 3\.000 s after its first message"):
+        BagDriver(str(tmp_path / "bag"), ["a"])
+
+
 def test_an_end_may_be_a_fault(tmp_path):
     bag = write(tmp_path / "bag", StoragePlugin.MCAP, [(k * 10_000_000, {"a": 0.1}) for k in range(3)])
     driver = BagDriver(str(bag), ["a"], period_s=PERIOD_S, at_end="fault")

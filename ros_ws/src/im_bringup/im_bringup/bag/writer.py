@@ -102,6 +102,7 @@ class BagWriter:
         self._parts: list[Path] = []
         self._channels: dict[str, int] = {}
         self._size, self._flushed, self._begun_ns = 0, 0, 0
+        self._last_ns = 0
         self._broken: StoreError | None = None
         try:
             path.mkdir(parents=True)
@@ -132,7 +133,8 @@ class BagWriter:
 
         Args:
             topic: An announced topic.
-            logged_ns: When it came, wall time [ns].
+            logged_ns: When it came, wall time; what comes after the clock was set back counts as come with the message
+                before it, since readers go by these times [ns].
             data: The message, serialised (CDR).
             published_ns: When it left, by the clock of its source [ns]; None: not known.
             sequence: Its number, counted by its publisher; 0: not known.
@@ -140,6 +142,7 @@ class BagWriter:
         Raises:
             StoreError: The disk is full, or nearly so; :meth:`close` keeps what was written before.
         """
+        self._last_ns = logged_ns = max(logged_ns, self._last_ns)
         self._begun_ns = self._begun_ns or logged_ns
         published_ns = logged_ns if published_ns is None else published_ns
         if self._broken is not None:

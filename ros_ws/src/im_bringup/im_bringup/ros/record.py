@@ -95,13 +95,18 @@ class BagRecorder:
         """
         taken = []
         for topic, subscription in self._subscriptions.items():
-            handle = subscription.handle
+            handle, latest_ns = subscription.handle, 0
             with handle:
                 while (message := handle.take_message(subscription.msg_type, True)) is not None:
-                    taken.append((message[1]["received_timestamp"], topic, message))
+                    latest_ns = max(latest_ns, message[1]["received_timestamp"])  # the clock may have been set back
+                    taken.append((latest_ns, topic, message))
         taken.sort(key=lambda each: each[0])
         for received_ns, topic, (data, told) in taken:
             self._bag.write(topic, received_ns, data, told["source_timestamp"], told["publication_sequence_number"])
+
+    def missing(self) -> list[str]:
+        """Topics that were to be recorded, and have had no publisher."""
+        return sorted(self._only - self._subscriptions.keys() - self._refused)
 
     def _wanted(self, topic: str) -> bool:
         if self._only:
@@ -168,6 +173,11 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, help="folder of the bag (default: bags/<date>-<time>)")
     parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all)")
     arguments = parser.parse_args()
+    for topic in arguments.topics:
+        try:
+            check_topic_name(topic)
+        except DataError as error:
+            parser.error(f"--topics: {error.message}")
     path = (arguments.output or default_folder(clock.stamp_name())).resolve()
     try:
         bag = BagWriter(path)
@@ -193,6 +203,8 @@ def main() -> int:
             node.destroy_node()
             context.try_shutdown()
         unfinished = closed(bag)
+    if missing := recorder.missing():
+        print(f"record: nobody published on {', '.join(missing)}", file=sys.stderr)
     if (trouble := trouble or unfinished) is not None:
         print(f"record: {trouble.message}", file=sys.stderr)
         return 1

@@ -40,6 +40,8 @@ _LONGEST_SLEEP_S = 0.2
 _CLOCK = "/clock"
 #: What the nets of a mission are run again from, and what shows them.
 MISSION_TOPICS = ("/pnt/events", "/pnt/nets", "/pnt/firings", "/pnt/markings")
+#: Options of what is published, which --extract does not go with.
+_PUBLISHING = ("rate", "start", "loop", "paused", "clock", "remap")
 _ARROWS = {"\x1b[D": "left", "\x1b[C": "right"}
 
 
@@ -267,6 +269,9 @@ def main() -> int:
         parser.error(f"--rate {arguments.rate:g} is not in 0 ... 1000, above 0")
     names = _renamed(arguments.remap, parser)
     if arguments.extract is not None:
+        given = [f"--{name}" for name in _PUBLISHING if getattr(arguments, name) != parser.get_default(name)]
+        if given:
+            parser.error(f"--extract publishes nothing: it does not go with {', '.join(given)}")
         return _extracted(arguments.bag, arguments.topics, arguments.extract)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:

@@ -52,7 +52,8 @@ def load_recording(
         wrists: Frames of the wanted force-torque sensors; a topic of joint states has none.
 
     Raises:
-        DataError: The bag cannot be read, or lacks the topic, or a name; says what is there.
+        DataError: The bag cannot be read, or lacks the topic, or a name; says what is there. Or the stamps fall, as
+            where a testbed was started anew.
     """
     wanted = (tuple(joints), tuple(grippers), tuple(wrists))
     known: dict[tuple[int, str], tuple[int, Any]] = {}
@@ -62,6 +63,12 @@ def load_recording(
     stamped = any(stamp for stamp, _, _ in messages)
     for stamped_ns, logged_ns, kinds in messages:
         stamp = stamped_ns if stamped else logged_ns
+        if moments and stamp < moments[-1][0]:
+            raise DataError(
+                f"{bag}: the stamps of topic '{topic}' fall from {moments[-1][0] * 1e-9:.3f} to {stamp * 1e-9:.3f} s, "
+                f"{(logged_ns - messages[0][1]) * 1e-9:.3f} s after its first message; a bag that is played to a "
+                "controller is of one start of a testbed"
+            )
         for kind, readings in enumerate(kinds):
             seen[kind] |= readings.keys()
             known.update({(kind, name): (stamp, value) for name, value in readings.items()})
