@@ -115,6 +115,23 @@ def test_a_recorder_that_is_killed_at_any_moment_keeps_all_that_was_flushed(tmp_
         assert flushed.value <= len(read) <= flushed.value + 10
 
 
+def test_a_part_that_is_being_recorded_is_not_opened_by_its_file(tmp_path):
+    writer = written_in_parts(tmp_path / "bag", PartLimits())
+    part = tmp_path / "bag" / "bag.mcap"
+    with pytest.raises(DataError, match="is being recorded"):
+        BagReader(part)
+    writer.flush()
+    before = part.read_bytes()
+    with pytest.raises(DataError, match="is being recorded"):
+        BagReader(part)
+    assert part.read_bytes() == before
+    writer.write("/a", 1009 * 10**9, b"last")
+    writer.close()
+    with BagReader(part) as reader:
+        read = [data[:1] for _, _, data in reader.messages(["/a", "/b"])]
+    assert read == [*(bytes([number]) for number in range(9)), b"l"]
+
+
 def test_a_disk_that_is_full_leaves_whole_chunks_and_a_bag_that_opens(tmp_path, monkeypatch):
     writer = written_in_parts(tmp_path / "bag", PartLimits(), count=4)
     writer.flush()

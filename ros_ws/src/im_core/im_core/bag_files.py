@@ -21,6 +21,7 @@ from mcap.records import (
     ChunkIndex,
     DataEnd,
     Footer,
+    Header,
     McapRecord,
     MessageIndex,
     Schema,
@@ -29,7 +30,7 @@ from mcap.records import (
 )
 from rosbags.rosbag2.storage_mcap import decompress
 
-from im_core import unpacking
+from im_core import clock, unpacking
 from im_core.errors import StoreError
 from im_core.files import MEBIBYTE, FileError, check_regular, read_text, write_whole
 from im_core.yamltext import YamlError, as_data, read_yaml, write_yaml
@@ -54,6 +55,11 @@ _DATA = {
     Opcode.METADATA,
 }
 _LARGEST_RECORD = 2**30
+#: What the header of a file names whose recorder locks it (im_bringup/bag/writer.py).
+LIBRARY = "im"
+#: A file of another recorder, which takes no lock, may still be written while its last bytes are no older [s].
+_SETTLED_S = 5.0
+_RECORDED = "is being recorded; end the recording first"
 
 unpacking.install()
 
@@ -64,6 +70,7 @@ class Contents:
 
     Attributes:
         end: Where its last whole record ends [bytes].
+        library: What wrote it, by its header.
         schemas: By number.
         channels: By number.
         counts: Messages of each channel.
@@ -74,6 +81,7 @@ class Contents:
     """
 
     end: int = len(MAGIC)
+    library: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
@@ -92,8 +100,10 @@ class Contents:
         return int(logged_ns)
 
     def add_definition(self, opcode: int, body: bytes) -> None:
-        """Keep a schema or a channel."""
-        if opcode == Opcode.SCHEMA:
+        """Keep a header, a schema or a channel."""
+        if opcode == Opcode.HEADER:
+            self.library = Header.read(ReadDataStream(BytesIO(body))).library
+        elif opcode == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(body)))
             self.schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
@@ -145,7 +155,7 @@ def complete_bag(bag: Path) -> None:
     if described and busy:
         return
     if busy:
-        raise FileError(bag, "is being recorded; end the recording first")
+        raise FileError(bag, _RECORDED)
     for path in new:
         if path.stat().st_size and not _has_end(path):
             complete_file(path)
@@ -174,18 +184,34 @@ def complete_file(path: Path) -> None:
         path: An MCAP file.
 
     Raises:
-        DataError: It is no MCAP file.
+        DataError: It is no MCAP file, or it is being recorded, as far as can be told.
         StoreError: It cannot be written.
     """
     try:
         with path.open("r+b") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise FileError(path, _RECORDED) from None
+            size = os.fstat(file.fileno()).st_size
             contents = scan(path, file)
+            if contents.library != LIBRARY:
+                _check_settled(path, os.fstat(file.fileno()), size)
             file.truncate(contents.end)
             file.seek(contents.end)
             index = _last_index(contents)
             file.write(index + end_of(contents, contents.end + len(index)))
     except OSError as error:
         raise StoreError.of("completed", path, error) from error
+
+
+def _check_settled(path: Path, status: os.stat_result, size: int) -> None:
+    """Refuse a file that grows, or to which bytes came just now: its recorder may go on."""
+    if status.st_size != size:
+        raise FileError(path, _RECORDED)
+    if abs(clock.wall() - status.st_mtime) < _SETTLED_S:
+        text = f"lacks its end and was written less than {_SETTLED_S:g} s ago, perhaps by a recorder that goes on"
+        raise FileError(path, f"{text}; end the recording, or try again in {_SETTLED_S:g} s")
 
 
 def scan(path: Path, file: BinaryIO) -> Contents:

@@ -1,6 +1,7 @@
 """A recording cut at any byte opens again, with every message that was whole; what is complete is left as it is."""
 
 import fcntl
+import os
 import random
 import shutil
 from pathlib import Path
@@ -9,20 +10,21 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from im_core import bag_files
 from im_core.bag import open_bag
-from im_core.bag_files import complete_bag
+from im_core.bag_files import LIBRARY, complete_bag
 from im_core.errors import DataError
 
 STRING = "std_msgs/msg/String"
 
 
-def record(folder, chunks=6, each=5, end=True):
+def record(folder, chunks=6, each=5, end=True, library=LIBRARY):
     """A bag of some chunks of messages of two topics; positions in the file after each chunk."""
     folder.mkdir()
     ends = []
     with (folder / f"{folder.name}.mcap").open("wb") as file:
         writer = Writer(file)
-        writer.start(profile="ros2")
+        writer.start(profile="ros2", library=library)
         schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
         channels = [writer.register_channel(topic, "cdr", schema) for topic in ("/a", "/b")]
         for number in range(chunks * each):
@@ -96,6 +98,30 @@ def test_a_bag_that_is_being_recorded_is_left_alone(tmp_path):
         with pytest.raises(DataError, match="is being recorded"):
             complete_bag(tmp_path / "bag")
     assert path.read_bytes() == before
+
+
+def test_a_file_of_another_recorder_is_left_alone_while_it_may_be_written(tmp_path, monkeypatch):
+    record(tmp_path / "bag", end=False, library="another")
+    path = tmp_path / "bag" / "bag.mcap"
+    before = path.read_bytes()
+    with pytest.raises(DataError, match="was written less than 5 s ago, perhaps by a recorder that goes on"):
+        open_bag(path)
+    os.utime(path, (0, 0))
+
+    def scan_while_it_grows(name, file):
+        contents = scan(name, file)
+        with path.open("ab") as recorder:
+            recorder.write(b"x")
+        return contents
+
+    scan = bag_files.scan
+    with monkeypatch.context() as grows:
+        grows.setattr(bag_files, "scan", scan_while_it_grows)
+        with pytest.raises(DataError, match="is being recorded"):
+            open_bag(path)
+    assert path.read_bytes() == before + b"x"
+    os.utime(path, (0, 0))
+    assert messages(tmp_path / "bag") == list(range(30))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Header, McapRecord, Schema
 
-from im_core.bag_files import MAGIC, Contents, end_of
+from im_core.bag_files import LIBRARY, MAGIC, Contents, end_of
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _INDEX = struct.Struct("<BQHI")
@@ -40,7 +40,7 @@ class ChunkWriter:
         self._compressor = zstandard.ZstdCompressor(LEVEL)
         self._chunk = bytearray()
         self._indexes: defaultdict[int, list[int]] = defaultdict(list)  # time and offset of each message, by channel
-        file.write(MAGIC + _record(Header(profile="ros2", library="im")))
+        file.write(MAGIC + _record(Header(profile="ros2", library=LIBRARY)))
 
     def add_channel(self, topic: str, type_name: str, encoding: str, definition: str, told: dict[str, str]) -> int:
         """Announce a topic.
