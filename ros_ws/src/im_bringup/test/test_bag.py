@@ -11,6 +11,7 @@ from im_bringup import bag
 from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits, chosen_topics
 from im_bringup.bag import writer as bag_writer
 from im_core.bag import messages_of
+from im_core.bag_files import METADATA
 from im_core.errors import DataError, StoreError
 
 
@@ -130,6 +131,65 @@ def test_a_part_that_is_being_recorded_is_not_opened_by_its_file(tmp_path):
     with BagReader(part) as reader:
         read = [data[:1] for _, _, data in reader.messages(["/a", "/b"])]
     assert read == [*(bytes([number]) for number in range(9)), b"l"]
+
+
+def bag_of_parts(path, each=3):
+    """Ten messages in parts."""
+    writer = written_in_parts(path, PartLimits(size_bytes=100 * each))
+    writer.write("/a", 1009 * 10**9, b"last")
+    writer.close()
+    return path
+
+
+def first_bytes(path):
+    with BagReader(path) as reader:
+        return [data[0] for _, _, data in reader.messages(["/a", "/b"])]
+
+
+def test_parts_are_in_the_order_of_their_messages_whatever_their_names(tmp_path):
+    """A folder that was named anew: ``run_5.mcap`` is its first part, ``run_5_1.mcap`` its second."""
+    path = bag_of_parts(tmp_path / "run_5").rename(tmp_path / "monday")
+    (path / METADATA).unlink()
+    assert first_bytes(path) == [*range(9), ord("l")]
+
+
+def test_a_part_that_is_missing_is_named_before_another_is_listed(tmp_path):
+    path = bag_of_parts(tmp_path / "bag")
+    whole = (path / METADATA).read_text()
+    (path / "bag_1.mcap").rename(tmp_path / "bag_1.mcap")
+    (path / "bag_3.mcap").rename(path / "unlisted.mcap")
+    with pytest.raises(DataError, match=r"lacks bag_1.mcap, bag_3.mcap, which metadata.yaml lists; put it back, or"):
+        BagReader(path)
+    assert (path / METADATA).read_text() == whole
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_a_copy_of_a_part_is_not_taken_as_another(tmp_path, described):
+    path = bag_of_parts(tmp_path / "bag")
+    shutil.copy(path / "bag_1.mcap", path / "before-bag_1.mcap")
+    if not described:
+        (path / METADATA).unlink()
+    files = {file: file.read_bytes() for file in path.iterdir()}
+    with pytest.raises(DataError, match=r"before-bag_1.mcap: does not belong to this bag; .* as bag_1.mcap"):
+        BagReader(path)
+    assert {file: file.read_bytes() for file in path.iterdir()} == files
+    (path / "before-bag_1.mcap").unlink()
+    assert first_bytes(path) == [*range(9), ord("l")]
+
+
+def test_another_bag_of_the_same_time_is_not_taken_as_a_part(tmp_path):
+    """One of one file, which begins within the first part and ends after the last."""
+    path = bag_of_parts(tmp_path / "bag", each=5)
+    other = BagWriter(tmp_path / "other")
+    other.add_topic("/c", STRING, RELIABLE)
+    for seconds in (1001, 1020):
+        other.write("/c", seconds * 10**9, b"x")
+    other.close()
+    shutil.copy(tmp_path / "other" / "other.mcap", path)
+    with pytest.raises(DataError, match=r"other.mcap: does not belong to this bag"):
+        BagReader(path)
+    (path / "other.mcap").unlink()
+    assert first_bytes(path) == [*range(9), ord("l")]
 
 
 def test_a_disk_that_is_full_leaves_whole_chunks_and_a_bag_that_opens(tmp_path, monkeypatch):

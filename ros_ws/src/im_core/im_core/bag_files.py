@@ -5,7 +5,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -59,6 +59,8 @@ _LARGEST_RECORD = 2**30
 LIBRARY = "im"
 #: A file of another recorder, which takes no lock, may still be written while its last bytes are no older [s].
 _SETTLED_S = 5.0
+#: By how much parts of one bag may overlap: a recorder takes what waits in its queues, one after the other [ns].
+_OVERLAP_NS = 2 * 10**9
 _RECORDED = "is being recorded; end the recording first"
 
 unpacking.install()
@@ -135,36 +137,77 @@ def complete_bag(bag: Path) -> None:
         bag: Folder of a bag, or a file of it; one whose metadata name all its MCAP files is not looked at further.
 
     Raises:
-        DataError: It cannot be completed: it is being recorded, has no message, is no MCAP file, or was complete once
-            and is cut now.
+        DataError: It cannot be completed: it is being recorded, has no message, is no MCAP file, was complete once
+            and is cut now, lacks a file that its metadata list, or has one that does not belong to it.
     """
     if not bag.is_dir():
         if bag.suffix == ".mcap" and not _has_end(bag):
             complete_file(bag)
         return
     described = (bag / METADATA).exists()
-    known = _known_files(bag / METADATA) if described else set()
-    files = parts(bag)
+    listed = _listed_files(bag / METADATA) if described else []
+    files = sorted(bag.glob("*.mcap"))
     for path in files:
-        if path.name in known and _is_cut(path):
+        if path.name in listed and _is_cut(path):
             text = "lacks its end, as a copy that was broken off; copy it again, or remove"
             raise FileError(path, f"{text} {METADATA} beside it: what is whole of it is then taken as the bag")
-    if not (new := [path for path in files if path.name not in known]):
+    if not (new := [path for path in files if path.name not in listed]):
         return
     busy = [path for path in new if is_recorded(path)]
     if described and busy:
         return
     if busy:
         raise FileError(bag, _RECORDED)
+    contents = _contents(files)
+    _check_belonging(bag, listed, contents)
     for path in new:
-        if path.stat().st_size and not _has_end(path):
+        if path in contents and not _has_end(path):
             complete_file(path)
-    write_metadata(bag, [path for path in files if path.stat().st_size])
+    _describe(bag, contents)
 
 
 def parts(bag: Path) -> list[Path]:
-    """The MCAP files in the folder of a bag, in the order in which they were written."""
-    return sorted(bag.glob("*.mcap"), key=_number)
+    """The MCAP files in the folder of a bag, in the order of their first messages; without those that are empty."""
+    return list(_contents(bag.glob("*.mcap")))
+
+
+def _contents(files: Iterable[Path]) -> dict[Path, Contents]:
+    """What files hold, in the order of their first messages, whatever their names; empty ones are left out."""
+    found = {}
+    for path in files:
+        if path.stat().st_size:
+            with path.open("rb") as file:
+                found[path] = _summary(path) if _has_end(path) else scan(path, file)
+    return dict(sorted(found.items(), key=lambda item: (not item[1].counts, item[1].begin_ns, item[0].name)))
+
+
+def _check_belonging(bag: Path, listed: Sequence[str], contents: Mapping[Path, Contents]) -> None:
+    """Refuse what a recorder that was killed cannot have left: a copy of a part, a file of another bag, a gap.
+
+    Raises:
+        FileError: A listed file is missing, or one that is not listed does not belong to the bag.
+    """
+    if missing := [name for name in listed if not (bag / name).exists()]:
+        text = f"lacks {', '.join(missing)}, which {METADATA} lists; put it back, or remove {METADATA}"
+        raise FileError(bag, f"{text}: what is there is then taken as the bag")
+    new = sorted(
+        (path for path, held in contents.items() if path.name not in listed and held.counts),
+        key=lambda path: (contents[path].begin_ns, len(path.name), path.name),
+    )
+    if new and any(not name.endswith(".mcap") for name in listed):
+        raise FileError(new[0], f"does not belong to this bag, which is in other files by its {METADATA}; move it away")
+    taken = [path for path in contents if path.name in listed]
+    for path in new:
+        for other in taken:
+            if _is_of_the_same_time(contents[path], contents[other]):
+                text = f"it is of the same time as {other.name}, as a copy or another bag is: move it away"
+                raise FileError(path, f"does not belong to this bag; {text}")
+        taken.append(path)
+
+
+def _is_of_the_same_time(one: Contents, other: Contents) -> bool:
+    overlap_ns = min(one.end_ns, other.end_ns) - max(one.begin_ns, other.begin_ns)
+    return bool(other.counts) and (one.begin_ns == other.begin_ns or overlap_ns > _OVERLAP_NS)
 
 
 def is_recorded(path: Path) -> bool:
@@ -254,10 +297,14 @@ def write_metadata(bag: Path, files: Sequence[Path]) -> None:
         DataError: There is none, or one is no MCAP file.
         StoreError: It cannot be written.
     """
-    if not files:
+    _describe(bag, {path: _summary(path) for path in files})
+
+
+def _describe(bag: Path, contents: Mapping[Path, Contents]) -> None:
+    """Write ``metadata.yaml``; exceptions as of :func:`write_metadata`."""
+    if not contents:
         raise FileError(bag, "has no message: the recording ended before the first was written")
-    contents = [(path, _summary(path)) for path in files]
-    content = {"rosbag2_bagfile_information": _described(contents)}
+    content = {"rosbag2_bagfile_information": _described(list(contents.items()))}
     write_whole(bag / METADATA, write_yaml(content))
 
 
@@ -396,20 +443,14 @@ def _summary(path: Path) -> Contents:
         )
 
 
-def _known_files(metadata: Path) -> set[str]:
+def _listed_files(metadata: Path) -> list[str]:
     try:
         content: Any = as_data(read_yaml(read_text(metadata, LARGEST_METADATA), str(metadata)))
-        return {Path(name).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]}
+        return [Path(name).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
     except YamlError as error:
         raise FileError(metadata, error.sentence, error.place.line) from error
     except (LookupError, TypeError) as error:
         raise FileError(metadata, "cannot be read: it says nothing of the files of a bag") from error
-
-
-def _number(path: Path) -> tuple[int, str]:
-    """Parts are ``name.mcap``, ``name_1.mcap``, ..., or ``name_0.mcap``, ...: in the order of their numbers."""
-    tail = path.stem.rpartition("_")[2]
-    return (int(tail) if path.stem != path.parent.name and tail.isdigit() else -1, path.name)
 
 
 def _described(files: Sequence[tuple[Path, Contents]]) -> dict[str, Any]:
