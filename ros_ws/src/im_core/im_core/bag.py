@@ -15,6 +15,7 @@ from rosbags.typesys.store import Typestore
 
 from im_core import unpacking
 from im_core.bag_files import complete_bag
+from im_core.bag_storage import WholeReader
 from im_core.errors import DataError, printable
 from im_core.files import FileError, check_regular
 
@@ -71,7 +72,7 @@ def open_bag(bag: Path) -> Reader:
         complete_bag(bag)
         if folder:
             unpacking.check_files(bag, sorted(folder.glob(_PACKED)))
-        reader = Reader(bag)
+        reader = WholeReader(bag)
         reader.open()
     except FileError:
         raise

@@ -28,6 +28,7 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
+from mcap.summary import Summary
 from rosbags.rosbag2.storage_mcap import decompress
 
 from im_core import clock, unpacking
@@ -424,16 +425,15 @@ def _is_cut(path: Path) -> bool:
 
 
 def _summary(path: Path) -> Contents:
-    """What the summary of a complete file says, or the file itself where it has none."""
+    """What the summary of a complete file says, or the file itself where that does not tell all channels and types."""
     with path.open("rb") as file:
         try:
             summary = make_reader(file).get_summary()
         except Exception as error:  # of any name, as above
             raise FileError(path, f"cannot be read: {error or type(error).__name__}") from error
-        if summary is None or summary.statistics is None:
+        if summary is None or (told := summary.statistics) is None or not _is_told(summary, told):
             file.seek(0)
             return scan(path, file)
-        told = summary.statistics
         return Contents(
             schemas=summary.schemas,
             channels=summary.channels,
@@ -441,6 +441,12 @@ def _summary(path: Path) -> Contents:
             begin_ns=told.message_start_time,
             end_ns=told.message_end_time,
         )
+
+
+def _is_told(summary: Summary, told: Statistics) -> bool:
+    defined = {number for number, channel in summary.channels.items() if channel.schema_id in summary.schemas}
+    counts = told.channel_message_counts
+    return sum(counts.values()) == told.message_count and counts.keys() <= defined
 
 
 def _listed_files(metadata: Path) -> list[str]:

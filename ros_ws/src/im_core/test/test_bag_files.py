@@ -4,11 +4,12 @@ import fcntl
 import os
 import random
 import shutil
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import IndexType, Writer
 
 from im_core import bag_files
 from im_core.bag import open_bag
@@ -18,12 +19,12 @@ from im_core.errors import DataError
 STRING = "std_msgs/msg/String"
 
 
-def record(folder, chunks=6, each=5, end=True, library=LIBRARY):
+def record(folder, chunks=6, each=5, end=True, library=LIBRARY, left_out=None):
     """A bag of some chunks of messages of two topics; positions in the file after each chunk."""
     folder.mkdir()
     ends = []
     with (folder / f"{folder.name}.mcap").open("wb") as file:
-        writer = Writer(file)
+        writer = Writer(file, **(left_out or {}))
         writer.start(profile="ros2", library=library)
         schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
         channels = [writer.register_channel(topic, "cdr", schema) for topic in ("/a", "/b")]
@@ -122,6 +123,39 @@ def test_a_file_of_another_recorder_is_left_alone_while_it_may_be_written(tmp_pa
     assert path.read_bytes() == before + b"x"
     os.utime(path, (0, 0))
     assert messages(tmp_path / "bag") == list(range(30))
+
+
+@pytest.mark.parametrize("named", ["folder", "file"])
+@pytest.mark.parametrize(
+    "left_out",
+    [
+        {"index_types": IndexType.CHUNK},
+        {"index_types": IndexType.CHUNK, "repeat_channels": False},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+        {"repeat_channels": False, "repeat_schemas": False},
+        {"use_statistics": False},
+        {"use_statistics": False, "index_types": IndexType.CHUNK},
+        {"index_types": IndexType.MESSAGE},
+        {"index_types": IndexType.NONE, "repeat_channels": False, "repeat_schemas": False, "use_statistics": False},
+        {"use_chunking": False},
+    ],
+    ids=str,
+)
+def test_all_messages_are_read_whatever_the_index_leaves_out(tmp_path, left_out, named):
+    record(tmp_path / "bag", library="another", left_out=left_out)
+    path = tmp_path / "bag" / "bag.mcap"
+    before = path.read_bytes()
+    with closing(open_bag(path if named == "file" else path.parent)) as reader:
+        assert {each.topic: (each.msgtype, each.msgcount) for each in reader.connections} == {
+            "/a": (STRING, 15),
+            "/b": (STRING, 15),
+        }
+        assert [data[4] for _, _, data in reader.messages()] == list(range(30))
+        second = [each for each in reader.connections if each.topic == "/b"]
+        assert [data[4] for _, _, data in reader.messages(second, start=1010)] == list(range(11, 30, 2))
+        assert (reader.start_time, reader.end_time, reader.message_count) == (1000, 1030, 30)
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize(
