@@ -104,6 +104,27 @@ def test_a_command_survives_the_deaths_of_coordinators(machine, few_poses, victi
     assert report["points_used"] >= FEW - 4
 
 
+def test_the_calibration_in_use_outlives_vss(machine):
+    from sensor_msgs.srv import SetCameraInfo
+
+    from im_msgs.srv import Snap
+
+    machine.all_ready()
+
+    def seen():
+        answer = machine.call(Snap, "/vss/snap", cameras=["wall"])
+        assert answer.success, answer.status.message
+        return answer.camera_infos[0]
+
+    info = seen()
+    info.k, info.d = [701.0, 0.0, 320.0, 0.0, 702.0, 240.0, 0.0, 0.0, 1.0], [0.0] * 5
+    info.distortion_model = "plumb_bob"
+    answer = machine.call(SetCameraInfo, "/wall/set_camera_info", camera_info=info)
+    assert answer.success, answer.status_message
+    machine.kill("vss")()
+    assert list(seen().k) == list(info.k)
+
+
 def test_an_estop_ends_the_command_with_its_reason_and_reset_mends_it(machine, few_poses):
     thread, answers = machine.in_background(few_poses)
     machine.wait_for_firing("motion_coordinator", "move_manip", 3)

@@ -15,6 +15,10 @@ def instance() -> str:
     return f"im{os.environ.get('ROS_DOMAIN_ID') or '0'}"
 
 
+#: File in the run folder that names the folder of the calibration in use.
+CALIBRATION = "calibration"
+
+
 def run_dir() -> Path:
     """Folder for logs, databases and pid files of this machine; made if missing.
 

@@ -8,11 +8,11 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from im_core import open_commands
+from im_core import names, open_commands
 from im_core.clock import stamp_name
 from im_core.files import make_folder, move
 
-PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm")
+PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm", names.CALIBRATION)
 KEPT = 5
 """Missions that were not gone on with, the newest ones."""
 #: Folder of a mission that is being set aside; only then it gets its name.

@@ -10,11 +10,12 @@ from typing import Any
 
 from sensor_msgs.srv import SetCameraInfo
 
-from im_cell.calibration_files import read_calibration
+from im_cell.calibration_files import CalibrationFiles, read_calibration
 from im_cell.frames import FrameSource, FrameSourceSetup
 from im_cell.robot import Cell, load_cell
 from im_core import clock, names, plugins
-from im_core.errors import ImError
+from im_core.errors import ImError, StoreError
+from im_core.files import read_text, write_whole
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
@@ -70,10 +71,11 @@ class VssNode(ManagedNode):
         kept = names.results_dir() / "vss" / f"{names.instance()}-{clock.stamp_name()}"
         self._book = CameraBook(cell, settings.cameras, kept, settings.stereo.pairs)
         laser_book = LaserBook(cell.laser, kept)
-        self._take_calibration(cell, laser_book)
+        self._in_use = None if self.get_parameter("standalone").value else names.run_dir() / names.CALIBRATION
+        self._take_calibration(cell, laser_book, kept)
         self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
         self._outputs = ImageOutputs(self, self._book, laser_book)
-        self._book.on_change = laser_book.on_change = self._outputs.publish_calibrations
+        self._book.on_change = laser_book.on_change = partial(self._calibrated, kept)
         frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
         setup = FrameSourceSetup(
             cell,
@@ -180,17 +182,51 @@ class VssNode(ManagedNode):
         response.status_message = f"{camera} has new intrinsics; written to {folder}"
         return response
 
-    def _take_calibration(self, cell: Cell, laser_book: LaserBook) -> None:
-        """Use the calibration of an earlier run, if one is given, and say what comes from where."""
-        if (folder := self._file("calibration")) is None:
+    def _take_calibration(self, cell: Cell, laser_book: LaserBook, kept: Path) -> None:
+        """Use the calibration that a former life of this task had in use, or one that is given; say what is from where.
+
+        Args:
+            cell: The cell.
+            laser_book: Takes that of the laser.
+            kept: Where what is in use is written.
+        """
+        found = self._left(cell)
+        if found is not None:
+            self.get_logger().info(f"the calibration in use before is taken up again: {found.folder}")
+        elif (folder := self._file("calibration")) is not None:
+            found = read_calibration(folder, cell)
+        if found is None:
             return
-        files = read_calibration(folder, cell)
-        for sentence in (*files.notes, *self._book.adopt(files)):
+        for sentence in (*found.notes, *self._book.adopt(found)):
             self.get_logger().warning(sentence)
-        laser_book.adopt(files)
+        laser_book.adopt(found)
+        self._note_in_use(kept)
         told = [entry.told() for entry in self._book.entries()]
         for sentence in (*told, laser_book.entry.told()):
             self.get_logger().info(sentence)
+
+    def _left(self, cell: Cell) -> CalibrationFiles | None:
+        """The calibration that was in use when this task died, in the mission that goes on; None: as at a start."""
+        if self._in_use is None or not self._in_use.exists():
+            return None
+        try:
+            return read_calibration(Path(read_text(self._in_use).strip()), cell)
+        except ImError as error:
+            self.get_logger().error(f"the calibration in use before is lost: {error.message}")
+            return None
+
+    def _calibrated(self, kept: Path) -> None:
+        """A calibration has been taken into use, and its files are written; in any thread."""
+        self._note_in_use(kept)
+        self._outputs.publish_calibrations()
+
+    def _note_in_use(self, kept: Path) -> None:
+        if self._in_use is None:
+            return
+        try:
+            write_whole(self._in_use, f"{kept}\n")
+        except StoreError as error:
+            self.get_logger().error(f"the death of /vss would undo the calibration in use: {error.message}")
 
     def _watch(self) -> None:
         """Start the cameras again when they died."""
