@@ -1,5 +1,7 @@
 """The simulated cameras: light where the lens puts it, hidden by the arm, noise as stated and repeatable."""
 
+import json
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +9,11 @@ import pytest
 
 from bench.vss.cameras import simulated
 from im_cell.camera_model import CameraModel
-from im_cell.frames import FrameSourceSetup
+from im_cell.frames import FrameSourceSetup, SnapOrder
 from im_cell.link import Exposure
 from im_cell.robot import load_cell
-from im_core.errors import ConfigError
+from im_core.errors import ConfigError, WaitTimeoutError
+from im_core.process import ChildProcess
 from im_sim.cameras.bank import CameraBank
 from im_sim.cameras.host import CameraHost
 from im_sim.cameras.lens import Lens
@@ -112,6 +115,29 @@ def test_settings_of_the_cameras_own_are_checked():
         CameraHost(setup)
     with pytest.raises(ConfigError, match=r"frame_source\.settings\.render: .*'renderer'"):
         CameraHost(replace(setup, settings={"render": "egl"}))
+
+
+def test_cameras_that_hang_at_their_start_are_ended_and_started_again(monkeypatch, tmp_path):
+    started = []
+
+    def hanging(module, arguments, log):
+        settings = json.loads(arguments[arguments.index("--settings") + 1])
+        started.append((ChildProcess(["sleep", "60"]), settings["renderer"]))
+        return started[-1][0]
+
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    monkeypatch.setattr(ChildProcess, "of_module", hanging)
+    host = CameraHost(FrameSourceSetup(CELL, None, ("wall",), SETTINGS.sensor, 0.018, 0.2, {"renderer": "auto"}))
+    host.start()
+    try:
+        with pytest.raises(WaitTimeoutError, match="the camera process to be ready"):
+            host.wait_ready()
+        with pytest.raises(WaitTimeoutError, match="the camera process to be ready"):
+            host.take_frames(SnapOrder(("wall",), (False,), 0.018, 1.0))
+    finally:
+        host.close()
+    ended = -signal.SIGTERM
+    assert [(child.poll(), renderer) for child, renderer in started] == [(ended, "auto"), (ended, "tiny")]
 
 
 def test_lens_warps_as_the_camera_model_projects():

@@ -24,7 +24,7 @@ class CameraHost(FrameSource):
 
     Args:
         setup: Cameras; the source's own settings are ``renderer``: ``auto``, ``egl`` or ``tiny``. ``auto`` turns into
-            ``tiny`` when the process crashed before it was ready.
+            ``tiny`` when the process crashed, or hung, before it was ready.
 
     Raises:
         ConfigError: The settings are wrong.
@@ -65,7 +65,7 @@ class CameraHost(FrameSource):
 
         Raises:
             LinkError: The process ended.
-            WaitTimeoutError: It is not ready in time.
+            WaitTimeoutError: It is not ready in time; it is ended.
         """
         with self._lock:
             self._await_ready()
@@ -106,11 +106,7 @@ class CameraHost(FrameSource):
             self._requests.send(request.to_json())
             self._requested.post()
             timeout_s = len(order.blank_light) * order.timeout_s + _RENDER_BUDGET_S
-            try:
-                reply = self._receive(self._number, timeout_s, exposed)
-            except WaitTimeoutError:
-                self._child.stop()
-                raise
+            reply = self._answer(self._number, timeout_s, exposed)
             if reply.error is not None:
                 raise ImError.restored(reply.error["code"], reply.error["message"], reply.error["facts"])
             frames = {
@@ -151,7 +147,7 @@ class CameraHost(FrameSource):
     def _restart(self) -> None:
         code = self._child.poll() if self._child is not None else None
         if not self._ready and self._settings.renderer == "auto" and code is not None and code < 0:
-            # a graphics driver that crashes does so at the start
+            # a graphics driver that crashes or hangs does so at the start
             self._settings = self._settings.model_copy(update={"renderer": "tiny"})
         self._release()
         self._start()
@@ -162,10 +158,19 @@ class CameraHost(FrameSource):
 
     def _await_ready(self) -> None:
         if not self._ready:
-            reply = self._receive(0, self._start_timeout_s)
+            reply = self._answer(0, self._start_timeout_s)
             if reply.error is not None:
                 raise ImError.restored(reply.error["code"], reply.error["message"], reply.error["facts"])
             self._ready = True
+
+    def _answer(self, number: int, timeout_s: float, exposed: Exposed = nobody) -> CameraReply:
+        """The last reply to a request; a process that gives none in time is ended."""
+        try:
+            return self._receive(number, timeout_s, exposed)
+        except WaitTimeoutError:
+            if self._child is not None:
+                self._child.stop()
+            raise
 
     def _receive(self, number: int, timeout_s: float, exposed: Exposed = nobody) -> CameraReply:
         """The last reply to a request; older ones are dropped."""
