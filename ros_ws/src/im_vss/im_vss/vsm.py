@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from im_core import plugins
-from im_core.errors import NotFoundError, StateError
+from im_core.errors import NotFoundError
 from im_vss.catalogue import Catalogue
 from im_vss.managers import ModuleState, VisionClient, VisionModuleManager
 from im_vss.modules import VisionModule
@@ -98,8 +98,7 @@ class VisionServicesManager:
             self._clients[client.name] = client
         try:
             result = self.services[service].serve(client, request)
-            if client.gone:
-                raise StateError(f"{client.name} was cancelled, or nobody waits for it any more", request=client.name)
+            client.check()
             return result
         finally:
             with self._lock:

@@ -11,10 +11,12 @@ from im_core.errors import LimitError, StateError
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.laser.book import LaserBook
+from im_vss.laser.calibration import LaserCalibration
 from im_vss.laser.scanner import check_beam
 from im_vss.managers import VisionClient
 from im_vss.rig import LaserRig, Rig
 from im_vss.services.laser_spots import why_not
+from im_vss.services.svc_laser_calibrate import LaserCalibrateRequest
 from im_vss.services.svc_laser_point import LaserPointRequest
 from im_vss.services.svc_spot_find import CameraSpot
 from im_vss.settings import load_settings
@@ -149,6 +151,22 @@ def test_a_cell_without_a_scanner_says_so(system):
     vsm, _, _ = system("laser_point", laser=False)
     with pytest.raises(StateError, match="there is no laser scanner"):
         vsm.request("laser_point", LaserPointRequest((0.0, 0.0), None, on=True))
+
+
+def test_a_cancelled_calibration_does_not_change_the_scanner(system, monkeypatch):
+    vsm, _, _ = system("laser_calibrate")
+    rig = vsm.services["laser_calibrate"].rig
+    monkeypatch.setattr("im_vss.services.svc_laser_calibrate.fixed_cameras", lambda rig, cameras, count: cameras)
+
+    def calibrate(*_):
+        vsm.cancel("laser_calibrate #1")
+        return LaserCalibration(rig.scanner.book.entry.model, np.eye(10), (), 0.0, 1.0, np.empty(0, bool), np.empty(0))
+
+    monkeypatch.setattr("im_vss.tools.tool_laser_calibrate.calibrate", calibrate)
+    request = LaserCalibrateRequest(("ceiling_left", "ceiling_right"), (0.0,), (0.0,), apply=True)
+    with pytest.raises(StateError, match="laser_calibrate #1 was cancelled"):
+        vsm.request("laser_calibrate", request)
+    assert not rig.scanner.book.entry.calibrated
 
 
 @pytest.mark.parametrize(

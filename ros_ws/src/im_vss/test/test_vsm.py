@@ -1,12 +1,15 @@
 """The Vision Services Manager: cancelling, what is loaded and owned, processes and their deployment."""
 
 import threading
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 
 from bench.calibration.synthetic import Design, make_scene
+from im_cell.camera_covariance import CameraCovariance
 from im_cell.frames import FrameSet, nobody
 from im_cell.robot import load_cell
 from im_core import clock
@@ -122,6 +125,13 @@ def test_a_cancelled_request_leaves_the_queue_and_the_module(system):
         vsm.cancel("snap #1")
 
 
+def observation():
+    """One of the wall's camera."""
+    problem = make_scene(Design(poses=7), 1).problem
+    seen = {"wall": SeenSpot(problem.spots[0, 0], np.eye(2))}
+    return Observation("p", problem.positions[0], np.eye(3), problem.position_covariances[0], seen)
+
+
 def test_calibrations_take_turns_and_the_second_does_not_wait_for_ever(system, monkeypatch):
     """Without turns 50 calibrations at once share the time of one, and everything else waits for all of them."""
     vsm, _ = system
@@ -134,13 +144,10 @@ def test_calibrations_take_turns_and_the_second_does_not_wait_for_ever(system, m
 
     monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", slow)
     monkeypatch.setattr(vsm.managers["image_processing"], "wait_s", 0.2)
-    problem = make_scene(Design(poses=7), 1).problem
-    seen = {"wall": SeenSpot(problem.spots[0, 0], np.eye(2))}
-    one = Observation("p", problem.positions[0], np.eye(3), problem.position_covariances[0], seen)
 
     def run():
         try:
-            vsm.request("calibrate", CalibrateRequest(("wall",), (one,)))
+            vsm.request("calibrate", CalibrateRequest(("wall",), (observation(),)))
         except ImError as error:
             outcomes.append(error.message)
 
@@ -153,6 +160,43 @@ def test_calibrations_take_turns_and_the_second_does_not_wait_for_ever(system, m
     go.set()
     first.join()
     assert outcomes[1:] == ["solved, after a fashion"]
+
+
+@pytest.mark.parametrize("released", ["after its answer", "before it"])
+def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, released):
+    """Whether it is noticed while the solver computes, or when it has: before the cameras are set."""
+    vsm, _ = system
+    rig = vsm.services["calibrate"].rig
+    before, began, go, outcomes = rig.book.entries(), threading.Event(), threading.Event(), []
+    moved = replace(rig.book["wall"].model, t_cam_base=np.array([1.0, 2.0, 3.0]))
+    found = SimpleNamespace(
+        success=True, cameras=(SimpleNamespace(name="wall", model=moved),), camera_covariance=CameraCovariance()
+    )
+
+    def slow(problem):
+        began.set()
+        go.wait(60.0)
+        if released == "before it":
+            vsm.cancel("calibrate #1")
+        return found
+
+    def run():
+        try:
+            vsm.request("calibrate", CalibrateRequest(("wall",), (observation(),), apply=True))
+        except ImError as error:
+            outcomes.append(error.message)
+
+    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", slow)
+    asked = threading.Thread(target=run)
+    asked.start()
+    assert began.wait(60.0)
+    if released == "after its answer":
+        vsm.cancel("calibrate #1")
+        asked.join()
+    go.set()
+    asked.join()
+    assert outcomes == ["calibrate #1 was cancelled, or nobody waits for it any more"]
+    assert rig.book.entries() == before
 
 
 def test_the_deployment_of_the_services_in_use(capsys):

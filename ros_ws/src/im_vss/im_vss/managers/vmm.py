@@ -34,6 +34,15 @@ class VisionClient:
         """Whether nobody wants the answer any more."""
         return self._cancelled.is_set() or not self.alive()
 
+    def check(self) -> None:
+        """Refuse to go on for nobody.
+
+        Raises:
+            StateError: Nobody wants the answer any more.
+        """
+        if self.gone:
+            raise StateError(f"{self.name} was cancelled, or nobody waits for it any more", request=self.name)
+
 
 def _nothing() -> float:
     return 0.0

@@ -13,6 +13,7 @@ from im_vss.managers.vmm import Lease
 from im_vss.rig import Rig
 
 Result = TypeVar("Result")
+_SLICE_S = 0.2
 #: Work that computes is given up after so many times its lease, for whatever reason it does not run.
 _MOST_SPARED = 20.0
 
@@ -37,7 +38,7 @@ class VisionModule:
         """Run `work` on the hardware and hand its result straight to the Tool that holds the lease.
 
         Raises:
-            StateError: The lease is not, or no longer, one for this module.
+            StateError: The lease is not, or no longer, one for this module; or its client gave up meanwhile.
             WaitTimeoutError: The lease ended before the work did.
             ImError: As raised by `work`.
         """
@@ -50,11 +51,14 @@ class VisionModule:
 
         lease.check(self.name)
         future = self._thread.submit(guarded)
-        while not future.done() and (left_s := lease.remaining()):
-            wait([future], left_s)
-        if future.done():
-            return future.result()
-        future.cancel()
+        try:
+            while not future.done() and (left_s := lease.remaining()):
+                lease.client.check()
+                wait([future], min(left_s, _SLICE_S))
+            if future.done():
+                return future.result()
+        finally:
+            future.cancel()
         raise WaitTimeoutError(what=f"{self.name}, used by {lease.client.name}", seconds=lease.hold_s)
 
     def close(self) -> None:

@@ -105,7 +105,8 @@ class SvcCalibrate(VisionService):
 
         Raises:
             ImError: A camera is unknown, it is not known where the arm is that carries it, the observations do not
-                determine the cameras, the solver did not become free in time, or the results cannot be written.
+                determine the cameras, the solver did not become free in time, the results cannot be written, or the
+                client gave up; the cameras' calibration is as before then.
         """
         cameras = self.rig.settings.check_cameras(request.cameras)
         models = {camera: self.rig.book[camera].model for camera in cameras}
@@ -122,6 +123,7 @@ class SvcCalibrate(VisionService):
             write_calibration(request.directory, calibration, problem, self.rig.book, mounted, covariance)
         applied = request.apply and calibration.success
         if applied:
+            client.check()
             self.rig.book.set_cameras(mounted, covariance)
         return CalibrateResult(calibration, report_of(calibration, problem), applied, request.directory)
 

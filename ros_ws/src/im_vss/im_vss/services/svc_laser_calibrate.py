@@ -48,8 +48,9 @@ class SvcLaserCalibrate(VisionService):
         """Calibrate.
 
         Raises:
-            ImError: The cameras are not two that are fixed and calibrated, angles are out of range or not in pairs, or
-                the hardware does not deliver. Too few spots are no error: the verdicts say so.
+            ImError: The cameras are not two that are fixed and calibrated, angles are out of range or not in pairs, the
+                hardware does not deliver, or the client gave up: the calibration is as before then. Too few spots are
+                no error: the verdicts say so.
         """
         cameras = fixed_cameras(self.rig, request.cameras, 2)
         beams = [check_beam(beam, self.rig.cell.laser) for beam in self._beams(request)]
@@ -68,6 +69,7 @@ class SvcLaserCalibrate(VisionService):
                 rejected.append(_told(spot.angles, f"{off:.1f} standard deviations off its beam"))
         file = None
         if request.apply and not calibration.verdicts:
+            client.check()
             file = self.rig.scanner.book.set(calibration.model, calibration.covariance)
         return LaserCalibrateResult(calibration, tuple(rejected), file, self.rig.book.remark(cameras))
 
