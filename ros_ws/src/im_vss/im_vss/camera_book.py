@@ -15,6 +15,7 @@ from im_cell.calibration_files import (
     CameraPose,
     Rectified,
     camera_info_yaml,
+    change_camera_files,
     covariance_yaml,
     extrinsics_yaml,
     frame_of,
@@ -24,7 +25,6 @@ from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 from im_cell.robot import Camera, Cell
 from im_core.errors import DataError, NotFoundError
-from im_core.files import make_folder, write_whole
 from im_vss.stereo import rectify
 
 
@@ -234,7 +234,8 @@ class CameraBook:
         self._entries, self._covariance = entries, covariance
 
     def _write(self, entries: Iterable[CameraEntry], covariance: CameraCovariance) -> None:
-        contents, poses = {}, {}
+        contents: dict[str, str | None] = {COVARIANCE: None}
+        poses = {}
         for entry in entries:
             if entry.intrinsics_file is not None:
                 contents[f"{entry.name}.yaml"] = camera_info_yaml(entry.name, entry.model, entry.rectified)
@@ -245,11 +246,7 @@ class CameraBook:
         if covariance.parameters:
             contents[COVARIANCE] = covariance_yaml(covariance)
         try:
-            make_folder(self._directory)
-            if not covariance.parameters:
-                (self._directory / COVARIANCE).unlink(missing_ok=True)
-            for name, text in contents.items():
-                write_whole(self._directory / name, text)
+            change_camera_files(self._directory, contents)
         except OSError as error:
             directory = str(self._directory)
             raise DataError(f"{directory}: cannot be written: {error.strerror}", file=directory) from error

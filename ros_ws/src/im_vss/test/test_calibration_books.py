@@ -1,5 +1,6 @@
 """What the books of cameras and laser scanner write, the next run starts with."""
 
+import errno
 import threading
 from dataclasses import replace
 
@@ -12,7 +13,8 @@ from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import PARAMETERS
 from im_cell.laser_model import LaserModel
 from im_cell.robot import load_cell
-from im_core.errors import DataError, NotFoundError
+from im_core.errors import DataError, NotFoundError, StoreError
+from im_core.files import write_whole
 from im_vss.camera_book import CameraBook, nominal
 from im_vss.laser.book import LaserBook
 from im_vss.services.svc_calibrate import fixed_to
@@ -156,6 +158,67 @@ def test_what_cannot_be_written_changes_nothing(tmp_path):
     small = replace(truly("wall"), width=320)
     with pytest.raises(DataError, match="wall takes images of 640 x 480 px, the calibration is for 320 x 480 px"):
         cameras.set_cameras({"wall": small})
+
+
+def read_in(folder):
+    """The book of a run that is started with a folder, and the entries that it has."""
+    again = book(folder.with_name(f"{folder.name}_again"))
+    again.adopt(read_calibration(folder, CELL))
+    return again
+
+
+def same(first, second):
+    return all(equal(first[name], second[name]) for name in CAMERAS) and np.array_equal(
+        first.covariance.of(CAMERAS), second.covariance.of(CAMERAS)
+    )
+
+
+JOINT = CameraCovariance(("ceiling_left.fx", "wall.fx"), np.array([[1.0, 0.1], [0.1, 1.0]]))
+
+
+@pytest.mark.parametrize("lasting", [False, True])
+@pytest.mark.parametrize("written", range(8))
+def test_files_that_are_not_all_written_are_all_as_before(tmp_path, monkeypatch, written, lasting):
+    """A disk that is full after so many files: for a moment, or so that they cannot even be put back."""
+    cameras, count = book(tmp_path / "kept"), 0
+
+    def full(path, content):
+        nonlocal count
+        count += 1
+        if count == written + 1 or (lasting and count > written):
+            raise StoreError.of("written", path, OSError(errno.ENOSPC, "No space left on device"))
+        return write_whole(path, content)
+
+    cameras.set_cameras({name: truly(name) for name in ("ceiling_left", "wall")}, JOINT)
+    LaserBook(CELL.laser, tmp_path / "kept").set(LaserModel(*CELL.laser.pose(), CELL.laser.gap), np.eye(10))
+    with monkeypatch.context() as disk:
+        disk.setattr("im_cell.calibration_files.together.write_whole", full)
+        with pytest.raises(DataError, match="kept: cannot be written: No space left on device"):
+            cameras.set_cameras({name: truly(name, 2) for name in CAMERAS})
+    assert same(read_in(tmp_path / "kept"), cameras)
+    assert read_calibration(tmp_path / "kept", CELL).laser is not None
+    cameras.set_cameras({"wall": truly("wall", 4)})
+    assert same(read_in(tmp_path / "kept"), cameras)
+    assert not [path for path in (tmp_path / "kept").iterdir() if path.name.startswith(".")]
+
+
+def test_a_process_that_is_killed_amid_its_files_leaves_those_before(tmp_path, monkeypatch):
+    class Killed(BaseException):
+        """Nothing is done after it."""
+
+    def killed(path, content):
+        if path == tmp_path / "kept" / "extrinsics.yaml":
+            raise Killed
+        return write_whole(path, content)
+
+    cameras = book(tmp_path / "kept")
+    cameras.set_cameras({"wall": truly("wall")}, JOINT.only({"wall"}))
+    monkeypatch.setattr("im_cell.calibration_files.together.write_whole", killed)
+    with pytest.raises(Killed):
+        cameras.set_cameras({name: truly(name, 2) for name in CAMERAS})
+    assert (tmp_path / "kept" / "ceiling_left.yaml").exists()
+    assert read_calibration(tmp_path / "kept", CELL).summary() == "wall (intrinsics and pose)"
+    assert same(read_in(tmp_path / "kept"), cameras)
 
 
 def test_changes_at_the_same_time_are_all_kept(tmp_path):

@@ -2,6 +2,7 @@
 
 A folder holds ``<camera>.yaml`` (intrinsics, in the format of ROS's `camera_info_manager`), ``extrinsics.yaml`` (poses,
 a `tf2_msgs/TFMessage` in YAML), ``covariance.yaml`` (how well both are known) and ``laser.yaml``; each may be absent.
+Those of the cameras are changed together, see :mod:`im_cell.calibration_files.together`.
 """
 
 from im_cell.calibration_files.covariance import COVARIANCE, covariance_yaml
@@ -9,6 +10,7 @@ from im_cell.calibration_files.extrinsics import EXTRINSICS, CameraPose, extrins
 from im_cell.calibration_files.folder import CalibrationFiles, read_calibration
 from im_cell.calibration_files.intrinsics import Rectified, camera_info_yaml, implausible, monocular
 from im_cell.calibration_files.laser import LASER, LaserEstimate, laser_yaml
+from im_cell.calibration_files.together import change_camera_files
 
 __all__ = [
     "COVARIANCE",
@@ -19,6 +21,7 @@ __all__ = [
     "LaserEstimate",
     "Rectified",
     "camera_info_yaml",
+    "change_camera_files",
     "covariance_yaml",
     "extrinsics_yaml",
     "frame_of",

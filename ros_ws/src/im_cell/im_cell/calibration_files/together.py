@@ -1,0 +1,85 @@
+"""Files of cameras that are changed together: whoever reads their folder has all of the old ones or all of the new.
+
+While they are changed, and when that came to no end, the old ones are in the folder ``.before``.
+"""
+
+import contextlib
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from im_cell.calibration_files.laser import LASER
+from im_core.files import make_folder, move, read_bytes, write_whole
+
+_BEFORE, _ASIDE = ".before", ".aside"
+
+
+def camera_files(folder: Path) -> list[Path]:
+    """The files of cameras that are in force in a folder, sorted.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    before = folder / _BEFORE
+    return _files(before if before.is_dir() else folder)
+
+
+def change_camera_files(folder: Path, contents: Mapping[str, str | None]) -> None:
+    """Write files of cameras, all or none.
+
+    Args:
+        folder: Their folder; made if missing.
+        contents: By name; None: the file is removed.
+
+    Raises:
+        OSError: They cannot be written; those in force are as before.
+    """
+    make_folder(folder)
+    _restore(folder)
+    try:
+        _keep(folder)
+        for name, text in contents.items():
+            if text is None:
+                (folder / name).unlink(missing_ok=True)
+            else:
+                write_whole(folder / name, text)
+        _forget(folder)
+    except OSError:
+        with contextlib.suppress(OSError):
+            _restore(folder)
+        raise
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("*.yaml") if not path.name.startswith(".") and path.name != LASER)
+
+
+def _keep(folder: Path) -> None:
+    """Copy the files to where they stay until all are changed."""
+    aside = folder / _ASIDE
+    shutil.rmtree(aside, ignore_errors=True)
+    make_folder(aside)
+    for path in _files(folder):
+        write_whole(aside / path.name, read_bytes(path))
+    move(aside, folder / _BEFORE)
+
+
+def _forget(folder: Path) -> None:
+    """With the first step, the files of the folder are those in force."""
+    aside = folder / _ASIDE
+    shutil.rmtree(aside, ignore_errors=True)
+    move(folder / _BEFORE, aside)
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _restore(folder: Path) -> None:
+    """Put back what a change that came to no end has left."""
+    before = folder / _BEFORE
+    if not before.is_dir():
+        return
+    for path in _files(before):
+        write_whole(folder / path.name, read_bytes(path))
+    for path in _files(folder):
+        if not (before / path.name).exists():
+            path.unlink()
+    _forget(folder)
