@@ -1,18 +1,21 @@
 """The scanner's Vision Module and the Tools that borrow it, with a scanner that only remembers."""
 
+import os
+
 import numpy as np
 import pytest
 
 from im_cell.frames import Frame, FrameSet, nobody
 from im_cell.laser_model import LaserModel
-from im_cell.link import LaserBeam
+from im_cell.link import HostEnd, LaserBeam, LaserEnd, Sensors
 from im_cell.robot import load_cell
+from im_core import clock
 from im_core.errors import LimitError, StateError
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.laser.book import LaserBook
 from im_vss.laser.calibration import LaserCalibration
-from im_vss.laser.scanner import check_beam
+from im_vss.laser.scanner import LinkedScanner, check_beam
 from im_vss.managers import VisionClient
 from im_vss.rig import LaserRig, Rig
 from im_vss.services.laser_spots import why_not
@@ -32,7 +35,10 @@ class Scanner:
     """Is at once where it shall be, and remembers where it was."""
 
     def __init__(self):
-        self.driven = []
+        self.driven, self.darkened = [], 0
+
+    def darken(self):
+        self.darkened += 1
 
     def drive(self, beam, timeout_s):
         self.driven.append(beam)
@@ -100,6 +106,27 @@ def test_only_what_pointing_needs_is_loaded(system):
     both, _, _ = system("laser_spot_3d")
     assert set(both.managers) == {"image_processing", "laser_scanner"}
     assert "vm_laser" not in system("snap", "spot_find")[0].modules
+
+
+def test_who_takes_over_the_scanner_makes_it_dark(system):
+    assert system("laser_point")[1].darkened == 1
+    assert system("snap")[1].darkened == 0  # it is another process's
+
+
+def test_a_beam_that_a_dead_process_left_is_switched_off():
+    instance, two = f"imdark{os.getpid()}", np.zeros(2)
+    scanner = LinkedScanner(instance, CELL.laser)
+    began = clock.monotonic()
+    scanner.darken()
+    assert clock.monotonic() - began < 0.5  # without a testbed nothing is waited for
+    with HostEnd.create(instance, n_joints=2, factor=0.0) as host:
+        scanner.darken()  # of a testbed that is not there yet, neither
+        host.publish_state(0, Sensors(two, False, two > 0.0, two, two, np.zeros((2, 6)), two), two, two)
+        with LaserEnd.attach(instance, 60.0) as dead:
+            dead.set_laser(LaserBeam(0.1, 0.2, 0.0, 1.0))
+        scanner.darken()
+        assert host.laser_command() == LaserBeam()
+        scanner.close()
 
 
 def test_pointing_at_a_target_is_the_inverse_of_the_drawn_scanner(system):

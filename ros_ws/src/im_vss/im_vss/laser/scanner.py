@@ -1,5 +1,6 @@
 """Drivers of the laser scanner."""
 
+import contextlib
 from typing import Protocol
 
 from im_cell.link import LaserBeam, LaserEnd
@@ -30,12 +31,15 @@ class Scanner(Protocol):
             ImError: The scanner is not there.
         """
 
+    def darken(self) -> None:
+        """Switch off what somebody before has left on; nothing happens if the scanner is not there."""
+
     def close(self) -> None:
         """Leave the scanner alone; the beam is dark."""
 
 
 class LinkedScanner:
-    """The scanner at the other end of the testbed link, attached to when first used."""
+    """The scanner at the other end of the testbed link, attached to when first used or darkened."""
 
     def __init__(self, instance: str, sheet: LaserScanner) -> None:
         """Drive the scanner of an instance of the machine, with the rate of its data sheet."""
@@ -75,6 +79,11 @@ class LinkedScanner:
         """
         return self._attached().laser()
 
+    def darken(self) -> None:
+        """See :class:`Scanner`."""
+        with contextlib.suppress(LinkError):
+            self._attached(0.0).set_laser(LaserBeam())
+
     def close(self) -> None:
         """See :class:`Scanner`."""
         if self._link is not None:
@@ -82,13 +91,13 @@ class LinkedScanner:
             self._link.close()
             self._link = None
 
-    def _attached(self) -> LaserEnd:
+    def _attached(self, timeout_s: float = _ATTACH_TIMEOUT_S) -> LaserEnd:
         if self._link is not None and not self._link.physics_alive():
             self._link.close()
             self._link = None
         if self._link is None:
             try:
-                self._link = LaserEnd.attach(self._instance, _ATTACH_TIMEOUT_S)
+                self._link = LaserEnd.attach(self._instance, timeout_s)
             except LinkError:
                 raise LinkError("the testbed is missing: no laser without its physics process") from None
         return self._link

@@ -8,6 +8,7 @@ from im_cell.link import LaserBeam
 from im_vss.laser.scanner import check_beam
 from im_vss.managers.vmm import Lease
 from im_vss.modules.module import VisionModule
+from im_vss.rig import Rig
 
 
 class VmLaser(VisionModule):
@@ -15,6 +16,12 @@ class VmLaser(VisionModule):
 
     name: ClassVar[str] = "vm_laser"
     _shown: LaserBeam | None = None
+
+    def __init__(self, rig: Rig) -> None:
+        """Take over the scanner of `rig`, dark: whoever had it may have died with the beam on."""
+        super().__init__(rig)
+        if rig.laser is not None:
+            rig.laser.scanner.darken()
 
     def drive(self, lease: Lease, beam: LaserBeam) -> tuple[LaserBeam, int]:
         """Show a beam; what the scanner's sensors say when it is there, and the testbed time then [ns].
