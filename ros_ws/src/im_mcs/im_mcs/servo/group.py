@@ -403,6 +403,9 @@ class ControlledGroup:
             self._stop_before(rank, queued)
         except ImError as fault:
             self._end_queued(rank, fault)
+        except Exception as error:  # one motion that cannot be planned must not take the power of all groups
+            unplanned = f"group '{self.name}': the motion cannot be planned: {error!r}"
+            self._end_queued(rank, ImError(unplanned, code="internal", group=self.name))
 
     def _stop_before(self, rank: int, queued: Queued) -> None:
         """What a waiting motion was to take over from comes to rest first."""

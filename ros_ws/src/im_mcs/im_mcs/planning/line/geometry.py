@@ -73,6 +73,10 @@ class LinePath:
         """Index of the line at path parameter ``s`` [m]."""
         return min(max(bisect.bisect_right(self.corners, s) - 1, 0), len(self._twists) - 1)
 
+    def lines(self, s: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Indices of the lines at path parameters ``s``, shape (m,) [m]."""
+        return np.asarray(np.clip(np.searchsorted(self.corners, s, side="right") - 1, 0, len(self._twists) - 1))
+
     def at(self, s: float) -> PathPlace:
         """The place at path parameter ``s``, 0 to ``size`` [m]."""
         k = self.line(s)

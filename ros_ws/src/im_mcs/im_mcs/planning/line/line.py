@@ -7,20 +7,22 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_core.errors import StateError
+from im_core.errors import DataError, StateError
 from im_mcs.inverse import Arm, ArmTracker
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.checks.context import PlanContext
-from im_mcs.planning.checks.envelope import slowdown
+from im_mcs.planning.checks.envelope import excess
 from im_mcs.planning.line.carriers import CarrierChoice
 from im_mcs.planning.line.curve import JointCurve, LineCurve
 from im_mcs.planning.line.geometry import LinePath, parameter_length
 from im_mcs.planning.line.speed import Profile, fit
-from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, quintic
 from im_mcs.protocol.requests import LineMove
 
-# Quintics in time between knots this far apart follow curve and profile to far less than a micrometre [s].
-_KNOT_S = 0.02
+# Quintics in time between knots this far apart follow curve and profile to far less than a micrometre [s or m].
+_KNOT_S, _KNOT_M = 0.02, 2e-3
+# Longest motion between two rests [s].
+_LONGEST_S = 1e4
 _SAME_M = 1e-9
 _PIECES_A_STEP = 100
 # rounding must not bring a limit back that a slower motion just keeps
@@ -76,6 +78,7 @@ class LinePreparation:
         """One slice: one place of a line, or one round of its speed.
 
         Raises:
+            DataError: It is so slow that it would take too long.
             LimitError: A joint would pass its range; names the joint, the pose and the place on the line.
             ImError: A singularity is on the way (code ``singular``), or the line leaves the arm's reach
                 (``unreachable``).
@@ -99,6 +102,7 @@ class LinePreparation:
             corners = [self._tracker.pose(q), *poses]
             path = LinePath(corners, np.array(carriers), self._blend, self._settings.rotation_lever_m)
             curve, q = yield from self._line_curve(path, numbers).walk(q)
+            self._require_end(path)
             profile = yield from fit(curve, path.size, limits, self._fastest(path), path.rounded)
             parts.append((yield from self._timed(path, curve, profile, numbers, limits)))
         if not parts:
@@ -131,20 +135,37 @@ class LinePreparation:
         share = max(way / (b - a) for way, (a, b) in zip(path.lengths, pairwise(path.corners), strict=True))
         return self._speed / share if share > 0.0 else np.inf
 
+    def _require_end(self, path: LinePath) -> None:
+        """Refuse what is so slow that it would seem never to end."""
+        shortest_s = path.size / self._fastest(path)
+        if shortest_s > _LONGEST_S:
+            raise DataError(
+                f"a line of {path.size:.4g} m at {self._speed:.4g} m/s takes {shortest_s:.4g} s; up to "
+                f"{_LONGEST_S:g} s may lie between two rests",
+                value=shortest_s,
+                limit=_LONGEST_S,
+                unit="s",
+            )
+
     def _timed(
         self, path: LinePath, curve: JointCurve, profile: Profile, numbers: list[int], limits: MotionLimits
     ) -> Generator[None, None, PiecewisePolynomial]:
         """The motion between two rests, slowed down as a whole by what its quintics go beyond limits between knots."""
-        motion = profile.sampled(_KNOT_S, path.edges[1:-1])
+        motion = profile.sampled(_KNOT_S, path.edges[1:-1], _KNOT_M)
         yield
-        q, d1, d2, _ = curve.at(np.minimum(motion.s, path.size))
-        v, a = motion.v[:, None], motion.a[:, None]
-        middles = (motion.s[1:] + motion.s[:-1]) / 2.0
-        points = [numbers[path.line(float(s))] - 1 for s in middles]
-        yield
-        trajectory = PiecewisePolynomial.through(motion.t, q, d1 * v, d2 * v * v + d1 * a, points)
-        factor = 1.0
-        for first in range(0, len(points), _PIECES_A_STEP):
+        lengths, parts, factor = np.diff(motion.t), list[NDArray[np.float64]](), 1.0
+        for first in range(0, len(lengths), _PIECES_A_STEP):
+            pieces, knots = slice(first, first + _PIECES_A_STEP), slice(first, first + _PIECES_A_STEP + 1)
+            q, d1, d2, _ = curve.at(np.minimum(motion.s[knots], path.size))
+            v, a = motion.v[knots, None], motion.a[knots, None]
+            parts.append(quintic(lengths[pieces], q, d1 * v, d2 * v * v + d1 * a))
+            factor = max(factor, float(excess(parts[-1], lengths[pieces], limits).max()))
             yield
-            factor = max(factor, slowdown(trajectory, limits, slice(first, first + _PIECES_A_STEP)))
-        return trajectory.slower(factor * _SLOWER) if factor > 1.0 else trajectory
+        if factor > 1.0:
+            factor *= _SLOWER
+        scale = (1.0 / factor) ** np.arange(6)[:, None]
+        for part in parts:
+            part *= scale
+            yield
+        points = np.array(numbers)[path.lines((motion.s[1:] + motion.s[:-1]) / 2.0)] - 1
+        return PiecewisePolynomial(lengths * factor, np.concatenate(parts), points.tolist())

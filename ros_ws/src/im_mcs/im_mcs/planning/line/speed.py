@@ -23,7 +23,7 @@ _GRID = 65
 _TINY = 1e-9
 # where polynomials meet, third derivatives jump: both sides count
 _ASIDE_M = 1e-8
-_ROUNDS = 40
+_ROUNDS, _HALVINGS = 40, 40
 # Share of the limits that is used: what lies between the samples may be a little more.
 _SHARE = 0.995
 # Bounds are lowered by a little more than the excess, so that few rounds are needed.
@@ -103,22 +103,28 @@ class Profile:
         self._coefficients = np.concatenate(parts)
         self.duration = sum(self._lengths)
 
-    def sampled(self, step: float, stops: Sequence[float] = ()) -> Motion:
-        """Motion at times ``step`` seconds apart at most, at the ends of all phases, and when the path is at ``stops``.
+    def sampled(self, step: float, stops: Sequence[float] = (), way: float = math.inf) -> Motion:
+        """Motion at the ends of all phases, when the path is at ``stops``, and between.
 
         Args:
-            step: [s].
+            step: As close in time as this [s],
+            way: or, where that is fewer, as close on the path [m]: what is slow does not need more places for that.
             stops: Path parameters between 0 and ``size`` [m].
         """
-        parts, begin = [np.zeros((5, 1))], 0.0
-        for length, (c0, c1, c2, c3) in zip(self._lengths, self._coefficients[:, :4], strict=True):
-            x = np.linspace(0.0, length, math.ceil(length / step) + 1)[1:]
-            met = [t for t in (_reached((c0, c1, c2, c3), length, stop) for stop in stops) if t is not None]
-            x = np.unique(np.append(x, met))
-            s, v = c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + x * 3.0 * c3)
-            parts.append(np.stack([begin + x, s, v, 2.0 * c2 + x * 6.0 * c3, np.full(len(x), 6.0 * c3)]))
-            begin += length
-        motion = np.concatenate(parts, axis=1)
+        lengths, c = np.array(self._lengths), self._coefficients[:, :4]
+        begins = np.cumsum(lengths) - lengths
+        ways = lengths * (c[:, 1] + lengths * (c[:, 2] + lengths * c[:, 3]))
+        counts = np.maximum(np.ceil(np.minimum(lengths / step, ways / way)), 1.0).astype(np.intp)
+        rank = np.repeat(np.arange(len(counts)), counts)
+        within = np.arange(1, len(rank) + 1) - np.repeat(np.cumsum(counts) - counts, counts)
+        met, x = _reached(c, lengths, np.array(stops))
+        rank, x = np.append(rank, met), np.append(within * (lengths / counts)[rank], x)
+        order = np.argsort(begins[rank] + x, kind="stable")
+        rank, x = rank[order], x[order]
+        c0, c1, c2, c3 = c[rank].T
+        s, v = c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2.0 * c2 + x * 3.0 * c3)
+        motion = np.stack([begins[rank] + x, s, v, 2.0 * c2 + x * 6.0 * c3, 6.0 * c3])
+        motion = np.concatenate([np.zeros((5, 1)), motion], axis=1)
         return Motion(*motion[:, np.append(np.diff(motion[0]) > _SHORTEST_S, True)])
 
 
@@ -136,19 +142,25 @@ def _passable(gaps: Sequence[float], speeds: list[float], bounds: Bounds) -> lis
     return passing
 
 
-def _reached(c: tuple[float, float, float, float], length: float, place: float) -> float | None:
-    """When a phase comes to a place, by halving; None: not within it, or at its very ends."""
-    low, high = 0.0, length
-    value = c[0] + length * (c[1] + length * (c[2] + length * c[3]))
-    if not c[0] < place < value:
-        return None
-    for _ in range(40):
+def _reached(
+    c: NDArray[np.float64], lengths: NDArray[np.float64], places: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """In which phase a motion comes to places, and when within it, by halving; not those at the ends of phases.
+
+    Args:
+        c: Ascending powers of the time since each phase began, shape (m, 4).
+        lengths: Of the phases, shape (m,) [s].
+        places: Path parameters [m].
+    """
+    phase = np.clip(np.searchsorted(c[:, 0], places, side="right") - 1, 0, len(c) - 1)
+    c0, c1, c2, c3 = c[phase].T
+    low, high = np.zeros(len(places)), lengths[phase]
+    for _ in range(_HALVINGS):
         x = (low + high) / 2.0
-        if c[0] + x * (c[1] + x * (c[2] + x * c[3])) < place:
-            low = x
-        else:
-            high = x
-    return high if min(high, length - high) > _SHORTEST_S else None
+        before = c0 + x * (c1 + x * (c2 + x * c3)) < places
+        low, high = np.where(before, x, low), np.where(before, high, x)
+    inside = np.minimum(high, lengths[phase] - high) > _SHORTEST_S
+    return phase[inside], high[inside]
 
 
 def fit(
@@ -183,6 +195,7 @@ def fit(
         speeds = [bounds.velocity] * len(corners)
         for _ in range(_ROUNDS):
             profile = Profile(size, bounds, corners, speeds)
+            yield
             samples = profile.sampled(max(_SAMPLE_S, profile.duration / _SAMPLES))
             yield
             motion = Terms(curve, samples, limits)

@@ -13,13 +13,15 @@ from collections.abc import Generator
 import numpy as np
 from numpy.typing import NDArray
 
+from im_core.errors import DataError
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, powers, powers_to_jerk
 
 Array = NDArray[np.float64]
 
 # length of a cell in the time asked for; the same of one that would be passed at full speed, if the time is too short
 _CELL_S, _CELL_AT_FULL_SPEED_S = 0.01, 0.02
-_MOST_CELLS = 1000
+# of a piece, whose bends are as long as itself, and of a whole path
+_MOST_CELLS, _MOST_IN_ALL = 1000, 200_000
 # cells of a piece next to a rest, where the speed begins with 0
 _CELLS_AT_REST = 10
 _NEWTON = 6
@@ -48,6 +50,9 @@ class AskedPath:
         begin: Asked time at which the stretch begins [s].
         end: At which it ends.
         unit: Velocity of each joint that counts as 1, shape (n,).
+
+    Raises:
+        DataError: It is too long.
     """
 
     def __init__(self, asked: PiecewisePolynomial, begin: float, end: float, unit: Array) -> None:
@@ -60,9 +65,16 @@ class AskedPath:
         lengths = np.diff(bounds)
         ways = np.abs(asked.coefficients[i : i + len(lengths), 1:] / unit)
         far = (ways * lengths[:, None, None] ** np.arange(1, 6)[:, None]).sum(axis=1).max(axis=1)
-        most = np.minimum(far / _CELL_AT_FULL_SPEED_S, _MOST_CELLS)
-        counts = np.maximum(np.ceil(np.maximum(lengths / _CELL_S, most) - 1e-6), 1.0).astype(np.intp)
+        fine = np.minimum(np.maximum(lengths / _CELL_S, far / _CELL_AT_FULL_SPEED_S), _MOST_CELLS)
+        counts = np.maximum(np.ceil(fine - 1e-6), 1.0).astype(np.intp)
         counts[[0, -1]] = np.maximum(counts[[0, -1]], _CELLS_AT_REST)
+        if (many := int(counts.sum())) > _MOST_IN_ALL:
+            raise DataError(
+                f"what is asked for within {end - begin:.4g} s is beyond limits, and would be re-timed in {many} "
+                f"cells; up to {_MOST_IN_ALL} are allowed",
+                value=many,
+                limit=_MOST_IN_ALL,
+            )
         rank = np.repeat(np.arange(len(lengths)), counts)
         within = np.arange(len(rank)) - np.repeat(np.cumsum(counts) - counts, counts)
         self.piece = rank + i

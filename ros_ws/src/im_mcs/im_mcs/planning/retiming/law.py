@@ -55,10 +55,15 @@ class TimeLaw:
                 total += (share / self._span) * (a - b)
         return np.minimum(way, self._way[-1]), np.maximum(rate, 0.0), change
 
+    @property
+    def pieces(self) -> float:
+        """How many quintics it takes to follow it; infinite where it does not get on."""
+        step = min(max((self._span + self._apart) / _NODES_A_SPAN, _NODE_S[0]), _NODE_S[1])
+        return max(float(np.ceil(self.duration / step)), _FEWEST)
+
     def nodes(self) -> Array:
         """Times at which to take the path so that quintics between follow it, shape (m,) [s]."""
-        step = min(max((self._span + self._apart) / _NODES_A_SPAN, _NODE_S[0]), _NODE_S[1])
-        return np.linspace(0.0, self.duration, max(int(np.ceil(self.duration / step)), _FEWEST) + 1)
+        return np.linspace(0.0, self.duration, int(self.pieces) + 1)
 
     def _raw(self, t: Array) -> tuple[Array, Array, Array]:
         """Integral of the coordinate without averages, itself, and its velocity: averages are made of these."""

@@ -54,9 +54,13 @@ def rests(trajectory: PiecewisePolynomial, path: AskedPath, unit: Array) -> Gene
             stops |= _turned(_way(trajectory, tau - off, unit), _way(trajectory, tau + off, unit))
         found += tau[stops].tolist()
         yield
-    sharp = np.flatnonzero(_turned(path.first / unit, path.last / unit))
-    found += path.tau[sharp + (speed[sharp + 1] < speed[sharp])].tolist()
+    for k in range(0, len(path.piece), 10 * CHUNK):
+        cells = slice(k, k + 10 * CHUNK)
+        sharp = k + np.flatnonzero(_turned(path.first[cells] / unit, path.last[cells] / unit))
+        found += path.tau[sharp + (speed[sharp + 1] < speed[sharp])].tolist()
+        yield
     times = np.unique(found)
+    yield
     edges = np.append(trajectory.edges, trajectory.duration)
     nearest = edges[np.clip(np.searchsorted(edges, times - SAME_S), 0, len(edges) - 1)]
     times = np.unique(np.where(np.abs(nearest - times) <= SAME_S, nearest, times))

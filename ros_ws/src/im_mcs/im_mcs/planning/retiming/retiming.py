@@ -15,7 +15,7 @@ from im_mcs.planning.checks.envelope import first_excess
 from im_mcs.planning.retiming.asked_path import AskedPath
 from im_mcs.planning.retiming.rests import SAME_S, rests, standing
 from im_mcs.planning.retiming.rounding import rounded
-from im_mcs.planning.retiming.stretch import Retimed, retime_stretch
+from im_mcs.planning.retiming.stretch import Retimed, check_count, retime_stretch
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, powers
 
 Array = NDArray[np.float64]
@@ -70,6 +70,9 @@ def retime(
         context: Limits and joints.
         asked: The trajectory, continuous to velocity.
         because: The first place where it is beyond a limit.
+
+    Raises:
+        DataError: It is too long to be re-timed.
     """
     limits = context.limits.motion.of(context.index)
     depth = np.array([_DEPTH[context.limits.units[i]] for i in context.index])
@@ -77,15 +80,19 @@ def retime(
     path = AskedPath(smooth, 0.0, smooth.duration, limits.velocity)
     yield from path.measure()
     times = yield from rests(smooth, path, limits.velocity)
-    parts: list[Retimed] = []
+    parts, count = list[Retimed](), 0
     still = yield from standing(asked, limits.velocity)
     for begin, end in zip(times[:-1].tolist(), times[1:].tolist(), strict=True):
         kept = yield from _kept(context, asked, begin, end, still)
-        parts.append(kept or (yield from retime_stretch(smooth, begin, end, limits)))
+        more = [kept] if kept else (yield from retime_stretch(smooth, begin, end, limits))
+        parts += more
+        count += sum(len(part.lengths) for part in more)
+        check_count(count, asked.duration)
     ends = np.concatenate([[0.0], *(part.asked[1:] for part in parts)])
     middles = (ends[1:] + ends[:-1]) / 2.0
-    piece = np.clip(np.searchsorted(asked.edges, middles, side="right") - 1, 0, None)
-    count = sum(len(part.lengths) for part in parts)
+    yield
+    points = np.array(asked.points)[np.clip(np.searchsorted(asked.edges, middles, side="right") - 1, 0, None)].tolist()
+    yield
     whole, filled = np.empty((count, *smooth.coefficients.shape[1:])), 0
     for part in parts:
         for k in range(0, len(part.lengths), _COPIED):
@@ -96,7 +103,7 @@ def retime(
     return RetimedTrajectory(
         np.concatenate([part.lengths for part in parts]),
         whole,
-        np.array(asked.points)[piece].tolist(),
+        points,
         ends,
         because,
     )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from im_core.errors import DataError
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.checks.envelope import excess
 from im_mcs.planning.retiming.asked_path import CHUNK, AskedPath
@@ -29,6 +30,27 @@ _APART = 1.0 / 3.0
 _SPANS = 5
 _MORE = 1.08
 _TINY = 1e-300
+MOST_PIECES = 250_000
+"""Of a re-timed motion: a quarter of an hour and more, and a hundred megabytes."""
+
+
+def check_count(pieces: float, asked_s: float) -> None:
+    """Check that a motion is not too long to be prepared and kept.
+
+    Args:
+        pieces: Of the motion.
+        asked_s: Time asked for [s].
+
+    Raises:
+        DataError: It has too many pieces.
+    """
+    if pieces > MOST_PIECES:
+        raise DataError(
+            f"what is asked for within {asked_s:.4g} s is beyond limits, and would be re-timed in {pieces:.0f} pieces; "
+            f"up to {MOST_PIECES} are allowed",
+            value=pieces,
+            limit=MOST_PIECES,
+        )
 
 
 @dataclass(frozen=True)
@@ -45,19 +67,11 @@ class Retimed:
     coefficients: Array
     asked: Array
 
-    def followed_by(self, other: "Retimed") -> "Retimed":
-        """This one and then another, which begins where it ends."""
-        return Retimed(
-            np.concatenate([self.lengths, other.lengths]),
-            np.concatenate([self.coefficients, other.coefficients]),
-            np.concatenate([self.asked, other.asked[1:]]),
-        )
-
 
 def retime_stretch(
     trajectory: PiecewisePolynomial, begin: float, end: float, limits: MotionLimits, stops: int = _STOPS
-) -> Generator[None, None, Retimed]:
-    """Re-time what lies between two rests, a slice at a time.
+) -> Generator[None, None, list[Retimed]]:
+    """Re-time what lies between two rests, a slice at a time; the parts between these and the rests it was given.
 
     Where limits are passed, the rate is lowered, there and as far around as the average reaches. Where that does not
     help, as where a path turns too sharply for its cells, the motion rests; what is left slows down the whole stretch.
@@ -68,6 +82,9 @@ def retime_stretch(
         end: Of the second.
         limits: Of its joints.
         stops: How many rests it may be given, one within the other.
+
+    Raises:
+        DataError: It takes too long.
     """
     path = AskedPath(trajectory, begin, end, limits.velocity)
     yield from path.measure()
@@ -91,10 +108,13 @@ def retime_stretch(
     if worst > _SLOWEST and stops > 0 and begin < place < end:
         before_it = yield from retime_stretch(trajectory, begin, place, limits, stops - 1)
         behind_it = yield from retime_stretch(trajectory, place, end, limits, stops - 1)
-        return before_it.followed_by(behind_it)
+        return before_it + behind_it
     factor = max(1.0, worst, (end - begin) / law.duration)
-    scale = (1.0 / factor) ** np.arange(6)
-    return Retimed(retimed.lengths * factor, retimed.coefficients * scale[:, None], retimed.asked)
+    scale = (1.0 / factor) ** np.arange(6)[:, None]
+    for k in range(0, len(over), 10 * CHUNK):
+        retimed.coefficients[k : k + 10 * CHUNK] *= scale
+        yield
+    return [Retimed(retimed.lengths * factor, retimed.coefficients, retimed.asked)]
 
 
 def _around(law: TimeLaw, slower: Array, step: float) -> Array:
@@ -137,13 +157,18 @@ def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:
 
 
 def _law(path: AskedPath, speed: Array, limits: MotionLimits) -> Generator[None, None, TimeLaw]:
-    """The law with the shortest average that makes ramps of the jumps of acceleration along the path."""
+    """The law with the shortest average that makes ramps of the jumps of acceleration along the path.
+
+    Raises:
+        DataError: It takes too long.
+    """
     used = (np.abs(path.first) + np.abs(path.last)) / limits.jerk
     jerk = (path.speed[0] + path.speed[1]) / np.maximum(used.max(axis=1), _TINY)
     longest = 2.0 * float((limits.acceleration / limits.jerk).max())
     span = _SHORTEST_SPAN_S
     for _ in range(_SPANS):
         law = TimeLaw(path.way, speed, span, span * _APART)
+        check_count(law.pieces, float(path.tau[-1] - path.tau[0]))
         yield
         nodes, needed = law.nodes(), 0.0
         for k in range(0, len(nodes) - 1, 4 * CHUNK):

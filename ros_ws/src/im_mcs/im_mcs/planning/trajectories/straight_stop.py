@@ -22,6 +22,8 @@ _STEPS = 50
 _PIECES = 16
 _MOVING = 1e-9
 _PARALLEL = 1e-6
+# pieces ahead among which the end of a deceleration is looked for, so that a long path costs no more than a tick has
+_MOST_EDGES = 4000
 
 
 def is_straight(trajectory: Trajectory, begin: float = 0.0, end: float = math.inf) -> bool:
@@ -92,6 +94,8 @@ def _reached(trajectory: Trajectory, sigma: float, k: int, goal: float, rising: 
         ahead = trajectory.duration
     # where it rests on the way, as at a point of the path, it may come to the goal and turn back
     edges = trajectory.edges[(trajectory.edges > sigma) & (trajectory.edges < ahead)]
+    if len(edges) > _MOST_EDGES:
+        edges, ahead = edges[:_MOST_EDGES], float(edges[_MOST_EDGES])
     grid = np.union1d(np.linspace(sigma, ahead, 2 * _SAMPLES), edges)
     beyond = np.flatnonzero(sign * (trajectory.span(grid).q[:, k] - goal) >= -_ON_PATH * 1e-2)
     if not beyond.size or beyond[0] == 0:
