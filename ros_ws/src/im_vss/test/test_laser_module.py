@@ -155,7 +155,8 @@ def test_the_beam_of_a_client_that_gave_up_is_dark(system):
     vsm, scanner, cameras = system("laser_spot_3d")
     client = VisionClient("me")
     cameras.meanwhile = client.cancel
-    vsm.tools["tool_laser_snap"](client, ("wall",), LaserBeam(0.05, 0.0, 0.0, POWER), 0.0)
+    with pytest.raises(StateError, match="me was cancelled"):
+        vsm.tools["tool_laser_snap"](client, ("wall",), LaserBeam(0.05, 0.0, 0.0, POWER), 0.0)
     assert scanner.driven[-1].power == 0.0
     state = vsm.state().modules["vm_laser"][1]
     assert (state.owner, state.leases, state.lapsed) == ("", 1, 1)

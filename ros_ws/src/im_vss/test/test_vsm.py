@@ -162,9 +162,9 @@ def test_calibrations_take_turns_and_the_second_does_not_wait_for_ever(system, m
     assert outcomes[1:] == ["solved, after a fashion"]
 
 
-@pytest.mark.parametrize("released", ["after its answer", "before it"])
-def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, released):
-    """Whether it is noticed while the solver computes, or when it has: before the cameras are set."""
+@pytest.mark.parametrize("meanwhile", ["it is computed", "its files are written"])
+def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, tmp_path, meanwhile):
+    """Whether somebody gives it up while the solver has it, or right before the cameras are set."""
     vsm, _ = system
     rig = vsm.services["calibrate"].rig
     before, began, go, outcomes = rig.book.entries(), threading.Event(), threading.Event(), []
@@ -173,26 +173,26 @@ def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, released
         success=True, cameras=(SimpleNamespace(name="wall", model=moved),), camera_covariance=CameraCovariance()
     )
 
-    def slow(problem):
+    def slow(*_):
         began.set()
         go.wait(60.0)
-        if released == "before it":
-            vsm.cancel("calibrate #1")
         return found
 
     def run():
         try:
-            vsm.request("calibrate", CalibrateRequest(("wall",), (observation(),), apply=True))
+            vsm.request("calibrate", CalibrateRequest(("wall",), (observation(),), (), tmp_path, apply=True))
         except ImError as error:
             outcomes.append(error.message)
 
-    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", slow)
+    computed = meanwhile == "it is computed"
+    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", slow if computed else lambda problem: found)
+    monkeypatch.setattr("im_vss.services.svc_calibrate.write_calibration", slow)
     asked = threading.Thread(target=run)
     asked.start()
     assert began.wait(60.0)
-    if released == "after its answer":
-        vsm.cancel("calibrate #1")
-        asked.join()
+    vsm.cancel("calibrate #1")
+    if computed:
+        asked.join()  # it is not waited for
     go.set()
     asked.join()
     assert outcomes == ["calibrate #1 was cancelled, or nobody waits for it any more"]

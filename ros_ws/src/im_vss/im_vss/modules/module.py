@@ -55,6 +55,7 @@ class VisionModule:
             while not future.done() and (left_s := lease.remaining()):
                 lease.client.check()
                 wait([future], min(left_s, _SLICE_S))
+            lease.client.check()
             if future.done():
                 return future.result()
         finally:
