@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+import rclpy
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.node import Node
@@ -19,7 +20,7 @@ from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
 from im_bringup.bag import BagReader, BagWriter, Delivery
-from im_bringup.ros.record import BagRecorder
+from im_bringup.ros.record import BagRecorder, RecordedTopic
 from im_core import clock
 from im_core.bag import messages_of, topics_of
 from im_core.ros import qos
@@ -184,6 +185,73 @@ def test_a_bag_is_never_overwritten(script, tmp_path):
     assert (done.returncode, f"the bag {tmp_path} cannot be made" in done.stderr) == (2, True)
 
 
+@pytest.mark.parametrize(("first", "second"), [(qos.EVENTS, qos.SENSOR), (qos.LATCHED_EVENTS, qos.EVENTS)])
+def test_a_publisher_that_offers_less_than_those_before_it_is_recorded_too(
+    recorder, ros, wait_until, tmp_path, first, second
+):
+    node = ros(Node("source"))
+    strong = node.create_publisher(String, "/a", first)
+    child = recorder("--topics", "/a")
+    wait_until(strong.get_subscription_count, "the recorder")
+    expected = []
+
+    def publish(publisher, text):
+        publisher.publish(String(data=text))
+        expected.append(text)
+
+    for number in range(10):
+        publish(strong, f"before {number}")
+    weak = node.create_publisher(String, "/a", second)
+    began, number = clock.monotonic(), 0
+    while clock.monotonic() < began + 3.5:  # one subscription takes the place of the other meanwhile
+        publish(strong, f"meanwhile {number}")
+        number += 1
+        clock.sleep(0.01)
+    wait_until(weak.get_subscription_count, "the recorder on the second publisher")
+    assert strong.get_subscription_count() == 1, "the former subscription has ended"
+    for number in range(10):
+        publish(weak, f"weak {number}")
+        publish(strong, f"after {number}")
+    clock.sleep(1.0)  # what is not reliable is not acknowledged
+    end(child, signal.SIGINT, wait_until)
+    with BagReader(tmp_path / "bag") as bag:
+        texts = [deserialize_message(data, String).data for _, _, data in bag.messages(["/a"])]
+    assert sorted(texts) == sorted(expected)
+    for kind in ("before", "meanwhile", "weak", "after"):
+        assert [text for text in texts if text.startswith(kind)] == [e for e in expected if e.startswith(kind)]
+
+
+@pytest.fixture
+def other_participant():
+    """A node of another participant: one knows only one type of a topic."""
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    node = Node("other", context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def test_the_type_of_a_topic_is_that_of_its_publishers_and_another_is_said_once(
+    recorder, ros, other_participant, wait_until, tmp_path
+):
+    node = ros(Node("source"))
+    other_participant.create_subscription(Clock, "/a", print, 10)  # before the publisher, in the order of names too
+    child = recorder("--topics", "/a")
+    publisher = node.create_publisher(String, "/a", 10)
+    wait_until(publisher.get_subscription_count, "the recorder")
+    for _ in range(2):
+        other_participant.create_publisher(Clock, "/a", 10)
+        clock.sleep(0.5)
+    publisher.publish(String(data="x"))
+    wait_until(publisher.wait_for_all_acked, "the message to arrive")
+    end(child, signal.SIGINT, wait_until)
+    told = "record: /a: what is of std_msgs/msg/String is recorded; it is also published as rosgraph_msgs/msg/Clock\n"
+    assert child.out.read_text().count(told) == 1
+    with BagReader(tmp_path / "bag") as bag:
+        assert (dict(bag.types), dict(bag.counts)) == ({"/a": "std_msgs/msg/String"}, {"/a": 1})
+
+
 def test_names_that_are_no_full_names_of_topics_are_refused(script, tmp_path):
     done = script("record", "-o", tmp_path / "bag", "--topics", "/tf", "joint_states")
     assert done.returncode == 2
@@ -225,7 +293,8 @@ def test_a_clock_that_is_set_back_while_messages_wait_keeps_the_order_of_a_topic
     bag = BagWriter(tmp_path / "bag")
     bag.add_topic("/a", "std_msgs/msg/String", Delivery(True, False, 10))
     recorder = BagRecorder(None, None, bag, [])
-    recorder._subscriptions["/a"] = Queue((10, b"0"), (11, b"1"), (5, b"2"), (6, b"3"))
+    recorder._topics["/a"] = RecordedTopic("std_msgs/msg/String", Delivery(True, False, 10))
+    recorder._topics["/a"]._ends.append((None, Queue((10, b"0"), (11, b"1"), (5, b"2"), (6, b"3"))))
     recorder.drain()
     bag.close()
     with BagReader(tmp_path / "bag") as reader:

@@ -4,6 +4,7 @@ import argparse
 import signal
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,77 @@ QUEUE_DEPTH = 5000
 #: How long messages wait in the queues of the middleware, which notes when they came, until they are on the disk [s].
 #: Each time costs a look into every queue; a queue holds what comes at 10,000 messages a second.
 DRAIN_PERIOD_S = 0.5
+#: How long a subscription is kept beside the weaker one that takes its place: after that knows all publishers, who may
+#: know of it a little later, and if it does not come to know them [s].
+HANDOVER_S = 1.0
+HANDOVER_AT_MOST_S = 5.0
 #: Topics of service events, which are hidden.
 SERVICE_EVENTS = "/_service_event"
+
+
+Taken = tuple[int, bytes, dict[str, int]]
+"""A message: when it came [ns], its bytes, and what the middleware tells of it."""
+
+
+class RecordedTopic:
+    """A topic with its subscription, and for a moment those before it, whose place a weaker one takes.
+
+    A subscription that asks for more than a publisher offers gets nothing of it. So it is made anew where a publisher
+    comes that offers less; until the new one is connected both get the same messages, of which one is passed on.
+
+    Args:
+        type_name: Its type.
+        delivery: How its publishers deliver.
+    """
+
+    def __init__(self, type_name: str, delivery: Delivery) -> None:
+        self.type_name, self.delivery = type_name, delivery
+        self.has_other_types = False
+        self._ends: list[tuple[Node, Subscription]] = []
+        self._passed_on: set[tuple[int, int, bytes]] = set()
+        self._until = 0.0
+
+    def subscribe(self, node: Node, topic: str) -> None:
+        """Subscribe, or do so anew."""
+        profile = to_profile(self.delivery)
+        if self._ends:
+            profile.durability = DurabilityPolicy.VOLATILE  # what is latched was got before
+            self._until = clock.monotonic() + HANDOVER_AT_MOST_S
+        subscription = node.create_subscription(
+            interface_class(self.type_name), topic, _never_called, profile, raw=True
+        )
+        self._ends.append((node, subscription))
+
+    def is_connected(self, publishers: int) -> bool:
+        """Whether the subscription is connected to so many publishers."""
+        return bool(self._ends[-1][1].handle.get_publisher_count() >= publishers)
+
+    def take(self) -> Iterator[Taken]:
+        """What has come, each message once."""
+        replaced = len(self._ends) > 1
+        if not replaced and not self._passed_on:
+            yield from _taken(self._ends[0][1])
+            return
+        now = clock.monotonic()
+        if replaced and self.is_connected(self._count_publishers()):
+            self._until = min(self._until, now + HANDOVER_S)
+        for _, subscription in self._ends:
+            for message in _taken(subscription):
+                _, data, told = message
+                key = (told["source_timestamp"], told["publication_sequence_number"], data)
+                if key not in self._passed_on:
+                    self._passed_on.add(key)
+                    yield message
+        if not replaced:
+            self._passed_on.clear()
+        elif now > self._until:
+            for node, subscription in self._ends[:-1]:
+                node.destroy_subscription(subscription)
+            del self._ends[:-1]
+
+    def _count_publishers(self) -> int:
+        node, subscription = self._ends[-1]
+        return len(_of_type(self.type_name, node.get_publishers_info_by_topic(subscription.topic_name)))
 
 
 class BagRecorder:
@@ -49,7 +119,7 @@ class BagRecorder:
         self._node, self._seldom, self._bag = node, seldom, bag
         self._only = set(only)
         self._refused: set[str] = set()
-        self._subscriptions: dict[str, Subscription] = {}
+        self._topics: dict[str, RecordedTopic] = {}
         self._wake, self._end = threading.Event(), threading.Event()
 
     def record(self) -> None:
@@ -79,13 +149,18 @@ class BagRecorder:
         self._wake.set()
 
     def discover(self) -> None:
-        """Subscribe to topics that were not there before."""
-        for topic, types in self._node.get_topic_names_and_types():
-            if topic in self._subscriptions or topic in self._refused or not self._wanted(topic):
+        """Subscribe to topics that were not there before, and anew where a publisher offers less than those before."""
+        for topic, _ in self._node.get_topic_names_and_types():
+            if topic in self._refused or not self._wanted(topic):
+                continue
+            recorded = self._topics.get(topic)
+            if recorded is not None and recorded.is_connected(self._node.count_publishers(topic)):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
-            if publishers:
-                self._subscribe(topic, types[0], publishers)
+            if recorded is not None:
+                self._follow(topic, recorded, publishers)
+            elif publishers:
+                self._subscribe(topic, publishers)
 
     def drain(self) -> None:
         """Write what has come.
@@ -93,41 +168,66 @@ class BagRecorder:
         Raises:
             StoreError: The disk is full, or nearly so.
         """
-        taken = []
-        for topic, subscription in self._subscriptions.items():
-            handle, latest_ns = subscription.handle, 0
-            with handle:
-                while (message := handle.take_message(subscription.msg_type, True)) is not None:
-                    latest_ns = max(latest_ns, message[1]["received_timestamp"])  # the clock may have been set back
-                    taken.append((latest_ns, topic, message))
-        taken.sort(key=lambda each: each[0])
-        for received_ns, topic, (data, told) in taken:
+        taken: list[tuple[str, Taken]] = []
+        for topic, recorded in self._topics.items():
+            taken += [(topic, message) for message in recorded.take()]
+        taken.sort(key=lambda each: each[1][0])
+        for topic, (received_ns, data, told) in taken:
             self._bag.write(topic, received_ns, data, told["source_timestamp"], told["publication_sequence_number"])
 
     def missing(self) -> list[str]:
         """Topics that were to be recorded, and have had no publisher."""
-        return sorted(self._only - self._subscriptions.keys() - self._refused)
+        return sorted(self._only - self._topics.keys() - self._refused)
 
     def _wanted(self, topic: str) -> bool:
         if self._only:
             return topic in self._only
         return "/_" not in topic or topic.endswith(SERVICE_EVENTS)
 
-    def _subscribe(self, topic: str, type_name: str, publishers: list[Any]) -> None:
-        delivery = delivery_of(publishers)
+    def _subscribe(self, topic: str, publishers: list[Any]) -> None:
+        type_name, type_hash = publishers[0].topic_type, str(publishers[0].topic_type_hash)
+        recorded = RecordedTopic(type_name, delivery_of(_of_type(type_name, publishers)))
         try:
-            message_class = interface_class(type_name)
-            self._bag.add_topic(topic, type_name, delivery, str(publishers[0].topic_type_hash))
+            interface_class(type_name)
+            self._bag.add_topic(topic, type_name, recorded.delivery, type_hash)
         except StoreError:
             raise
         except ImError as error:
             self._refused.add(topic)
             print(f"record: {topic} is left out: {error.message}", file=sys.stderr)
             return
-        node = self._seldom if delivery.latched or topic.endswith(SERVICE_EVENTS) else self._node
-        self._subscriptions[topic] = node.create_subscription(
-            message_class, topic, _never_called, to_profile(delivery), raw=True
-        )
+        self._topics[topic] = recorded
+        recorded.subscribe(self._node_for(topic, recorded.delivery), topic)
+        self._follow(topic, recorded, publishers)
+
+    def _follow(self, topic: str, recorded: RecordedTopic, publishers: list[Any]) -> None:
+        """Subscribe anew if one of the publishers offers less; say it once if some are of another type."""
+        others = {publisher.topic_type for publisher in publishers} - {recorded.type_name}
+        if others and not recorded.has_other_types:
+            recorded.has_other_types = True
+            told = f"of {recorded.type_name} is recorded; it is also published as {', '.join(sorted(others))}"
+            print(f"record: {topic}: what is {told}", file=sys.stderr)
+        before = recorded.delivery
+        now = weaker(before, delivery_of(_of_type(recorded.type_name, publishers)))
+        if (now.reliable, now.latched) != (before.reliable, before.latched):
+            recorded.delivery = now
+            recorded.subscribe(self._node_for(topic, now), topic)
+
+    def _node_for(self, topic: str, delivery: Delivery) -> Node:
+        return self._seldom if delivery.latched or topic.endswith(SERVICE_EVENTS) else self._node
+
+
+def _taken(subscription: Subscription) -> Iterator[Taken]:
+    handle, latest_ns = subscription.handle, 0
+    with handle:
+        while (message := handle.take_message(subscription.msg_type, True)) is not None:
+            data, told = message
+            latest_ns = max(latest_ns, told["received_timestamp"])  # the clock may have been set back
+            yield latest_ns, data, told
+
+
+def _of_type(type_name: str, publishers: list[Any]) -> list[Any]:
+    return [publisher for publisher in publishers if publisher.topic_type == type_name]
 
 
 def _never_called(data: bytes) -> None:
@@ -142,6 +242,11 @@ def delivery_of(publishers: Any) -> Delivery:
         latched=all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles),
         depth=max(1, *(profile.depth for profile in profiles), 1),
     )
+
+
+def weaker(one: Delivery, other: Delivery) -> Delivery:
+    """What is offered by both."""
+    return Delivery(one.reliable and other.reliable, one.latched and other.latched, max(one.depth, other.depth))
 
 
 def to_profile(delivery: Delivery) -> QoSProfile:
