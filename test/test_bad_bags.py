@@ -14,6 +14,7 @@ from im_bringup.bag import BagReader, BagWriter, Delivery
 from im_bringup.bag import writer as bag_writer
 from im_bringup.ros import replay
 from im_core.bag_files import METADATA
+from im_core.errors import DataError
 from im_pnt.ros import rerun
 from im_pnt_analysis.cli import main as pnt
 from im_vss.ros import recalibrate
@@ -187,6 +188,69 @@ def test_what_is_replayed_is_of_the_types_that_are_here(tmp_path, monkeypatch, c
     bag = rewritten(tmp_path, monkeypatch, changed)
     assert replayed(str(bag), monkeypatch) == 2
     assert "im_msgs/msg/Firing has another definition here than when it was recorded" in capsys.readouterr().err
+
+
+def changed_without_hash(topic, kind, told_hash, definition):
+    return kind, "", changed(topic, kind, told_hash, definition)[2]
+
+
+@pytest.mark.parametrize("change", [changed, changed_without_hash])
+@pytest.mark.parametrize("named", ["folder", "file"])
+def test_a_type_that_changed_is_not_replayed_whatever_tells_it(tmp_path, monkeypatch, capsys, change, named):
+    bag = rewritten(tmp_path, monkeypatch, change)
+    if named == "file":
+        (bag / METADATA).unlink()
+    assert replayed(str(bag if named == "folder" else bag / "bag.mcap"), monkeypatch) == 2
+    assert "im_msgs/msg/Firing has another definition here than when it was recorded" in capsys.readouterr().err
+
+
+def without_hash(topic, kind, told_hash, definition):
+    return kind, "", definition
+
+
+def without_either(topic, kind, told_hash, definition):
+    return kind, "", undefined(topic, kind, told_hash, definition)[2]
+
+
+@pytest.mark.parametrize("change", [without_hash, without_either])
+def test_what_tells_no_hash_is_replayed_unless_its_definition_is_another(tmp_path, monkeypatch, change):
+    bag = rewritten(tmp_path, monkeypatch, change)
+    with BagReader(bag) as reader:
+        assert not any(reader.hashes.values())
+        for topic in reader.types:
+            reader.check_definition(topic)
+
+
+def of_two_types(folder):
+    """A topic that has a second type in a second part, beside one of a single type."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    (folder / "bag").mkdir()
+    for number, changing in enumerate([("std_msgs/msg/String", "x"), ("std_msgs/msg/Char", 1)]):
+        with (folder / "bag" / f"bag_{number}.mcap").open("wb") as file:
+            writer = Writer(file)
+            writer.start(profile="ros2")
+            for topic, (kind, data) in {"/changing": changing, "/chatter": ("std_msgs/msg/String", "y")}.items():
+                definition = store.generate_msgdef(kind, ros_version=2)[0].encode()
+                channel = writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", definition))
+                message = store.serialize_cdr(store.types[kind](data=data), kind)
+                writer.add_message(channel, 1 + number, bytes(message), 1)
+            writer.finish()
+    return folder / "bag"
+
+
+def test_a_topic_of_several_types_is_left_out_or_refused(tmp_path, monkeypatch, capsys):
+    bag = of_two_types(tmp_path)
+    sentence = f"/changing has several types in {bag}: std_msgs/msg/Char, std_msgs/msg/String"
+    with BagReader(bag) as reader:
+        assert reader.counts == {"/changing": 2, "/chatter": 2}
+        assert replay.known_topics(reader, list(reader.types), named=False) == ["/chatter"]
+        assert f"replay: /changing is left out: {sentence}" in capsys.readouterr().err
+        assert [stamp for _, stamp, _ in reader.messages(["/chatter"])] == [1, 2]
+        with pytest.raises(DataError, match="/changing has several types"):
+            next(reader.messages(["/chatter", "/changing"]))
+    monkeypatch.setattr("sys.argv", ["replay", str(bag), "--topics", "/changing"])
+    assert replay.main() == 2
+    assert sentence in capsys.readouterr().err
 
 
 def test_a_file_without_metadata_is_taken_by_itself(tmp_path, monkeypatch):

@@ -6,10 +6,12 @@ import random
 import shutil
 
 import pytest
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 
 from im_bringup import bag
 from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits, chosen_topics
 from im_bringup.bag import writer as bag_writer
+from im_bringup.bag.definitions import full_definition, is_defined_so
 from im_core.bag import messages_of
 from im_core.bag_files import METADATA
 from im_core.errors import DataError, StoreError
@@ -290,6 +292,19 @@ def test_the_event_of_a_service_is_decoded_from_the_bag_alone(tmp_path):
     assert event.content.info.event_type == 3
     assert [each.data for each in event.content.request] == [True]
     assert not event.content.response
+
+
+@pytest.mark.parametrize(
+    "name", ["std_srvs/srv/SetBool_Event", "std_srvs/srv/Empty_Event", "sensor_msgs/msg/Image", "std_msgs/msg/Empty"]
+)
+def test_a_definition_is_the_same_here_as_a_message_and_in_idl(name):
+    encoding, text = full_definition(name)
+    form = MessageDefinitionFormat.MSG if encoding == "ros2msg" else MessageDefinitionFormat.IDL
+    assert is_defined_so(name, MessageDefinition(form, text))
+    fields = "octet data; uint8 more;" if "Image" in name else "uint8 structure_needs_at_least_one_member;"
+    module, kind, own = name.split("/")
+    other = f"module {module} {{ module {kind} {{ struct {own} {{ {fields} }}; }}; }};\n"
+    assert is_defined_so(name, MessageDefinition(MessageDefinitionFormat.IDL, other)) == (own == "Empty")
 
 
 def test_a_recording_ends_before_the_disk_is_full_and_is_whole(tmp_path):

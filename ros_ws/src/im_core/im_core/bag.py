@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.interfaces.typing import Typesdict
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -171,17 +171,26 @@ def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
         if connection.msgtype not in store.types and not connection.msgdef.data.strip():
             text = f"there is no definition of {connection.msgtype} in it, by which {connection.topic} could be read"
             raise DataError(f"{bag}: {text}", type=connection.msgtype)
-        store.register({name: spec for name, spec in _defined(connection).items() if name not in store.types})
+        defined = defined_types(connection.msgtype, connection.msgdef)
+        store.register({name: spec for name, spec in defined.items() if name not in store.types})
     return store
 
 
-def _defined(connection: Connection) -> Typesdict:
-    text = connection.msgdef.data
-    if connection.msgdef.format == MessageDefinitionFormat.MSG:
-        return get_types_from_msg(text, connection.msgtype)
+def defined_types(name: str, definition: MessageDefinition) -> Typesdict:
+    """The types that a definition holds, as ``rosbags`` reads them.
+
+    Args:
+        name: The type that is defined, with all that it contains.
+        definition: Of it.
+
+    Raises:
+        TypesysError: It cannot be read.
+    """
+    if definition.format == MessageDefinitionFormat.MSG:
+        return get_types_from_msg(definition.data, name)
     types: Typesdict = {}
-    if connection.msgdef.format == MessageDefinitionFormat.IDL:
-        for part in filter(None, _IDL_PART.split(text)):
+    if definition.format == MessageDefinitionFormat.IDL:
+        for part in filter(None, _IDL_PART.split(definition.data)):
             types |= get_types_from_idl(part)
     return types
 

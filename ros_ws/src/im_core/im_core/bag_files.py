@@ -488,17 +488,20 @@ def _described(files: Sequence[tuple[Path, Contents]]) -> dict[str, Any]:
 
 
 def _topics(files: Sequence[Contents]) -> list[dict[str, Any]]:
-    counts: Counter[str] = Counter()
-    told: dict[str, dict[str, Any]] = {}
+    """Each topic, once for each type and each hash of it that it has."""
+    counts: Counter[tuple[str, str, str]] = Counter()
+    told: dict[tuple[str, str, str], dict[str, Any]] = {}
     for contents in files:
         for channel in contents.channels.values():
-            counts[channel.topic] += contents.counts[channel.id]
             schema = contents.schemas.get(channel.schema_id)
-            told[channel.topic] = {
+            type_name = schema.name if schema else ""
+            key = channel.topic, type_name, channel.metadata.get("topic_type_hash", "")
+            counts[key] += contents.counts[channel.id]
+            told[key] = {
                 "name": channel.topic,
-                "type": schema.name if schema else "",
+                "type": type_name,
                 "serialization_format": channel.message_encoding,
                 "offered_qos_profiles": yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or [],
-                "type_description_hash": channel.metadata.get("topic_type_hash", ""),
+                "type_description_hash": key[2],
             }
-    return [{"topic_metadata": told[topic], "message_count": counts[topic]} for topic in told]
+    return [{"topic_metadata": told[key], "message_count": counts[key]} for key in told]

@@ -1,22 +1,32 @@
-"""MCAP files as ``rosbags`` reads them, also where the index of a file is not whole.
+"""MCAP files as ``rosbags`` reads them, also where their index is not whole, and with the hashes of their types.
 
 It finds channels in the summary only, and passes by chunks whose messages have no index; both may be left out of a file
-that is whole (https://mcap.dev/spec, "Summary Section", "Message Index").
+that is whole (https://mcap.dev/spec, "Summary Section", "Message Index"). Hashes it takes from ``metadata.yaml``.
 """
 
 from collections.abc import Mapping
+from io import BytesIO
 from typing import Any
 
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_mcap import McapReader, read_string
 
 #: Type of a channel whose definition is not in the summary.
 _UNDEFINED = "__schemaless__"
 
 
 class WholeMcapReader(McapReader):
-    """Reads every message of a file, whatever its index leaves out."""
+    """Reads every message of a file, whatever its index leaves out, and the hashes that its channels tell."""
+
+    def open(self) -> None:
+        """Open it."""
+        super().open()
+        self.connections = [
+            each._replace(digest=_told(self.channels[each.id].metadata).get("topic_type_hash", ""))
+            for each in self.connections
+        ]
 
     def read_index(self) -> None:
         """Read the summary; all of the file where that does not say what there is."""
@@ -44,6 +54,17 @@ class WholeMcapReader(McapReader):
 class _WholeDirectoryReader(DirectoryReader):
     STORAGE_PLUGINS: Mapping[str, Any] = {**DirectoryReader.STORAGE_PLUGINS, "mcap": WholeMcapReader}
 
+    def open(self) -> None:
+        """Open it, with all that its files hold: metadata may name one type of a topic that has several."""
+        super().open()
+        for each in (each for storage in self.storages for each in storage.connections):
+            for number, known in enumerate(self.connections):
+                if _is_same(each, known):
+                    self.connections[number] = known._replace(digest=known.digest or each.digest)
+                    break
+            else:
+                self.connections.append(each._replace(id=len(self.connections) + 1, owner=self))
+
 
 class WholeReader(Reader):
     """Reads bags, folders and files, every message of them."""
@@ -53,3 +74,18 @@ class WholeReader(Reader):
         "dir": _WholeDirectoryReader,
         ".mcap": WholeMcapReader,
     }
+
+
+def _is_same(stored: Connection, listed: Connection) -> bool:
+    """Whether messages of a connection of a file are given as those of one that the metadata list."""
+    told = (listed.topic, listed.msgtype, listed.ext) == (stored.topic, stored.msgtype, stored.ext)
+    return told and (not listed.digest or not stored.digest or listed.digest == stored.digest)
+
+
+def _told(metadata: bytes) -> dict[str, str]:
+    """What a channel tells beside its topic: texts, each after its name."""
+    stream, told = BytesIO(metadata), {}
+    while stream.tell() < len(metadata):
+        name = read_string(stream)
+        told[name] = read_string(stream)
+    return told

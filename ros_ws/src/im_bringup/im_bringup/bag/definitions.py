@@ -11,10 +11,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rosbags.interfaces import Nodetype
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
 from rosbags.typesys import TypesysError, get_types_from_msg
 
 from im_bringup.tasks.executables import prefixes
+from im_core.bag import defined_types
 from im_core.errors import DataError
 from im_core.files import read_text
 
@@ -22,6 +23,12 @@ _LINE = "=" * 80
 _SEPARATOR = re.compile(r"^---.*\n?", re.MULTILINE)
 _PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
 _IDL_NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
+
+
+#: IDL has no empty structures: rosidl fills them.
+_FILLED = "structure_needs_at_least_one_member"
+#: Types of messages that are others in IDL.
+_SAME = {"char": "uint8"}
 
 
 class Definition(NamedTuple):
@@ -57,6 +64,39 @@ def full_definition(name: str) -> Definition:
     first, *rest = found
     contained = "".join(f"\n{_LINE}\nMSG: {_short(each)}\n{found[each]}" for each in rest)
     return Definition("ros2msg", found[first] + contained)
+
+
+def is_defined_so(name: str, recorded: MessageDefinition) -> bool:
+    """Whether a type, with all that it contains, has the same fields in a bag and here; also where nothing tells.
+
+    Args:
+        name: E.g. ``im_msgs/msg/Firing``.
+        recorded: As the bag defines it.
+
+    Raises:
+        DataError: No sourced workspace defines it, or one that it contains.
+    """
+    if not recorded.data.strip():
+        return True
+    encoding, text = full_definition(name)
+    form = MessageDefinitionFormat.MSG if encoding == "ros2msg" else MessageDefinitionFormat.IDL
+    try:
+        there, here = (defined_types(name, each) for each in (recorded, MessageDefinition(form, text)))
+    except TypesysError:  # others define the events of services in a way that is not read
+        return True
+    return all(_fields(there[each]) == _fields(here[each]) for each in there.keys() & here.keys())
+
+
+def _fields(definition: tuple[Any, Any]) -> list[tuple[str, Any]]:
+    """Fields, by name and description, as they are in a message and in IDL."""
+    return [(name, _alike(description)) for name, description in definition[1] if name != _FILLED]
+
+
+def _alike(description: Any) -> Any:
+    kind, argument = description
+    if kind == Nodetype.BASE:
+        return kind, (_SAME.get(argument[0], argument[0]), argument[1])
+    return (kind, argument) if kind == Nodetype.NAME else (kind, (_alike(argument[0]), argument[1]))
 
 
 @functools.lru_cache(maxsize=1024)
@@ -127,7 +167,7 @@ def _idl(name: str, text: str) -> str:
     members = [_idl_member(each, description) for each, description in fields]
     said = [f"const {_IDL_NAMES.get(base, base)} {each} = {_idl_value(value)};" for each, base, value in constants]
     told = f"module {own}_Constants {{ {' '.join(said)} }}; " if said else ""
-    members = members or ["uint8 structure_needs_at_least_one_member;"]  # as rosidl does: IDL has no empty structures
+    members = members or [f"uint8 {_FILLED};"]
     return f"module {package} {{ module {kind} {{ {told}struct {own} {{ {' '.join(members)} }}; }}; }};\n"
 
 

@@ -1,11 +1,13 @@
 """Reading bags, MCAP or SQLite; one that was cut short is completed first."""
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from im_bringup.bag.definitions import is_defined_so
 from im_bringup.bag.delivery import Delivery
 from im_core.bag import open_bag, unreadable_bag
 from im_core.bag_files import METADATA
@@ -66,12 +68,38 @@ class BagReader:
     @property
     def counts(self) -> Mapping[str, int]:
         """Number of messages of each topic."""
-        return {connection.topic: connection.msgcount for connection in self._reader.connections}
+        counts: Counter[str] = Counter()
+        for connection in self._reader.connections:
+            counts[connection.topic] += connection.msgcount
+        return counts
 
     @property
     def deliveries(self) -> Mapping[str, Delivery]:
         """Delivery of each topic."""
         return {connection.topic: Delivery.of(connection) for connection in self._reader.connections}
+
+    def check_type(self, topic: str) -> None:
+        """Refuse a topic whose messages cannot be told apart.
+
+        Raises:
+            DataError: It has several types, or several definitions of one.
+        """
+        connections = [connection for connection in self._reader.connections if connection.topic == topic]
+        types = sorted({connection.msgtype for connection in connections})
+        if len(types) > 1:
+            raise DataError(f"{topic} has several types in {self._path}: {', '.join(types)}", topic=topic)
+        if len({connection.digest for connection in connections} - {""}) > 1:
+            raise DataError(f"{topic} has several definitions of {types[0]} in {self._path}", topic=topic)
+
+    def check_definition(self, topic: str) -> None:
+        """Refuse a topic whose type has other fields in the bag than here.
+
+        Raises:
+            DataError: It has.
+        """
+        for connection in self._reader.connections:
+            if connection.topic == topic and not is_defined_so(connection.msgtype, connection.msgdef):
+                raise changed_type(topic, connection.msgtype)
 
     def messages(
         self, topics: Iterable[str], begin_ns: int | None = None, end_ns: int | None = None
@@ -84,9 +112,11 @@ class BagReader:
             end_ns: Before when [ns].
 
         Raises:
-            DataError: The bag is damaged.
+            DataError: The bag is damaged, or as of :meth:`check_type`.
         """
         wanted = set(topics)
+        for topic in wanted:
+            self.check_type(topic)
         connections = [connection for connection in self._reader.connections if connection.topic in wanted]
         if not connections:
             return
@@ -99,6 +129,15 @@ class BagReader:
             except Exception as error:  # what a reader meets in bytes that were cut or spoilt has any name
                 raise unreadable_bag(self._path, error) from error
             yield connection.topic, stamp_ns, bytes(data)
+
+
+def changed_type(topic: str, type_name: str) -> DataError:
+    """Says that the messages of a topic are of another definition than its type has here."""
+    return DataError(
+        f"{topic}: {type_name} has another definition here than when it was recorded; leave the topic out (--topics), "
+        "or replay with the workspace of the recording",
+        topic=topic,
+    )
 
 
 def chosen_topics(known: Iterable[str], asked: Iterable[str]) -> list[str]:

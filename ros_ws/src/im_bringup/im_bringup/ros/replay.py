@@ -22,6 +22,7 @@ from rosgraph_msgs.msg import Clock
 
 from im_bringup.bag import BagReader, BagWriter, chosen_topics
 from im_bringup.bag.playback import KEYS, Controls, Playback
+from im_bringup.bag.reader import changed_type
 from im_bringup.ros.record import check_topic_name, to_profile
 from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError
@@ -101,12 +102,10 @@ class Replay:
             for end in self._node.get_publishers_info_by_topic(name)
             if end.node_name == self._node.get_name() and end.topic_type == bag.types[topic]
         }
-        if recorded and here and recorded not in here:
-            raise DataError(
-                f"{topic}: {bag.types[topic]} has another definition here than when it was recorded; leave the topic "
-                "out (--topics), or replay with the workspace of the recording",
-                topic=topic,
-            )
+        if not recorded or not here:
+            bag.check_definition(topic)
+        elif recorded not in here:
+            raise changed_type(topic, bag.types[topic])
 
     def _await_subscribers(self) -> None:
         began = clock.monotonic()
@@ -127,7 +126,7 @@ class Replay:
 
 
 def known_topics(bag: BagReader, topics: Sequence[str], names: Mapping[str, str], named: bool) -> list[str]:
-    """Those whose types are known here and whose names ROS allows; others are left out with a sentence.
+    """Those whose types are known here, one each, and whose names ROS allows; others are left out with a sentence.
 
     Args:
         bag: The bag.
@@ -136,12 +135,14 @@ def known_topics(bag: BagReader, topics: Sequence[str], names: Mapping[str, str]
         named: Whether the user named them.
 
     Raises:
+        DataError: A topic that the user named has several types.
         NotFoundError: A topic that the user named has a type that is not known here.
         DataError: It has a name that ROS does not allow.
     """
     known = []
     for topic in topics:
         try:
+            bag.check_type(topic)
             interface_class(bag.types[topic])
             _check_name(topic, names)
         except (NotFoundError, DataError) as error:
@@ -188,7 +189,8 @@ def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
         folder: Folder of the new bag.
 
     Raises:
-        DataError: A topic is not in the bag, or nothing that a mission is run again from, or the folder exists.
+        DataError: A topic is not in the bag, or nothing that a mission is run again from, or the folder exists, or a
+            type has another definition here.
         StoreError: The disk is full.
     """
     if not topics and MISSION_TOPICS[0] not in bag.types:
@@ -197,6 +199,7 @@ def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
     new, counts = BagWriter(folder), dict.fromkeys(chosen, 0)
     try:
         for topic in chosen:
+            bag.check_definition(topic)
             new.add_topic(topic, bag.types[topic], bag.deliveries[topic], bag.hashes[topic])
         for topic, stamp_ns, data in bag.messages(chosen):
             counts[topic] += 1
