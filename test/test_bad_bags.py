@@ -13,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from im_bringup.bag import BagReader, BagWriter, Delivery
 from im_bringup.bag import writer as bag_writer
 from im_bringup.ros import replay
+from im_core.bag import messages_of
 from im_core.bag_files import METADATA
 from im_core.errors import DataError
 from im_pnt.ros import rerun
@@ -205,7 +206,8 @@ def test_a_type_that_changed_is_not_replayed_whatever_tells_it(tmp_path, monkeyp
 
 
 def without_hash(topic, kind, told_hash, definition):
-    return kind, "", definition
+    """As of publishers that tell none."""
+    return kind, "INVALID", definition
 
 
 def without_either(topic, kind, told_hash, definition):
@@ -219,6 +221,8 @@ def test_what_tells_no_hash_is_replayed_unless_its_definition_is_another(tmp_pat
         assert not any(reader.hashes.values())
         for topic in reader.types:
             reader.check_definition(topic)
+    with BagReader(RECORDED) as recorded, BagReader(bag / "bag.mcap") as reader:
+        assert (reader.types, reader.counts) == (recorded.types, recorded.counts)
 
 
 def of_two_types(folder):
@@ -251,6 +255,28 @@ def test_a_topic_of_several_types_is_left_out_or_refused(tmp_path, monkeypatch, 
     monkeypatch.setattr("sys.argv", ["replay", str(bag), "--topics", "/changing"])
     assert replay.main() == 2
     assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_a_type_of_several_definitions_is_not_read_by_one_of_them(tmp_path, described):
+    """The metadata of others name a topic once."""
+    with BagReader(RECORDED) as bag:
+        delivery, moments = bag.deliveries["/pnt/firings"], list(bag.messages(["/pnt/firings"]))
+    for number in range(2):
+        out = BagWriter(tmp_path / f"bag_{number}")
+        out.add_topic("/pnt/firings", "im_msgs/msg/Firing", delivery, f"RIHS01_{number:064}")
+        for _, stamp_ns, data in moments:
+            out.write("/pnt/firings", stamp_ns + number * 10**12, data)
+        out.close()
+    bag = tmp_path / "bag_0"
+    shutil.copy(tmp_path / "bag_1" / "bag_1.mcap", bag)
+    if described:
+        listed = (bag / METADATA).read_text()
+        (bag / METADATA).write_text(listed.replace("- bag_0.mcap\n", "- bag_0.mcap\n  - bag_1.mcap\n", 1))
+    with BagReader(bag) as reader, pytest.raises(DataError, match="several definitions of im_msgs/msg/Firing"):
+        next(reader.messages(["/pnt/firings"]))
+    with pytest.raises(DataError, match="several definitions of im_msgs/msg/Firing in it"):
+        next(messages_of(bag, {"/pnt/firings": ("im_msgs/msg/Firing",)}))
 
 
 def test_a_file_without_metadata_is_taken_by_itself(tmp_path, monkeypatch):

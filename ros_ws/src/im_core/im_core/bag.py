@@ -164,12 +164,16 @@ def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
     """Types of Jazzy, and others as the bag defines them.
 
     Raises:
-        DataError: It does not define one.
+        DataError: It does not define one, or defines it in several ways.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
+    hashes: dict[str, str] = {}
     for connection in connections:
         if connection.msgtype not in store.types and not connection.msgdef.data.strip():
             text = f"there is no definition of {connection.msgtype} in it, by which {connection.topic} could be read"
+            raise DataError(f"{bag}: {text}", type=connection.msgtype)
+        if connection.digest and hashes.setdefault(connection.msgtype, connection.digest) != connection.digest:
+            text = f"there are several definitions of {connection.msgtype} in it, as of versions of a workspace"
             raise DataError(f"{bag}: {text}", type=connection.msgtype)
         defined = defined_types(connection.msgtype, connection.msgdef)
         store.register({name: spec for name, spec in defined.items() if name not in store.types})

@@ -24,7 +24,7 @@ class WholeMcapReader(McapReader):
         """Open it."""
         super().open()
         self.connections = [
-            each._replace(digest=_told(self.channels[each.id].metadata).get("topic_type_hash", ""))
+            each._replace(digest=_hash(_told(self.channels[each.id].metadata).get("topic_type_hash", "")))
             for each in self.connections
         ]
 
@@ -57,10 +57,11 @@ class _WholeDirectoryReader(DirectoryReader):
     def open(self) -> None:
         """Open it, with all that its files hold: metadata may name one type of a topic that has several."""
         super().open()
+        self.connections = [each._replace(digest=_hash(each.digest)) for each in self.connections]
         for each in (each for storage in self.storages for each in storage.connections):
             for number, known in enumerate(self.connections):
                 if _is_same(each, known):
-                    self.connections[number] = known._replace(digest=known.digest or each.digest)
+                    self.connections[number] = known._replace(digest=known.digest or _hash(each.digest))
                     break
             else:
                 self.connections.append(each._replace(id=len(self.connections) + 1, owner=self))
@@ -80,6 +81,11 @@ def _is_same(stored: Connection, listed: Connection) -> bool:
     """Whether messages of a connection of a file are given as those of one that the metadata list."""
     told = (listed.topic, listed.msgtype, listed.ext) == (stored.topic, stored.msgtype, stored.ext)
     return told and (not listed.digest or not stored.digest or listed.digest == stored.digest)
+
+
+def _hash(text: str) -> str:
+    """A hash of a type; empty for what stands in its place where a publisher tells none (``INVALID``)."""
+    return text if text.startswith("RIHS") else ""
 
 
 def _told(metadata: bytes) -> dict[str, str]:
