@@ -257,6 +257,17 @@ def test_a_topic_of_several_types_is_left_out_or_refused(tmp_path, monkeypatch, 
     assert sentence in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("topic", "sentence"), [("/changing", "several types"), ("/pnt/firings", "another definition")]
+)
+def test_what_is_not_replayed_is_not_extracted(tmp_path, monkeypatch, capsys, topic, sentence):
+    bag = of_two_types(tmp_path) if topic == "/changing" else rewritten(tmp_path, monkeypatch, changed)
+    monkeypatch.setattr("sys.argv", ["replay", str(bag), "--extract", str(tmp_path / "small"), "--topics", topic])
+    assert replay.main() == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "small").exists()
+
+
 @pytest.mark.parametrize("described", [True, False])
 def test_a_type_of_several_definitions_is_not_read_by_one_of_them(tmp_path, described):
     """The metadata of others name a topic once."""

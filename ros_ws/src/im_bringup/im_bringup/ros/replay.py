@@ -190,16 +190,18 @@ def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
 
     Raises:
         DataError: A topic is not in the bag, or nothing that a mission is run again from, or the folder exists, or a
-            type has another definition here.
+            topic has several types, or one of another definition than here.
         StoreError: The disk is full.
     """
     if not topics and MISSION_TOPICS[0] not in bag.types:
         raise DataError(f"there is nothing on {MISSION_TOPICS[0]} in the bag, from which nets could be run again")
     chosen = chosen_topics(bag.types, topics or [topic for topic in MISSION_TOPICS if topic in bag.types])
+    for topic in chosen:
+        bag.check_type(topic)
+        bag.check_definition(topic)
     new, counts = BagWriter(folder), dict.fromkeys(chosen, 0)
     try:
         for topic in chosen:
-            bag.check_definition(topic)
             new.add_topic(topic, bag.types[topic], bag.deliveries[topic], bag.hashes[topic])
         for topic, stamp_ns, data in bag.messages(chosen):
             counts[topic] += 1
