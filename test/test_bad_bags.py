@@ -247,7 +247,7 @@ def test_a_topic_of_several_types_is_left_out_or_refused(tmp_path, monkeypatch, 
     sentence = f"/changing has several types in {bag}: std_msgs/msg/Char, std_msgs/msg/String"
     with BagReader(bag) as reader:
         assert reader.counts == {"/changing": 2, "/chatter": 2}
-        assert replay.known_topics(reader, list(reader.types), named=False) == ["/chatter"]
+        assert replay.known_topics(reader, list(reader.types), {}, named=False) == ["/chatter"]
         assert f"replay: /changing is left out: {sentence}" in capsys.readouterr().err
         assert [stamp for _, stamp, _ in reader.messages(["/chatter"])] == [1, 2]
         with pytest.raises(DataError, match="/changing has several types"):

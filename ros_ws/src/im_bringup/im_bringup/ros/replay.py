@@ -135,9 +135,8 @@ def known_topics(bag: BagReader, topics: Sequence[str], names: Mapping[str, str]
         named: Whether the user named them.
 
     Raises:
-        DataError: A topic that the user named has several types.
-        NotFoundError: A topic that the user named has a type that is not known here.
-        DataError: It has a name that ROS does not allow.
+        DataError: A topic that the user named has several types, or a name that ROS does not allow.
+        NotFoundError: It has a type that is not known here.
     """
     known = []
     for topic in topics:
