@@ -13,7 +13,9 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
 
+from im_core import clock
 from im_mcs.client.wire import read_trajectory
+from im_mcs.protocol.points import share_points
 from im_mcs.ros.actions import trajectory_server
 from im_msgs.msg import GroupSetpoints
 from test.mcs.conftest import MOST_POINTS
@@ -348,6 +350,86 @@ def test_a_long_trajectory_is_read_beside_the_loop_and_followed(ready, monkeypat
     assert ready.follow(goal(ready, (1.0, ready.home)))[1]().status == SUCCEEDED
     assert threads[0] == "read"
     assert threads[1] not in ("read", threading.current_thread().name)
+
+
+def long_course(client, seconds=8.0):
+    """Points of a smooth trajectory that is shared with the servo in memory, a metre along the track."""
+    return [
+        (seconds * x, client.home + np.eye(9)[0] * x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
+        for x in np.linspace(0.01, 1.0, 300)
+    ]
+
+
+@pytest.fixture
+def held(monkeypatch):
+    """Events: a long trajectory is being shared, and may go on; in the end it may in any case."""
+    sharing, go_on = threading.Event(), threading.Event()
+
+    def share(*arguments):
+        sharing.set()
+        assert go_on.wait(60.0)
+        return share_points(*arguments)
+
+    monkeypatch.setattr(trajectory_server, "share_points", share)
+    yield sharing, go_on
+    go_on.set()
+
+
+def test_a_goal_that_is_cancelled_before_the_servo_knows_it_does_not_begin(ready, held):
+    sharing, go_on = held
+    handle, result = ready.follow(goal(ready, *long_course(ready)))
+    assert sharing.wait(60.0)
+    assert len(ready.cancel(handle).goals_canceling) == 1
+    go_on.set()
+    answer = result()
+    assert answer.status == CANCELED
+    assert answer.result.error_code == Result.SUCCESSFUL
+    np.testing.assert_allclose(ready.group_state().q_rest, ready.home, atol=1e-4)
+
+
+def test_a_goal_that_takes_long_to_read_does_not_replace_a_newer_one(ready, held):
+    sharing, go_on = held
+    _, first = ready.follow(goal(ready, *long_course(ready)))
+    assert sharing.wait(60.0)
+    _, second = started(ready, goal(ready, (4.0, ready.home + STEP)))
+    go_on.set()
+    answer = first()
+    assert answer.status == ABORTED
+    assert answer.result.error_code == Result.INVALID_GOAL
+    assert answer.result.error_string == "group 'left': replaced by a newer goal"
+    assert second().status == SUCCEEDED
+    np.testing.assert_allclose(ready.group_state().q_rest, ready.home + STEP, atol=1e-4)
+
+
+def test_a_newer_goal_that_is_refused_leaves_one_that_takes_long_alone(ready, held):
+    sharing, go_on = held
+    _, first = ready.follow(goal(ready, *long_course(ready)))
+    assert sharing.wait(60.0)
+    assert ready.follow(goal(ready, (4.0, ready.home + 100.0)))[1]().status == ABORTED
+    go_on.set()
+    assert first().status == SUCCEEDED
+
+
+@pytest.mark.parametrize("on_topic", [True, False])
+def test_a_stop_counts_for_what_the_servo_does_not_know_yet(ready, held, on_topic):
+    sharing, go_on = held
+    publisher = ready.talk(JointTrajectory, "/left/joint_trajectory")
+    if on_topic:
+        publisher.publish(trajectory(ready, *long_course(ready)))
+    else:
+        _, result = ready.follow(goal(ready, *long_course(ready)))
+    assert sharing.wait(60.0)
+    publisher.publish(JointTrajectory())
+    refused = ready.mcs._mcs.refusals
+    before = refused.counts()
+    publisher.publish(trajectory(ready, (1.0, ready.home), joints=["left_j1"]))
+    ready.until(lambda: refused.counts() != before)  # then the stop has been read, too
+    go_on.set()
+    if on_topic:
+        clock.sleep(1.0)
+    else:
+        assert result().result.error_string == "group 'left': stopped before the motion began"
+    np.testing.assert_allclose(ready.group_state().q_rest, ready.home, atol=1e-4)
 
 
 def test_what_is_too_long_is_refused_by_its_length(ready_once, monkeypatch):

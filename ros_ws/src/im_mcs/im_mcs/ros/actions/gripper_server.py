@@ -10,7 +10,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
 from im_mcs.ros.access import McsAccess
-from im_mcs.ros.actions.motions import Goals, fail
+from im_mcs.ros.actions.motions import Goals, fail, require_wanted
 from im_mcs.state import Event
 
 
@@ -46,6 +46,7 @@ class GripperServer:
             self._mcs.client()
             self._mcs.check(command)
             arguments = {"gripper": gripper, "opening": command.position, "force": command.max_effort}
+            require_wanted(handle)
             results = await self._mcs.request(Event.SET_GRIPPER, arguments, partial(self._begin, gripper, handle))
         except ImError as error:
             if error.code != "cancelled":

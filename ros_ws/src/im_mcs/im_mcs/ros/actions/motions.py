@@ -1,7 +1,10 @@
 """Motions of groups on their way through the servo, and the goals of actions that stand for them."""
 
+import itertools
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -12,10 +15,26 @@ from im_core.ros import qos
 from im_core.ros.callers import client_of
 from im_core.ros.guard import GuardedActionServer
 from im_mcs.client.servo_client import OnProgress
+from im_mcs.protocol.requests import Policy
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess, Started
 from im_mcs.state import Event
 from im_msgs.msg import GroupPath
+
+
+@dataclass(frozen=True)
+class Turn:
+    """When a goal or a message came: it may take long until it is sent to the servo, and others overtake it.
+
+    Attributes:
+        group: What it is for.
+        rank: The later it came, the larger.
+        handle: The goal; None: a message.
+    """
+
+    group: str
+    rank: int
+    handle: ServerGoalHandle | None = None
 
 
 class Motions:
@@ -27,12 +46,20 @@ class Motions:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        self._under_way: dict[int, str] = {}
+        self._under_way: dict[int, Turn] = {}
+        self._ranks = itertools.count(1)
+        self._replaced: Counter[str] = Counter()
+        self._stopped: Counter[str] = Counter()
         groups, node = access.group_names, access.node
         self._paths = {group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in groups}
 
+    def arrive(self, group: str, handle: ServerGoalHandle | None = None) -> Turn:
+        """The turn of a goal, or of a message, that has come just now."""
+        return Turn(group, next(self._ranks), handle)
+
     async def run(
         self,
+        turn: Turn,
         arguments: dict[str, Any],
         client: str = "",
         started: Started | None = None,
@@ -42,6 +69,7 @@ class Motions:
         """Move a group and await the end.
 
         Args:
+            turn: When it came; what has been cancelled, stopped or replaced since is not sent to the servo.
             arguments: Of the MOVE request.
             client: Who asks for it, as :meth:`Goals.client` says; empty: who has said no name, as on a topic.
             started: Told the number of the request.
@@ -51,13 +79,13 @@ class Motions:
         Raises:
             ImError: The motion is refused, or ended badly.
         """
-        group = str(arguments["group"])
+        group = turn.group
         shown: list[bool] = []
         numbers: list[int] = []
 
         def begin(number: int) -> None:
             numbers.append(number)
-            self._under_way[number] = group
+            self._under_way[number] = turn
             if started is not None:
                 started(number)
 
@@ -71,26 +99,48 @@ class Motions:
 
         try:
             sender = await self._mcs.sender(client)
-            return await self._mcs.request(Event.MOVE, {**arguments, "sender": sender}, begin, progress)
+            self._require_wanted(turn)
+            replaced = self._replaced[group]
+            if arguments["policy"] == Policy.REPLACE:
+                self._replaced[group] = turn.rank
+            try:
+                return await self._mcs.request(Event.MOVE, {**arguments, "sender": sender}, begin, progress)
+            except ImError:
+                if not shown and self._replaced[group] == turn.rank:
+                    self._replaced[group] = replaced  # it was refused: what came before it may go on
+                raise
         finally:
             for number in numbers:
                 self._under_way.pop(number, None)
             if shown:
                 self._paths[group].publish(GroupPath())
 
-    async def stop(self, group: str) -> None:
+    async def stop(self, turn: Turn) -> None:
         """Let what a group does, and what waits for it, decelerate on its path and end as cancelled.
+
+        Args:
+            turn: When that was asked for; what came later goes on.
 
         Raises:
             ImError: The servo refuses.
         """
-        numbers = [number for number, name in self._under_way.items() if name == group]
+        group = turn.group
+        self._stopped[group] = max(self._stopped[group], turn.rank)
+        numbers = [n for n, other in self._under_way.items() if other.group == group and other.rank < turn.rank]
         for number in reversed(numbers):  # what waits first: it shall not begin
             try:
                 await self._mcs.request(Event.CANCEL, {"goal": number})
             except ImError:
                 if number in self._under_way:  # else it ended by itself meanwhile
                     raise
+
+    def _require_wanted(self, turn: Turn) -> None:
+        group = turn.group
+        require_wanted(turn.handle)
+        if turn.rank < self._stopped[group]:
+            raise ImError(f"group '{group}': stopped before the motion began", code="cancelled", group=group)
+        if turn.rank < self._replaced[group]:
+            raise ImError(f"group '{group}': replaced by a newer goal", code="replaced", group=group)
 
     def _show(self, group: str, path: dict[str, Any]) -> None:
         stamp_ns = int(self._mcs.client().snapshot()["stamp_ns"])
@@ -156,13 +206,23 @@ class Goals:
         """Callback of an action server: the motion decelerates on its path and ends as cancelled."""
         number = self._numbers.get(bytes(handle.goal_id.uuid))
         if number is None:
-            return CancelResponse.REJECT
+            return CancelResponse.ACCEPT  # the servo has not been asked yet, and will not be: see require_wanted
         try:
             self._mcs.client().send(Event.CANCEL, {"goal": number})
         except ImError as error:
             self._mcs.node.get_logger().warning(error.message)
             return CancelResponse.REJECT
         return CancelResponse.ACCEPT
+
+
+def require_wanted(handle: ServerGoalHandle | None) -> None:
+    """Look, immediately before the servo is asked, whether a goal is to be cancelled; None: there is no goal.
+
+    Raises:
+        ImError: It is (code ``cancelled``).
+    """
+    if handle is not None and handle.is_cancel_requested:
+        raise ImError("the goal was cancelled before it began", code="cancelled")
 
 
 def fail(handle: ServerGoalHandle, error: ImError) -> None:

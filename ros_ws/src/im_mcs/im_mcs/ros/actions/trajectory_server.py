@@ -1,7 +1,6 @@
 """``/<group>/follow_joint_trajectory`` and ``/<group>/joint_trajectory``, as ros2_control's controller has them."""
 
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
@@ -34,7 +33,7 @@ from im_mcs.protocol.points import share_points
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.actions.goal_bytes import GoalBytes, with_goals_as_bytes
-from im_mcs.ros.actions.motions import Goals, Motions, fail
+from im_mcs.ros.actions.motions import Goals, Motions, Turn, fail
 
 _Result = FollowJointTrajectory.Result
 _ERROR_CODES = {
@@ -90,7 +89,6 @@ class TrajectoryServer:
     def __init__(self, access: McsAccess, motions: Motions) -> None:
         self._mcs, self._motions = access, motions
         self._goals = Goals(access)
-        self._heard: Counter[str] = Counter()
         self._numbers = itertools.count(1)
         for name, what in _OPTIONS.items():
             access.node.declare_parameter(name, False, ParameterDescriptor(description=what))
@@ -112,14 +110,14 @@ class TrajectoryServer:
         return self._mcs.config.planning.max_trajectory_points
 
     async def _execute(self, group: str, handle: ServerGoalHandle) -> _Result:
-        result = _Result()
+        result, turn = _Result(), self._motions.arrive(group, handle)
         try:
             goal: GoalBytes = handle.request
             check_points(goal.points, self._most_points)
             asked = await self._read(group, CdrReader(goal.data, UUID_BYTES), is_goal=True)
             assert asked is not None
             results = await self._run(
-                group,
+                turn,
                 asked,
                 client=self._goals.client(handle),
                 started=partial(self._goals.begin_goal, handle),
@@ -139,18 +137,15 @@ class TrajectoryServer:
         return result
 
     def _take(self, group: str, topic: str, message: bytes) -> None:
-        self._heard[topic] += 1
-        self._mcs.node.spawn(self._follow(group, topic, message, self._heard[topic]))
+        self._mcs.node.spawn(self._follow(self._motions.arrive(group), topic, message))
 
-    async def _follow(self, group: str, topic: str, message: bytes, number: int) -> None:
+    async def _follow(self, turn: Turn, topic: str, message: bytes) -> None:
         try:
-            asked = await self._read(group, CdrReader(message), is_goal=False)
-            if self._heard[topic] > number:
-                return  # it took long to read, and another has come meanwhile
+            asked = await self._read(turn.group, CdrReader(message), is_goal=False)
             if asked is None:
-                await self._motions.stop(group)
+                await self._motions.stop(turn)
             else:
-                await self._run(group, asked)
+                await self._run(turn, asked)
         except ImError as error:
             if error.code not in ("cancelled", "replaced"):
                 self._mcs.refusals.add(topic, error)
@@ -183,15 +178,15 @@ class TrajectoryServer:
         )
         return _Asked(*trajectory_path(group, description.joints, trajectory, present, self._accepted, stream=stream))
 
-    async def _run(self, group: str, asked: _Asked, **told: Any) -> dict[str, Any]:
+    async def _run(self, turn: Turn, asked: _Asked, **told: Any) -> dict[str, Any]:
         """Have a trajectory followed, and await the end; ``told`` is for :meth:`Motions.run`."""
         many = len(asked.course.times) > _FEW
         block, points = await run_in_thread(self._mcs.node, self._share, asked.course) if many else (None, None)
         shown = asked.shown
         path = {**shown, "points": points} if many else shown
-        arguments = {"group": group, "path": path, "policy": "replace", "speed_scale": 0.0}
+        arguments = {"group": turn.group, "path": path, "policy": "replace", "speed_scale": 0.0}
         with nullcontext() if block is None else closing(block):
-            return await self._motions.run(arguments, path=shown, **told)
+            return await self._motions.run(turn, arguments, path=shown, **told)
 
     def _share(self, course: Course) -> tuple[SharedBlock, dict[str, Any]]:
         name = f"{names.instance()}_mcs_points_{next(self._numbers)}"
