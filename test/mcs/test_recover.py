@@ -1,5 +1,6 @@
 """A loss leaves /mcs where the next reservation, or ``scripts/im recover``, brings it back; it tells what was lost."""
 
+import errno
 import os
 import signal
 
@@ -10,6 +11,7 @@ from im_cell.link import PanelEnd, ServoEnd
 from im_core import names
 from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
+from im_mcs.ros import servo_keeper
 from im_msgs.msg import TaskRecord, TaskRegistry
 from im_msgs.srv import ReserveGroup
 
@@ -82,6 +84,32 @@ def test_the_next_reservation_leaves_alone_what_was_meant(client):
     client.until(lambda: client.state() == "cold")
     assert client.trigger("estop").success
     assert "is refused in state estopped" in reserve(client).message
+
+
+def test_a_servo_that_the_operating_system_does_not_start_can_be_started_again(client, monkeypatch):
+    assert client.change("cleanup")
+    with monkeypatch.context() as patch:
+
+        def refuse(*_, **__):
+            raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+        patch.setattr(servo_keeper.ChildProcess, "of_module", refuse)
+        assert not client.change("configure")
+    assert client.lifecycle() == "unconfigured"
+    why = "the servo process cannot be started: [Errno 11] Resource temporarily unavailable"
+    client.until(lambda: why in client.trigger("power_on").message)
+    assert client.change("configure")
+    client.until(lambda: client.state() == "cold")
+
+
+@pytest.mark.raises
+def test_a_transition_that_fails_in_another_way_ends_too(client, monkeypatch):
+    assert client.change("cleanup")
+    with monkeypatch.context() as patch:
+        patch.setattr(servo_keeper, "ServoOwner", lambda *_: 1 / 0)
+        client.change("configure")
+    assert client.lifecycle() == "unconfigured"
+    assert client.change("configure")
 
 
 @pytest.fixture

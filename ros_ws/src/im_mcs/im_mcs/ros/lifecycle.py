@@ -86,7 +86,7 @@ class Lifecycle:
     async def _carry_out(self, transition: str, client: str) -> None:
         try:
             await self._work[transition](client)
-        except ImError:
+        except Exception:  # a transition that does not end would be under way for good
             self._end(TransitionCallbackReturn.FAILURE)
             raise
         self._end(TransitionCallbackReturn.SUCCESS)

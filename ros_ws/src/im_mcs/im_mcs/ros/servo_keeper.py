@@ -49,6 +49,9 @@ class ServoOwner:
         config: Configuration.
         config_file: Where it came from; None: the one of the package.
         on_state: Told of every change of state, in another thread.
+
+    Raises:
+        OSError: It cannot be started; nothing is left behind.
     """
 
     def __init__(self, config: McsConfig, config_file: Path | None, on_state: OnState) -> None:
@@ -59,7 +62,11 @@ class ServoOwner:
         self._deadline = clock.monotonic() + self._timeout_s
         self._channel = ServoChannel.create(instance, config)
         arguments = [instance, str(config_file or ""), config.preset, repr(config.servo.period_s)]
-        self.process = ChildProcess.of_module("im_mcs.servo", arguments, log=names.run_dir() / "servo.log")
+        try:
+            self.process = ChildProcess.of_module("im_mcs.servo", arguments, log=names.run_dir() / "servo.log")
+        except OSError:
+            self._channel.close()
+            raise
         self._client: ServoClient | None = None
 
     @property
@@ -204,13 +211,15 @@ class ServoKeeper:
         Raises:
             ImError: It cannot be started, or the testbed does not answer.
         """
-        owner = self._new_owner(config)
-        self._starting = owner, self._node.promise()
+        owner: ServoOwner | None = None
         try:
+            owner = self._new_owner(config)
+            self._starting = owner, self._node.promise()
             await self._starting[1]
-        except ImError as error:
-            owner.close()
-            self._reason, self._servo_lost = error.message, True
+        except Exception as error:
+            if owner is not None:
+                owner.close()
+            self._reason, self._servo_lost = str(error), True
             raise
         finally:
             self._starting = None
@@ -367,7 +376,10 @@ class ServoKeeper:
 
     def _new_owner(self, config: McsConfig) -> ServoOwner:
         self._reason = ""
-        return ServoOwner(config, self._config_file, self._take_state)
+        try:
+            return ServoOwner(config, self._config_file, self._take_state)
+        except OSError as error:
+            raise LinkError(f"the servo process cannot be started: {error}") from error
 
     def _listen_to(self, client: ServoClient) -> None:
         """Refuse requests while the servo process runs but gives no sign of life; nobody waits for it."""
@@ -397,5 +409,5 @@ class ServoKeeper:
         try:
             if owner.ready():
                 promise.set_result(None)
-        except LinkError as error:
+        except Exception as error:  # whoever awaits it has to hear of it, whatever it is
             promise.set_exception(error)
