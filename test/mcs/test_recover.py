@@ -3,6 +3,7 @@
 import errno
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -77,6 +78,26 @@ def test_the_next_reservation_brings_a_dead_servo_back(client):
     assert client.trigger("power_on").success
 
 
+def reserve_both(client):
+    """Reserve both arms at once; the answers."""
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda group: client.call(ReserveGroup, "reserve", group=group), ("left", "right")))
+
+
+def reserved(client):
+    """Groups that are reserved."""
+    return {status.group for status in client.states[-1].groups if status.reserved}
+
+
+def test_two_reservations_at_once_bring_a_dead_servo_back_for_both(client):
+    client.to_motion()
+    with PanelEnd.attach(names.instance(), 60.0) as panel:
+        os.kill(panel.servo_pid, signal.SIGKILL)
+    client.until(lambda: client.state() == "unconfigured")
+    assert [answer.message for answer in reserve_both(client)] == ["MCS is reserved"] * 2
+    client.until(lambda: reserved(client) == {"left", "right"})
+
+
 def test_the_next_reservation_leaves_alone_what_was_meant(client):
     assert client.change("cleanup")
     assert not reserve(client).success
@@ -142,6 +163,12 @@ def test_the_next_reservation_after_the_testbed_was_lost(client, lose_testbed):
     answer = reserve(client)
     assert (answer.success, answer.message) == (True, "MCS is reserved")
     assert client.trigger("power_on").success
+
+
+def test_two_reservations_at_once_after_the_testbed_was_lost(client, lose_testbed):
+    lose_testbed()
+    assert [answer.message for answer in reserve_both(client)] == ["MCS is reserved"] * 2
+    client.until(lambda: reserved(client) == {"left", "right"})
 
 
 def test_an_operator_who_stops_after_a_loss_is_not_overruled(client, lose_testbed):

@@ -25,7 +25,7 @@ from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.model import CellModel
 from im_mcs.ros.bounds import check_bounds
 from im_mcs.ros.lifecycle import Lifecycle
-from im_mcs.ros.servo_keeper import FINALIZED_MESSAGE, ServoKeeper
+from im_mcs.ros.servo_keeper import FINALIZED_MESSAGE, POLL_S, ServoKeeper
 from im_mcs.state import POWERED, Event, State, next_state
 
 Started = Callable[[int], None]
@@ -260,13 +260,19 @@ class McsAccess:
     async def recover(self) -> None:
         """Bring MCS back to cold if its servo has died or the testbed has left it; waits for both. Nothing moves.
 
-        An emergency stop that has any other cause stays latched.
+        An emergency stop that has any other cause stays latched. What somebody else has begun, to bring it back, is
+        waited for.
 
         Raises:
             ImError: The servo cannot be started, or the testbed is not back in time; the last reason.
         """
         deadline = clock.monotonic() + _RECOVERY_S
-        while self.keeper.lost:
+        while self.keeper.recovering or self.keeper.lost:
+            if self.keeper.recovering:
+                if clock.monotonic() > deadline:
+                    return  # what is asked for next says how it stands
+                await pause(self.node, POLL_S)
+                continue
             try:
                 if self.keeper.stop_cause:
                     await self.stop(Event.RESET)

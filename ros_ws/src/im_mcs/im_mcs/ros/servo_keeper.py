@@ -161,6 +161,11 @@ class ServoKeeper:
         return self._testbed_lost and self.state is State.ESTOPPED
 
     @property
+    def recovering(self) -> bool:
+        """Whether a servo is being started, or an emergency stop reset."""
+        return self._starting is not None or self._resets > 0
+
+    @property
     def measures(self) -> bool:
         """Whether what the servo told last is measured: it gives signs of life, and the testbed answers it."""
         return self._owner is not None and self._hang is None and bool(self._owner.client.snapshot()["linked"])
