@@ -96,6 +96,49 @@ def test_a_driver_that_fails_is_an_estop_and_requests_are_refused_until_it_is_ba
     assert turns.owner.snapshot.read()["linked"]
 
 
+def test_an_owner_who_takes_nothing_loses_progress_and_nothing_else(turns):
+    to_motion(turns)
+    turns.seen.clear()
+    numbers = range(100, 1200)
+    far = turns._mcs.measured.q[:9] + 0.3
+    path = {"kind": "joint", "points": [far.tolist()]}
+    turns.owner.requests.send({"id": 10, "request": "move", "arguments": {"group": "left", "path": path}})
+    for number in numbers:
+        turns.owner.heartbeat.beat()
+        turns.owner.requests.send({"id": number, "request": "jump", "arguments": {}})
+        turns._pending += [{"event": "progress", "id": 10}] * 9
+        turns._turn()
+    assert turns._mcs.manager.state is State.MOTION
+    assert turns._reporter.linked
+    assert turns.owner.events.filled > 0.9
+    assert 0 < len(turns._pending) < len(numbers)
+    turns.owner.requests.send({"id": 2000, "request": "estop", "arguments": {"reason": "a hand"}})
+    turn(turns, 10)
+    told = [event for event in turns.seen if event["event"] != "progress"]
+    assert [event["id"] for event in told if event["event"] == "reply" and event["id"] >= 100] == [*numbers, 2000]
+    assert [event["state"] for event in told if event["event"] == "state"] == ["estopped"]
+    assert told.index(next(e for e in told if e["event"] == "state")) > len(numbers)
+    assert 100 < len(turns.seen) - len(told) < 9 * len(numbers)
+
+
+def test_answers_that_had_to_wait_come_while_time_stands(turns):
+    to_motion(turns)
+    turns.seen.clear()
+    text = 200 * "x"
+    while turns.owner.events.filled < 0.99:
+        turns._channel.events.send({"event": "progress", "id": 1, "text": text})
+    for number in range(10, 20):
+        turns.owner.requests.send({"id": number, "request": "spring", "arguments": {}})
+    turns._turn()
+    assert turns._pending
+    turns.seen += turns.owner.events.receive_all()
+    ticks = iter((False, True))
+    turns.driver.wait = lambda timeout_s: next(ticks)
+    turns._wait()
+    turns.seen += turns.owner.events.receive_all()
+    assert [event["id"] for event in turns.seen if event["event"] == "reply"] == list(range(10, 20))
+
+
 def test_a_testbed_that_stops_ticking_is_noticed_only_while_time_must_pass(turns, cell):
     to_motion(turns)
     turns.driver.wait = lambda timeout_s: clock.sleep(0.01) or False

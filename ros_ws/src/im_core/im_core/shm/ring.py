@@ -80,6 +80,11 @@ class MessageRing:
         while (message := self.receive()) is not None:
             yield message
 
+    @property
+    def filled(self) -> float:
+        """Share of it that the reader has not taken yet, 0 to 1."""
+        return (int(self._counters[0]) - int(self._counters[1])) / self.capacity
+
     def empty(self) -> bool:
         """Whether every message has been taken."""
         return int(self._counters[0]) == int(self._counters[1])

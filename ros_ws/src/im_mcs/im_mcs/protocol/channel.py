@@ -95,7 +95,7 @@ class ServoChannel:
 
     Attributes:
         requests: Owner to servo.
-        events: Servo to owner: replies and progress; never lost.
+        events: Servo to owner: states and replies, never lost; progress, left out when the owner is slow.
         samples: Servo to owner: what the joints do; dropped when the owner is slow.
         snapshot: Newest state; the servo writes.
         bell: Rung by the servo when there are events.

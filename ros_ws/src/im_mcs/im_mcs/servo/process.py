@@ -25,6 +25,8 @@ _WAIT_S = 0.05
 _LOOK_S = 0.02
 _SNAPSHOT_TICKS = 4
 _ORPHAN_S = 5.0
+# Share of the ring of events from which on progress is left out: the rest is for what must not be lost.
+_CROWDED = 0.5
 
 
 class ServoProcess:
@@ -50,6 +52,7 @@ class ServoProcess:
             )
         self._channel = ServoChannel.attach(instance, config, patience_s())
         self._pending: list[dict[str, Any]] = []
+        self._left = 0
         self._told: tuple[State, dict[str, State]] = State.COLD, {}
         recorder = Recorder(self._channel.layout, self._channel.evidence)
         self._on_demand = self._testbed.wall_period_s == 0.0
@@ -131,6 +134,7 @@ class ServoProcess:
         silence: Silence | None = None
         while not self._testbed.wait(_WAIT_S):
             self._channel.heartbeat.beat()
+            self._send_events()
             asked = not self._channel.requests.empty() and self._testbed.time_asked()
             self._mcs.go_on()
             due = self._time_passes or self._pacer.period_s > 0.0 or asked
@@ -193,14 +197,23 @@ class ServoProcess:
             groups = {group: state.value for group, state in now[1].items()}
             told: dict[str, Any] = {"event": "state", "state": now[0].value, "groups": groups}
             told |= {"reason": manager.cause, "lost": manager.lost}
-            self._pending.insert(0, told)
+            self._pending.insert(self._left, told)
 
     def _send_events(self) -> None:
-        if self._pending:
-            for message in self._pending:
-                self._channel.events.send(message)
-            self._pending.clear()
-            self._channel.bell.post()
+        """Send what is pending; of what an owner who takes nothing leaves no room for, all but progress goes later."""
+        if not self._pending:
+            return
+        events, taken = self._channel.events, 0
+        for message in self._pending:
+            if message["event"] != "progress" or events.filled < _CROWDED:
+                try:
+                    events.send(message)
+                except LinkError:
+                    break
+            taken += 1
+        self._pending[:] = [message for message in self._pending[taken:] if message["event"] != "progress"]
+        self._left = len(self._pending)
+        self._channel.bell.post()
 
 
 def run(instance: str, config: McsConfig) -> int:
