@@ -82,6 +82,22 @@ def test_a_killed_servo_ends_the_goal_and_the_testbed_brakes(client):
     client.until(lambda: client.state() == "cold")
 
 
+def test_a_servo_that_is_killed_while_it_writes_is_noticed(client):
+    client.to_motion()
+    torn = client.mcs._mcs.keeper.client()._channel.snapshot
+    with PanelEnd.attach(names.instance(), 60.0) as panel:
+        pid = panel.servo_pid
+    os.kill(pid, signal.SIGSTOP)
+    torn._sequence[0] |= 1
+    assert client.trigger("estop").message.endswith("the stop circuit of testbed is cut")
+    os.kill(pid, signal.SIGKILL)
+    client.until(lambda: client.state() == "unconfigured")
+    assert "the process im_mcs.servo ended with code -9" in client.states[-1].reason
+    assert client.trigger("reset").success
+    assert client.change("configure")
+    client.until(lambda: client.state() == "cold")
+
+
 def test_a_killed_node_takes_its_servo_along(client, process):
     assert client.change("cleanup")
     other = process(sys.executable, "-m", "im_mcs.ros.node", "--ros-args", "-p", "standalone:=true", "-r", "__ns:=/x")

@@ -75,3 +75,16 @@ def test_a_full_queue_does_not_keep_the_answers_back(ends):
     client.suspend(HANGS)
     assert len(replies) == room
     assert all(reply.error is HANGS for reply in replies)
+
+
+def test_of_a_servo_that_stopped_in_the_middle_of_writing_the_state_before_is_known(ends):
+    client, servo = ends
+    record = servo.snapshot.record()
+    record["tick"] = 7
+    servo.snapshot.write(record)
+    assert client.snapshot()["tick"] == 7
+    servo.snapshot._sequence[0] += 1
+    servo.snapshot._bytes[:] = 255
+    assert client.snapshot()["tick"] == 7
+    servo.snapshot.write(record)
+    assert client.snapshot()["tick"] == 7

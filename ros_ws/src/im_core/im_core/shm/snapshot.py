@@ -25,6 +25,7 @@ class Snapshot:
         self._dtype = dtype
         self._sequence = block.array("<u8", 1)
         self._bytes = block.array("u1", dtype.itemsize, offset=64)
+        self._torn = 0
 
     @classmethod
     def create(cls, name: str, dtype: np.dtype[np.void]) -> Self:
@@ -67,8 +68,10 @@ class Snapshot:
     def read(self) -> NDArray[np.void]:
         """A copy of the newest record, shape ().
 
+        A write that was once waited for in vain is not waited for again.
+
         Raises:
-            LinkError: The writer died in the middle of a write.
+            LinkError: The writer died, or stands still, in the middle of a write.
         """
         deadline = 0.0
         while True:
@@ -78,7 +81,8 @@ class Snapshot:
                 return np.frombuffer(data, dtype=self._dtype).reshape(())
             if deadline == 0.0:
                 deadline = clock.monotonic() + _READ_TIMEOUT_S
-            elif clock.monotonic() > deadline:
+            elif before == self._torn or clock.monotonic() > deadline:
+                self._torn = before
                 name = self._block.name
                 raise LinkError(f"the writer of snapshot '{name}' stopped in the middle of a write", name=name)
 

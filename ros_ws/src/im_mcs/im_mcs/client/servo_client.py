@@ -76,6 +76,7 @@ class ServoClient:
         self._channel = channel
         self._time = time
         self._on_state = on_state
+        self._newest = channel.snapshot.record()
         self._records = Records(channel.layout, channel.evidence)
         self._lock = threading.Lock()
         self._next_id = 1
@@ -113,8 +114,10 @@ class ServoClient:
         return number
 
     def snapshot(self) -> NDArray[np.void]:
-        """Newest state of the servo, shape ()."""
-        return self._channel.snapshot.read()
+        """Newest state of the servo, shape (); where it died or hangs in the middle of writing, the one before."""
+        with suppress(LinkError):
+            self._newest = self._channel.snapshot.read()
+        return self._newest
 
     def state(self) -> State:
         """State of MCS in the newest snapshot."""

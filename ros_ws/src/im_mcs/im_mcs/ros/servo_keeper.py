@@ -237,9 +237,10 @@ class ServoKeeper:
         """
         self._stops += 1
         self._testbed_lost = False
-        self._latch(reason)
+        self._stop_cause = self._stop_cause or reason  # told below: nothing comes before the stop itself
         if self._owner is None:
             done = self._circuits.cut()
+            self._changed()
             await self._keep_mark()
             return f"{self.reason}; {done}"
         promise = self._node.promise()
@@ -251,6 +252,7 @@ class ServoKeeper:
             error = trouble
         done = "" if error is None else self._circuits.cut()
         self.follow()
+        self._changed()
         await self._keep_mark()
         if error is None:
             return f"MCS is {self.state.value}"
@@ -328,10 +330,10 @@ class ServoKeeper:
 
         The sign of life to the servo is given here, so that a node whose loop stands still is noticed.
         """
-        self.follow()
         self._await_start()
         owner = self._owner
         if owner is None:
+            self.follow()
             return
         try:
             owner.process.check()
@@ -346,6 +348,7 @@ class ServoKeeper:
             return
         owner.client.beat()
         self._listen_to(owner.client)
+        self.follow()
         self._tell_again(owner.client)
 
     def _tell_again(self, client: ServoClient) -> None:
