@@ -1,17 +1,27 @@
 """Node ``/mcs`` without the simulated testbed: a robot that speaks topics takes its place, in real time."""
 
+import contextlib
+import json
+import os
+import signal
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from control_msgs.action import FollowJointTrajectory
 from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from im_core import clock, names
 from im_core.config import package_file
+from im_core.ros import qos
+from im_core.ros.guard import GuardedNode
+from im_mcs.testbed.topic_link import TopicLink
 
 DRIVER = "im_mcs.testbed.joint_state:JointStateDriver"
 
@@ -87,6 +97,56 @@ def config(tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     return path
+
+
+def bridge_pid():
+    """Process id of the bridge."""
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            command = (entry / "cmdline").read_bytes()
+            if b"im_mcs.ros.topic_channels" in command and names.instance().encode() + b"_topics" in command:
+                return int(entry.name)
+    raise AssertionError("there is no bridge")
+
+
+def test_a_bridge_that_was_stopped_publishes_no_effort_from_before_the_emergency_stop(robot, config, without_testbed):
+    client = without_testbed(config=config, use_sim_time=False)
+    client.to_motion()
+    efforts = client.listen(JointState, "/robot/command", qos.SENSOR)
+    client.until(lambda: efforts)
+    pid = bridge_pid()
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        client.until(lambda: client.state() == "estopped")
+        efforts.clear()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    client.until(lambda: client.trigger("reset").success)  # the bridge works again
+    assert not efforts
+
+
+def test_efforts_that_are_too_old_are_not_published(ros, process, wait_until):
+    name = f"{names.instance()}_topics_old"
+    link = TopicLink.create(name, 1)
+    settings = {"name": name, "joints": ["x"], "state": "/old/state", "command": "/old/command", "silence_s": 0.5}
+    process(sys.executable, "-m", "im_mcs.ros.topic_channels", json.dumps(settings))
+    efforts = []
+    node = ros(GuardedNode("listener"))
+    node.create_subscription(JointState, "/old/command", efforts.append, qos.SENSOR)
+    record = link.command.record()
+    record["driven"] = True
+
+    def give(effort, age_s):
+        record["effort"], record["at"] = effort, clock.monotonic() - age_s
+        link.command.write(record)
+        link.bell.post()
+        clock.sleep(0.05)
+
+    wait_until(lambda: efforts or give(1.0, 0.0), "an effort")
+    give(2.0, 0.6)
+    wait_until(lambda: efforts[-1].effort[0] == 3.0 or give(3.0, 0.0), "the last one")
+    assert 2.0 not in [message.effort[0] for message in efforts]
+    link.close()
 
 
 def test_a_trajectory_moves_a_robot_that_speaks_topics_and_its_death_is_an_estop(robot, config, without_testbed):

@@ -101,6 +101,7 @@ def test_commands_are_of_joints_with_power_and_without_brake(bridge):
     bridge([1.0, 2.0], 9.0)
     with pytest.raises(LinkError, match=r"im_mcs.ros.topic_channels of topic '/robot/state' ended with code 3"):
         driver.read()
+    assert not link.command.read()["driven"].any()
     driver.close()
 
 

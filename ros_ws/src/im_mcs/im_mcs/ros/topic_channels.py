@@ -28,12 +28,13 @@ class TopicChannels(GuardedNode):
         joints: In the order of the channels.
         state: Topic of the robot's positions.
         command: Topic of the efforts.
+        silence_s: Efforts that were given longer ago are not published [s].
     """
 
-    def __init__(self, name: str, joints: list[str], state: str, command: str) -> None:
+    def __init__(self, name: str, joints: list[str], state: str, command: str, silence_s: float) -> None:
         super().__init__("topic_channels", namespace="/mcs")
         self._link = TopicLink.attach(name, len(joints), patience_s())
-        self._joints = joints
+        self._joints, self._silence_s = joints, silence_s
         self._channel = {joint: channel for channel, joint in enumerate(joints)}
         self._received = self._link.received.record()
         self._publisher = self.create_publisher(JointState, command, qos.SENSOR)
@@ -73,8 +74,8 @@ class TopicChannels(GuardedNode):
                 continue
             self._link.bell.drain()
             command = self._link.command.read()
-            driven = command["driven"]
-            if driven.any():
+            driven, age_s = command["driven"], clock.monotonic() - float(command["at"])
+            if driven.any() and age_s <= self._silence_s:
                 message = JointState()
                 message.header.stamp = self.get_clock().now().to_msg()
                 message.name = [joint for joint, on in zip(self._joints, driven, strict=True) if on]

@@ -65,6 +65,7 @@ class JointStateDriver:
         name = instance + "_topics" + re.sub(r"\W", "_", state_topic)
         self._link = TopicLink.create(name, self.n_joints)
         settings = {"name": name, "joints": self._joints, "state": state_topic, "command": command_topic}
+        settings["silence_s"] = silence_s
         self._bridge = ChildProcess.of_module(_BRIDGE, [json.dumps(settings)])
         try:
             self._wait_for_all(timeout_s)
@@ -87,10 +88,16 @@ class JointStateDriver:
     def read(self) -> Measured:
         """The newest positions; a joint that the robot says is not a number is NaN.
 
+        Without positions no joint is driven: a bridge that wakes later finds no effort from before.
+
         Raises:
             LinkError: The robot, or the process, has been silent for too long; names topic, joint and seconds.
         """
-        q, age_s = self._newest()
+        try:
+            q, age_s = self._newest()
+        except LinkError:
+            self._command(np.zeros(self.n_joints), np.zeros(self.n_joints, dtype=np.bool_))
+            raise
         braked = self._drive.brakes | (not self._drive.power)
         stamp_ns = round(self._tick * self.period_s * 1e9)
         return Measured(
@@ -100,11 +107,7 @@ class JointStateDriver:
     def write(self, drive: Drive) -> None:
         """Publish the efforts of all joints with power and without brake."""
         self._drive = drive
-        record = self._link.command.record()
-        record["effort"] = drive.tau
-        record["driven"] = ~drive.brakes & drive.power
-        self._link.command.write(record)
-        self._link.bell.post()
+        self._command(drive.tau, ~drive.brakes & drive.power)
         self._tick += 1
 
     def after_tick(self, tick: int) -> None:
@@ -114,6 +117,13 @@ class JointStateDriver:
         """Fall silent: the robot's own time-out holds it."""
         self._bridge.stop()
         self._link.close()
+
+    def _command(self, effort: NDArray[np.float64], driven: NDArray[np.bool_]) -> None:
+        """Give the bridge efforts and which joints are driven, shape (n,) each; it keeps the newest only."""
+        record = self._link.command.record()
+        record["effort"], record["driven"], record["at"] = effort, driven, clock.monotonic()
+        self._link.command.write(record)
+        self._link.bell.post()
 
     def _newest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions and their ages, shape (n,) each."""

@@ -56,5 +56,5 @@ def received_type(n: int) -> np.dtype[Any]:
 
 
 def command_type(n: int) -> np.dtype[Any]:
-    """Efforts and which joints are driven."""
-    return np.dtype([("effort", "<f8", (n,)), ("driven", "?", (n,))], align=True)
+    """Efforts, which joints are driven, and when that was written, monotonic clock [s]."""
+    return np.dtype([("effort", "<f8", (n,)), ("driven", "?", (n,)), ("at", "<f8")], align=True)
