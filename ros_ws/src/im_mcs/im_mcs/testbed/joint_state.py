@@ -14,7 +14,7 @@ from im_mcs.testbed.driver import Drive, Measured
 from im_mcs.testbed.topic_link import TopicLink
 
 _BRIDGE = "im_mcs.ros.topic_channels"
-_POLL_S = 0.01
+_POLL_S, _AGAIN_S = 0.01, 1.0
 
 
 class JointStateDriver:
@@ -64,9 +64,10 @@ class JointStateDriver:
         )
         name = instance + "_topics" + re.sub(r"\W", "_", state_topic)
         self._link = TopicLink.create(name, self.n_joints)
-        settings = {"name": name, "joints": self._joints, "state": state_topic, "command": command_topic}
-        settings["silence_s"] = silence_s
-        self._bridge = ChildProcess.of_module(_BRIDGE, [json.dumps(settings)])
+        topics = {"state": state_topic, "command": command_topic}
+        settings = {"name": name, "joints": self._joints, **topics, "silence_s": silence_s}
+        self._settings = json.dumps(settings)
+        self._start_bridge()
         try:
             self._wait_for_all(timeout_s)
         except LinkError:
@@ -74,11 +75,13 @@ class JointStateDriver:
             raise
 
     def connect(self) -> None:
-        """Whether the robot speaks.
+        """Whether the robot speaks; a process that has ended is started again.
 
         Raises:
             LinkError: It does not.
         """
+        if self._bridge.poll() is not None and clock.monotonic() >= self._next_start:
+            self._start_bridge()
         self._newest()
 
     def wait(self, timeout_s: float) -> bool:
@@ -117,6 +120,10 @@ class JointStateDriver:
         """Fall silent: the robot's own time-out holds it."""
         self._bridge.stop()
         self._link.close()
+
+    def _start_bridge(self) -> None:
+        self._next_start = clock.monotonic() + _AGAIN_S
+        self._bridge = ChildProcess.of_module(_BRIDGE, [self._settings])
 
     def _command(self, effort: NDArray[np.float64], driven: NDArray[np.bool_]) -> None:
         """Give the bridge efforts and which joints are driven, shape (n,) each; it keeps the newest only."""
