@@ -23,7 +23,7 @@ from im_msgs.msg import GroupPath
 
 
 @dataclass(frozen=True)
-class Turn:
+class Arrival:
     """When a goal or a message came: it may take long until it is sent to the servo, and others overtake it.
 
     Attributes:
@@ -46,20 +46,20 @@ class Motions:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        self._under_way: dict[int, Turn] = {}
+        self._under_way: dict[int, Arrival] = {}
         self._ranks = itertools.count(1)
         self._replaced: Counter[str] = Counter()
         self._stopped: Counter[str] = Counter()
         groups, node = access.group_names, access.node
         self._paths = {group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in groups}
 
-    def arrive(self, group: str, handle: ServerGoalHandle | None = None) -> Turn:
-        """The turn of a goal, or of a message, that has come just now."""
-        return Turn(group, next(self._ranks), handle)
+    def arrive(self, group: str, handle: ServerGoalHandle | None = None) -> Arrival:
+        """The arrival of a goal, or of a message, that has come just now."""
+        return Arrival(group, next(self._ranks), handle)
 
     async def run(
         self,
-        turn: Turn,
+        arrival: Arrival,
         arguments: dict[str, Any],
         client: str = "",
         started: Started | None = None,
@@ -69,7 +69,7 @@ class Motions:
         """Move a group and await the end.
 
         Args:
-            turn: When it came; what has been cancelled, stopped or replaced since is not sent to the servo.
+            arrival: When it came; what has been cancelled, stopped or replaced since is not sent to the servo.
             arguments: Of the MOVE request.
             client: Who asks for it, as :meth:`Goals.client` says; empty: who has said no name, as on a topic.
             started: Told the number of the request.
@@ -79,13 +79,13 @@ class Motions:
         Raises:
             ImError: The motion is refused, or ended badly.
         """
-        group = turn.group
+        group = arrival.group
         shown: list[bool] = []
         numbers: list[int] = []
 
         def begin(number: int) -> None:
             numbers.append(number)
-            self._under_way[number] = turn
+            self._under_way[number] = arrival
             if started is not None:
                 started(number)
 
@@ -99,14 +99,14 @@ class Motions:
 
         try:
             sender = await self._mcs.sender(client)
-            self._require_wanted(turn)
+            self._require_wanted(arrival)
             replaced = self._replaced[group]
             if arguments["policy"] == Policy.REPLACE:
-                self._replaced[group] = turn.rank
+                self._replaced[group] = arrival.rank
             try:
                 return await self._mcs.request(Event.MOVE, {**arguments, "sender": sender}, begin, progress)
             except ImError:
-                if not shown and self._replaced[group] == turn.rank:
+                if not shown and self._replaced[group] == arrival.rank:
                     self._replaced[group] = replaced  # it was refused: what came before it may go on
                 raise
         finally:
@@ -115,18 +115,18 @@ class Motions:
             if shown:
                 self._paths[group].publish(GroupPath())
 
-    async def stop(self, turn: Turn) -> None:
+    async def stop(self, arrival: Arrival) -> None:
         """Let what a group does, and what waits for it, decelerate on its path and end as cancelled.
 
         Args:
-            turn: When that was asked for; what came later goes on.
+            arrival: When that was asked for; what came later goes on.
 
         Raises:
             ImError: The servo refuses.
         """
-        group = turn.group
-        self._stopped[group] = max(self._stopped[group], turn.rank)
-        numbers = [n for n, other in self._under_way.items() if other.group == group and other.rank < turn.rank]
+        group = arrival.group
+        self._stopped[group] = max(self._stopped[group], arrival.rank)
+        numbers = [n for n, other in self._under_way.items() if other.group == group and other.rank < arrival.rank]
         for number in reversed(numbers):  # what waits first: it shall not begin
             try:
                 await self._mcs.request(Event.CANCEL, {"goal": number})
@@ -134,12 +134,12 @@ class Motions:
                 if number in self._under_way:  # else it ended by itself meanwhile
                     raise
 
-    def _require_wanted(self, turn: Turn) -> None:
-        group = turn.group
-        require_wanted(turn.handle)
-        if turn.rank < self._stopped[group]:
+    def _require_wanted(self, arrival: Arrival) -> None:
+        group = arrival.group
+        require_wanted(arrival.handle)
+        if arrival.rank < self._stopped[group]:
             raise ImError(f"group '{group}': stopped before the motion began", code="cancelled", group=group)
-        if turn.rank < self._replaced[group]:
+        if arrival.rank < self._replaced[group]:
             raise ImError(f"group '{group}': replaced by a newer goal", code="replaced", group=group)
 
     def _show(self, group: str, path: dict[str, Any]) -> None:

@@ -35,10 +35,10 @@ class MoveServer:
             self._goals.serve(Move, f"/{group}/move", partial(self._execute, group))
 
     async def _execute(self, group: str, handle: ServerGoalHandle) -> Move.Result:
-        result, turn = Move.Result(), self._motions.arrive(group, handle)
+        result, arrival = Move.Result(), self._motions.arrive(group, handle)
         try:
             results = await self._motions.run(
-                turn,
+                arrival,
                 self._arguments(group, handle.request),
                 client=self._goals.client(handle),
                 started=partial(self._goals.begin_goal, handle),

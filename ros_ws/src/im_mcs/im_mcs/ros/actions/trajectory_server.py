@@ -33,7 +33,7 @@ from im_mcs.protocol.points import share_points
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.actions.goal_bytes import GoalBytes, with_goals_as_bytes
-from im_mcs.ros.actions.motions import Goals, Motions, Turn, fail
+from im_mcs.ros.actions.motions import Arrival, Goals, Motions, fail
 
 _Result = FollowJointTrajectory.Result
 _ERROR_CODES = {
@@ -110,14 +110,14 @@ class TrajectoryServer:
         return self._mcs.config.planning.max_trajectory_points
 
     async def _execute(self, group: str, handle: ServerGoalHandle) -> _Result:
-        result, turn = _Result(), self._motions.arrive(group, handle)
+        result, arrival = _Result(), self._motions.arrive(group, handle)
         try:
             goal: GoalBytes = handle.request
             check_points(goal.points, self._most_points)
             asked = await self._read(group, CdrReader(goal.data, UUID_BYTES), is_goal=True)
             assert asked is not None
             results = await self._run(
-                turn,
+                arrival,
                 asked,
                 client=self._goals.client(handle),
                 started=partial(self._goals.begin_goal, handle),
@@ -139,13 +139,13 @@ class TrajectoryServer:
     def _take(self, group: str, topic: str, message: bytes) -> None:
         self._mcs.node.spawn(self._follow(self._motions.arrive(group), topic, message))
 
-    async def _follow(self, turn: Turn, topic: str, message: bytes) -> None:
+    async def _follow(self, arrival: Arrival, topic: str, message: bytes) -> None:
         try:
-            asked = await self._read(turn.group, CdrReader(message), is_goal=False)
+            asked = await self._read(arrival.group, CdrReader(message), is_goal=False)
             if asked is None:
-                await self._motions.stop(turn)
+                await self._motions.stop(arrival)
             else:
-                await self._run(turn, asked)
+                await self._run(arrival, asked)
         except ImError as error:
             if error.code not in ("cancelled", "replaced"):
                 self._mcs.refusals.add(topic, error)
@@ -178,15 +178,15 @@ class TrajectoryServer:
         )
         return _Asked(*trajectory_path(group, description.joints, trajectory, present, self._accepted, stream=stream))
 
-    async def _run(self, turn: Turn, asked: _Asked, **told: Any) -> dict[str, Any]:
+    async def _run(self, arrival: Arrival, asked: _Asked, **told: Any) -> dict[str, Any]:
         """Have a trajectory followed, and await the end; ``told`` is for :meth:`Motions.run`."""
         many = len(asked.course.times) > _FEW
         block, points = await run_in_thread(self._mcs.node, self._share, asked.course) if many else (None, None)
         shown = asked.shown
         path = {**shown, "points": points} if many else shown
-        arguments = {"group": turn.group, "path": path, "policy": "replace", "speed_scale": 0.0}
+        arguments = {"group": arrival.group, "path": path, "policy": "replace", "speed_scale": 0.0}
         with nullcontext() if block is None else closing(block):
-            return await self._motions.run(turn, arguments, path=shown, **told)
+            return await self._motions.run(arrival, arguments, path=shown, **told)
 
     def _share(self, course: Course) -> tuple[SharedBlock, dict[str, Any]]:
         name = f"{names.instance()}_mcs_points_{next(self._numbers)}"
