@@ -1,10 +1,12 @@
 """What /mcs makes of the states that its servo tells: a loss that is over by itself, or a stop that stays."""
 
 import logging
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from im_core.errors import StoreError
 from im_mcs.ros.servo_keeper import ServoKeeper
 from im_mcs.state import Event, State
 
@@ -64,3 +66,16 @@ def test_a_servo_that_has_not_heard_of_a_stop_is_told_until_it_has(keeper):
     keeper.servo.state = State.ESTOPPED
     keeper.poll()
     assert len(keeper.servo.told) == 1
+
+
+def test_a_stop_that_cannot_be_kept_on_the_disk_cuts_the_stop_circuits(keeper, monkeypatch):
+    async def full(*_, **__):
+        raise StoreError("no space left on device", file=Path("estop"), reason="no space left on device")
+
+    cut = []
+    keeper._circuits = SimpleNamespace(cut=lambda: cut.append(1) or "the stop circuit of testbed is cut")
+    monkeypatch.setattr("im_mcs.ros.servo_keeper.run_in_thread", full)
+    tell(keeper, ASKED, False)
+    with pytest.raises(StopIteration):
+        keeper._keep_mark().send(None)
+    assert cut == [1]

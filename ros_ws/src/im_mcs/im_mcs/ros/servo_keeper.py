@@ -288,7 +288,10 @@ class ServoKeeper:
         self._changed()
 
     async def _keep_mark(self) -> None:
-        """Keeps in the run folder that somebody has asked for a stop, or that it is reset."""
+        """Keeps in the run folder that somebody has asked for a stop, or that it is reset.
+
+        Where that cannot be, the stop circuits are cut: they outlive this process, too.
+        """
 
         def keep() -> None:
             with self._marking:
@@ -301,7 +304,8 @@ class ServoKeeper:
         try:
             await run_in_thread(self._node, keep, timeout_s=_MARK_S)
         except (ImError, OSError) as error:
-            self._node.get_logger().error(f"the death of /mcs would change whether it is stopped: {error}")
+            done = f"; {self._circuits.cut()}" if self._stop_cause else ""
+            self._node.get_logger().error(f"the death of /mcs would change whether it is stopped: {error}{done}")
 
     def _latch(self, cause: str) -> None:
         """Remember an emergency stop; the first cause stays."""
