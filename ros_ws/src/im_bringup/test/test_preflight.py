@@ -10,8 +10,9 @@ from collections import namedtuple
 
 import pytest
 
-from im_bringup.machine import preflight, record
+from im_bringup.machine import preflight, record, start
 from im_bringup.tasks import deployment
+from im_core import names
 from im_core.errors import ImError
 
 Usage = namedtuple("Usage", "total used free")
@@ -137,3 +138,13 @@ def test_a_soft_limit_of_open_files_is_raised(limits, monkeypatch):
     limits["limits"] = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
     preflight.check_host()
     assert limits["limits"][0] == resource.RLIM_INFINITY
+
+
+def test_a_start_says_that_somebody_has_stopped_the_machine(monkeypatch, capsys):
+    for left in ("end_all", "remove_shared_memory"):
+        monkeypatch.setattr(start.leftovers, left, lambda: None)
+    start.clear_the_way(fresh=False)
+    assert "emergency stop" not in capsys.readouterr().out
+    (names.run_dir() / names.ESTOP).write_text("request on /mcs/estop")
+    start.clear_the_way(fresh=True)
+    assert "emergency stop: arms get no power until scripts/im recover resets it" in capsys.readouterr().out

@@ -15,8 +15,8 @@ def instance() -> str:
     return f"im{os.environ.get('ROS_DOMAIN_ID') or '0'}"
 
 
-#: File in the run folder that names the folder of the calibration in use.
-CALIBRATION = "calibration"
+#: Files in the run folder: one names the folder of the calibration in use, the other says why the machine was stopped.
+CALIBRATION, ESTOP = "calibration", "estop"
 
 
 def run_dir() -> Path:

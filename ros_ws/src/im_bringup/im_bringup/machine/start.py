@@ -226,6 +226,8 @@ def clear_the_way(fresh: bool) -> bool:
         shutil.rmtree(run_dir / folder, ignore_errors=True)
     names.display_file().unlink(missing_ok=True)
     make_folder(run_dir / "log")
+    if (run_dir / names.ESTOP).exists():
+        print("start: somebody asked for an emergency stop: arms get no power until scripts/im recover resets it")
     return goes_on
 
 

@@ -12,7 +12,7 @@ class StopMark:
     @property
     def path(self) -> Path:
         """The file."""
-        return names.run_dir() / "estop"
+        return names.run_dir() / names.ESTOP
 
     def read(self) -> str:
         """Why the machine was stopped; empty: it was not. A file that cannot be read says that it was."""
