@@ -106,6 +106,11 @@ class Coroutines:
             self._poll(_finish(work))
 
 
+async def calling(work: Callable[[], None]) -> None:
+    """Calls a function: whoever spawns this, from any thread, has the loop call it."""
+    work()
+
+
 async def _finish(work: Work) -> None:
     await _Rest(work)
 

@@ -4,11 +4,12 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 from im_core import clock
 from im_core.errors import StateError, WaitTimeoutError
-from im_core.ros.coroutines import Promise
+from im_core.ros.coroutines import Promise, calling
 from im_core.ros.node import ManagedNode
 
 ResultT = TypeVar("ResultT")
@@ -115,7 +116,7 @@ class Worker:
             for (_, ended, late), found in zip(asked, done, strict=True):
                 if ended.done():
                     if not isinstance(found, Exception):
-                        self._node.spawn(_told(late, found))
+                        self._node.spawn(calling(partial(late, found)))
                 elif isinstance(found, Exception):
                     ended.set_exception(found)
                 else:
@@ -135,7 +136,3 @@ class Worker:
         deadline = clock.monotonic() + several * GATHER_S + min(took_s, MOST_GATHER_S)
         while (missing := several - 1 - self._work.qsize()) > 0 and clock.monotonic() < deadline:
             clock.sleep(max(LOOK_S, missing * GATHER_S / 2))
-
-
-async def _told(late: Callable[[Any], None], found: object) -> None:
-    late(found)

@@ -12,6 +12,7 @@ from im_core.names import results_dir, run_dir
 from im_core.open_commands import set_aside
 from im_core.ros import qos
 from im_core.ros.calls import LONGEST_S, pause, run_in_thread
+from im_core.ros.coroutines import calling
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
@@ -415,7 +416,7 @@ class PntNode(ManagedNode):
         """Calls a function in a thread of its own, so that it may block."""
 
         def post(work: Callable[[], None]) -> None:
-            self.spawn(_called(work))
+            self.spawn(calling(work))
 
         apart = context.apart(post)
         outcome = await run_in_thread(self, _outcome_of, function, apart, tell_after_s=LONGEST_S)
@@ -508,10 +509,6 @@ class PntNode(ManagedNode):
             self._guards_changed()
         if not valid:
             self._validity.lost(name)
-
-
-async def _called(work: Callable[[], None]) -> None:
-    work()
 
 
 def _outcome_of(function: ActionFunction, context: ActionContext) -> object:

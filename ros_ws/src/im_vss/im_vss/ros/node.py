@@ -68,14 +68,14 @@ class VssNode(ManagedNode):
         cell_file = self._file("cell")
         cell = load_cell(cell_file)
         settings = load_settings(cell, self._file("settings"))
-        kept = names.results_dir() / "vss" / f"{names.instance()}-{clock.stamp_name()}"
-        self._book = CameraBook(cell, settings.cameras, kept, settings.stereo.pairs)
-        laser_book = LaserBook(cell.laser, kept)
+        self._kept = names.results_dir() / "vss" / f"{names.instance()}-{clock.stamp_name()}"
+        self._book = CameraBook(cell, settings.cameras, self._kept, settings.stereo.pairs)
+        laser_book = LaserBook(cell.laser, self._kept)
         self._in_use = None if self.get_parameter("standalone").value else names.run_dir() / names.CALIBRATION
-        self._take_calibration(cell, laser_book, kept)
+        self._take_calibration(cell, laser_book)
         self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
         self._outputs = ImageOutputs(self, self._book, laser_book)
-        self._book.on_change = laser_book.on_change = partial(self._calibrated, kept)
+        self._book.on_change = laser_book.on_change = self._calibrated
         frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
         setup = FrameSourceSetup(
             cell,
@@ -182,14 +182,8 @@ class VssNode(ManagedNode):
         response.status_message = f"{camera} has new intrinsics; written to {folder}"
         return response
 
-    def _take_calibration(self, cell: Cell, laser_book: LaserBook, kept: Path) -> None:
-        """Use the calibration that a former life of this task had in use, or one that is given; say what is from where.
-
-        Args:
-            cell: The cell.
-            laser_book: Takes that of the laser.
-            kept: Where what is in use is written.
-        """
+    def _take_calibration(self, cell: Cell, laser_book: LaserBook) -> None:
+        """Use the calibration that a former life had in use, or one that is given, and say what comes from where."""
         found = self._left(cell)
         if found is not None:
             self.get_logger().info(f"the calibration in use before is taken up again: {found.folder}")
@@ -200,7 +194,7 @@ class VssNode(ManagedNode):
         for sentence in (*found.notes, *self._book.adopt(found)):
             self.get_logger().warning(sentence)
         laser_book.adopt(found)
-        self._note_in_use(kept)
+        self._note_in_use()
         told = [entry.told() for entry in self._book.entries()]
         for sentence in (*told, laser_book.entry.told()):
             self.get_logger().info(sentence)
@@ -215,16 +209,16 @@ class VssNode(ManagedNode):
             self.get_logger().error(f"the calibration in use before is lost: {error.message}")
             return None
 
-    def _calibrated(self, kept: Path) -> None:
+    def _calibrated(self) -> None:
         """A calibration has been taken into use, and its files are written; in any thread."""
-        self._note_in_use(kept)
+        self._note_in_use()
         self._outputs.publish_calibrations()
 
-    def _note_in_use(self, kept: Path) -> None:
+    def _note_in_use(self) -> None:
         if self._in_use is None:
             return
         try:
-            write_whole(self._in_use, f"{kept}\n")
+            write_whole(self._in_use, f"{self._kept}\n")
         except StoreError as error:
             self.get_logger().error(f"the death of /vss would undo the calibration in use: {error.message}")
 
