@@ -44,13 +44,23 @@ def client_of(header: Any) -> str:
     Args:
         header: As taken with the request: ``rmw_service_info_t`` or ``rmw_request_id_t``.
     """
+    return process_of(sender_of(header))
+
+
+def sender_of(header: Any) -> str:
+    """The client of ROS that sent a request, as :func:`client_of`; a process may have several of one service."""
     if isinstance(header, _rclpy.rmw_service_info_t):
         request, shown = _value(_ServiceInfo, header).request_id, header.request_id.sequence_number
     elif isinstance(header, _rclpy.rmw_request_id_t):
         request, shown = _value(_RequestId, header), header.sequence_number
     else:
         raise TypeError(f"a {type(header).__name__} is not the header of a request")
-    return bytes(request.writer_guid[:_PARTICIPANT_BYTES]).hex() if request.sequence_number == shown else ""
+    return bytes(request.writer_guid).hex() if request.sequence_number == shown else ""
+
+
+def process_of(sender: str) -> str:
+    """The process of a sender, as :func:`client_of` says."""
+    return sender[: 2 * _PARTICIPANT_BYTES]
 
 
 def nodes_of(node: Node, client: str) -> tuple[str, ...]:

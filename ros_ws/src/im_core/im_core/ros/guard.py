@@ -11,6 +11,7 @@ from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any
 
+from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
@@ -24,12 +25,13 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from im_core.errors import ImError
+from im_core.errors import ImError, LinkError
 from im_core.ros import one_reader, qos
 from im_core.ros.action_events import ActionEvents
-from im_core.ros.callers import client_of, nodes_of
+from im_core.ros.callers import client_of, nodes_of, process_of, sender_of
 from im_core.ros.failures import Failures, few, sentence
 from im_core.ros.interfaces import type_name
+from im_core.ros.late_answers import LateAnswers, unreached
 from im_core.ros.logger import Logger
 from im_core.ros.parameter_bounds import bounded
 from im_core.ros.status import to_status
@@ -54,6 +56,7 @@ class GuardedNode(Node):
 
     Attributes:
         failures: What they raised.
+        late_answers: Answers whose clients are not reached yet.
         turns: How many callbacks have begun; it stands still with the loop.
         standstill_s: How long the loop may stand still now [s]; see :class:`im_core.loop_watch.LoopWatch`. Whoever
             lowers it counts a turn first.
@@ -75,6 +78,7 @@ class GuardedNode(Node):
 
     def __init__(self, name: str, **options: Any) -> None:
         self.failures = Failures(self)  # before the node: rclpy makes services and subscriptions of its own in it
+        self.late_answers = LateAnswers(self, self._note_lost)
         self.turns = 0
         self.standstill_s = STANDSTILL_S
         super().__init__(name, **options)
@@ -126,6 +130,14 @@ class GuardedNode(Node):
         if not self.context.ok():
             raise error
         self.failures.add(what, error, told)
+
+    def _note_lost(self, what: str, error: Exception, sender: str) -> None:
+        self.note_failure(f"{what} (its answer)", error, lambda: f"called by {self.callers(sender)}")
+
+    def callers(self, sender: str) -> str:
+        """The nodes that may have sent a request, as a text; the sender as of :func:`im_core.ros.callers.sender_of`."""
+        client = process_of(sender)
+        return few(nodes_of(self, client)) or client or "nobody known"
 
     def create_subscription(
         self,
@@ -297,6 +309,8 @@ class GuardedActionServer(ActionServer):
         try:
             await ActionServer.execute(self, taken_data)
         except Exception as error:  # the other goals go on
+            words = "the answer to a cancellation is lost: DDS does not reach its client"
+            error = LinkError(words) if unreached(error) else error  # what else is answered waits for that
             self._guard.note_failure(self._what, error, self._told)
 
     def _or(self, callback: Callable[[Any], Any], otherwise: Any) -> Callable[[Any], Any]:
@@ -308,9 +322,39 @@ class GuardedActionServer(ActionServer):
 
         return call
 
-    def _send_result_response(self, request_header: Any, future: Any) -> None:
+    async def _execute_goal_request(self, request_header_and_message: Any) -> None:
+        header, request = request_header_and_message
+        goal_id = bytes(request.goal_id.uuid)
+        known = goal_id in self._goal_handles
         try:
-            ActionServer._send_result_response(self, request_header, future)
+            await ActionServer._execute_goal_request(self, request_header_and_message)
+            return
+        except SystemError as error:  # rclpy goes no further then
+            if not unreached(error):
+                raise
+        goal = None if known else self._goal_handles.get(goal_id)
+        response = self._action_type.Impl.SendGoalService.Response(accepted=goal is not None)
+        response.stamp = self._guard.get_clock().now().to_msg()
+        self._guard.late_answers.keep(self._what, header, partial(self._handle.send_goal_response, header, response))
+        if goal is not None:
+            self._handle.publish_status()
+            goal.execute()
+
+    async def _execute_get_result_request(self, request_header_and_message: Any) -> None:
+        header, _ = request_header_and_message
+        try:
+            await ActionServer._execute_get_result_request(self, request_header_and_message)
+        except SystemError as error:
+            if not unreached(error):
+                raise
+            unknown = self._action_type.Impl.GetResultService.Response(status=GoalStatus.STATUS_UNKNOWN)
+            answer = partial(self._handle.send_result_response, header, unknown)
+            self._guard.late_answers.keep(self._what, header, answer)
+
+    def _send_result_response(self, request_header: Any, future: Any) -> None:
+        send = partial(ActionServer._send_result_response, self, request_header, future)
+        try:
+            self._guard.late_answers.send(self._what, request_header, send)
         except Exception as error:  # a result that no message can carry
             self._guard.note_failure(f"{self._what} (its result)", error, self._told)
             response = self._action_type.Impl.GetResultService.Response(status=future.result().status)
@@ -401,6 +445,7 @@ class _Answers:
 
     def __init__(self, node: GuardedNode, service: Service) -> None:
         self._node, self._service = node, service
+        self._what = f"service {service.srv_name}"
         self._callback, self._send = service.callback, service.send_response
         hooked: Any = service  # rclpy calls what it finds under these names
         hooked.callback, hooked.send_response = self._call, self._answer
@@ -420,7 +465,7 @@ class _Answers:
             if isinstance(response, _Raised):
                 raise response.error
             if not inspect.iscoroutine(response):
-                self._send(response, header)
+                self._deliver(response, header)
                 return
         except Exception as error:  # every request is answered
             self._refuse(error, header)
@@ -429,23 +474,24 @@ class _Answers:
 
     async def _finish(self, response: Any, header: Any) -> None:
         try:
-            self._send(await response, header)
+            self._deliver(await response, header)
         except Exception as error:  # as above
             self._refuse(error, header)
+
+    def _deliver(self, response: Any, header: Any) -> None:
+        self._node.late_answers.send(self._what, header, partial(self._send, response, header))
 
     def _refuse(self, error: Exception, header: Any) -> None:
         """Note what was raised, and answer that the request did not succeed."""
         srv_type: Any = self._service.srv_type
 
         def told() -> str:
-            client = client_of(header)
-            callers = few(nodes_of(self._node, client)) or client or "nobody known"
-            return f"{type_name(srv_type)}, called by {callers}"
+            return f"{type_name(srv_type)}, called by {self._node.callers(sender_of(header))}"
 
-        what = f"service {self._service.srv_name}"
+        what = self._what
         self._node.note_failure(what, error, told)
         try:
-            self._send(with_fault(srv_type.Response(), what, error), header)
+            self._deliver(with_fault(srv_type.Response(), what, error), header)
         except Exception as again:  # the client may be gone
             self._node.note_failure(f"{what} (its answer)", again, told)
 

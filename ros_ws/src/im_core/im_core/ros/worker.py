@@ -55,9 +55,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    async def run(
-        self, function: Callable[[], ResultT], late: Callable[[ResultT], None] = lambda _: None
-    ) -> ResultT:
+    async def run(self, function: Callable[[], ResultT], late: Callable[[ResultT], None] = lambda _: None) -> ResultT:
         """Have a function called, and await what it returns.
 
         Args:

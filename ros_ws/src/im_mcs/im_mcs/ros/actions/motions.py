@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
@@ -159,7 +159,7 @@ class CalledActionServer(GuardedActionServer):
         goal = bytes(request.goal_id.uuid)
         if goal not in self._goal_handles:  # one that has that number keeps its sender
             self.clients[goal] = client_of(header)
-        await ActionServer._execute_goal_request(self, request_header_and_message)
+        await super()._execute_goal_request(request_header_and_message)
 
 
 class Goals:

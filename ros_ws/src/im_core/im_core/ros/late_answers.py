@@ -1,0 +1,136 @@
+"""Answers whose client DDS does not reach yet: sent again until it does.
+
+A client may have found its server before the server has found the reader of the client's answers: discovery is under
+way, which takes long on a busy computer. ``rmw_fastrtps`` waits 100 ms for that and gives up, rclpy warns, and the
+client waits for ever for what was carried out (https://github.com/ros2/rclcpp/issues/2760); the same answer can be
+sent again (https://github.com/ros2/rmw_fastrtps/pull/467).
+"""
+
+import warnings
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.timer import Timer
+
+from im_core import clock
+from im_core.errors import LinkError
+from im_core.ros.callers import sender_of
+
+#: How often it is looked whether an answer is due, and after how long the first is sent again, each next after twice
+#: the time: the loop stands still for 100 ms each time that it cannot be sent [s].
+LOOK_S = 0.1
+#: How long an answer is kept [s], and how many are, of one server for one client.
+KEPT_S = 15.0
+MOST_KEPT = 200
+
+
+def unreached(error: Exception) -> bool:
+    """Whether an answer could not be sent because its client is not reached; see :class:`LateAnswers`."""
+    return isinstance(error, SystemError) and isinstance(error.__cause__, RuntimeWarning)
+
+
+@dataclass
+class _Waiting:
+    """Answers of one server for one client, in their order."""
+
+    since: float
+    due: float
+    wait_s: float = LOOK_S
+    answers: deque[Callable[[], None]] = field(default_factory=deque)
+
+
+class LateAnswers:
+    """The answers of a node that wait for their clients; called in its loop.
+
+    What rclpy warns of is an error from now on: nothing else tells whoever sends that an answer was not sent.
+
+    Args:
+        node: The node, which need not be made yet.
+        lost: Is told of an answer that was given up: whose it was, what is wrong, and for whom, as
+            :func:`im_core.ros.callers.sender_of` says.
+    """
+
+    def __init__(self, node: Node, lost: Callable[[str, LinkError, str], None]) -> None:
+        warnings.filterwarnings("error", message="failed to send response", category=RuntimeWarning)
+        self._node, self._lost = node, lost
+        self._waiting: dict[tuple[str, str], _Waiting] = {}
+        self._timer: Timer | None = None
+
+    def send(self, what: str, header: Any, answer: Callable[[], None]) -> None:
+        """Send an answer, behind those of the same server that wait for the same client.
+
+        Args:
+            what: Whose answer it is, as in ``service /dom/put``.
+            header: Of the request.
+            answer: Sends it.
+
+        Raises:
+            Exception: What sending it raised, other than that its client is not reached.
+        """
+        if not self._waiting or (what, sender_of(header)) not in self._waiting:
+            try:
+                answer()
+                return
+            except SystemError as error:
+                if not unreached(error):
+                    raise
+        self.keep(what, header, answer)
+
+    def keep(self, what: str, header: Any, answer: Callable[[], None]) -> None:
+        """Send an answer when its client is reached; arguments as of :meth:`send`."""
+        client, now = sender_of(header), clock.monotonic()
+        waiting = self._waiting.setdefault((what, client), _Waiting(now, now + LOOK_S))
+        waiting.answers.append(answer)
+        if len(waiting.answers) > MOST_KEPT:
+            waiting.answers.popleft()
+            self._lost(what, LinkError(f"more than {MOST_KEPT} answers wait for a client that is not reached"), client)
+        if self._timer is None:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = self._node.create_timer(LOOK_S, self._send_due, clock=steady)
+        elif self._timer.is_canceled():
+            self._timer.reset()
+
+    def _send_due(self) -> None:
+        """Send what is due, until the loop has stood still for one that could not be sent."""
+        assert self._timer is not None, "it has called this"
+        now = clock.monotonic()
+        for (what, client), waiting in tuple(self._waiting.items()):
+            if waiting.due > now:
+                continue
+            if not self._reached(what, client, waiting):
+                self._put_off(what, client, waiting)
+                break
+            del self._waiting[what, client]
+        if not self._waiting:
+            self._timer.cancel()
+
+    def _reached(self, what: str, client: str, waiting: _Waiting) -> bool:
+        """Send all that waits for a client; False if it is not reached."""
+        while waiting.answers:
+            try:
+                waiting.answers[0]()
+            except Exception as error:  # the other answers go on
+                if unreached(error):
+                    return False
+                self._lost(what, LinkError(f"an answer could not be sent: {error}"), client)
+            waiting.answers.popleft()
+        return True
+
+    def _put_off(self, what: str, client: str, waiting: _Waiting) -> None:
+        now = clock.monotonic()
+        waited_s = now - waiting.since
+        if waited_s < KEPT_S:
+            waiting.wait_s *= 2.0
+            waiting.due = now + waiting.wait_s
+            return
+        del self._waiting[what, client]
+        words = (
+            f"DDS has not reached the client for {waited_s:.0f} s: it is busy, or asks for a quality of service that "
+            "no answer has (durability must be VOLATILE)"
+        )
+        for _ in waiting.answers:
+            self._lost(what, LinkError(words), client)
