@@ -324,6 +324,25 @@ def test_what_the_store_does_when_nobody_waits_for_it_any_more_is_told_all_the_s
     assert mine.do(mine.dom.get("a", String)).data == "two"
 
 
+@pytest.mark.parametrize("asked", ["validity", "names"])
+def test_a_store_that_cannot_be_read_is_not_taken_for_one_without_the_object(three, monkeypatch, asked):
+    dom, mine, _ = three
+    reads, ask = {
+        "validity": ("valid_record", lambda: mine.dom.is_valid("a/b")),
+        "names": ("records", lambda: mine.dom.names("a/")),
+    }[asked]
+    assert not mine.do(ask())
+
+    def unreadable(*arguments, **more):
+        raise StoreError("the disk does not answer", file="dom.sqlite", reason="input/output error")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(dom.store, reads, unreadable)
+        with pytest.raises(ImError, match="the disk does not answer"):
+            mine.do(ask())
+    assert not mine.do(ask())
+
+
 def test_json_is_taken_as_it_is_given_out(three):
     _, mine, _ = three
     pose = PoseStamped()

@@ -47,6 +47,7 @@ class Onlooker(ManagedNode):
         for _ in range(30):
             with contextlib.suppress(WaitTimeoutError):
                 answer = call_blocking(self._list, ListObjects.Request(), 4.0, "the objects")
+                assert answer.success, answer.status.message
                 return {info.name for info in answer.objects if info.valid}
         return pytest.fail("/dom does not answer")
 

@@ -35,6 +35,9 @@ MEBIBYTE_S = 0.5
 #: A request that waits for an object to be valid is made again after so long [s].
 WAIT_S = 1.0
 
+#: Kinds of errors that say that there is no valid object; all others, that nobody could look.
+NOT_VALID = ("not_found", "state")
+
 MessageT = TypeVar("MessageT")
 
 
@@ -184,13 +187,16 @@ class DomClient:
             answer = await self._call(self._get, request, f"to read '{name}'")
             if answer.success:
                 return answer
-            if answer.status.code not in ("not_found", "state") or left <= WAIT_S:
+            if answer.status.code not in NOT_VALID or left <= WAIT_S:
                 raise status_to_error(answer.status)
 
     async def is_valid(self, name: str) -> bool:
         """Whether there is a valid object of that name.
 
         An answer may be overtaken by a change, which arrives on another topic: what was heard meanwhile is newer.
+
+        Raises:
+            ImError: The store could not be read.
         """
         asked = self._known.get(name)
         if asked is not None and asked.valid:
@@ -199,6 +205,8 @@ class DomClient:
         answer = await self._call(self._get, request, f"to look at '{name}'")
         if answer.success:
             self.heard(answer.object)
+        elif answer.status.code not in NOT_VALID:
+            raise status_to_error(answer.status)
         known = self._known.get(name)
         if known is None or known is asked:
             return bool(answer.success)
@@ -219,8 +227,12 @@ class DomClient:
         return bool(self._list.service_is_ready() and self._invalidate.service_is_ready())
 
     async def names(self, prefix: str) -> list[str]:
-        """Names of all objects that begin with ``prefix``, also of those that are not valid."""
-        answer = await self._call(self._list, ListObjects.Request(prefix=prefix), f"to list '{prefix}'")
+        """Names of all objects that begin with ``prefix``, also of those that are not valid.
+
+        Raises:
+            ImError: The store could not be read.
+        """
+        answer = await self._ask(self._list, ListObjects.Request(prefix=prefix), f"to list '{prefix}'")
         return [str(info.name) for info in answer.objects]
 
     async def forget(self, prefix: str) -> None:

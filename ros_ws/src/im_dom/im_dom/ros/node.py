@@ -13,6 +13,7 @@ from im_core.names import run_dir
 from im_core.ros import qos, run
 from im_core.ros.calls import pause, wait
 from im_core.ros.coroutines import Promise
+from im_core.ros.dom import NOT_VALID
 from im_core.ros.node import ManagedNode
 from im_core.ros.reminders import Reminders
 from im_core.ros.status import OK, ok_status, to_status
@@ -200,7 +201,7 @@ class DomNode(ManagedNode):
             try:
                 await self._answer(response, get, changed=False)
                 left = deadline - clock.monotonic()
-                if changed is None or response.status.code not in ("not_found", "state") or left <= 0.0:
+                if changed is None or response.status.code not in NOT_VALID or left <= 0.0:
                     return response
                 await wait(self, changed, left, f"data object '{request.name}' to be valid")
             except WaitTimeoutError:
@@ -247,8 +248,13 @@ class DomNode(ManagedNode):
         return response
 
     async def _list(self, request: ListObjects.Request, response: ListObjects.Response) -> ListObjects.Response:
-        records = await self._ask(lambda: self.store.records(request.prefix))
+        try:
+            records = await self._ask(lambda: self.store.records(request.prefix))
+        except ImError as error:
+            response.success, response.status = False, to_status(error)
+            return response
         response.objects = [to_info(record) for record in records]
+        response.success, response.status = True, ok_status()
         return response
 
     async def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:

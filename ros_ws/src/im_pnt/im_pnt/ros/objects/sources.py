@@ -12,6 +12,7 @@ from im_core.ros.node import ManagedNode
 from im_pnt.errors import NetError
 from im_pnt.mission.log import MissionLog
 from im_pnt.ros.messages import packed_message
+from im_pnt.ros.objects.validity import valid_or_not
 
 
 class Sources:
@@ -22,16 +23,18 @@ class Sources:
         dom: Client of the Data Object Manager.
         log: Is told of messages, from which guards can be asked again.
         changed: Is told of each source that has changed, as guards declare it.
-
-    Attributes:
-        known: Whether every object that was declared has been asked for.
     """
 
     def __init__(self, node: ManagedNode, dom: DomClient, log: MissionLog, changed: Callable[[str], None]) -> None:
         self._node, self._dom, self._log, self._changed = node, dom, log, changed
         self._valid: dict[str, bool] = {}
+        self._unknown: set[str] = set()
         self._last: dict[str, Any] = {}
-        self.known = True
+
+    @property
+    def known(self) -> bool:
+        """Whether it is known of every object that was declared whether it is valid."""
+        return not self._unknown
 
     def follow(
         self, topic: str, message_type: type, profile: QoSProfile, check: Callable[[Any], object] = lambda _: None
@@ -73,16 +76,17 @@ class Sources:
                 text = f"a guard of net {net} is woken by topic {name}, which the node does not follow"
                 raise NetError(f"{text}{nearest(name, self._last)}", net=net, topic=name)
             if kind == "data" and name not in self._valid:
-                self._valid[name] = self.known = False
+                self._valid[name] = False
+                self._unknown.add(name)
 
     async def look(self) -> None:
-        """Asks for the validity of the objects that guards have declared; changes are heard of from then on."""
-        for name in self._valid:
-            try:
-                self._valid[name] = await self._dom.is_valid(name)
-            except ImError as error:
-                self._node.get_logger().warning(f"data object {name} counts as not valid: {error.message}")
-        self.known = True
+        """Asks for the validity of the objects that guards have declared; changes are heard of from then on.
+
+        It ends when ``/dom`` has answered: no net fires before.
+        """
+        for name in tuple(self._valid):
+            self._valid[name] = await valid_or_not(self._node, self._dom, name)
+            self._unknown.discard(name)
 
     def follows(self, name: str) -> bool:
         """Whether a guard has declared a data object."""

@@ -62,29 +62,25 @@ class Validity:
     async def compare(self) -> None:
         """Looks at all objects that tokens stand for; ends when ``/dom`` has answered."""
         for name in sorted(self._all_shown()):
-            while (valid := await self._valid(name)) is None:
-                await pause(self._node, AGAIN_S)
-            if not valid:
+            if not await valid_or_not(self._node, self._dom, name):
                 self._settled(name, False)
 
     async def _look(self) -> None:
         while self._wanted:
             name = next(iter(self._wanted))
             del self._wanted[name]
-            if (valid := await self._valid(name)) is None:
-                self._wanted[name] = None
-                await pause(self._node, AGAIN_S)
-            else:
-                self._settled(name, valid)
+            self._settled(name, await valid_or_not(self._node, self._dom, name))
         self._looking = False
-
-    async def _valid(self, name: str) -> bool | None:
-        """Whether an object is valid; None where ``/dom`` does not tell."""
-        try:
-            return await self._dom.is_valid(name)
-        except ImError as error:
-            self._node.get_logger().warning(f"whether data object {name} is valid is not known yet: {error.message}")
-            return None
 
     def _all_shown(self) -> set[str]:
         return {name for executor in self._nets.values() for name in executor.rule.shown_objects()}
+
+
+async def valid_or_not(node: ManagedNode, dom: DomClient, name: str) -> bool:
+    """Whether an object is valid; asked until ``/dom`` can tell."""
+    while True:
+        try:
+            return await dom.is_valid(name)
+        except ImError as error:
+            node.get_logger().warning(f"whether data object {name} is valid is not known yet: {error.message}")
+            await pause(node, AGAIN_S)
