@@ -41,9 +41,10 @@ def test_processes_are_found_by_their_machine_and_killed(instance):
 
 def test_shared_memory_of_the_dead_is_removed_and_that_of_the_living_stays(instance):
     dead, alive = f"fastrtps_{os.getpid():016x}", f"fastrtps_{os.getpid() + 1:016x}"
-    orphan = f"fastrtps_port{30_000 + os.getpid() % 9999}"
-    gone = [dead, f"{dead}_el", orphan, f"sem.{orphan}_mutex", f"{instance}_testbed", f"sem.{instance}_state"]
-    kept = [alive, f"{alive}_el", f"{instance}0_testbed"]
+    port = f"fastrtps_port{30_000 + os.getpid() % 9999}"
+    blocks = [f"{instance}_testbed", f"sem.{instance}_state", f".{instance}_machine.json.1.1"]
+    gone = [dead, f"{dead}_el", f"sem.{dead}_mutex", *blocks]
+    kept = [alive, f"{alive}_el", f"{instance}0_testbed", port, f"{port}_el", f"sem.{port}_mutex"]
     for name in gone + kept:
         (SHM / name).touch()
     try:
@@ -59,18 +60,6 @@ def test_shared_memory_of_the_dead_is_removed_and_that_of_the_living_stays(insta
             (SHM / name).unlink(missing_ok=True)
 
 
-def test_a_port_of_the_dead_stays_while_the_living_write_to_it():
-    """Another machine on this host, one of whose nodes has died and comes back: its port is taken over as it is."""
-    port = f"fastrtps_port{20_000 + os.getpid() % 9999}"
-    (SHM / port).write_bytes(b"port")
-    (SHM / f"{port}_el").touch()  # nobody holds it
-    with (SHM / port).open() as file:
-        memory = mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ)
-        assert not {port, f"{port}_el"} & set(leftovers.remove_shared_memory())
-        memory.close()
-    assert {port, f"{port}_el"} <= set(leftovers.remove_shared_memory())
-
-
 def test_who_takes_long_to_die_is_waited_for():
     """A killed process on a busy computer: its memory is gone, its lock is not given back yet."""
     segment = f"fastrtps_{os.getpid() + 2:016x}"
@@ -82,8 +71,18 @@ def test_who_takes_long_to_die_is_waited_for():
         assert {segment, f"{segment}_el"} <= set(leftovers.remove_shared_memory())
 
 
-def test_a_mutex_whose_segment_is_gone_is_removed():
-    alone = SHM / "sem.fastrtps_port59999_mutex"
-    alone.touch()
-    assert alone.name in leftovers.remove_shared_memory()
-    assert not alone.exists()
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+def test_what_another_user_has_left_is_told_and_stops_no_sweep(instance):
+    block = SHM / f"{instance}_testbed"
+    block.touch()
+    code = (
+        "import os; from im_bringup.machine import leftovers; os.setuid(65534);"
+        "print(leftovers.remove_shared_memory(), leftovers.foreign_sentence(leftovers.of_others()))"
+    )
+    try:
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert f"[] a machine of this ROS domain is another user's: {block} of root;" in done.stdout
+        assert block.exists()
+    finally:
+        block.unlink()

@@ -14,6 +14,7 @@ from im_bringup.machine.bootstrap import SILENCE_S, SilentTasks
 from im_bringup.tasks.registry import Progress
 from im_core import clock
 from im_core import silence as silence_module
+from im_core.errors import StoreError
 from im_core.procfs import Scheduled
 from im_core.pulse import Beat, Pulse
 
@@ -32,12 +33,14 @@ BOOTSTRAP = textwrap.dedent(
     with lives.open("a") as file:
         life = sum(1 for _ in lives.open())
         file.write(f"{me.pid}\\n")
-    machine.write(machine.MachineRecord(me.pid, me.start, state, "START", 1, "", "", 0.0, 1, 0))
-    if deeds[life] == "die":
+    deed = deeds[life]
+    state = machine.STARTING if "early" in deed else machine.FAILED if deed == "fail" else state
+    machine.write(machine.MachineRecord(me.pid, me.start, state, "START", 1, "", "", 0.0, 1, 0, missing=["dom failed"]))
+    if deed.startswith("die"):
         os.kill(me.pid, signal.SIGKILL)
-    if deeds[life] == "end":
+    if deed.startswith("end"):
         sys.exit(7)
-    if deeds[life] == "hang":
+    if deed == "hang":
         Pulse.inherited().beat(Beat(3, 6.0, 5.0))
     time.sleep(600)
     """
@@ -53,7 +56,7 @@ def supervise(tmp_path, monkeypatch):
 
     def start(*arguments):
         argv = [sys.executable, "-m", "im_bringup.machine.supervisor", sys.executable, program, lives, *arguments]
-        started.append(subprocess.Popen([str(part) for part in argv]))
+        started.append(subprocess.Popen([str(part) for part in argv], stdout=(tmp_path / "said").open("wb")))
         return started[-1], lambda: lives.read_text().split() if lives.exists() else []
 
     yield start
@@ -87,6 +90,53 @@ def test_what_never_was_ready_or_ended_by_itself_stays_dead(supervise, state, de
     process, lives = supervise(state, deed, "live")
     assert process.wait(60.0) == code
     assert len(lives()) == 1
+
+
+def test_a_machine_that_was_ready_is_started_again_until_it_is_ready_again(supervise, tmp_path):
+    process, lives = supervise(machine.READY, "die", "die early", "fail", "end early", "live")
+    until(lambda: len(lives()) == 4)
+    process.wait(60.0)  # the fourth was the third in vain
+    assert (process.returncode, len(lives())) == (1, 4)
+    said = (tmp_path / "said").read_text().splitlines()
+    assert said == [
+        "[supervisor]: the bootstrap was killed by SIGKILL; the machine is started again",
+        "[supervisor]: the bootstrap was killed by SIGKILL; the machine is started again",
+        "[supervisor]: the bootstrap failed to start its tasks: dom failed; the machine is started again",
+        "[supervisor]: the bootstrap ended with exit code 7; the machine is given up",
+    ]
+    assert machine.read() is None
+
+
+def test_a_machine_that_is_ready_again_has_all_its_tries_again(supervise):
+    deeds = ("die", "die early", "die early", "die", "die early", "die early", "live")
+    process, lives = supervise(machine.READY, *deeds)
+    until(lambda: len(lives()) == len(deeds))
+    until(lambda: (record := machine.read()) is not None and record.pid == int(lives()[-1]))
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60.0) == 0
+
+
+def test_a_machine_that_does_not_become_ready_again_in_time_is_started_once_more(supervise, monkeypatch, tmp_path):
+    monkeypatch.setenv("IM_START_TIMEOUT_S", "3")
+    process, lives = supervise(machine.READY, "die", "stay early", "live")
+    until(lambda: len(lives()) == 3)
+    assert "the bootstrap was not ready after 3 s; the machine is started again" in (tmp_path / "said").read_text()
+    until(lambda: machine.read().state == machine.READY)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60.0) == 0
+
+
+def test_what_the_system_refuses_is_tried_again_for_a_while(monkeypatch, capsys):
+    monkeypatch.setattr(supervisor, "_AGAIN_S", 0.01)
+    refusals = [OSError("no room"), OSError("no room"), StoreError("still none", file="f", reason="full")]
+
+    def do():
+        if refusals:
+            raise refusals.pop(0)
+
+    supervisor.BootstrapKeeper([])._insist(do)
+    assert not refusals
+    assert capsys.readouterr().out == "[supervisor]: no room\n[supervisor]: still none\n"
 
 
 def test_a_bootstrap_whose_loop_stands_still_gets_another_life(supervise):

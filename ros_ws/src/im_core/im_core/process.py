@@ -26,6 +26,8 @@ _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 _KILLED_S = 1.0
 _POLL_S = 0.01
 _MOST_ORDERS = 1 << 20
+#: How a module is run: what is in the folder in which the user happens to be is none of ours.
+_PYTHON = (sys.executable, "-u", "-P", "-m")
 #: Where in /proc/PID/stat, behind the name, it is told from where to where its arguments are in its memory.
 _ARGUMENTS = slice(45, 47)
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -257,11 +259,11 @@ def _is_single() -> bool:
 
 
 def _words(module: str) -> tuple[str, ...]:
-    return sys.executable, "-u", "-m", module
+    return *_PYTHON, module
 
 
 def _is_module(argv: Sequence[str]) -> bool:
-    return len(argv) > 3 and tuple(argv[:4]) == _words(argv[3])
+    return len(argv) > len(_PYTHON) and tuple(argv[: len(_PYTHON)]) == _PYTHON
 
 
 def _end_with(parent: int, death_signal: signal.Signals | None) -> None:
@@ -290,8 +292,8 @@ def _run(argv: Sequence[str], environment: Mapping[str, str] | None) -> int:
     _tell(argv)
     try:
         if _is_module(argv):
-            sys.argv = list(argv[3:])
-            runpy.run_module(argv[3], run_name="__main__", alter_sys=True)
+            module, *_ = sys.argv = list(argv[len(_PYTHON) :])
+            runpy.run_module(module, run_name="__main__", alter_sys=True)
         else:
             sys.argv = list(argv)
             runpy.run_path(argv[0], run_name="__main__")
@@ -309,7 +311,6 @@ def _run(argv: Sequence[str], environment: Mapping[str, str] | None) -> int:
 def _run_when_told(module: str, orders: socket.socket) -> int:
     """Load a module, and run it when that is told; its exit code."""
     _tell(_words(module))
-    sys.path.insert(0, os.getcwd())  # as with python -m
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # neither is replaced
     with contextlib.suppress(Exception):  # whatever it raises, it does so again when it is run, and tells it then

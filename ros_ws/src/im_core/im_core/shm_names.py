@@ -1,19 +1,28 @@
 """The names of shared memory, which outlive processes that were killed; without what maps it, which needs numpy."""
 
+from contextlib import suppress
 from pathlib import Path
+
+_SHM = Path("/dev/shm")
 
 
 def remove_all(prefix: str) -> list[str]:
     """Remove every block and semaphore whose name begins with ``prefix``, as after ``kill -9`` of their owners.
 
-    Names begin with the machine's instance and an underscore: ``remove_all("im7_")`` clears all of ``im7``.
+    Names begin with the machine's instance and an underscore: ``remove_all("im7_")`` clears all of ``im7``. What may
+    not be removed, as another user's, stays (:func:`left`).
 
     Returns:
         Names of the files removed from ``/dev/shm``.
     """
     removed = []
-    for path in sorted(Path("/dev/shm").iterdir()):
-        if path.name.startswith((prefix, f"sem.{prefix}")):
-            path.unlink(missing_ok=True)
+    for path in left(prefix):
+        with suppress(OSError):
+            path.unlink()
             removed.append(path.name)
     return removed
+
+
+def left(prefix: str) -> list[Path]:
+    """Files of ``/dev/shm`` that :func:`remove_all` would remove; among them those that were being written."""
+    return sorted(path for path in _SHM.iterdir() if path.name.startswith((prefix, f"sem.{prefix}", f".{prefix}")))

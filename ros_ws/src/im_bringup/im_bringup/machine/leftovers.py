@@ -4,17 +4,18 @@ import fcntl
 import os
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from im_bringup.machine.members import is_member, signal_member
 from im_core import clock, names
 from im_core.procfs import ProcessId
-from im_core.shm_names import remove_all
+from im_core.shm_names import left, remove_all
 from im_core.silence import Patience
 
 _SHM = Path("/dev/shm")
-_DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_(?:port\d{1,5}|[0-9a-z]{16}))(?:_[es]l|_mutex)?$")
+_DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_[0-9a-z]{16})(?:_[es]l|_mutex)?$")
 # a killed process goes when it gets a processor: on a busy computer that takes its time
 _DYING_S = 10.0
 _POLL_S = 0.02
@@ -87,14 +88,38 @@ def remove_shared_memory() -> list[str]:
         clock.sleep(0.02)
 
 
+def of_others() -> list[Path]:
+    """What a machine of this ROS domain has left in shared memory that this user may not remove."""
+    return left(f"{names.instance()}_")
+
+
+def foreign_sentence(others: Sequence[Path]) -> str:
+    """What is said of files in shared memory that belong to somebody else."""
+    owners = sorted({_owner(path) for path in others})
+    more = f" and {len(others) - 1} more files" if len(others) > 1 else ""
+    return (
+        f"a machine of this ROS domain is another user's: {others[0]}{more} of {' and '.join(owners)}; who owns it "
+        "stops it with scripts/stop.sh; or set another ROS_DOMAIN_ID"
+    )
+
+
+def _owner(path: Path) -> str:
+    try:
+        return path.owner()
+    except (OSError, KeyError):  # gone, or a number without a name
+        return "another user"
+
+
 def _remove_dds_segments() -> tuple[list[str], bool]:
     """Remove segments that nobody uses any more.
 
     Fast DDS holds a lock on the lock file of every segment whose owner lives; the kernel gives it back when the owner
-    dies. Who else has it in memory goes on writing into it, into the port of a dead process too: the next owner takes
-    that port over. If its name were removed, he would make another one, and hear nothing of those who know the first.
-    A segment that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the memory
-    first, then the locks. For what is another user's, whose memory is hidden, nobody waits.
+    dies. A segment that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the
+    memory first, then the locks. For what is another user's, whose memory is hidden, nobody waits.
+
+    Ports (``fastrtps_port7411`` and its lock and mutex, 52 kB) stay: they have the same names for all processes, and
+    whoever begins takes one of the dead over, of which there are as many as ever lived at once. If its name were
+    removed at that moment, or while others write into it, its new owner would hear nothing of them.
 
     Returns:
         Names of the files removed, and whether the owner of another one is dying.
@@ -115,8 +140,9 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
             dying = dying or any(_mine(path) for path in locks)
             continue
         for path in paths:
-            path.unlink(missing_ok=True)
-            removed.append(path.name)
+            with suppress(OSError):  # another user's
+                path.unlink()
+                removed.append(path.name)
     return removed, dying
 
 
@@ -140,8 +166,10 @@ def _mine(path: Path) -> bool:
 
 def _unlocked(path: Path) -> bool:
     try:
-        with path.open("ab") as file:
+        with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return True
     except OSError:
         return False
     return True

@@ -41,6 +41,15 @@ def check_host() -> None:
     _check_writable(lambda: _SHM, f"{names.instance()}_preflight")
 
 
+def check_folder(folder: Path) -> None:
+    """Make a folder where it is missing, and make sure that it can be written.
+
+    Raises:
+        ImError: It cannot.
+    """
+    _check_writable(lambda: files.make_folder(folder), ".preflight")
+
+
 def check_shared_memory(deployment: Deployment) -> None:
     """Make sure that the processes of this host find room in shared memory; what is left of others is gone by then.
 

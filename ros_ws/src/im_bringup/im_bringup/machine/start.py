@@ -3,9 +3,12 @@
 import argparse
 import os
 import shutil
+import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 from im_bringup.machine import leftovers, mission, preflight, stop
 from im_bringup.machine import record as machine
@@ -19,9 +22,9 @@ from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.middleware import reach
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
-from im_core.files import make_folder, read_text
+from im_core.files import read_text
 from im_core.process import ChildProcess
-from im_core.startup import START_TIMEOUT, start_timeout_s
+from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
 CALIBRATION = "${calibration}"
 _POLL_S = 0.05
@@ -74,8 +77,9 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--timeout",
         type=_seconds,
-        default=start_timeout_s(),
-        help="longest wait in s, of the command and of the machine's parts for each other (default: %(default)g)",
+        default=os.environ.get(START_TIMEOUT) or f"{START_TIMEOUT_S:g}",
+        help="longest wait in s, of the command and of the machine's parts for each other (default: %(default)s, which "
+        f"the environment variable {START_TIMEOUT} sets)",
     )
     return parser
 
@@ -90,17 +94,55 @@ def main() -> int:
         deployments.require_calibration_here(deployment, arguments.calibration)
         check_calibration(deployment, path)
     except ImError as error:
-        print(f"start: {error.message}", file=sys.stderr)
+        complain(f"start: {error.message}")
         return 2
     try:
-        return start(deployment, path, arguments.timeout, arguments.fresh)
+        with only_one():
+            return start(deployment, path, arguments.timeout, arguments.fresh)
     except KeyboardInterrupt:
-        print("\nstart: interrupted; stopping what was started", file=sys.stderr)
+        complain("\nstart: interrupted; stopping what was started")
         stop.stop(say=lambda _: None)
         return 130
     except ImError as error:
-        print(f"start: {error.message}", file=sys.stderr)
+        complain(f"start: {error.message}")
         return 1
+
+
+def say(sentence: str) -> None:
+    """Say something, to whoever listens: ``start | head -1`` starts the machine all the same."""
+    _write(sys.stdout, sentence)
+
+
+def complain(sentence: str) -> None:
+    """Say what is wrong; likewise."""
+    _write(sys.stderr, sentence)
+
+
+def _write(stream: TextIO, sentence: str) -> None:
+    try:
+        print(sentence, file=stream, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+@contextmanager
+def only_one() -> Iterator[None]:
+    """See to it that this is the only start of this ROS domain on this host, while it is under way.
+
+    Each makes way for its own machine, and would end that of the other before its record tells of it.
+
+    Raises:
+        StateError: Another one is.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as mark:
+        try:
+            mark.bind(f"\0{names.instance()}_start")  # a name that no file has; it goes with the process
+        except OSError as error:
+            raise StateError(
+                f"another start of ROS domain {machine.domain()} is under way; wait for it, or set another "
+                "ROS_DOMAIN_ID"
+            ) from error
+        yield
 
 
 def check_calibration(deployment: Deployment, path: Path) -> None:
@@ -126,7 +168,7 @@ def check_calibration(deployment: Deployment, path: Path) -> None:
         if taker.host == deployment.local_host():
             cell = load_cell(str(taker.task.parameters.get("cell", "")) or None)
             files = read_calibration(Path(deployment.calibration), cell)
-            print(f"start: {taker.name} starts with {files.folder}: {files.summary()}")
+            say(f"start: {taker.name} starts with {files.folder}: {files.summary()}")
         elif deployment.calibration != deployments.load(path).calibration:
             raise ConfigError(
                 f"calibration: {deployment.calibration}: {taker.name} is on host {taker.host}, which reads {path}; "
@@ -158,21 +200,44 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
     preflight.check_shared_memory(deployment)
     tidy(deployment)
     if said := reach(os.environ, deployment):
-        print(f"start: {said}", flush=True)
+        say(f"start: {said}")
     took = {"preflight": clock.monotonic() - began}
     process = spawn_bootstrap(deployment, path, timeout_s)
+    try:
+        return await_ready(process, began, timeout_s, took, goes_on)
+    except ImError:
+        stop.stop(say=lambda _: None)
+        raise
+
+
+def await_ready(process: ChildProcess, began: float, timeout_s: float, took: dict[str, float], goes_on: bool) -> int:
+    """Wait until all tasks are ready, and say what happens meanwhile.
+
+    Args:
+        process: The bootstrap's supervisor.
+        began: When the start has begun [s].
+        timeout_s: Longest wait since then [s].
+        took: How long its parts before have taken [s].
+        goes_on: Whether a mission goes on.
+
+    Returns:
+        0 if all tasks are ready, else 1; the machine is down again then.
+
+    Raises:
+        ImError: What the bootstrap tells cannot be read.
+    """
     shown = ""
     while clock.monotonic() - began < timeout_s:
         record = machine.read()
         if process.poll() is not None:
-            print(f"start: the bootstrap ended at once: {stop.bootstrap_words()}", file=sys.stderr)
+            complain(f"start: the bootstrap ended at once: {stop.bootstrap_words()}")
             stop.stop(say=lambda _: None)
             return 1
         if record is not None:
             if record.phase != shown:
                 took.setdefault("bootstrap", clock.monotonic() - began - took["preflight"])
                 shown = record.phase
-                print(f"start: {shown.lower()} {record.tasks} tasks", flush=True)
+                say(f"start: {shown.lower()} {record.tasks} tasks")
             if record.state == machine.READY:
                 print_ready(record, clock.monotonic() - began)
                 print_parts({**took, **record.took})
@@ -215,19 +280,21 @@ def clear_the_way(fresh: bool) -> bool:
         Whether one goes on.
 
     Raises:
-        StoreError: The folder of its logs cannot be made, or what its mission has left not be moved.
+        ImError: The folder of its logs cannot be written, what its mission has left not be moved, or what is in shared
+            memory is another user's.
     """
     leftovers.end_all()
     leftovers.remove_shared_memory()
-    machine.remove()
+    if others := leftovers.of_others():
+        raise StateError(leftovers.foreign_sentence(others))
     run_dir = names.run_dir()
-    goes_on = mission.prepare(run_dir, fresh, lambda sentence: print(f"start: {sentence}", flush=True))
+    goes_on = mission.prepare(run_dir, fresh, lambda sentence: say(f"start: {sentence}"))
+    names.display_file().unlink(missing_ok=True)
     for folder in ("log", "parameters"):
         shutil.rmtree(run_dir / folder, ignore_errors=True)
-    names.display_file().unlink(missing_ok=True)
-    make_folder(run_dir / "log")
+        preflight.check_folder(run_dir / folder)  # another user's is still there
     if (run_dir / names.ESTOP).exists():
-        print("start: somebody asked for an emergency stop: arms get no power until scripts/im recover resets it")
+        say("start: somebody asked for an emergency stop: arms get no power until scripts/im recover resets it")
     return goes_on
 
 
@@ -238,14 +305,14 @@ def tidy(deployment: Deployment) -> None:
     removed = upkeep.prune(results, keep, spared, clock.wall())
     upkeep.prune_tool_logs(names.run_dir() / "ros")
     gone = f"; {len(removed)} were removed" if removed else ""
-    print(f"start: {keep.sentence(results)}{gone}", flush=True)
+    say(f"start: {keep.sentence(results)}{gone}")
 
 
 def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> ChildProcess:
     """Start the bootstrap under its supervisor, detached from this terminal; all know how long a start may take [s]."""
     run_dir = names.run_dir().resolve()
     argv = [
-        *(sys.executable, "-m", "im_bringup.machine.supervisor"),
+        *(sys.executable, "-P", "-m", "im_bringup.machine.supervisor"),  # what is in the user's folder is none of ours
         str(path_of("im_bringup", "bootstrap")),
         str(path),
         *("--factor", repr(deployment.clock_factor)),
@@ -282,11 +349,11 @@ def _folder(text: str) -> str:
 
 def give_up(sentence: str, record: MachineRecord | None, goes_on: bool) -> int:
     """Say what is missing, and take everything down; and how to begin anew if it is what goes on that failed."""
-    print(f"start: {sentence}:", file=sys.stderr)
+    complain(f"start: {sentence}:")
     for missing in record.missing if record is not None else ["the bootstrap has not reported"]:
-        print(f"  {missing}", file=sys.stderr)
+        complain(f"  {missing}")
     if goes_on:
-        print("start: scripts/start.sh --fresh begins a new mission and keeps the one before", file=sys.stderr)
+        complain("start: scripts/start.sh --fresh begins a new mission and keeps the one before")
     stop.stop(say=lambda _: None)
     return 1
 
@@ -294,17 +361,17 @@ def give_up(sentence: str, record: MachineRecord | None, goes_on: bool) -> int:
 def print_ready(record: MachineRecord, seconds: float) -> None:
     """Say that the machine is up, and what to do with it."""
     speed = "as fast as it goes" if record.clock_factor == 0 else f"clock factor {record.clock_factor:g}"
-    print(f"start: ready after {seconds:.1f} s: {record.tasks} tasks, ROS domain {machine.domain()}, {speed}")
+    say(f"start: ready after {seconds:.1f} s: {record.tasks} tasks, ROS domain {machine.domain()}, {speed}")
     if record.nets:
-        print(f"start: {record.nets}")
+        say(f"start: {record.nets}")
     shown = names.display_file()
     nets = f"nets at {read_text(shown).strip()}, " if shown.exists() else ""
-    print(f"start: {nets}logs in {record.run_dir}/log")
+    say(f"start: {nets}logs in {record.run_dir}/log")
 
 
 def print_parts(took: Mapping[str, float]) -> None:
     """Say what the time went into: seconds of each part of the start, in their order."""
-    print(f"start: {', '.join(f'{_PARTS[part]} {seconds:.1f} s' for part, seconds in took.items())}")
+    say(f"start: {', '.join(f'{_PARTS[part]} {seconds:.1f} s' for part, seconds in took.items())}")
 
 
 if __name__ == "__main__":

@@ -48,11 +48,16 @@ def stop(say: Callable[[str], None]) -> int:
     if record is not None and ran:
         signal_member(record.process, signal.SIGINT)
         leftovers.await_end(_ORDERLY_S)
+    elif record is not None and record.alive and not machine.is_mine():  # root may remove what is there, and must not
+        print(f"stop: {leftovers.foreign_sentence([machine.record_path()])}", file=sys.stderr)
+        return 1
     elif record is not None and record.alive:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
     found, remaining = leftovers.end_all()
     removed = leftovers.remove_shared_memory()
-    machine.remove()
+    if others := leftovers.of_others():
+        print(f"stop: {leftovers.foreign_sentence(others)}", file=sys.stderr)
+        return 1
     if remaining:
         pids = ", ".join(str(process.pid) for process in remaining)
         print(f"stop: processes {pids} could not be ended", file=sys.stderr)

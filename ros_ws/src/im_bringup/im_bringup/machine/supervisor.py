@@ -2,22 +2,34 @@
 
 The tasks of a host end with the bootstrap that started them. A new bootstrap starts them all anew; their journals are
 kept, so that the nets go on where they were. What ends with an exit code has ended on purpose, or would end so again;
-it is not started again.
+it is not started again. A machine that is started again has nobody who waits for it: where it does not become ready
+either, it is tried :data:`MOST_TRIES` times, and then the log says that it is given up.
 """
 
 import os
 import signal
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock
 from im_core import pulse as pulse_memory
+from im_core.errors import ImError
 from im_core.process import ChildProcess
 from im_core.pulse import Pulse
 from im_core.silence import Silence
+from im_core.startup import start_timeout_s
 
+if TYPE_CHECKING:
+    from im_bringup.machine.record import MachineRecord
+
+#: How often in a row a machine that was ready is started again and does not become ready.
+MOST_TRIES = 3
+#: How long, and how often, what the operating system refuses is tried again, such as where /dev/shm is full [s].
+_REFUSED_S, _AGAIN_S = 60.0, 1.0
 #: How long the tasks of a dead bootstrap may take to end by themselves [s].
 _ORDERLY_S = 4.0
 _POLL_S = 0.05
@@ -40,6 +52,7 @@ class BootstrapKeeper:
         self._argv = argv
         self._child: ChildProcess | None = None
         self._stopped: signal.Signals | None = None
+        self._tries = 0  # since the machine was ready last
 
     def stop(self, number: int, _: FrameType | None = None) -> None:
         """Pass a signal on and end with the bootstrap; fit for a signal handler."""
@@ -50,19 +63,26 @@ class BootstrapKeeper:
     def run(self) -> int:
         """Run until a bootstrap ends by itself; its exit code, 1 if it was killed and is not started again."""
         while self._stopped is None:
-            self._child, hang = self._spawn()
+            try:
+                self._child, hang = self._spawn()
+            except OSError as error:
+                if not self._tries:  # who starts the machine is told
+                    raise
+                if not self._make_way(f"could not be started ({error})"):
+                    return 1
+                continue
             if self._stopped is not None:  # while it was being started
                 self._child.send_signal(self._stopped)
             failure, code = "", None
+            began = clock.monotonic()
             while code is None:
                 self._child.await_end(_LOOK_S)
                 code = self._child.poll()
-                if code is None and self._stopped is None and (failure := hang.found()):
+                if code is None and self._stopped is None and (failure := self._failure(hang, began)):
                     code = self._end(self._child)
-            if code >= 0:
+            if code >= 0 and not (code > 0 and self._tries and self._stopped is None):
                 return code
-            how = f"hung ({failure})" if failure else f"was killed by {signal.Signals(-code).name}"
-            if not self._make_way(how):
+            if self._stopped is not None or not self._make_way(failure or _how(code)):
                 return 1
         return 1
 
@@ -85,6 +105,27 @@ class BootstrapKeeper:
             clock.sleep(_POLL_S)
         return min(code, -1)
 
+    def _failure(self, hang: "Hang", began: float) -> str:
+        """What is wrong with the bootstrap that runs, a clause; empty if nothing is."""
+        found = hang.found()
+        return f"hung ({found})" if found else self._not_ready(began)
+
+    def _not_ready(self, began: float) -> str:
+        """Why a machine that is started again does not become ready, a clause; empty while it may, and when it is."""
+        if not self._tries:
+            return ""
+        from im_bringup.machine import record as machine
+
+        record = _record()
+        if record is not None and self._child is not None and record.pid == self._child.pid:
+            if record.state == machine.READY:
+                self._tries = 0
+                return ""
+            if record.state == machine.FAILED:
+                return f"failed to start its tasks: {'; '.join(record.missing)}"
+        late = clock.monotonic() - began > start_timeout_s()
+        return f"was not ready after {start_timeout_s():g} s" if late else ""
+
     def _make_way(self, how: str) -> bool:
         """Make way for another bootstrap: end the tasks of the dead one, and remove what they leave in shared memory.
 
@@ -99,19 +140,59 @@ class BootstrapKeeper:
         from im_bringup.machine import record as machine
         from im_core.procfs import ProcessId
 
-        record = machine.read()
-        if record is None or record.state != machine.READY:
+        record = _record()
+        if record is not None and record.state == machine.READY:
+            self._tries = 0
+        elif not self._tries:
+            _say(f"the bootstrap {how} before the machine was ready, which is not started again")
             return False
-        sentence = f"the bootstrap {how}; the machine is started again"
-        print(f"[supervisor]: {sentence}", flush=True)
+        self._tries += 1
+        again = self._tries <= MOST_TRIES
+        sentence = f"the bootstrap {how}; the machine is {'started again' if again else 'given up'}"
+        _say(sentence)
         me = ProcessId.current()
-        record = replace(record, pid=me.pid, start=me.start, state=machine.STARTING, missing=[sentence])
-        machine.write(record)
+        if record is not None:
+            record = replace(record, pid=me.pid, start=me.start, state=machine.STARTING, missing=[sentence])
+            self._insist(lambda: machine.write(record))
         leftovers.await_end(_ORDERLY_S, goes_on=lambda: self._stopped is None)
         leftovers.end_all()
         leftovers.remove_shared_memory()
-        machine.write(record)
-        return True
+        if again and record is not None:
+            self._insist(lambda: machine.write(record))
+        return again
+
+    def _insist(self, do: Callable[[], None]) -> None:
+        """Do what may be refused, as where there is no room, and try again for a while; what is wrong is said."""
+        deadline, said = clock.monotonic() + _REFUSED_S, ""
+        while self._stopped is None:
+            try:
+                do()
+                return
+            except (ImError, OSError) as error:
+                if str(error) != said:
+                    said = str(error)
+                    _say(said)
+            if clock.monotonic() > deadline:
+                return
+            clock.sleep(_AGAIN_S)
+
+
+def _record() -> "MachineRecord | None":
+    from im_bringup.machine import record as machine
+
+    try:
+        return machine.read()
+    except (ImError, OSError) as error:
+        _say(str(error))
+        return None
+
+
+def _how(code: int) -> str:
+    return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+
+
+def _say(sentence: str) -> None:
+    print(f"[supervisor]: {sentence}", flush=True)
 
 
 class Hang:

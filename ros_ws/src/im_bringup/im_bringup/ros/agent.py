@@ -4,7 +4,6 @@ import argparse
 import math
 import os
 import re
-import shutil
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import Float64, String, UInt8
 
+from im_bringup.machine import mission
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment, with_options_text
@@ -44,7 +44,7 @@ class AgentNode(GuardedNode):
         describe_sim_time(self)
         self.log: RcutilsLogger = self.get_logger()
         run_dir = names.run_dir().resolve() / host
-        shutil.rmtree(run_dir / "journal", ignore_errors=True)  # a new machine is a new mission
+        mission.prepare(run_dir, True, self.log.info)  # a new machine is a new mission
         commands(deployment, host, run_dir)  # what is missing is said now, and not when all others start
         self._deployment, self._host, self._run_dir = deployment, host, run_dir
         self._agent = Agent((), os.environ)

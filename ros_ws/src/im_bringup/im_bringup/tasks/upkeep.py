@@ -53,18 +53,20 @@ def rotate(log: Path, most_bytes: float) -> bool:
         Whether it was too long.
 
     Raises:
-        OSError: There is no room for the copy; the log is as it was.
+        OSError: There is no room for the copy; the log is as it was, and so is the one before.
     """
     if log.stat().st_size <= most_bytes:
         return False
-    older = log.with_name(f"{log.name}.1")
+    copy = log.with_name(f"{log.name}.1.new")
     try:
-        with log.open("rb") as source, older.open("wb") as target:
+        with log.open("rb") as source, copy.open("wb") as target:
             shutil.copyfileobj(source, target)
+            target.flush()  # no room for the last of it is known now
+            copy.replace(log.with_name(f"{log.name}.1"))
             with log.open("r+b") as writable:
                 writable.truncate(0)
     except OSError:
-        older.unlink(missing_ok=True)
+        copy.unlink(missing_ok=True)
         raise
     return True
 
