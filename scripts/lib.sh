@@ -50,6 +50,9 @@ im_defaults() {
     mkdir -p "$HOME"
   fi
   export ROS_DOMAIN_ID="${ROS_DOMAIN_ID:-0}"
+  # ROS reads a number, and names of files have its text: 7 and 007 would be two machines in one domain.
+  [[ "$ROS_DOMAIN_ID" =~ ^(0|[1-9][0-9]{0,2})$ ]] && ((ROS_DOMAIN_ID <= 232)) ||
+    die 2 "ROS_DOMAIN_ID='$ROS_DOMAIN_ID' is no ROS domain: a number from 0 to 232, without zeros before it"
   export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
   export IM_RUN_DIR="${IM_RUN_DIR:-$IM_ROOT/.run/im$ROS_DOMAIN_ID}"
   export IM_RESULTS_DIR="${IM_RESULTS_DIR:-$IM_ROOT/results}"

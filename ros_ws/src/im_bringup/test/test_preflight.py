@@ -13,7 +13,7 @@ import pytest
 from im_bringup.machine import preflight, record, start
 from im_bringup.tasks import deployment
 from im_core import names
-from im_core.errors import ImError
+from im_core.errors import ImError, StateError
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -148,3 +148,31 @@ def test_a_start_says_that_somebody_has_stopped_the_machine(monkeypatch, capsys)
     (names.run_dir() / names.ESTOP).write_text("request on /mcs/estop")
     start.clear_the_way(fresh=True)
     assert "emergency stop: arms get no power until scripts/im recover resets it" in capsys.readouterr().out
+
+
+def test_of_two_starts_at_once_the_second_is_refused():
+    refused = pytest.raises(StateError, match=r"another start of ROS domain \d+ is under way")
+    with start.only_one(), refused, start.only_one():
+        pass
+    with start.only_one():
+        pass
+
+
+def test_what_nobody_reads_ends_no_start():
+    code = "from im_bringup.machine import start; start.say('one'); start.say('two'); start.complain('ended')"
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        run = [sys.executable, "-c", code]
+        done = subprocess.run(run, stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    finally:
+        os.close(write)
+    assert (done.returncode, done.stderr) == (0, "ended\n")
+
+
+@pytest.mark.parametrize("text", ["abc", "-5", "nan", "inf"])
+def test_a_time_to_start_in_that_is_none_is_refused(text, monkeypatch, capsys):
+    monkeypatch.setenv("IM_START_TIMEOUT_S", text)
+    with pytest.raises(SystemExit, match="2"):
+        start.parser().parse_args([])
+    assert f"{text} is no time between 0 and 86400 s" in capsys.readouterr().err

@@ -124,6 +124,7 @@ def test_a_log_is_rotated_while_its_process_writes_into_it(tmp_path):
 def test_where_there_is_no_room_for_the_old_log_it_stays(tmp_path, monkeypatch):
     log = tmp_path / "task.log"
     log.write_text("x" * 100)
+    (tmp_path / "task.log.1").write_text("of before")
 
     def no_room(*_):
         raise OSError(28, "No space left on device")
@@ -132,7 +133,8 @@ def test_where_there_is_no_room_for_the_old_log_it_stays(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space left"):
         rotate(log, 10.0)
     assert log.read_text() == "x" * 100
-    assert names(tmp_path) == ["task.log"]
+    assert names(tmp_path) == ["task.log", "task.log.1"]
+    assert (tmp_path / "task.log.1").read_text() == "of before"
     said = []
     upkeep = Upkeep(tmp_path, tmp_path, Keep(log_mib=1e-6), (), said.append)
     upkeep.rotate_logs()

@@ -67,7 +67,7 @@ class ChildProcess:
         self.name = name or Path(argv[0]).name
         self._log, self._log_begin = log, 0
         parent = os.getpid()
-        prepared = _prepared.pop(argv[3], None) if _is_module(argv) else None
+        prepared = _prepared.pop(argv[len(_PYTHON)], None) if _is_module(argv) else None
         with ExitStack() as files:
             output: BinaryIO | None = None
             if log is not None:
@@ -329,7 +329,7 @@ def _run_when_told(module: str, orders: socket.socket) -> int:
 
 def _tell(argv: Sequence[str]) -> None:
     """Have the kernel tell these arguments and this program of this process, as far as there is room for them."""
-    name = argv[3].rpartition(".")[2] if _is_module(argv) else Path(argv[0]).name
+    name = argv[len(_PYTHON)].rpartition(".")[2] if _is_module(argv) else Path(argv[0]).name
     _LIBC.prctl(_PR_SET_NAME, name.encode())
     with open("/proc/self/stat", encoding="ascii", errors="replace") as file:
         begin, end = map(int, file.read().rpartition(")")[2].split()[_ARGUMENTS])

@@ -173,16 +173,21 @@ if __name__ == "__main__":
     ("told", "loaded", "name"), [("taken", True, "says"), ("dismissed", False, "python"), ("ros", False, "python")]
 )
 def test_a_module_is_run_by_the_copy_that_was_prepared_for_it_if_there_is_one(tmp_path, told, loaded, name):
-    (tmp_path / "says.py").write_text(MODULE)
-    run = [sys.executable, "-c", PREPARES, tmp_path, told]
-    environment = {**os.environ, "COLOUR": "red"}
-    done = subprocess.run(run, capture_output=True, text=True, check=True, cwd=tmp_path, env=environment)
+    modules, here = tmp_path / "modules", tmp_path / "here"
+    for folder in (modules, here):
+        folder.mkdir()
+    (modules / "says.py").write_text(MODULE)
+    (here / "runpy.py").write_text("raise SystemExit('what is where the user happens to be was run')")
+    run = [sys.executable, "-P", "-c", PREPARES, tmp_path, told]
+    path = os.pathsep.join(filter(None, (str(modules), os.environ.get("PYTHONPATH"))))
+    environment = {**os.environ, "COLOUR": "red", "PYTHONPATH": path}
+    done = subprocess.run(run, capture_output=True, text=True, check=True, cwd=here, env=environment)
     assert done.stdout.strip() == "the process says ended with code 1: disk full"
     words, files, comm, arguments, _ = (tmp_path / "log").read_text().splitlines()
     assert words == f"['a'] red given {loaded}"
     assert files == "['0', '1', '2', '3']"  # 3: what lists them
     assert comm.startswith(name)
-    assert arguments == "['-u', '-m', 'says', 'a']"
+    assert arguments == "['-u', '-P', '-m', 'says', 'a']"
 
 
 def test_what_waits_to_run_a_module_ends_with_who_prepared_it(tmp_path):
