@@ -102,3 +102,15 @@ def test_files_and_arguments_that_cannot_be_used_are_named(tmp_path, capsys):
         with pytest.raises(SystemExit) as end:
             make_dataset.main(["text", wrong[0], "out.json", *wrong[1:]])
         assert end.value.code == 2
+
+
+def test_what_is_read_is_not_written_over(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.txt", "b.txt"):
+        (tmp_path / name).write_text("0 0 0 1 1\n")
+    assert make_dataset.main(["text", "a=a.txt", "a.txt"]) == command.BAD_INPUT
+    assert "a.txt: it is one of the files that are read" in capsys.readouterr().err
+    assert make_dataset.main(["text", "a=a.txt", "b=b.txt"]) == command.BAD_INPUT
+    assert "b=b.txt: the file to write comes last; this names a camera" in capsys.readouterr().err
+    assert (tmp_path / "a.txt").read_text() == "0 0 0 1 1\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.txt"]

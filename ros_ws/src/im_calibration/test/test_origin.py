@@ -5,6 +5,8 @@ import pytest
 
 from bench.calibration.synthetic import Design, make_scene
 from im_calibration import calibrate
+from im_calibration.estimation.gates import Prediction
+from im_calibration.problem.dataset import _box_around
 
 PROBLEM = make_scene(Design(led_offset_prior_sd=0.02), 32).problem
 
@@ -35,3 +37,15 @@ def test_a_far_origin_changes_nothing(far):
     assert there.verdicts == ()
     assert there.chi2 == pytest.approx(here.chi2, rel=1e-6)
     assert_same(there, here.moved(by), 1e-3)
+
+
+def test_a_box_around_positions_is_as_large_far_from_the_origin():
+    positions = np.random.default_rng(1).uniform(-0.4, 0.4, (200, 3))
+    far = np.array([500_123.0, 5_000_456.0, 312.0])
+    near, there = _box_around(positions), _box_around(positions + far)
+    np.testing.assert_allclose(np.subtract(there.high, there.low), np.subtract(near.high, near.low), atol=1e-6)
+
+
+def test_spots_that_do_not_move_with_the_light_are_judged_all_the_same():
+    here = Prediction(np.full((1, 2), 3.0), np.eye(2)[None], np.zeros((1, 2, 3)))
+    assert here.distance(0, np.array([0]), free=True) == pytest.approx(18.0)

@@ -82,3 +82,16 @@ def test_one_camera_cannot_measure_a_length():
     calibration = calibrate(make_scene(Design(cameras=1, lengths=4), 10).problem)
     assert calibration.scale is None
     assert calibration.success
+
+
+def test_no_length_at_all_measures_none():
+    problem = make_scene(Design(lengths=4), 10).problem
+    known = problem.lengths
+    none = replace(
+        known,
+        lengths=known.lengths[:0],
+        standard_deviations=known.standard_deviations[:0],
+        spots=known.spots[:, :0],
+        spot_covariances=known.spot_covariances[:, :0],
+    )
+    assert calibrate(replace(problem, lengths=none)).scale is None

@@ -100,16 +100,20 @@ def write_whole(path: Path, content: str | bytes) -> Path:
         `path`.
 
     Raises:
-        StoreError: It cannot be written, and what was there before is untouched; or the disk failed when the new one
-            had its name, and a loss of power decides which of them is there.
+        StoreError: It cannot be written, or is a folder, a device or a pipe, and what was there before is untouched; or
+            the disk failed when the new one had its name, and a loss of power decides which of them is there.
     """
     target = path.resolve() if path.is_symlink() and path.exists() else path
+    if target.exists() and not target.is_file():
+        raise StoreError(f"{path} cannot be written: it is no regular file", file=str(path), reason="no regular file")
     beside = target.with_name(f".{target.name[:100]}.{os.getpid()}.{threading.get_native_id()}")
     data = content.encode() if isinstance(content, str) else content
     try:
         with beside.open("wb") as file:
             file.write(data)
             file.flush()
+            if target.exists():
+                os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
             os.fsync(file.fileno())
         os.replace(beside, target)
         synchronise_names(target.parent)

@@ -84,3 +84,13 @@ def test_a_new_folder_is_there_after_a_loss_of_power(tmp_path, monkeypatch):
     assert sorted(synchronised) == [tmp_path, tmp_path / "a"]
     make_folder(tmp_path / "a" / "b")
     assert len(synchronised) == 2
+
+
+def test_what_is_no_file_stays_what_it_is_and_a_new_version_has_the_rights_of_the_one_before(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(StoreError, match=r"pipe cannot be written: it is no regular file"):
+        write_whole(tmp_path / "pipe", "text")
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    private = write_whole(tmp_path / "private", "old")
+    private.chmod(0o600)
+    assert stat.S_IMODE(write_whole(private, "new").stat().st_mode) == 0o600

@@ -125,6 +125,10 @@ def test_a_counterexample_is_written_and_can_be_played(tmp_path, capsys):
     assert main(["simulate", str(net), "--replay", str(written)]) == OK
     assert main(["verify", str(net), "--counterexample", str(tmp_path / "no" / "way.json")]) == BAD_INPUT
     assert "No such file" in capsys.readouterr().err
+    text = net.read_text()
+    assert main(["verify", str(net), "--counterexample", str(net)]) == BAD_INPUT
+    assert "is one of the nets" in capsys.readouterr().err
+    assert net.read_text() == text
 
 
 def test_draw_says_whose_it_is_where_the_display_is_not_installed(data, tmp_path, monkeypatch, capsys):

@@ -205,3 +205,9 @@ def test_what_cannot_be_fitted_is_one_sentence(bags, tmp_path, arguments, senten
     assert main(["fit", bags[0], *given]) == BAD_INPUT
     assert sentence in capsys.readouterr().err
     assert all((tmp_path / f"{name}.yaml").read_text() == text for name, text in files.items())
+
+
+def test_a_command_of_several_nets_that_ask_each_other_is_predicted(capsys):
+    bag = Path(__file__).resolve().parents[4] / "test" / "data" / "bags" / "undisturbed"
+    assert main(["fit", str(bag), "--command", "calibrate_camera"]) == OK
+    assert "calibrate_camera: " in capsys.readouterr().out

@@ -108,9 +108,14 @@ def _add_bag(parser: argparse.ArgumentParser) -> None:
 
 
 def _convert(options: argparse.Namespace) -> None:
+    target = options.output
+    if "=" in target.name:
+        raise DataError(f"{target}: the file to write comes last; this names a camera.", file=str(target))
+    for _, file in getattr(options, "cameras", ()):
+        if target.exists() and Path(file).exists() and target.samefile(file):
+            raise DataError(f"{target}: it is one of the files that are read.", file=str(target))
     content, remark = _from_bag(options) if options.format == "bag" else _from_files(options)
     (problem,) = problems(content)
-    target = options.output
     try:
         write_whole(target, json.dumps(content, indent=1, allow_nan=False) + "\n")
     except OSError as error:

@@ -59,7 +59,9 @@ class Prediction:
         covariance = scale * self.covariances[pose][np.ix_(rows, rows)]
         if free:
             moved = self.by_point[pose][rows]
-            covariance = covariance + (_FREE_PX / float(np.linalg.norm(moved, axis=1).max())) ** 2 * moved @ moved.T
+            most = float(np.linalg.norm(moved, axis=1).max())
+            if most > 0.0:  # else it is where no camera sees that it moves
+                covariance = covariance + (_FREE_PX / most) ** 2 * moved @ moved.T
         errors = self.errors[pose][rows]
         return float(errors @ np.linalg.solve(covariance, errors))
 

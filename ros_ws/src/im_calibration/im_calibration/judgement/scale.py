@@ -68,6 +68,8 @@ def measure_scale(unknowns: Unknowns, covariance: Array, lengths: KnownLengths, 
         The scale; None where no length can be used.
     """
     c, k = len(lengths.spots), len(lengths.lengths)
+    if not k:
+        return None
     order = np.lexsort(np.nan_to_num(np.swapaxes(lengths.spots, 0, 1)).reshape(k, -1).T)  # sums in any order differ
     size = sum(10 + lens.estimated for lens in unknowns.lenses)
     cameras = covariance[:size, :size]

@@ -350,7 +350,7 @@ def _box_around(positions: Array) -> Workspace:
     if not len(positions):
         return Workspace()
     low, high = np.quantile(positions, 0.03, axis=0), np.quantile(positions, 0.97, axis=0)
-    high = np.maximum(high, low + np.maximum(1e-3, 1e-6 * np.abs(low)))
+    high = np.maximum(high, low + np.maximum(1e-3, 1e-12 * np.abs(low)))
     return Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 

@@ -1,15 +1,17 @@
 """``poses``: writes a file of wrist poses for a calibration."""
 
 import argparse
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from im_cell.robot import load_cell
-from im_core.errors import ImError, NotFoundError, StateError
+from im_core.errors import DataError, ImError, NotFoundError, StateError
+from im_core.files import write_whole
 from im_mcs.collision import CollisionChecker
 from im_mcs.limits.configuration import Group, McsConfig, load_config
 from im_mcs.limits.limits import JointLimits
@@ -45,12 +47,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             box.lower if options.lower is None else np.array(options.lower),
             box.upper if options.upper is None else np.array(options.upper),
         )
+        if not (volume.lower < volume.upper).all():
+            raise DataError(f"--lower {volume.lower} m is not below --upper {volume.upper} m")
         selection = selector.select(options.count, volume, np.radians(options.tilt), options.seed)
         text = to_yaml(group, options.cameras, selection)
         if options.output is None:
             print(text, end="")
         else:
-            options.output.write_text(text, encoding="utf-8")
+            write_whole(options.output, text)
             print(f"{len(selection.poses)} poses of {group} written to {options.output}: {_spread(selection)}")
     except (ImError, OSError) as error:
         print(error, file=sys.stderr)
@@ -66,17 +70,42 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--group", help="that carries the light (default: the first that carries none of the cameras)")
-    parser.add_argument("--count", type=int, default=40, help="number of poses (%(default)s)")
+    parser.add_argument("--count", type=_at_least(1), default=40, help="number of poses (%(default)s)")
     parser.add_argument("--cameras", nargs="+", default=["ceiling_left", "ceiling_right"], help="that see the light")
     parser.add_argument(
-        "--tilt", type=float, default=50.0, help="largest tilt away from the cameras [deg] (%(default)s)"
+        "--tilt", type=_tilt, default=50.0, help="largest tilt away from the cameras [deg] (%(default)s)"
     )
-    parser.add_argument("--lower", nargs=3, type=float, help="corner of the volume [m]")
-    parser.add_argument("--upper", nargs=3, type=float, help="opposite corner [m]")
-    parser.add_argument("--seed", type=int, default=1, help="of the candidates (%(default)s)")
+    parser.add_argument("--lower", nargs=3, type=_finite, help="corner of the volume [m]")
+    parser.add_argument("--upper", nargs=3, type=_finite, help="opposite corner [m]")
+    parser.add_argument("--seed", type=_at_least(0), default=1, help="of the candidates (%(default)s)")
     parser.add_argument("--config", type=Path, help="configuration of MCS (default: the shipped one)")
     parser.add_argument("--output", type=Path, help="file to write (default: standard output)")
     return parser
+
+
+def _at_least(least: int) -> Callable[[str], int]:
+    def number(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text} is no whole number from {least} on")
+        return int(text)
+
+    return number
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is no finite number")
+    return value
+
+
+def _tilt(text: str) -> float:
+    if not 0.0 <= (value := _finite(text)) <= 180.0:
+        raise argparse.ArgumentTypeError(f"{text} is no angle from 0 to 180 deg")
+    return value
 
 
 def make_selector(config_file: Path | None, group: str | None, cameras: Sequence[str]) -> tuple[PoseSelector, str]:

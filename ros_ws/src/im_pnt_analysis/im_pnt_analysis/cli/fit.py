@@ -57,6 +57,11 @@ def run(options: argparse.Namespace) -> int:
     changes = [_change(path, net, found[net.name]) for path, net in files.items()]
     for change in changes:
         print("".join(change.diff()), end="")
+    predicted: list[str] = []
+    if options.symbol is not None:  # before anything is written: it may be refused
+        other = {options.against: mission_of(options.against)} if options.against else missions
+        fitted = {name: with_estimates(net, found[name]) for name, net in nets.items()}
+        predicted = _prediction(fitted, options.symbol, other)
     for change in changes if options.write else ():
         try:
             write_whole(change.path, change.after.text)
@@ -65,10 +70,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{change.path}: {change.after.changed} values are new")
     if changes and not options.write:
         print(f"{sum(change.after.changed for change in changes)} values would be new; --write writes them")
-    if options.symbol is not None:
-        other = {options.against: mission_of(options.against)} if options.against else missions
-        fitted = {name: with_estimates(net, found[name]) for name, net in nets.items()}
-        print("\n".join(_prediction(fitted, options.symbol, other)))
+    print("".join(f"{line}\n" for line in predicted), end="")
     return OK
 
 

@@ -10,7 +10,7 @@ from im_pnt.errors import NetError
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.extensions import extensions
-from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, count, seconds
+from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, count, seconds, write_output
 from im_pnt_analysis.cli.types import checked_types
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.simulation.replay import FiringSequence
@@ -51,6 +51,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Verifies net files."""
+    if options.counterexample and any(_same(options.counterexample, file) for file in options.files):
+        raise NetError(f"--counterexample {options.counterexample} is one of the nets", file=options.counterexample)
     progress = _Progress() if sys.stderr.isatty() else None
     with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"):
         nets = [load_net(file) for file in options.files]
@@ -72,6 +74,10 @@ def run(options: argparse.Namespace) -> int:
     return OK if report.ok else REFUSED
 
 
+def _same(one: str, other: str) -> bool:
+    return Path(one).exists() and Path(other).exists() and Path(one).samefile(other)
+
+
 def _write_counterexample(path: str, files: list[str], nets: list[Net], report: Report) -> None:
     refusal = report.refusals[0]
     firings = FiringSequence(refusal.sequence, refusal.repeat, refusal.reason)
@@ -87,10 +93,7 @@ def _write_counterexample(path: str, files: list[str], nets: list[Net], report: 
         "repeat_from": len(refusal.sequence) if refusal.repeat else None,
         "marking": refusal.marking,
     }
-    try:
-        Path(path).write_text(json.dumps(content, indent=1) + "\n")
-    except OSError as error:
-        raise NetError(f"counterexample {path} cannot be written: {error.strerror}", file=path) from None
+    write_output(Path(path), json.dumps(content, indent=1) + "\n", overwrite=True)
 
 
 class _Progress:

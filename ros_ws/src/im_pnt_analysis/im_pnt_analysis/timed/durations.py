@@ -294,10 +294,13 @@ def _actions(net: TimedNet, totals: Totals) -> tuple[ActionTime, ...]:
             slope = critical / net.timers[timer].delay.mean if timer is not None else 0.0
             actions.append(ActionTime(name, firings, time / firings, time / totals.duration, critical, slope))
 
+    begun: dict[str, float] = {}
     for transition in net.compiled.net.transitions.values():
-        if transition.role is Role.START:
-            name = transition.name.removesuffix(".start")
-            add(name, totals.firings[number[transition.name]], totals.token_time[place[f"{name}.active"]])
+        if transition.role is Role.START:  # of a command of another net there is one for each who asks for it
+            active = next(output for output in transition.outputs if output.endswith(".active"))
+            begun[active] = begun.get(active, 0.0) + totals.firings[number[transition.name]]
+    for active, firings in begun.items():
+        add(active.removesuffix(".active"), firings, totals.token_time[place[active]])
     for timer in net.timers:
         if timer.active is None:
             firings = totals.firings[number[timer.name]]
