@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from im_core import clock
-from im_core.errors import StateError, WaitTimeoutError
+from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.open_commands import OpenCommandNote, note, noted
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
@@ -24,7 +24,7 @@ from im_core.ros.run import main, spin_in_thread
 from im_msgs.action import Move
 from im_pnt.errors import JournalError
 from im_pnt.execution.events import ModeSet
-from im_pnt.execution.functions import idempotent
+from im_pnt.execution.functions import idempotent, woken_by
 from im_pnt.execution.operator import Mode
 from im_pnt.journal.folder import Folder
 from im_pnt.journal.log import look
@@ -428,3 +428,37 @@ def test_a_net_whose_going_cannot_be_written_down_stays(tmp_path, ros, wait_unti
     node.spawn(unload())
     wait_until(lambda: refused, "the refusal")
     assert list(node.exchange.nets.items()) == before
+
+
+@pytest.mark.parametrize("fault", ["journal", "topic"])
+def test_a_net_that_was_refused_keeps_nobody_waiting_for_the_objects_of_its_guards(
+    tmp_path, ros, wait_until, monkeypatch, fault
+):
+    """Nobody answers for data objects here: a node that waited to know of one would fire no more."""
+    (tmp_path / "say.yaml").write_text(SAY)
+    node = ros(Server("say", tmp_path))
+    wait_until(lambda: node.ready, "the node")
+    sources = ("data:thing", "topic:/unheard") if fault == "topic" else ("data:thing",)
+    node.functions.guards["there"] = woken_by(*sources)(lambda ctx: True)
+    refused, ended = [], []
+
+    def full():
+        raise JournalError("the journal cannot be written: No space left on device", file="journal")
+
+    async def load():
+        try:
+            await node.load_net(parse_net(CRY.replace("symbol: cry,", "symbol: cry, guard: there,")), 30.0)
+        except ImError as error:
+            refused.append(error.message)
+
+    async def say():
+        ended.append(await node.command("say", {"text": "here"}))
+
+    with monkeypatch.context() as patch:
+        if fault == "journal":
+            patch.setattr(node._journal, "compact", full)
+        node.spawn(load())
+        wait_until(lambda: refused, "the refusal")
+    node.spawn(say())
+    wait_until(lambda: ended, "the command of the other net to end")
+    assert ended[0].success

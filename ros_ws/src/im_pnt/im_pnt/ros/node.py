@@ -241,6 +241,7 @@ class PntNode(ManagedNode):
                 self.exchange.nets[net.name] = former
                 self._publisher.described(former)
                 self._publisher.marked(former)
+            self._keep_sources()
             raise
         if self._execute is not None:
             self._execute.tell()
@@ -271,6 +272,7 @@ class PntNode(ManagedNode):
                 nets.update(before)  # in the order in which they were
                 raise
         self._publisher.withdrawn(name)
+        self._keep_sources()
         if self._execute is not None:
             self._execute.tell()
 
@@ -356,6 +358,7 @@ class PntNode(ManagedNode):
         state = taken_over(present, net)
         self._take_in(self._library.kept(net), report, state, self.exchange.succeed)
         self._prepare_partners()
+        self.spawn(self.sources.look())
         self.exchange.nets[net.name].resume()
         self.commands.take_up()
         if self._execute is not None:
@@ -383,7 +386,7 @@ class PntNode(ManagedNode):
             self._observer.unproved(report.sentence)
         else:
             self.get_logger().info(report.sentence)
-        self.sources.declare(net.name, self.functions.wakes(net))
+        self.sources.check_topics(net.name, self.functions.wakes(net))
         for transition in net.transitions.values():
             action = transition.action
             if action is not None and type(action) in self._kinds:
@@ -407,10 +410,16 @@ class PntNode(ManagedNode):
         elif net.name in self.exchange.nets:
             executor.count_on(self.exchange.nets[net.name])
         (enter or self.exchange.add)(executor)
+        self.sources.declare(self.functions.wakes(net))
         self._mission.loaded(executor)
         self._publisher.described(executor)
         self._publisher.marked(executor)
         self._loop.wake()
+
+    def _keep_sources(self) -> None:
+        """Has those objects followed no longer that only guards of a net spoke of which is not there."""
+        nets = self.exchange.nets.values()
+        self.sources.keep({source for executor in nets for source in self.functions.wakes(executor.written)})
 
     async def _run_apart(self, function: ActionFunction, context: ActionContext) -> None:
         """Calls a function in a thread of its own, so that it may block."""

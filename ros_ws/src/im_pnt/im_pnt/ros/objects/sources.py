@@ -64,20 +64,32 @@ class Sources:
         """Whether a data object that a guard has declared is valid."""
         return self._valid[name]
 
-    def declare(self, net: str, sources: Iterable[str]) -> None:
-        """Enters what the guards of a net are woken by.
+    def check_topics(self, net: str, sources: Iterable[str]) -> None:
+        """Checks that the topics are followed that the guards of a net are woken by.
 
         Raises:
-            NetError: A topic that is not followed.
+            NetError: One is not.
         """
-        for source in sources:
-            kind, _, name = source.partition(":")
-            if kind == "topic" and name not in self._last:
-                text = f"a guard of net {net} is woken by topic {name}, which the node does not follow"
-                raise NetError(f"{text}{nearest(name, self._last)}", net=net, topic=name)
-            if kind == "data" and name not in self._valid:
-                self._valid[name] = False
-                self._unknown.add(name)
+        for topic in _named("topic", sources):
+            if topic not in self._last:
+                text = f"a guard of net {net} is woken by topic {topic}, which the node does not follow"
+                raise NetError(f"{text}{nearest(topic, self._last)}", net=net, topic=topic)
+
+    def declare(self, sources: Iterable[str]) -> None:
+        """Enters the data objects that the guards of a net are woken by; the net is there now."""
+        for name in _named("data", sources) - self._valid.keys():
+            self._valid[name] = False
+            self._unknown.add(name)
+
+    def keep(self, sources: Iterable[str]) -> None:
+        """Forgets the data objects that no guard is woken by any more.
+
+        Args:
+            sources: What the guards of all nets are woken by.
+        """
+        for name in self._valid.keys() - _named("data", sources):
+            del self._valid[name]
+            self._unknown.discard(name)
 
     async def look(self) -> None:
         """Asks for the validity of the objects that guards have declared; changes are heard of from then on.
@@ -85,8 +97,10 @@ class Sources:
         It ends when ``/dom`` has answered: no net fires before.
         """
         for name in tuple(self._valid):
-            self._valid[name] = await valid_or_not(self._node, self._dom, name)
-            self._unknown.discard(name)
+            valid = await valid_or_not(self._node, self._dom, name)
+            if name in self._valid:  # its net may have gone meanwhile
+                self._valid[name] = valid
+                self._unknown.discard(name)
 
     def follows(self, name: str) -> bool:
         """Whether a guard has declared a data object."""
@@ -114,3 +128,9 @@ class Sources:
         self._last[topic] = message
         self._log.add("heard", topic, *packed_message(message))
         self._changed(f"topic:{topic}")
+
+
+def _named(kind: str, sources: Iterable[str]) -> set[str]:
+    """The names of the sources of a kind."""
+    split = (source.partition(":") for source in sources)
+    return {name for of, _, name in split if of == kind}
