@@ -64,10 +64,10 @@ class DamagedJournalError(JournalError):
 
 
 def encode_error(error: ImError | None) -> list[object] | None:
-    """Writes an error as JSON data; facts that are none are written as text."""
+    """Writes an error as JSON data; facts that are none, also numbers that are not finite, are written as text."""
     if error is None:
         return None
-    facts: object = json.loads(json.dumps(error.facts, default=str, skipkeys=True))
+    facts: object = json.loads(json.dumps(error.facts, default=str, skipkeys=True), parse_constant=str)
     return [error.code, error.message, facts]
 
 

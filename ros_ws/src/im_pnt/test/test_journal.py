@@ -1,6 +1,7 @@
 """The journal of a process: what belongs to it, what comes back, and what is said of what does not."""
 
 import json
+import math
 import random
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import pytest
 
 from im_core import clock
 from im_core.errors import ImError, LinkError
+from im_pnt.distributed.packets import Message, MessageKind
 from im_pnt.errors import JournalError
 from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.events import CommandCancelled, TokenArrived
@@ -338,6 +340,25 @@ transitions: {t: {in: a, out: b, action: f, on_failure: bad, symbol: go}}
         process.exchange.nets["n"].command(Command(1, "go"))
         process.turn()
         assert process.exchange.nets["n"].marking() == {"bad": 1}
+
+
+def test_what_another_process_sends_and_a_journal_cannot_keep_is_refused_with_a_sentence():
+    pair = Pair(front=[FRONT], back=[BACK])
+    results = asked(pair)
+    front, back = (pair.alive[name].exchange for name in ("front", "back"))
+    ((request_id, _),) = front.book.items()
+    unfit = {"results": {"score": math.nan}}
+    assert front.receive("back", Message(MessageKind.REPLY, "front", "", request_id, payload=unfit)) == ""
+    pair.alive["front"].turn()
+    assert "the results for transition ask.score is nan" in str(results[0].error)
+    asking = Message(MessageKind.REQUEST, "back", "I.work", "r", "other", "t", payload={"arguments": {"x": math.inf}})
+    assert "the arguments of request r.x is inf" in back.receive("other", asking)
+    assert "r" not in back.inboxes.in_work
+    carried = {"job": ["other", "net", 1], "symbol": "", "command": ["go", {"x": math.nan}, 0, ""], "arguments": {},
+        "results": {}, "cancelled": None, "held": False}  # fmt: skip
+    assert ".x is nan" in back.receive("other", Message(MessageKind.TOKEN, "back", "go", payload=carried))
+    told = {"job": ["other", "net", 1], "tiding": "settled", "results": {"x": math.nan}}
+    assert ".x is nan" in back.receive("other", Message(MessageKind.TIDING, "back", "", payload=told))
 
 
 def test_the_journal_grows_no_further_than_its_limit():

@@ -1,5 +1,6 @@
 """Exactly once, whatever the network does; and the requests of three processes over such a network."""
 
+import math
 import random
 
 import pytest
@@ -152,3 +153,39 @@ def test_the_death_of_a_coordinator_fails_its_requests_and_that_of_a_caller_canc
     front.pump()
     assert str(front.process.results[0].error) == "middle is missing (last heard 6.1 s ago)"
     assert front.process.marking("front") == {"idle": 1}
+
+
+def test_a_result_that_json_cannot_say_fails_the_request_with_a_sentence():
+    network = Network(0, 0.0)
+    front = Node(network, "front", [FRONT], {})
+    Node(network, "middle", [MIDDLE], {})
+    Node(network, "back", [BACK], {"work": lambda ctx: ctx.result.update(score=math.nan)})
+    front.process.command("front", "go")
+    network.run(5.0)
+    assert "is not JSON data: Out of range float values" in front.process.results[0].error.message
+    assert all(node.link.idle() for node in network.nodes.values())
+
+
+def test_a_token_whose_job_json_cannot_say_is_kept_and_said():
+    """Without a journal nobody has looked at the arguments of the command."""
+    network = Network(0, 0.0)
+    sends = "net: sends\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: [b, gets.p], symbol: go}}"
+    node = Node(network, "sends", [sends], {})
+    node.process.command("sends", "go", width=math.nan)
+    assert {str(place): count for place, count in node.process.exchange.undeliverable.items()} == {"gets.p": 1}
+    assert "is not JSON data: Out of range float values" in node.process.recorder.troubles[0]
+
+
+def test_a_number_that_is_none_among_the_facts_of_a_failure_crosses_as_text():
+    network = Network(0, 0.0)
+
+    def work(ctx):
+        raise DataError("no distance", distance=math.inf)
+
+    front = Node(network, "front", [FRONT], {})
+    Node(network, "middle", [MIDDLE], {})
+    Node(network, "back", [BACK], {"work": work})
+    front.process.command("front", "go")
+    network.run(5.0)
+    error = front.process.results[0].error
+    assert (error.message, error.facts) == ("no distance", {"distance": "Infinity"})

@@ -135,7 +135,10 @@ class Exchange:
             if target.net in self.nets:
                 self._kept(message, self.inboxes.token(target.net, target.place, carried))
             elif self._transport is not None:
-                self._transport.send(self._transport.node_of(target.net), message)
+                try:
+                    self._transport.send(self._transport.node_of(target.net), message)
+                except NetError as error:
+                    self._kept(message, error.message)
             else:
                 self._kept(message, f"there is no net {target.net}{nearest(target.net, self.nets)}")
 
@@ -237,6 +240,12 @@ class Exchange:
 
     def receive(self, sender: str, message: Message) -> str:
         """Takes a message from another process; returns why it is refused, empty if it is not."""
+        try:
+            return self._receive(sender, message)
+        except NetError as error:  # a journal cannot keep what it carries
+            return error.message
+
+    def _receive(self, sender: str, message: Message) -> str:
         kind = message.kind
         if kind is MessageKind.TOKEN and message.net in self.nets:
             return self._token_from(sender, message)
@@ -244,7 +253,11 @@ class Exchange:
             return ""
         if kind is MessageKind.REPLY:
             results = message.payload.get("results")
-            if not self._answer(message.request_id, message.error, results if isinstance(results, dict) else {}):
+            try:
+                found = self._answer(message.request_id, message.error, results if isinstance(results, dict) else {})
+            except NetError as unfit:
+                found = self._answer(message.request_id, unfit, {})
+            if not found:
                 self._dropped(f"nobody waits for reply {message.request_id} of {sender} any more")
             return ""
         if message.net not in self.nets:

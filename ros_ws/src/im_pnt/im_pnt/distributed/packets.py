@@ -35,7 +35,7 @@ MOST_NAME = 200
 """Characters of the name of a process."""
 
 _NOTHING: Mapping[str, object] = MappingProxyType({})
-_encode = json.JSONEncoder(separators=(",", ":")).encode
+_encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 class MessageKind(enum.IntEnum):
