@@ -114,6 +114,35 @@ def test_what_is_reckoned_in_python_comes_back_or_says_its_own_sentence(process,
     assert (command.returncode, told in command.out.read_text()) == (code, True), command.out.read_text()
 
 
+COUNT = """
+net: count
+places: {idle: 1, counted: , odd: }
+transitions:
+  count: {symbol: count, in: idle, out: counted, action: "counting:count", on_failure: odd}
+  tell: {in: counted, out: idle, emit: count_done}
+  give_up: {in: odd, out: idle, emit: count_failed}
+"""
+
+
+@pytest.mark.parametrize(
+    ("returned", "told"),
+    [
+        ("{1: 'one'}", "what count returned has the key 1"),
+        ("{'parts': {2, 3}}", "what count returned.parts is {2, 3} (set)"),
+        ("{'mass': float('nan')}", "what count returned.mass is nan"),
+    ],
+)
+def test_results_that_nobody_could_be_told_fail_the_command_with_a_sentence(
+    process, tmp_path, wait_until, returned, told
+):
+    (tmp_path / "count.yaml").write_text(COUNT)
+    (tmp_path / "counting.py").write_text(f"def count(ctx):\n    ctx.result.update({returned})\n")
+    line = ["run", str(tmp_path / "count.yaml"), "--symbol", "count"]
+    command = process(sys.executable, "-m", "im_pnt_analysis", *line)
+    wait_until(lambda: command.poll() is not None, "the end of the task")
+    assert (command.returncode, f"count failed: {told}" in command.out.read_text()) == (1, True)
+
+
 def test_a_robot_that_dies_ends_the_task_with_its_death_as_reason(process, line, tmp_path, wait_until):
     robot = process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
     (tmp_path / "hold").write_text("0.04")

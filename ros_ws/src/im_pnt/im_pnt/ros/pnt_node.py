@@ -161,6 +161,7 @@ class RunNode(PntNode):
             self.finished()
 
     async def _obey(self, order: Order) -> None:
+        self.exit_code = REFUSED  # until it is done
         try:
             if self.commands.running(order.symbol) is not None:
                 self._tell(f"{order.symbol} goes on where the journal ends")
@@ -172,7 +173,8 @@ class RunNode(PntNode):
             self.exit_code = BAD_INPUT
         else:
             self._conclude(order.symbol, outcome)
-        self.finished()
+        finally:
+            self.finished()
 
     def _conclude(self, symbol: str, outcome: CommandOutcome) -> None:
         results = f": {json.dumps(outcome.results)}" if outcome.results else ""

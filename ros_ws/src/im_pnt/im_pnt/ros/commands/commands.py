@@ -13,9 +13,11 @@ from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import ok_status, to_status
 from im_msgs.msg import Status
+from im_pnt.errors import NetError
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import Command, CommandResult, Job
 from im_pnt.execution.notification import Firing, Phase
+from im_pnt.execution.record import plain_dict
 from im_pnt.journal.ended import EndedCommand, EndedCommands
 
 ProgressListener = Callable[[str, str, float], None]
@@ -276,7 +278,7 @@ class Commands:
 
     def _closing(self, number: int, symbol: str) -> Callable[[CommandResult], None]:
         def closed(result: CommandResult) -> None:
-            ended = _ended(number, symbol, result)
+            ended = _ended(number, symbol, _tellable(symbol, result))
             outcome = _outcome(ended)
             self.ended.add(ended)
             how = "done" if ended.success else f"failed: {ended.message}"
@@ -289,6 +291,15 @@ class Commands:
             self._told_ended()
 
         return closed
+
+
+def _tellable(symbol: str, result: CommandResult) -> CommandResult:
+    """Returns a result as its client can be told; one that returns what JSON cannot carry has failed."""
+    try:
+        results = plain_dict(result.results, f"what {symbol} returned")
+    except NetError as unfit:
+        return CommandResult(False, result.error or unfit, {})
+    return CommandResult(result.success, result.error, results)
 
 
 def _ended(number: int, symbol: str, result: CommandResult) -> EndedCommand:
