@@ -189,3 +189,16 @@ def test_a_number_that_is_none_among_the_facts_of_a_failure_crosses_as_text():
     network.run(5.0)
     error = front.process.results[0].error
     assert (error.message, error.facts) == ("no distance", {"distance": "Infinity"})
+
+
+def test_who_asks_a_net_that_its_own_process_does_not_run_is_told_so_at_once():
+    """Nobody has announced the net, and the process has its name: it would wait for itself."""
+    network = Network(0, 0.0)
+    middle = Node(network, "middle", [FRONT], {})
+    middle.process.command("front", "go")
+    network.run(5.0)
+    assert "there is no net middle" in middle.process.results[0].error.message
+    gives = Node(network, "gets", ["net: gives\nplaces: {a: 1}\ntransitions: {t: {in: a, out: gets.p}}"], {})
+    network.run(5.0)
+    assert {str(place): count for place, count in gives.process.exchange.undeliverable.items()} == {"gets.p": 1}
+    assert all(node.link.idle() for node in network.nodes.values())

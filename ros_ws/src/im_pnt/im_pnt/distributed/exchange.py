@@ -96,7 +96,7 @@ class Exchange:
         self.nets = self.inboxes.nets
         self.book = RequestBook(node, epoch)
         self.undeliverable: Counter[RemotePlace] = Counter()
-        self._transport = transport
+        self._node, self._transport = node, transport
         self._observer = observer or Observer()
         self._return_timeout_s, self._clock = return_timeout_s, clock
         self._lost: dict[str, tuple[float, str]] = {}
@@ -134,9 +134,9 @@ class Exchange:
         for _ in range(count):
             if target.net in self.nets:
                 self._kept(message, self.inboxes.token(target.net, target.place, carried))
-            elif self._transport is not None:
+            elif self._transport is not None and (node := self._node_of(target.net)):
                 try:
-                    self._transport.send(self._transport.node_of(target.net), message)
+                    self._transport.send(node, message)
                 except NetError as error:
                     self._kept(message, error.message)
             else:
@@ -152,6 +152,13 @@ class Exchange:
         cancelled = (job.last_failure or cancelled_by(net)) if job.cancelled else None
         return Carried(owner, self._is_home(owner.key, target), "", net, failure, results, cancelled, held)
 
+    def _node_of(self, net: str) -> str:
+        """The node of a net of another process; empty where the net is here, or is known to be nowhere else."""
+        if net in self.nets or self._transport is None:
+            return ""
+        node = self._transport.node_of(net)
+        return "" if node == self._node else node
+
     def _key_of(self, net: str, job: Job) -> JobKey:
         return JobKey(self.book.prefix, net, job.number) if job.visit is None else job.visit.owner.key
 
@@ -163,7 +170,7 @@ class Exchange:
     ) -> None:
         """Tells another net of a job whose tokens have crossed."""
         told = TidingArrived(self._key_of(net, job), False, tiding, net, error, results)
-        self._send_tiding("" if to in self.nets or self._transport is None else self._transport.node_of(to), to, told)
+        self._send_tiding(self._node_of(to), to, told)
 
     def send_settled(
         self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
@@ -182,7 +189,7 @@ class Exchange:
         action = activity.action
         assert isinstance(action, RequestAction)
         local = action.net in self.nets
-        node = "" if local or self._transport is None else self._transport.node_of(action.net)
+        node = self._node_of(action.net)
         request_id = self.book.next_name()
         job = activity.lineage.job
         command = job.command if job else Command(scope=scope_of(activity.net, NO_COMMAND))
@@ -195,7 +202,7 @@ class Exchange:
                 refusal = self.inboxes.request(request)
                 if refusal:
                     self._answer(request_id, NetError(refusal), {})
-            elif self._transport is None:
+            elif self._transport is None or not node:
                 error = LinkError(f"there is no net {action.net}{nearest(action.net, self.nets)}")
                 self._answer(request_id, error, {})
             else:
@@ -338,10 +345,8 @@ class Exchange:
 
     def _nets_of(self, node: str, executor: Executor) -> tuple[str, ...]:
         """Returns the nets of a node to which a net gives tokens."""
-        if self._transport is None:
-            return ()
         given = {target.net for each in executor.net.transitions.values() for target in each.remote_outputs}
-        return tuple(sorted(net for net in given - self.nets.keys() if self._transport.node_of(net) == node))
+        return tuple(sorted(net for net in given if self._node_of(net) == node))
 
     def partners(self) -> frozenset[str]:
         """Returns the nodes that requests wait for, those that wait for replies, and those where tokens of jobs are."""
@@ -349,8 +354,7 @@ class Exchange:
         for executor in self.nets.values():
             for job in executor.jobs():
                 asked |= {job.visit.node} if job.visit is not None and job.visit.node else set()
-                if job.away and self._transport is not None:
-                    asked |= {self._transport.node_of(net) for net in job.away if net not in self.nets}
+                asked |= {node for net in job.away if (node := self._node_of(net))}
         return frozenset(asked | {r.caller_node for r in self.inboxes.in_work.values() if r.caller_node})
 
     def tidy(self) -> None:

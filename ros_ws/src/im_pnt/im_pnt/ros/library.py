@@ -44,7 +44,8 @@ class Library:
         self._files, self._verifier = list(files), verifier
         self._kept: Path | None = None
         self._known: dict[str, Net] = {}
-        self._unread: dict[str, NetDescription] = {}
+        self._nodes: dict[str, str] = {}
+        self._unread: dict[tuple[str, str], NetDescription] = {}
         self._reading = False
 
     def begin_with(self, files: Sequence[Path]) -> None:
@@ -115,32 +116,39 @@ class Library:
         return self._verifier(nets)
 
     def _learn(self, description: NetDescription) -> None:
-        if len(self._unread) == MOST_NETS and description.net not in self._unread:
+        key = description.net, description.node
+        if len(self._unread) == MOST_NETS and key not in self._unread:
             raise NetError(f"it is not read: {MOST_NETS} others wait", net=description.net)
-        self._unread[description.net] = description
+        self._unread.pop(key, None)  # read is in the order in which it was told
+        self._unread[key] = description
         if not self._reading:
             self._reading = True
             self._node.spawn(self._read())
 
     async def _read(self) -> None:
-        """Reads what has been told, the last that was told of each net."""
+        """Reads what has been told, the last that each node has told of each net."""
         while self._unread:
-            net = next(iter(self._unread))
-            told = self._unread.pop(net)
-            if not told.json:  # it has gone
-                self._known.pop(net, None)
+            net, node = key = next(iter(self._unread))
+            told = self._unread.pop(key)
+            if not told.json:
+                self._forget(net, node)
                 continue
             try:
-                self._enter(await run_in_thread(self._node, read_net, net, told.json, told.node, timeout_s=READ_S))
+                self._enter(await run_in_thread(self._node, read_net, net, told.json, node, timeout_s=READ_S), node)
             except ImError as error:
-                self._known.pop(net, None)
+                self._forget(net, node)
                 self._node.note_failure("subscription /pnt/nets", error, lambda: "im_msgs/msg/NetDescription")
         self._reading = False
 
-    def _enter(self, net: Net) -> None:
+    def _enter(self, net: Net, node: str) -> None:
         if len(self._known) == MOST_NETS and net.name not in self._known:
             raise NetError(f"net {net.name} is not learned: {MOST_NETS} others are known", net=net.name)
-        self._known[net.name] = net
+        self._known[net.name], self._nodes[net.name] = net, node
+
+    def _forget(self, net: str, node: str) -> None:
+        """Takes a net out that a node has no more; another node may have taken it over."""
+        if self._nodes.get(net) == node:
+            del self._known[net], self._nodes[net]
 
 
 class Loader:

@@ -142,6 +142,10 @@ class DdsTransport:
 
     def _learn(self, description: NetDescription) -> None:
         node = description.node.rpartition("/")[2]
+        if not description.json:  # it has gone from there; another node may have taken it over
+            if self._directory.get(description.net) == node:
+                del self._directory[description.net]
+            return
         self._directory[description.net] = node
         with contextlib.suppress(DataError):  # whatever else is told is no journal
             if read_content(description.net, description.json).journal:

@@ -1,0 +1,70 @@
+"""What a node knows of the nets of others: who runs them, and what they are."""
+
+import json
+from pathlib import Path
+
+from rclpy.parameter import Parameter
+
+from im_core.ros import qos
+from im_core.ros.node import ManagedNode
+from im_msgs.msg import NetDescription
+from im_pnt.ros.node import PntNode
+from im_pnt_analysis import verify_to_load
+from support.loop import in_loop
+
+ALONE = [Parameter("standalone", value=True)]
+
+ASKER = """
+net: asker
+places: {idle: 1, fed: , told: , bad: }
+transitions:
+  ask: {symbol: ask, in: idle, out: fed, request: feeder.feed, on_failure: bad}
+  mark: {in: fed, out: told, request: marker.feed, on_failure: bad}
+  tell: {in: told, out: idle, emit: ask_done}
+  give_up: {in: bad, out: idle, emit: ask_failed}
+"""
+FEEDER = """
+net: feeder
+places: {wanted: , given: , none_left: }
+services: {feed: {entry: wanted, done: given, failed: none_left}}
+transitions: {give: {in: wanted, out: given, action: give, on_failure: none_left}}
+"""
+
+
+class Teller(ManagedNode):
+    """Tells of nets that it runs, or runs no more."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, parameter_overrides=ALONE)
+        self.descriptions = self.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED_MANY)
+
+    def tell(self, net: str, text: str) -> None:
+        json_text = json.dumps({"yaml": text}) if text else ""
+        self.descriptions.publish(NetDescription(net=net, node=f"/{self.task_name}", json=json_text))
+
+
+def make_asker(folder: Path) -> PntNode:
+    (folder / "asker.yaml").write_text(ASKER)
+    return PntNode("asker", [folder / "asker.yaml"], verifier=verify_to_load, parameter_overrides=ALONE)
+
+
+def test_a_net_that_another_node_has_taken_over_stays_known_whatever_the_former_one_says(tmp_path, ros, wait_until):
+    node, former, present = ros(make_asker(tmp_path)), Teller("former"), Teller("present")
+    ros(former, present)
+
+    def known() -> dict[str, str]:
+        nets = in_loop(node, node.net_with_servers, "asker")
+        return {net.name: node._transport.node_of(net.name) for net in nets if net.name != "asker"}
+
+    wait_until(lambda: node.ready, "the node")
+    former.tell("feeder", FEEDER)
+    wait_until(lambda: known() == {"feeder": "former"}, "the net of the former node")
+    present.tell("feeder", FEEDER)
+    wait_until(lambda: known() == {"feeder": "present"}, "the net of the node that has taken it over")
+    former.tell("feeder", "")
+    former.tell("marker", FEEDER.replace("feeder", "marker"))
+    wait_until(lambda: "marker" in known(), "what the former node says last")
+    assert known() == {"feeder": "present", "marker": "former"}
+    present.tell("feeder", "")
+    wait_until(lambda: known() == {"marker": "former"}, "the net to go")
+    assert node._transport.node_of("feeder") == "feeder"
