@@ -319,6 +319,52 @@ def test_a_node_goes_on_saying_what_it_has_forgotten(tmp_path, ros, wait_until):
     assert "is not whole (6 bytes) and is dropped" in told.values[0].value
 
 
+LONE = """
+net: lone
+places: {idle: 1, asked: , happy: , sad: }
+transitions:
+  begin: {in: idle, out: asked, symbol: serve}
+  try: {in: asked, out: happy, action: try, on_failure: sad}
+  finish: {in: happy, out: idle, emit: serve_done}
+  give_up: {in: sad, out: idle, emit: serve_failed}
+"""
+
+
+@pytest.mark.parametrize("success", [True, False])
+def test_a_command_that_fails_after_something_was_forgotten_says_so(ros, tmp_path, wait_until, success):
+    """As where a node asks once more for what it does not know that it has asked for: the refusal names no journal."""
+    (tmp_path / "lone.yaml").write_text(LONE)
+    begun, outcomes = [], []
+
+    async def attempt(ctx):
+        begun.append(ctx)
+        while not (tmp_path / "go").exists():
+            await pause(node, 0.02)
+        if not success:
+            raise StateError("group 'left' is moving", code="moving")
+
+    async def serve():
+        outcomes.append(await node.command("serve"))
+
+    parameters = [Parameter("standalone", value=True), Parameter("journal_dir", value=str(tmp_path / "journal"))]
+    files, functions = [tmp_path / "lone.yaml"], {"try": attempt}
+    node = ros(PntNode("lone", files, functions, verifier=verify_to_load, parameter_overrides=parameters))
+    wait_until(lambda: node.ready, "the node")
+    node.spawn(serve())
+    wait_until(lambda: begun, "the action to begin")
+    node._observer.forgot("the journal of lone has lost its end")
+    (tmp_path / "go").touch()
+    wait_until(lambda: outcomes, "the command to end")
+    node.spawn(serve())
+    wait_until(lambda: len(outcomes) == 2, "the next one to end")
+    assert [outcome.success for outcome in outcomes] == [success, success]
+    if not success:
+        first, second = (outcome.status for outcome in outcomes)
+        assert first.message.endswith("group 'left' is moving; before that: the journal of lone has lost its end")
+        assert first.code == second.code
+        assert "journal" not in second.message
+
+
 def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_until):
     node = ros(Server("front", tmp_path, journal_sync="tape"))
     wait_until(lambda: node.failed, "the node to refuse")

@@ -90,6 +90,7 @@ class Commands:
         self._count = 0
         self._life = stamp_name()
         self._open: dict[int, OpenCommand] = {}
+        self._forgotten_in: dict[int, str] = {}  # what was forgotten while a command was under way, by its number
         self._waiting: dict[int, list[Promise]] = {}
         self._listeners: dict[int, list[ProgressListener]] = {}
 
@@ -266,6 +267,11 @@ class Commands:
             command.text, command.progress = text, max(command.progress, fraction)
         self._tell(number, "", text, fraction)
 
+    def forgot(self, text: str) -> None:
+        """Notes that something was forgotten: a command that is under way and fails may fail for that."""
+        for number in self._open:
+            self._forgotten_in.setdefault(number, text)
+
     def _tell(self, number: int, transition: str, text: str, fraction: float) -> None:
         for listener in self._listeners.get(number, ()):
             try:
@@ -278,7 +284,8 @@ class Commands:
 
     def _closing(self, number: int, symbol: str) -> Callable[[CommandResult], None]:
         def closed(result: CommandResult) -> None:
-            ended = _ended(number, symbol, _tellable(symbol, result))
+            forgotten = self._forgotten_in.pop(number, "")
+            ended = _ended(number, symbol, _explained(_tellable(symbol, result), forgotten))
             outcome = _outcome(ended)
             self.ended.add(ended)
             how = "done" if ended.success else f"failed: {ended.message}"
@@ -300,6 +307,15 @@ def _tellable(symbol: str, result: CommandResult) -> CommandResult:
     except NetError as unfit:
         return CommandResult(False, result.error or unfit, {})
     return CommandResult(result.success, result.error, results)
+
+
+def _explained(result: CommandResult, forgotten: str) -> CommandResult:
+    """Returns a result that says what was forgotten before its command failed, as what was asked for twice."""
+    if result.error is None or not forgotten or forgotten in result.error.message:
+        return result
+    words = f"{result.error.message}; before that: {forgotten}"
+    error = ImError.restored(result.error.code, words, result.error.facts)
+    return CommandResult(result.success, error, result.results)
 
 
 def _ended(number: int, symbol: str, result: CommandResult) -> EndedCommand:

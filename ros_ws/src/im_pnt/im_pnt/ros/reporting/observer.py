@@ -43,8 +43,10 @@ class NodeObserver(Observer):
         self._node.get_logger().warning(f"net {net}: {text}" if net else text)
 
     def forgot(self, text: str) -> None:
-        """Writes a line of the log, and goes on saying it on ``/diagnostics``."""
+        """Writes a line of the log, goes on saying it on ``/diagnostics``, and notes it with the commands under way."""
         self._reminders.add("journal", text)
+        if self.commands is not None:
+            self.commands.forgot(text)
 
     def unproved(self, text: str) -> None:
         """Says of a net that runs without proof that it does, in the log, and from now on on ``/diagnostics``."""
