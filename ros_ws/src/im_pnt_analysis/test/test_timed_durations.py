@@ -8,6 +8,8 @@ from im_pnt.errors import NetError
 from im_pnt.model.action import FunctionAction, RequestAction
 from im_pnt.model.delay import Delay, exponential
 from im_pnt.model.net import Guard, Net, Place, Service, Transition
+from im_pnt.netfile import parse_net
+from im_pnt_analysis.simulation.simulate import simulate
 from im_pnt_analysis.timed.durations import expected_command
 from im_pnt_analysis.timed.measurement import MeasuredFiring, compare, fit_delays
 
@@ -236,3 +238,40 @@ def test_measured_run_fits_and_compares():
     assert rows["net.move"].expected_firings == pytest.approx(4.0)
     assert rows["net.move"].measured_mean == rows["net.move"].expected_mean == pytest.approx(4.0)
     assert (rows["net.other"].expected_firings, rows["net.other"].measured_firings) == (0.0, 1)
+
+CALLER = """
+net: caller
+places: {idle: 1, bad: }
+transitions:
+  ask: {symbol: job, in: idle, out: idle, request: worker.pick, on_failure: bad, emit: job_done}
+  lost: {in: bad, out: idle, emit: job_failed}
+"""
+AT_ONCE = """
+net: worker
+places: {idle: 1, bad: }
+transitions:
+  go: {symbol: pick, in: idle, out: idle, action: f, delay: 2.0, success: SUCCESS, on_failure: bad, emit: pick_done}
+  lost: {in: bad, out: idle, emit: pick_failed}
+"""
+IN_STEPS = """
+net: worker
+places: {idle: 1, mid: , ok: , bad: }
+transitions:
+  read: {symbol: pick, in: idle, out: mid}
+  go: {in: mid, out: ok, action: f, delay: 2.0, success: SUCCESS, on_failure: bad}
+  tell: {in: ok, out: idle, emit: pick_done}
+  lost: {in: bad, out: idle, emit: pick_failed}
+"""
+
+
+@pytest.mark.parametrize("success", [1.0, 0.75])
+@pytest.mark.parametrize("worker", [AT_ONCE, IN_STEPS])
+def test_a_command_that_another_net_asks_for_takes_its_time_and_its_outcome(worker, success):
+    nets = [parse_net(text.replace("SUCCESS", str(success))) for text in (CALLER, worker)]
+    result = expected_command(nets, "job")
+    assert result.mean == pytest.approx(2.0)
+    assert result.done == pytest.approx(success)
+    runs = list(simulate(nets, seed=1, steps=3000))
+    assert min(count for firing in runs for count in firing.marking.values()) >= 1
+    ends = [firing.transition for firing in runs if firing.transition in ("caller.ask.end", "caller.ask.failed")]
+    assert ends.count("caller.ask.end") / len(ends) == pytest.approx(success, abs=0.1)

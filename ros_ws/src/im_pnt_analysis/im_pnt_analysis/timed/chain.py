@@ -117,7 +117,7 @@ class _Step:
         self.net = net
         self._ready = net.compiled.enabled
         self._exponential = [timer.delay.kind == "exponential" for timer in net.timers]
-        self._plain = [(i, timer.outcomes[0][0]) for i, timer in enumerate(net.timers) if timer.active is None]
+        self._plain = [(i, timer.outcomes[0][0][0]) for i, timer in enumerate(net.timers) if timer.active is None]
         self._actions = [(i, timer.active) for i, timer in enumerate(net.timers) if timer.active is not None]
 
     def firings(self, vector: Vector, rivals: set[int]) -> tuple[bool, list[tuple[int, int]]]:
@@ -132,7 +132,12 @@ class _Step:
             if len(running) > 1 or running[0][1] > 1:
                 rivals.update(timer for timer, _ in running if not self._exponential[timer])
             timers = self.net.timers
-            return True, [(outcome, servers) for timer, servers in running for outcome, _ in timers[timer].outcomes]
+            return True, [
+                (way, servers)
+                for timer, servers in running
+                for ways, _ in timers[timer].outcomes
+                if (way := next((way for way in ways if ready(vector, way)), None)) is not None
+            ]
         for level in self.net.waiting:
             if firings := [(transition, 1) for transition in level if ready(vector, transition)]:
                 return False, firings
@@ -172,7 +177,7 @@ def chain(found: Markings, number: Callable[[float], N]) -> Chain[N]:
     for timer in net.timers:
         delay = timer.delay
         rate = number(delay.values[0]) if delay.kind == "exponential" else number(1.0) / number(delay.mean)
-        speed.update((outcome, rate * number(probability)) for outcome, probability in timer.outcomes)
+        speed.update((way, rate * number(probability)) for ways, probability in timer.outcomes for way in ways)
     weight = [number(value) for value in net.weight]
     one = number(1.0)
     firings: list[list[tuple[int, int, N]]] = []

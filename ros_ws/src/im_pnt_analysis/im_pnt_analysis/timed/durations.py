@@ -132,7 +132,7 @@ def exact_totals(net: TimedNet, symbol: str) -> tuple[Totals, str] | None:
     firings, token_time = [0.0] * len(net.shown), [0.0] * len(net.shown_places)
     critical = [0.0] * len(net.timers)
     remaining = _remaining(links)
-    timer_of = {outcome: i for i, timer in enumerate(net.timers) for outcome, _ in timer.outcomes}
+    timer_of = {way: i for i, timer in enumerate(net.timers) for ways, _ in timer.outcomes for way in ways}
     for state, time in spent.items():
         if _is_end(found, state):
             continue

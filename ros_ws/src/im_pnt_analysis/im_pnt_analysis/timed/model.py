@@ -6,11 +6,13 @@ single server whose time starts when it becomes enabled and is forgotten when it
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from im_core.errors import nearest
 from im_pnt.errors import NetError
+from im_pnt.execution.jobs import ends
+from im_pnt.model.action import RequestAction
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.delay import Delay
 from im_pnt.model.net import Net, Place, Role, Transition
@@ -20,7 +22,7 @@ _SUFFIX = ".failed"
 
 
 def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str, str]]:
-    """Splits the replies of a composition's services into done and failed.
+    """Splits the replies to requests, for services and for commands, into done and failed.
 
     Args:
         flat: Flat net of a composition.
@@ -28,16 +30,23 @@ def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str,
     Returns:
         The net, and for each transition and each place that was added the one it was split from.
     """
-    split = _shared_replies(flat)
+    services, commands = _shared_replies(flat), _command_replies(flat)
+    split = services | commands.keys()
     if not split:
         return flat, {}, {}
 
-    def apart(arcs: Mapping[str, int]) -> dict[str, int]:
-        return {f"{name}{_SUFFIX}" if name in split else name: weight for name, weight in arcs.items()}
+    def apart(arcs: Mapping[str, int], places: Collection[str] = split) -> dict[str, int]:
+        return {f"{name}{_SUFFIX}" if name in places else name: weight for name, weight in arcs.items()}
 
     transitions: dict[str, Transition] = {}
     shown: dict[str, str] = {}
-    for name, transition in flat.transitions.items():
+    for name, whole in flat.transitions.items():
+        refused = {
+            place
+            for place in whole.outputs.keys() & commands.keys()
+            if any(ends(emitted, commands[place]) is False for emitted in whole.emit)
+        }
+        transition = replace(whole, outputs=apart(whole.outputs, refused)) if refused else whole
         match transition.role:
             case Role.FINISH_FAILED:
                 transitions[name] = replace(transition, outputs=apart(transition.outputs))
@@ -54,6 +63,22 @@ def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str,
     added = {f"{name}{_SUFFIX}": name for name in flat.places if name in split}
     places = {**flat.places, **{name: Place(name) for name in added}}
     return replace(flat, places=places, transitions=transitions), shown, added
+
+
+def _command_replies(flat: Net) -> dict[str, str]:
+    """Names the places that mean the answer to a command of another net, whichever, each with the command's symbol."""
+    taken = [
+        {place for t in flat.transitions.values() if t.role is role for place in t.inputs}
+        for role in (Role.END, Role.FAILED)
+    ]
+    found: dict[str, str] = {}
+    for start in flat.transitions.values():
+        if start.role is Role.START and isinstance(start.action, RequestAction):
+            for place in start.outputs:
+                reply = f"{place.removesuffix('.active')}.reply"
+                if place.endswith(".active") and all(reply in places for places in taken):
+                    found[reply] = start.action.service
+    return found
 
 
 def _shared_replies(flat: Net) -> frozenset[str]:
@@ -79,13 +104,14 @@ class TimedActivity:
         name: The transition as written, qualified by its net where there are several.
         delay: Its time.
         active: Place with a token for each running action; None: a transition without action, which runs while enabled.
-        outcomes: Transitions that fire at its end, each with its probability.
+        outcomes: What may come of it, each with its probability: of the transitions given the first that may fire does.
+            Several where an action answers whoever has asked for it: one for each of them, and one for nobody.
     """
 
     name: str
     delay: Delay
     active: int | None
-    outcomes: tuple[tuple[int, float], ...]
+    outcomes: tuple[tuple[tuple[int, ...], float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +251,7 @@ class _Builder:
                     "begin its time anew, which cannot be told here; let another transition empty them"
                 )
             self.timer_of[index] = len(self.timers)
-            self.timers.append(TimedActivity(transition.name, transition.delay, None, ((index, 1.0),)))
+            self.timers.append(TimedActivity(transition.name, transition.delay, None, (((index,), 1.0),)))
             return
         if transition.role is Role.WITHDRAWN:
             self.withdrawn.append(index)
@@ -258,15 +284,24 @@ class _Builder:
         success = start.success if start.success != 1.0 else 1.0 - self.failures
         if not 0.0 <= success <= 1.0:
             raise NetError(f"success {success} of transition {name} is not a probability; 0 to 1 is allowed")
-        outcomes = ((self.by_name[end.name], success), (self.by_name[failed.name], 1.0 - success))
-        self._probability.update(outcomes)
+        outcomes = ((self._ways(end, active), success), (self._ways(failed, active), 1.0 - success))
+        self._probability.update((way, probability) for ways, probability in outcomes for way in ways)
         if start.delay is not None and start.delay.mean > 0.0:
-            self._timed_ends.update(outcome for outcome, _ in outcomes)
+            self._timed_ends.update(way for ways, _ in outcomes for way in ways)
             known = self._timer_named.setdefault(name, len(self.timers))
             self.timer_of[index] = known
             if known == len(self.timers):
                 taken = tuple(pair for pair in outcomes if pair[1] > 0.0)
                 self.timers.append(TimedActivity(name, start.delay, self.number[active], taken))
+
+    def _ways(self, end: Transition, active: str) -> tuple[int, ...]:
+        """All ways in which an action ends so, as which of those who have asked for it is answered."""
+        ways = [
+            index
+            for name, index in self.by_name.items()
+            if (other := self.transitions[name]).role is end.role and active in other.inputs
+        ]
+        return (*(way for way in ways if way != self.by_name[end.name]), self.by_name[end.name])
 
     def _weight(self, transition: Transition) -> float:
         weight = transition.weight

@@ -46,7 +46,7 @@ class Player:
         self._plain = [-1] * len(compiled.transitions)
         for number, timer in enumerate(net.timers):
             if timer.active is None:
-                self._plain[timer.outcomes[0][0]] = number
+                self._plain[timer.outcomes[0][0][0]] = number
         self._begins = [-1 if self._plain[t] >= 0 else timer for t, timer in enumerate(net.timer_of)]
         self.reset()
 
@@ -103,17 +103,21 @@ class Player:
             if timer.active is None:
                 self._running[number] = False
                 self._turn[number] += 1
-                transition = self._fire(timer.outcomes[0][0])
+                transition = self._fire(timer.outcomes[0][0][0])
                 if not self._unmet[transition] and not self._running[number]:
                     self._start(number)
                 return transition
             outcomes = timer.outcomes
             failed = len(outcomes) > 1 and self._dice.random() >= outcomes[0][1]
-            return self._fire(outcomes[1 if failed else 0][0])
+            return self._fire(self._way(outcomes[1 if failed else 0][0]))
         for level in range(self._n_levels, len(ready)):
             if ready[level]:
                 return self._at_once(level)
         return -1
+
+    def _way(self, ways: tuple[int, ...]) -> int:
+        """The first of the ways in which an action may end now; one always may."""
+        return next(way for way in ways if not self._unmet[way]) if len(ways) > 1 else ways[0]
 
     def token_time(self) -> list[float]:
         """Returns for each place its tokens, integrated over the time so far [s]."""

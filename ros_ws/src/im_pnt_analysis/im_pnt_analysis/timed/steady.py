@@ -140,7 +140,7 @@ def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline
     tokens: dict[str, dict[int, N]] = {name: {} for name in net.shown_places}
     busy = {timer.name: zero for timer in net.timers}
     probability: list[tuple[dict[str, int], Number]] = []
-    plain = [(timer.name, timer.outcomes[0][0]) for timer in net.timers if timer.active is None]
+    plain = [(timer.name, timer.outcomes[0][0][0]) for timer in net.timers if timer.active is None]
     actions = [(timer.name, timer.active) for timer in net.timers if timer.active is not None]
     for state, share in measure.items():
         for transition, _, rate in links.firings[state]:
