@@ -1,4 +1,6 @@
 import json
+import signal
+import subprocess
 import sys
 from xml.etree import ElementTree
 
@@ -139,3 +141,23 @@ def test_draw_says_whose_it_is_where_the_display_is_not_installed(data, tmp_path
     with pytest.raises(SystemExit):
         main(["--help"])
     assert "draw" not in capsys.readouterr().out
+
+
+def test_what_cannot_be_said_is_no_refusal_of_the_net(tmp_path):
+    net = tmp_path / "a.yaml"
+    net.write_text("net: a\nplaces: {idle: 1}\ntransitions: {go: {in: idle, out: idle, symbol: s, emit: s_done}}\n")
+    run = [sys.executable, "-m", "im_pnt_analysis", "verify", str(net)]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(run, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (BAD_INPUT, "pnt: [Errno 28] No space left on device\n")
+
+
+def test_an_interrupt_is_a_word(tmp_path):
+    net = tmp_path / "a.yaml"
+    net.write_text("net: a\nplaces: {idle: 1}\ntransitions: {go: {in: idle, out: idle, delay: 1.0}}\n")
+    run = [sys.executable, "-m", "im_pnt_analysis", "simulate", str(net), "--steps", "1000000000"]
+    with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.readline()  # it is under way
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (130, "\npnt: interrupted\n")

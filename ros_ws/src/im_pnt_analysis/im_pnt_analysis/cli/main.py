@@ -1,6 +1,7 @@
 """``pnt``: verify, prove, simulate, time and convert net files, look into journals, and what other packages add."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -8,7 +9,7 @@ from importlib import import_module
 from im_core.errors import ImError
 from im_core.one_bag import parsed
 from im_pnt_analysis.cli.extensions import extensions
-from im_pnt_analysis.cli.terminal import BAD_INPUT, OK, REFUSED
+from im_pnt_analysis.cli.terminal import BAD_INPUT, INTERRUPTED, OK, REFUSED
 
 _DESCRIPTION = """Works on Petri net transducers: YAML files with places, transitions, tapes, guards and actions, or
 PNML files of other tools. docs/nets.md tells how to write one.
@@ -26,7 +27,7 @@ PNML files of other tools. docs/nets.md tells how to write one.
   scripts/im pnt fit bags/demo --nets pick.yaml --write           delays and probabilities of nets out of recordings
   scripts/im pnt mission bags/demo                                do its nets still do the same?
 
-Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong
+Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong, 130 interrupted
 (prove: 3 it is not proved)."""
 _DRAW = """
   scripts/im pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)
@@ -82,10 +83,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.description = _DESCRIPTION.format(draw=_DRAW if "draw" in commands.choices else "")
     options = parsed(parser, words)
     try:
-        return int(options.run(options))
+        code = int(options.run(options))
+        sys.stdout.flush()  # whether all could be said is known now
     except ImError as error:
         print(f"pnt: {error}", file=sys.stderr)
         return REFUSED if error.code == "net_refused" else BAD_INPUT
     except BrokenPipeError:
         sys.stderr.close()
         return OK
+    except OSError as error:
+        print(f"pnt: {error}", file=sys.stderr)
+        _give_up_output()
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("\npnt: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return code
+
+
+def _give_up_output() -> None:
+    """Have the interpreter say nothing more at its end: there is no room for what was to be said."""
+    if sys.stdout is sys.__stdout__:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
