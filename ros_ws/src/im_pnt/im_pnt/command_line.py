@@ -1,9 +1,9 @@
 """A command as a command line says it: its symbol, and its arguments each as ``name=value``."""
 
-import json
 from collections.abc import Sequence
 
 from im_core.errors import ConfigError, NotFoundError
+from im_core.jsontext import JsonError, decode_json
 from im_pnt.model.arguments import ArgumentSchema, ArgumentType
 from im_pnt.model.net import Net
 
@@ -31,7 +31,7 @@ class Order:
         Raises:
             NotFoundError: No net knows the symbol.
             DataError: The arguments are not what the net declares.
-            ConfigError: One is not of the form ``name=value``.
+            ConfigError: One is not of the form ``name=value``, or is given twice.
         """
         net = next((net for net in nets if symbol in net.symbols()), None)
         if net is None:
@@ -43,6 +43,8 @@ class Order:
             name, sign, value = text.partition("=")
             if not sign or not name:
                 raise ConfigError(f"argument '{text}' is not of the form name=value")
+            if name in arguments:
+                raise ConfigError(f"argument '{name}' is given twice")
             arguments[name] = _value(name, value, schema)
         return cls(symbol, arguments if schema is None else schema.check(arguments, f"command {symbol}"))
 
@@ -57,7 +59,6 @@ def _value(name: str, text: str, schema: ArgumentSchema | None) -> object:
     if argument is not None and argument.type.is_list and not text.startswith("["):
         text = f"[{text}]"
     try:
-        value: object = json.loads(text)
-    except ValueError:
+        return decode_json(text)
+    except JsonError:
         return text
-    return value

@@ -10,8 +10,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import rclpy
+from rclpy.exceptions import InvalidNodeNameException
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_node_name import validate_node_name
 
 from im_core import plugins
 from im_core.clock import monotonic
@@ -59,11 +62,14 @@ def main(arguments: Sequence[str] | None = None, program: str = "pnt_node") -> i
     cut = words.index("--ros-args") if "--ros-args" in words else len(words)
     options = _parser(program).parse_args(words[:cut])
     try:
+        if options.arg and options.symbol is None:
+            raise ConfigError("--arg is an argument of a command: --symbol NAME is missing")
         sys.path[:0] = list(dict.fromkeys(str(Path(file).resolve().parent) for file in options.files))
         nets = [load_net(file) for file in options.files]
         order = None if options.symbol is None else Order.read(nets, options.symbol, options.arg)
         verifier: Verifier = plugins.load(VERIFIER, None, "verifier")  # type: ignore[assignment]  # it is one
         verifier(nets).require_ok()
+        _check_name(options.name or nets[0].name)
         if options.page and find_spec(PAGE) is None:
             raise ConfigError(f"the page is of the package {PAGE}, which is not installed")
     except ImError as error:
@@ -76,7 +82,11 @@ def _run(
     options: argparse.Namespace, nets: Sequence[Net], verifier: Verifier, order: Order | None, ros: list[str]
 ) -> int:
     """Spins the node, and the page beside it, until it has done what was asked for."""
-    rclpy.init(args=ros, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=ros, signal_handler_options=SignalHandlerOptions.NO)
+    except (_rclpy.RCLError, _rclpy.UnknownROSArgsError) as error:
+        print(f"{' '.join(ros)}: {error}", file=sys.stderr)
+        return BAD_INPUT
     with ExitStack() as ends:
         ends.callback(rclpy.try_shutdown)
         if options.page:
@@ -93,6 +103,14 @@ def _run(
             signal.signal(number, lambda *_: node.interrupt())
         spinner.spin()
     return node.exit_code
+
+
+def _check_name(name: str) -> None:
+    """Raises what is wrong with the name of a node."""
+    try:
+        validate_node_name(name)
+    except InvalidNodeNameException as error:
+        raise ConfigError(f"'{name}' is no name of a node: {str(error).splitlines()[0]}") from error
 
 
 class RunNode(PntNode):
