@@ -51,6 +51,7 @@ data = st.recursive(
 )
 fields = st.dictionaries(shown, data, max_size=3)
 optional = st.none() | names
+ros_names = names | st.sampled_from(["/a", "/a/b_1", "~/x", "/{node}/on", "on/_x"])
 acted_on = st.none() | st.lists(shown, max_size=3).map(tuple)
 functions = optional | st.just("mine.arms:reach")
 positive = st.floats(0.01, 1e6)
@@ -76,10 +77,10 @@ def delays(draw_):
 
 actions = st.one_of(
     st.builds(FunctionAction, names | st.just("mine:act")),
-    st.builds(ServiceAction, shown, st.just("p/srv/Do"), fields, functions, functions, optional),
-    st.builds(GoalAction, shown, st.just("p/action/Move"), fields, functions, functions, optional),
-    st.builds(TopicAction, shown, st.just("p/msg/Word"), fields, functions),
-    st.builds(AwaitAction, shown, st.just("p/msg/Word"), st.booleans(), functions, st.none() | st.just("${1 < 2}")),
+    st.builds(ServiceAction, ros_names, st.just("p/srv/Do"), fields, functions, functions, optional),
+    st.builds(GoalAction, ros_names, st.just("p/action/Move"), fields, functions, functions, optional),
+    st.builds(TopicAction, ros_names, st.just("p/msg/Word"), fields, functions),
+    st.builds(AwaitAction, ros_names, st.just("p/msg/Word"), st.booleans(), functions, st.none() | st.just("${1 < 2}")),
     st.builds(RequestAction, names, names, fields, functions),
     st.builds(ValuesAction),
 )

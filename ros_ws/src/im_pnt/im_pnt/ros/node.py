@@ -5,6 +5,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from rclpy.exceptions import NameValidationException
 from rclpy.parameter import Parameter
 
 from im_core.errors import ImError, StateError
@@ -40,6 +41,7 @@ from im_pnt.ros.commands.execute import ExecuteServer, RunCommand
 from im_pnt.ros.commands.notes import CommandNotes
 from im_pnt.ros.execution.actions import RosAction, ServiceActions, Surroundings, TopicActions
 from im_pnt.ros.execution.awaits import AwaitActions
+from im_pnt.ros.execution.endpoints import EndpointGoesError, require_one_type
 from im_pnt.ros.execution.goals import GoalActions
 from im_pnt.ros.execution.loop import NetLoop
 from im_pnt.ros.execution.transport import DdsTransport
@@ -57,6 +59,8 @@ from im_pnt.verification import Verification, Verifier, accept
 __all__ = ["CommandOutcome", "OpenCommand", "PntNode", "ProgressListener"]
 
 TIDY_PERIOD_S = 2.0
+ENDPOINT_GOES_S = 0.05
+"""After so long the executor has let go of what a former net reached others with [s]."""
 WRITTEN_S = 0.1
 """How often it is looked whether a journal that could not be written is [s]."""
 
@@ -226,9 +230,7 @@ class PntNode(ManagedNode):
             JournalError: The journal cannot be written; all is as it was.
         """
         await run_in_thread(self, self.functions.check, net)  # a user's module may take long to import
-        report, state = await self.loader.prepare(net, patience_s, beside)
-        former = self.exchange.nets.get(net.name)
-        self._take_in(self._library.kept(net), report, state)
+        report, former = await self._take_place(net, patience_s, beside)
         self._prepare_partners()
         try:
             if self._journal is not None:
@@ -366,6 +368,20 @@ class PntNode(ManagedNode):
         if self._journal is not None:
             self._journal.renew()
 
+    async def _take_place(
+        self, net: Net, patience_s: float, beside: Sequence[Net]
+    ) -> tuple[Verification, Executor | None]:
+        """Takes in a net that may run, when the present one of its name is at rest; returns that, too."""
+        while True:
+            report, state = await self.loader.prepare(net, patience_s, beside)
+            former = self.exchange.nets.get(net.name)
+            try:
+                self._take_in(self._library.kept(net), report, state)
+            except EndpointGoesError:
+                await pause(self, ENDPOINT_GOES_S)
+            else:
+                return report, former
+
     def _prepare_partners(self) -> None:
         """Makes ready to write to the nets of other nodes that those of this node talk to."""
         nets = self.exchange.nets
@@ -387,10 +403,16 @@ class PntNode(ManagedNode):
         else:
             self.get_logger().info(report.sentence)
         self.sources.check_topics(net.name, self.functions.wakes(net))
+        require_one_type(net, [each.written for name, each in self.exchange.nets.items() if name != net.name])
         for transition in net.transitions.values():
             action = transition.action
             if action is not None and type(action) in self._kinds:
-                self._kinds[type(action)].prepare(action)
+                try:
+                    self._kinds[type(action)].prepare(action)
+                except (RuntimeError, ValueError, NameValidationException) as error:  # the middleware has its rules
+                    why = " ".join(str(error).split())
+                    text = f"{net.name}.{transition.name}: {action} cannot be prepared: {why}"
+                    raise NetError(text, net=net.name, transition=transition.name) from error
         journal = self._journal
         executor = Executor(
             net,

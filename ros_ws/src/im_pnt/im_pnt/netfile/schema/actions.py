@@ -5,14 +5,25 @@ from typing import Annotated
 import pydantic
 from pydantic import Field
 
-from im_pnt.netfile.schema.names import NAME
-from im_pnt.netfile.schema.values import Fields, FilePart, Function, Given, Name, Text, TextForm, Truth, type_form
+from im_pnt.netfile.schema.names import MAX_NAME, NAME
+from im_pnt.netfile.schema.values import Fields, FilePart, Function, Given, Name, TextForm, Truth, type_form
 
 _SERVICE = TextForm(rf"{NAME}\.{NAME}", "is not of the form net.service")
 
+_TOKEN = r"(?:[A-Za-z_]|\{(?:node|ns|namespace)\})(?:[A-Za-z0-9_]|\{(?:node|ns|namespace)\})*"
+_RosName = Annotated[
+    str,
+    TextForm(
+        rf"(?:~?/)?{_TOKEN}(?:/{_TOKEN})*",
+        "is no name of ROS (words of letters, digits and _, not starting with a digit, with / between them)",
+        like_truth=True,
+        longest=MAX_NAME,
+    ),
+]
+
 
 class _MessageFile(FilePart):
-    name: Text = Field(description="Name of the service, action or topic.")
+    name: _RosName = Field(description="Name of the service, action or topic.")
     build: Given[Function] = Field(None, description="Registered function that makes further fields.")
 
 
@@ -31,7 +42,7 @@ class TopicFile(_MessageFile):
 class AwaitFile(FilePart):
     """A message that is waited for."""
 
-    name: Text = Field(description="Name of the topic.")
+    name: _RosName = Field(description="Name of the topic.")
     type: Annotated[str, type_form("msg")] = Field(description="Its type, package/msg/Type.")
     latched: Truth = Field(
         False, description="Whether the last message of a latched topic, published before, counts too."

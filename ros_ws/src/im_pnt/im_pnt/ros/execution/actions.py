@@ -21,6 +21,7 @@ from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
 from im_pnt.mission.log import MissionLog
 from im_pnt.model.action import Action, AwaitAction, GoalAction, ServiceAction, TopicAction
+from im_pnt.ros.execution.endpoints import Endpoints
 from im_pnt.ros.messages import fill, packed_message, plain_fields
 
 DISCOVERY_TIMEOUT_S = 20.0
@@ -184,7 +185,7 @@ class ServiceActions:
 
     def __init__(self, surroundings: Surroundings) -> None:
         self._surroundings = surroundings
-        self._clients: dict[str, tuple[Client, float]] = {}
+        self._clients = Endpoints(self._make, lambda made: surroundings.node.destroy_client(made[0]))
 
     def prepare(self, action: Action) -> None:
         """Makes the client of an action.
@@ -193,7 +194,7 @@ class ServiceActions:
             NotFoundError: No such type is installed.
         """
         assert isinstance(action, ServiceAction)
-        self._client(action)
+        self._clients.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
         """Calls a service and has its answer handled; returns what is kept of it.
@@ -203,7 +204,7 @@ class ServiceActions:
         """
         action = activity.action
         assert isinstance(action, ServiceAction)
-        around, (client, made) = self._surroundings, self._client(action)
+        around, (client, made) = self._surroundings, self._clients.of(action.name, action.type)
         request = await around.sent(activity, action, context, interface_class(action.type).Request())
         task = around.task(action)
         what = f"transition {activity.transition}"
@@ -220,12 +221,9 @@ class ServiceActions:
         require_success(response, str(action))
         return await around.handled(action, context, response)
 
-    def _client(self, action: ServiceAction) -> tuple[Client, float]:
+    def _make(self, name: str, type_name: str) -> tuple[Client, float]:
         """The client of a service, and when it was made."""
-        if action.name not in self._clients:
-            client = self._surroundings.node.create_client(interface_class(action.type), action.name)
-            self._clients[action.name] = (client, monotonic())
-        return self._clients[action.name]
+        return self._surroundings.node.create_client(interface_class(type_name), name), monotonic()
 
 
 class TopicActions:
@@ -233,7 +231,7 @@ class TopicActions:
 
     def __init__(self, surroundings: Surroundings) -> None:
         self._surroundings = surroundings
-        self._publishers: dict[tuple[str, str], Publisher] = {}
+        self._publishers = Endpoints(self._make, surroundings.node.destroy_publisher)
 
     def prepare(self, action: Action) -> None:
         """Makes the publisher of an action.
@@ -242,7 +240,7 @@ class TopicActions:
             NotFoundError: No such type is installed.
         """
         assert isinstance(action, TopicAction)
-        self._publisher(action)
+        self._publishers.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
         """Publishes one message, which nobody answers.
@@ -253,15 +251,11 @@ class TopicActions:
         action = activity.action
         assert isinstance(action, TopicAction)
         message = await self._surroundings.sent(activity, action, context, interface_class(action.type)())
-        self._publisher(action).publish(message)
+        self._publishers.of(action.name, action.type).publish(message)
         return {}
 
-    def _publisher(self, action: TopicAction) -> Publisher:
-        key = (action.name, action.type)
-        if key not in self._publishers:
-            node = self._surroundings.node
-            self._publishers[key] = node.create_publisher(interface_class(action.type), action.name, qos.EVENTS)
-        return self._publishers[key]
+    def _make(self, name: str, type_name: str) -> Publisher:
+        return self._surroundings.node.create_publisher(interface_class(type_name), name, qos.EVENTS)
 
 
 # What they are made of, and what is read from answers.

@@ -22,6 +22,7 @@ from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import Action, AwaitAction
 from im_pnt.ros.execution.actions import Surroundings, answer_key
+from im_pnt.ros.execution.endpoints import Endpoints
 from im_pnt.ros.messages import packed_message, plain_fields
 
 DEPTH = 100
@@ -36,7 +37,7 @@ class AwaitActions:
 
     def __init__(self, surroundings: Surroundings) -> None:
         self._surroundings = surroundings
-        self._listeners: dict[tuple[str, str, bool], _Listener] = {}
+        self._topics = Endpoints(lambda name, kind: _Topic(surroundings.node, name, kind), _Topic.close)
 
     def prepare(self, action: Action) -> None:
         """Begins to listen.
@@ -45,7 +46,7 @@ class AwaitActions:
             NotFoundError: No such type is installed.
         """
         assert isinstance(action, AwaitAction)
-        self._listener(action)
+        self._topics.of(action.name, action.type).listener(action.latched)
 
     def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
         """Takes the next message from now on; whatever comes counts, also before the coroutine has begun.
@@ -55,7 +56,7 @@ class AwaitActions:
         """
         action = activity.action
         assert isinstance(action, AwaitAction)
-        listener = self._listener(action)
+        listener = self._topics.of(action.name, action.type).listener(action.latched)
         promise = listener.next(partial(self._counts, action, context))
 
         def give_up() -> None:
@@ -82,11 +83,30 @@ class AwaitActions:
         message = await self._surroundings.log.read(answer_key(activity), promise, packed_message)
         return await self._surroundings.handled(action, context, message)
 
-    def _listener(self, action: AwaitAction) -> "_Listener":
-        key = (action.name, action.type, action.latched)
-        if key not in self._listeners:
-            self._listeners[key] = _Listener(self._surroundings.node, *key)
-        return self._listeners[key]
+
+class _Topic:
+    """A topic that is listened to: for what comes, or also for what was latched before.
+
+    Args:
+        node: The node.
+        name: Name of the topic.
+        type_name: Its type.
+    """
+
+    def __init__(self, node: ManagedNode, name: str, type_name: str) -> None:
+        self._node, self._name, self._type = node, name, interface_class(type_name)
+        self._listeners: dict[bool, _Listener] = {}
+
+    def listener(self, latched: bool) -> "_Listener":
+        """Returns who listens, for the last message before too where that counts."""
+        if latched not in self._listeners:
+            self._listeners[latched] = _Listener(self._node, self._name, self._type, latched)
+        return self._listeners[latched]
+
+    def close(self) -> None:
+        """Listens no more."""
+        for listener in self._listeners.values():
+            listener.close()
 
 
 class _Listener:
@@ -95,13 +115,12 @@ class _Listener:
     Args:
         node: The node.
         topic: Name of the topic.
-        type_name: Its type.
+        message_type: Its type.
         latched: Whether the last message counts for whoever comes later.
     """
 
-    def __init__(self, node: ManagedNode, topic: str, type_name: str, latched: bool) -> None:
-        self._node, self._topic, self._latched = node, topic, latched
-        self._type = interface_class(type_name)
+    def __init__(self, node: ManagedNode, topic: str, message_type: Any, latched: bool) -> None:
+        self._node, self._topic, self._type, self._latched = node, topic, message_type, latched
         self._waiting: dict[Promise, Callable[[Any], bool]] = {}
         self._last: Any = None
         self._reliable, self._durable = True, latched
@@ -118,6 +137,10 @@ class _Listener:
     def drop(self, promise: Promise) -> None:
         """Forgets a promise that nobody waits for any more."""
         self._waiting.pop(promise, None)
+
+    def close(self) -> None:
+        """Listens no more."""
+        self._node.destroy_subscription(self._subscription)
 
     def _hear(self, data: bytes) -> None:
         if self._latched or self._waiting:

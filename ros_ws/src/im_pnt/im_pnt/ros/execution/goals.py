@@ -31,6 +31,7 @@ from im_pnt.ros.execution.actions import (
     require_wanted,
     time_left,
 )
+from im_pnt.ros.execution.endpoints import Endpoints
 from im_pnt.ros.messages import packed_message
 
 ACCEPT_TIMEOUT_S = 30.0
@@ -59,7 +60,7 @@ class GoalActions:
         life: Callable[[], str],
     ) -> None:
         self._surroundings, self._spawn, self._life = surroundings, spawn, life
-        self._clients: dict[str, tuple[ActionClient, float]] = {}
+        self._clients = Endpoints(self._make, lambda made: made[0].destroy())
         self._results: dict[Activity, Any] = {}
         self._performed: set[Activity] = set()
 
@@ -70,7 +71,7 @@ class GoalActions:
             NotFoundError: No such type is installed.
         """
         assert isinstance(action, GoalAction)
-        self._client(action)
+        self._clients.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
         """Sends a goal, waits for its result and has it handled; returns what is kept of it.
@@ -87,7 +88,7 @@ class GoalActions:
             self._performed.discard(activity)
 
     async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> dict[str, object]:
-        around, (client, made) = self._surroundings, self._client(action)
+        around, (client, made) = self._surroundings, self._clients.of(action.name, action.type)
         task = around.task(action)
         goal = await around.sent(activity, action, context, interface_class(action.type).Goal())
 
@@ -117,7 +118,7 @@ class GoalActions:
         assert isinstance(action, GoalAction)
         if activity in self._performed:
             return Answer(Outcome.RUNNING, asked=f"{action.name}: its result is awaited")
-        (client, made), task = self._client(action), around.task(action)
+        (client, made), task = self._clients.of(action.name, action.type), around.task(action)
         try:
             await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
             if activity not in self._results:
@@ -167,12 +168,9 @@ class GoalActions:
         name = f"{self._life()}/{activity.net}/{activity.number}"
         return UUID(uuid=list(uuid.uuid5(_NAMESPACE, name).bytes))
 
-    def _client(self, action: GoalAction) -> tuple[ActionClient, float]:
+    def _make(self, name: str, type_name: str) -> tuple[ActionClient, float]:
         """The client of an action, and when it was made."""
-        if action.name not in self._clients:
-            client = GuardedActionClient(self._surroundings.node, interface_class(action.type), action.name)
-            self._clients[action.name] = (client, monotonic())
-        return self._clients[action.name]
+        return GuardedActionClient(self._surroundings.node, interface_class(type_name), name), monotonic()
 
 
 def packed_result(answer: Any) -> list[object]:
