@@ -53,7 +53,7 @@ def shared_memory():
 
 def mapped_files(pid):
     names = (line.split(maxsplit=5)[-1] for line in Path(f"/proc/{pid}/maps").read_text().splitlines())
-    return {Path(name) for name in names if name.startswith("/dev/shm/") and not re.search("lttng|_port70", name)}
+    return {Path(name) for name in names if name.startswith("/dev/shm/") and not re.search("lttng|fastrtps_port", name)}
 
 
 def unused(files):

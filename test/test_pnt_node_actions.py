@@ -141,7 +141,7 @@ class Hardware(ManagedNode):
         return response
 
     def _get(self, request, response):
-        response.success = self.valid
+        response.success, response.status.code = self.valid, "ok" if self.valid else "state"
         return response
 
     async def _trajectory(self, goal):

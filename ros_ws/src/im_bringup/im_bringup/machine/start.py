@@ -6,7 +6,7 @@ import shutil
 import socket
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -119,10 +119,13 @@ def complain(sentence: str) -> None:
 
 
 def _write(stream: TextIO, sentence: str) -> None:
+    if stream.closed:
+        return
     try:
         print(sentence, file=stream, flush=True)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        with suppress(BrokenPipeError):
+            stream.close()
 
 
 @contextmanager

@@ -1,9 +1,9 @@
 """``pnt``: verify, prove, simulate, time and convert net files, look into journals, and what other packages add."""
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 
 from im_core.errors import ImError
@@ -103,5 +103,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _give_up_output() -> None:
     """Have the interpreter say nothing more at its end: there is no room for what was to be said."""
-    if sys.stdout is sys.__stdout__ and sys.stdout is not None:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if sys.stdout is sys.__stdout__:
+        with suppress(OSError):
+            sys.stdout.close()
