@@ -296,6 +296,48 @@ def test_who_returns_without_its_journal_fails_what_waits_for_it_at_once():
     assert pair.marking("back") == {"SI": 1, "SO": 1}
 
 
+WAITER = """
+net: waiter
+places: {idle: 1, told: , bad: }
+rest: [told, bad]
+transitions: {wait: {in: idle, out: told, request: nobody.serve, on_failure: bad}}
+"""
+
+
+def test_no_request_has_the_name_of_one_that_an_old_copy_of_the_journal_has_forgotten():
+    pair = Pair(front=[FRONT, WAITER], back=[BACK])
+    asked(pair)
+    let_go(pair)
+    pair.run()
+    old = pair.files["front"].reborn()
+    first = pair.alive["front"].exchange.book.life
+    pair.alive["front"].exchange.nets["front"].command(Command(2, "go"))
+    pair.run()
+    forgotten = next(name for name, asked in pair.alive["front"].exchange.book.items() if asked.net == "back")
+    pair.kill("front")
+    pair.files["front"] = old
+    pair.start("front")
+    pair.run(5.0)
+    assert any("the journal of front was an old copy" in text for text in pair.troubles.texts)
+    pair.alive["front"].exchange.nets["front"].command(Command(3, "go"))
+    pair.run()
+    for _ in range(3):
+        late = Message(MessageKind.REPLY, "front", "", forgotten, payload={"results": {"of": "the forgotten one"}})
+        exchange = pair.alive["front"].exchange
+        exchange.receive("back", late)
+        pair.run()
+        assert pair.marking("front") == {"ask.active": 1}
+        lives = {name: [activity.life for activity in net.activities] for name, net in exchange.nets.items()}
+        assert lives == {"front": [""], "waiter": [first]}  # what had begun before keeps its name
+        assert exchange.book.life != first
+        pair.kill("front")
+        pair.start("front")
+        pair.run()
+    let_go(pair)
+    pair.run()
+    assert pair.marking("front") == {"idle": 1}
+
+
 @pytest.mark.parametrize("dying", [[], ["back"], ["front"], ["back", "front"]])
 def test_a_cancellation_is_not_lost(dying):
     pair = Pair(front=[FRONT], back=[BACK])

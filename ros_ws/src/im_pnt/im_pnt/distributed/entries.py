@@ -47,6 +47,12 @@ class RequestClosed(NamedTuple):
     request_id: str
 
 
+class RequestsRenamed(NamedTuple):
+    """Requests, and what else has its name from the life of the process, are named otherwise from then on."""
+
+    life: str
+
+
 class TokenKept(NamedTuple):
     """A token is kept that no net wants."""
 
@@ -54,4 +60,4 @@ class TokenKept(NamedTuple):
     place: str
 
 
-ExchangeEntry = EventPosted | RequestAsked | RequestAnswered | RequestClosed | TokenKept
+ExchangeEntry = EventPosted | RequestAsked | RequestAnswered | RequestClosed | RequestsRenamed | TokenKept

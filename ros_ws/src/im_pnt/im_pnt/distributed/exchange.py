@@ -17,6 +17,7 @@ from im_pnt.distributed.entries import (
     RequestAnswered,
     RequestAsked,
     RequestClosed,
+    RequestsRenamed,
     TokenKept,
 )
 from im_pnt.distributed.inboxes import Inboxes
@@ -29,7 +30,7 @@ from im_pnt.distributed.messages import (
     tiding_of,
     token_of_job,
 )
-from im_pnt.distributed.packets import VOID, Message, MessageKind, token_message
+from im_pnt.distributed.packets import VOID, Message, MessageKind, began_at, token_message
 from im_pnt.distributed.requests import RequestBook, Waiting
 from im_pnt.errors import NetError
 from im_pnt.execution.events import ActionEnded, NodeForgotten, RequestArrived, Tiding, TidingArrived
@@ -328,6 +329,14 @@ class Exchange:
         self._lost.pop(node, None)
         self._give_up(node, why)
 
+    def begin_life(self, epoch: int) -> None:
+        """The process has forgotten what it had asked: nothing that is asked from now on has the name of that.
+
+        Args:
+            epoch: The epoch that it has begun.
+        """
+        self._happens(RequestsRenamed(f"{self._node}-{began_at(epoch):x}"))
+
     def _give_up(self, node: str, why: str) -> None:
         for name, executor in self.nets.items():
             nets = self._nets_of(node, executor)
@@ -426,6 +435,11 @@ class Exchange:
                 self.book.close(request_id)
             case RequestClosed(request_id):
                 del self.inboxes.in_work[request_id]
+            case RequestsRenamed(life):
+                for executor in self.nets.values():
+                    for activity in executor.activities:
+                        activity.life = activity.life or self.book.life
+                self.book.life = life
             case TokenKept(net, place):
                 self.undeliverable[RemotePlace(net, place)] += 1
 

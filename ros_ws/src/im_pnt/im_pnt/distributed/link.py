@@ -125,6 +125,7 @@ class Link:
         peers: The other processes, by name.
         record: Takes an entry for the journal, which is written before anything leaves; None: no journal is kept.
         held: Whether something is still to be written to the journal; nothing leaves then.
+        fell_back: Is told the new epoch when it was found out that the journal of this process has forgotten something.
     """
 
     def __init__(
@@ -143,6 +144,7 @@ class Link:
         self.accept, self._returned, self._reset, self._heard = accept, returned, reset, heard
         self.record: Callable[[LinkEntry], None] | None = None
         self.held: Callable[[], bool] = lambda: False
+        self.fell_back: Callable[[int], None] = lambda epoch: None
         self.peers: dict[str, Peer] = {}
         self._quoted = json.dumps(name)
         self._transmit = transmit
@@ -427,6 +429,7 @@ class Link:
         text = f"the journal of {self.name} was an old copy, or has lost its end: {why}"
         self._observer.forgot(f"{text}; what happened since is forgotten, and what was asked is given up")
         self._live_anew(self.epoch)
+        self.fell_back(self.epoch)
         for peer in list(self.peers.values()):
             if peer.incoming.epoch:
                 self._part(peer, text)

@@ -31,6 +31,7 @@ Of the exchange, ``["exchange", entry]``; a delivery is written as the net does 
     ["posted", net, delivery]
     ["asked", request, net, number, asked net, its node]
     ["answered", request]  ["closed", request]
+    ["renamed", life]                                  how requests are named from then on
     ["undeliverable", net, place]
 
 Of the link, ``["link", entry]``, where a message is its number and what
@@ -54,6 +55,7 @@ from im_pnt.distributed.entries import (
     RequestAnswered,
     RequestAsked,
     RequestClosed,
+    RequestsRenamed,
     TokenKept,
 )
 from im_pnt.distributed.packets import decode_message, numbered
@@ -418,6 +420,8 @@ def encode_exchange_entry(entry: ExchangeEntry) -> str:
             fields = ["answered", request_id]
         case RequestClosed(request_id):
             fields = ["closed", request_id]
+        case RequestsRenamed(life):
+            fields = ["renamed", life]
         case TokenKept(net, place):
             fields = ["undeliverable", net, place]
     return f'["exchange",{encode_json(fields)}]'
@@ -444,6 +448,8 @@ def decode_exchange_entry(content: object) -> ExchangeEntry:
             return RequestAnswered(request_id)
         case ["closed", str(request_id)]:
             return RequestClosed(request_id)
+        case ["renamed", str(life)]:
+            return RequestsRenamed(life)
         case ["undeliverable", str(net), str(place)]:
             return TokenKept(net, place)
     raise ValueError(f"{str(content)[:200]} is no entry of an exchange")

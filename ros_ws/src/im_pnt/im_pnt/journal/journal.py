@@ -145,6 +145,7 @@ class Journal:
         exchange.inboxes.record = self._record_exchange
         link.record = self._record_link
         link.held = lambda: self.unwritten
+        link.fell_back = exchange.begin_life
         if recovered is not None:
             link.come_back()
         if recovered is not None:

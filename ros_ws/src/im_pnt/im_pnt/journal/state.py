@@ -203,12 +203,13 @@ def _activity(activity: Activity) -> list[object]:
         encode_error(lineage.failure),
         encode_error(activity.doubt),
         reply,
+        *([activity.life] if activity.life else []),
     ]
 
 
 def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object) -> Activity:
     match content:
-        case [int(number), str(transition), str(state), job, failure, doubt, None | list() as reply]:
+        case [int(number), str(transition), str(state), job, failure, doubt, None | list() as reply, *life]:
             lineage = _lineage_of(known, [job, failure])
             activity = rule.new_activity(rule.number[f"{transition}.start"], number, lineage)
             activity.state = ActivityState(state)
@@ -216,6 +217,7 @@ def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object)
             activity.doubt, activity.doubted = decode_error(doubt), activity.began
             if reply is not None:
                 activity.reply = Reply(decode_error(reply[0]), dict(reply[1]))
+            activity.life = str(life[0]) if life else ""
             return activity
     raise ValueError(f"{str(content)[:80]} is no action that runs")
 
@@ -252,7 +254,7 @@ def exchange_state(exchange: Exchange) -> dict[str, object]:
     book, inboxes = exchange.book, exchange.inboxes
     posted = {net: inboxes.not_late(net, events) for net, events in inboxes.deliveries.waiting().items()}
     return {
-        "requests": [book.prefix, book.count],
+        "requests": [book.prefix, book.count, *([book.life] if book.life != book.prefix else [])],
         "asked": [[name, w.executor.net.name, w.activity.number, w.net, w.node] for name, w in book.items()],
         "in_work": [encode_request(request) for request in inboxes.in_work.values()],
         "undeliverable": [[net, place, count] for (net, place), count in exchange.undeliverable.items()],
@@ -270,7 +272,7 @@ def restore_exchange(exchange: Exchange, state: Mapping[str, object]) -> None:
     """
     match state:
         case {
-            "requests": [str(prefix), int(count)],
+            "requests": [str(prefix), int(count), *life],
             "asked": list(asked),
             "in_work": list(in_work),
             "undeliverable": list(undeliverable),
@@ -283,6 +285,7 @@ def restore_exchange(exchange: Exchange, state: Mapping[str, object]) -> None:
                     case _:
                         raise ValueError(f"{str(fields)[:200]} is no request")
             exchange.book.prefix, exchange.book.count = prefix, count
+            exchange.book.life = str(life[0]) if life else prefix
             for request in map(decode_request, in_work):
                 exchange.inboxes.in_work[request.id] = request
             for net, events in posted.items():

@@ -140,7 +140,7 @@ class PntNode(ManagedNode):
         self._library = Library([Path(file) for file in net_files], verifier)
         self.loader = Loader(self, self._library, self.exchange.nets, self._publisher)
         around = Surroundings(self, self.functions, self.heartbeats, self.log, self._keep)
-        goals = GoalActions(around, self.spawn, lambda: self.exchange.book.prefix)
+        goals = GoalActions(around, self.spawn, lambda: self.exchange.book.life)
         awaits = AwaitActions(around)
         self._kinds: dict[type, RosAction] = {
             ServiceAction: ServiceActions(around),

@@ -1,7 +1,7 @@
 """Action goals as actions of transitions.
 
-The id of a goal follows from the request book of the process and the number of the activity, which the journal brings
-back: a node that died asks the server about the goals that it had sent.
+The id of a goal follows from the life of the process in which its activity began and the number of that, which the
+journal brings back: a node that died asks the server about the goals that it had sent.
 """
 
 import uuid
@@ -50,7 +50,7 @@ class GoalActions:
     Args:
         surroundings: Reaches other tasks.
         spawn: Runs coroutines in the loop.
-        life: Names the process, the same before and after it died.
+        life: Names the life of the process.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class GoalActions:
         return ClientGoalHandle(client, self._goal_id(activity), accepted)
 
     def _goal_id(self, activity: Activity) -> UUID:
-        name = f"{self._life()}/{activity.net}/{activity.number}"
+        name = f"{activity.life or self._life()}/{activity.net}/{activity.number}"
         return UUID(uuid=list(uuid.uuid5(_NAMESPACE, name).bytes))
 
     def _make(self, name: str, type_name: str) -> tuple[ActionClient, float]:
