@@ -22,8 +22,9 @@ from im_core.ros.calls import call_blocking, pause
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
 from im_msgs.action import Move
+from im_msgs.msg import Marking
 from im_pnt.errors import JournalError
-from im_pnt.execution.events import ModeSet
+from im_pnt.execution.events import ModeSet, PauseSet
 from im_pnt.execution.functions import idempotent, woken_by
 from im_pnt.execution.operator import Mode
 from im_pnt.journal.folder import Folder
@@ -508,3 +509,27 @@ def test_a_net_that_was_refused_keeps_nobody_waiting_for_the_objects_of_its_guar
     node.spawn(say())
     wait_until(lambda: ended, "the command of the other net to end")
     assert ended[0].success
+
+
+def test_a_net_that_goes_right_after_it_has_changed_takes_no_marking_of_another_with_it(tmp_path, ros, wait_until):
+    (tmp_path / "say.yaml").write_text(SAY)
+    node = ros(Server("say", tmp_path))
+    wait_until(lambda: node.ready, "the node")
+    markings, told = [], []
+    node.create_subscription(Marking, "/pnt/markings", markings.append, qos.LATCHED_MANY)
+    wait_until(lambda: markings, "the marking of the net")
+
+    async def work():
+        await node.load_net(parse_net(CRY), 30.0)
+        node._loop.turn()
+        node._publisher.changed("cry")
+        node._publisher.publish()
+        node._publisher.changed("cry")  # what changes within 20 ms of that is told when they are over
+        node.exchange.nets["say"].post(PauseSet(True))
+        node._loop.turn()
+        await node.unload_net("cry", 30.0)
+        told.append(True)
+
+    node.spawn(work())
+    wait_until(lambda: told, "the net to go")
+    wait_until(lambda: any(each.net == "say" and each.paused for each in markings), "the marking of the other")

@@ -77,7 +77,8 @@ class PntPublisher:
         self._marked_at = monotonic()
         changed, self._changed = self._changed, {}
         for net in changed:
-            self.marked(self.nets[net])
+            if net in self.nets:  # it may have gone since
+                self.marked(self.nets[net])
 
     def marked(self, executor: Executor) -> None:
         """Publishes the marking of a net, and how it is operated."""
