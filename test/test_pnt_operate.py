@@ -15,6 +15,7 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Marking, NetRefusal, StrategyChoice
 from im_msgs.srv import ControlNet
+from im_pnt.errors import JournalError
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.netfile import parse_net
 from im_pnt.ros.node import PntNode
@@ -173,11 +174,44 @@ def test_step_by_step_each_request_fires_one_transition(machine):
     assert operator.ask("step").state.startswith("step: ")
     outcomes = walker.go()
     for place in ("here", "there", "idle"):
-        operator.until(lambda: walker.exchange.nets["walker"].operator._held, "something to be allowed")
+        operator.until(lambda: walker.exchange.nets["walker"].operator.may_step, "something to be allowed")
         operator.ask("step")
         operator.until(lambda wanted=place: operator.tokens() == {wanted: 1}, f"a token on {place}")
     operator.until(lambda: outcomes, "the end of the command")
     assert operator.markings["walker"].mode == "step"
+
+
+def test_a_step_that_nothing_waits_for_is_refused(machine):
+    operator, walker = machine
+    assert operator.ask("step").success  # that is the mode
+    refused = operator.ask("step")
+    assert (refused.success, refused.message) == (
+        False, "net walker takes no step: nothing is enabled that waits for one",
+    )  # fmt: skip
+    outcomes = walker.go()
+    operator.until(lambda: walker.exchange.nets["walker"].operator.may_step, "something to be allowed")
+    operator.ask("pause")
+    assert operator.ask("step").message == "net walker takes no step: it is paused"
+    operator.ask("resume")
+    operator.ask("automatic")
+    operator.until(lambda: outcomes, "the end of the command")
+
+
+def test_an_operator_is_told_what_outlives_the_node(machine, monkeypatch):
+    operator, walker = machine
+
+    def full(batch):
+        raise JournalError("the journal cannot be written: No space left on device", file="journal")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(walker._journal._log, "append", full)
+        answer = operator.control.call_async(ControlNet.Request(net="walker", request="pause"))
+        operator.until(lambda: walker.exchange.nets["walker"].paused, "the pause")
+        clock.sleep(0.3)
+        assert not answer.done()
+    operator.until(answer.done, "the answer")
+    assert answer.result().success
+    assert answer.result().state == "automatic, paused: idle=1"
 
 
 def test_under_supervision_each_firing_is_proposed_and_confirmed(machine):

@@ -65,9 +65,14 @@ class Operator:
         """Keeps an enabled transition until something is allowed again."""
         self._held[transition] = None
 
+    @property
+    def may_step(self) -> bool:
+        """Whether a transition is held back until a step is asked for."""
+        return bool(self._held) and self.mode is Mode.STEP and not self.paused
+
     def step(self) -> bool:
         """Allows one firing, if one is held back for it; returns whether."""
-        self._credit = bool(self._held) and self.mode is Mode.STEP and not self.paused
+        self._credit = self.may_step
         return self._credit
 
     def spent(self) -> None:

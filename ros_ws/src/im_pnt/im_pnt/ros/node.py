@@ -197,7 +197,7 @@ class PntNode(ManagedNode):
 
     def phase_start(self) -> None:
         """Begins to fire."""
-        ControlService(self, self.exchange.nets, self._loop.turn)
+        ControlService(self, self.exchange.nets, self._written)
         self.create_timer(TIDY_PERIOD_S, self.exchange.tidy, clock=self.steady_clock)
         self.spawn(self._begin())
         self.spawn(self._scopes.begin())

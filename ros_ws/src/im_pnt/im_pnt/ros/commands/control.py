@@ -1,6 +1,6 @@
 """The operator of a node's nets: service ``/<node>/control_net``."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 from im_core.errors import ImError, NotFoundError, StateError
@@ -20,19 +20,19 @@ class ControlService:
     Args:
         node: The node.
         nets: Its nets by name; looked at anew for each request.
-        turn: Has the nets go on with what was asked.
+        written: Has the nets go on with what was asked, and waits until that outlives this process.
     """
 
     def __init__(
         self,
         node: ManagedNode,
         nets: Mapping[str, Executor],
-        turn: Callable[[], None],
+        written: Callable[[], Coroutine[Any, Any, None]],
     ) -> None:
-        self._nets, self._turn = nets, turn
+        self._nets, self._written = nets, written
         node.create_service(ControlNet, f"/{node.task_name}/control_net", self._control)
 
-    def _control(self, request: Any, response: Any) -> Any:
+    async def _control(self, request: Any, response: Any) -> Any:
         try:
             executor = self._net(request.net)
             event = _event(executor, request.request, request.argument)
@@ -40,7 +40,7 @@ class ControlService:
             response.success, response.message = False, error.message
             return response
         executor.post(event)
-        self._turn()
+        await self._written()
         response.success = True
         response.message = f"{request.request} {request.argument}".strip()
         paused = ", paused" if executor.paused else ""
@@ -63,6 +63,9 @@ def _event(executor: Executor, request: str, argument: str) -> Event:
     """
     match request:
         case "step" if executor.mode is Mode.STEP:
+            if not executor.operator.may_step:
+                why = "it is paused" if executor.paused else "nothing is enabled that waits for one"
+                raise StateError(f"net {executor.net.name} takes no step: {why}", net=executor.net.name)
             return StepAsked()
         case "automatic" | "supervised" | "step":
             return ModeSet(Mode(request))
