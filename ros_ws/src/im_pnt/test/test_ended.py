@@ -1,6 +1,8 @@
 """How commands have ended is known after the node that ran them has died; the last ones, and not for ever."""
 
 import json
+import subprocess
+import sys
 import tracemalloc
 from itertools import pairwise
 
@@ -113,3 +115,33 @@ def test_a_damaged_file_or_a_full_disk_ends_nothing(tmp_path, now):
     (tmp_path / "commands.jsonl").mkdir()
     ended.add(one(1))
     assert ended[1] == one(1)
+
+
+SHORT = """
+import resource, signal, sys
+from pathlib import Path
+from im_core.clock import wall
+from im_pnt.journal.ended import EndedCommand, EndedCommands
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+file = Path(sys.argv[1])
+ended = EndedCommands()
+ended.keep_in(file, sync=False)
+for number in range(1, 6):
+    if number == 2:
+        room = file.stat().st_size + 100
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))  # a part of the next line fits
+    if number == 4:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    ended.add(EndedCommand(number=number, symbol="pick", time=wall(), success=True, code="ok", message="x" * 200,
+                           facts={}, results={}))
+assert all(number in ended for number in range(1, 6))
+"""
+
+
+def test_a_line_that_was_cut_short_takes_no_later_one_with_it(tmp_path):
+    file = tmp_path / "commands.jsonl"
+    subprocess.run([sys.executable, "-c", SHORT, file], check=True)
+    again = EndedCommands()
+    again.keep_in(file, sync=False)
+    assert [number in again for number in range(1, 6)] == [True, False, False, True, True]

@@ -8,6 +8,7 @@ and the machine may have ended that command, and died, and have been started ane
 import contextlib
 import json
 import os
+from io import FileIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -112,10 +113,10 @@ class EndedCommands:
             self._write_anew()
             return
         with contextlib.suppress(OSError, ValueError), self._file.open("ab", buffering=0) as file:
-            file.write(line)
-            self._written += len(line)
-            if self._sync:
-                os.fsync(file.fileno())
+            if _append(file, line):
+                self._written += len(line)
+                if self._sync:
+                    os.fsync(file.fileno())
 
     def _forget(self) -> None:
         oldest, size = wall() - AGE_S, self._size()
@@ -149,3 +150,19 @@ class EndedCommands:
             with contextlib.suppress(StoreError, ValueError):
                 write_whole(self._file, b"".join(kept.line for kept in self._known.values()))
                 self._written = self._size()
+
+
+def _append(file: FileIO, line: bytes) -> bool:
+    """Writes a line whole or not at all; returns whether. A part of one would spoil the next, too.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    length = file.seek(0, os.SEEK_END)
+    written = 0
+    try:
+        written = file.write(line)
+    finally:
+        if written < len(line):
+            file.truncate(length)
+    return written == len(line)
