@@ -103,6 +103,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _give_up_output() -> None:
     """Have the interpreter say nothing more at its end: there is no room for what was to be said."""
-    if sys.stdout is sys.__stdout__:
+    if sys.__stdout__ is not None and sys.stdout is sys.__stdout__:
         with suppress(OSError):
             sys.stdout.close()
