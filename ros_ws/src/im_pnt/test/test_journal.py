@@ -17,7 +17,7 @@ from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Command, CommandResult
 from im_pnt.execution.notification import Observer
-from im_pnt.journal import journal
+from im_pnt.journal import journal, log
 from im_pnt.journal.folder import Folder
 from im_pnt.journal.journal import GuardedRunner, Journal, fingerprint
 from im_pnt.journal.log import Sync
@@ -485,6 +485,24 @@ def test_while_the_journal_cannot_be_written_nothing_leaves_and_afterwards_all()
     pair.run(3.0)
     assert pair.marking("gets") == {"q": 2}
     assert all(process.link.idle() for process in pair.alive.values())
+
+
+def test_more_than_a_record_holds_is_written_as_a_snapshot_once_it_can_be_written(monkeypatch):
+    for module in (journal, log):
+        monkeypatch.setattr(module, "MOST_BYTES", 2000)
+    loop = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b, symbol: go}, u: {in: b, out: a}}")
+    files = MemoryFiles()
+    process = JournalledProcess("x", [loop], files)
+    files.full = True
+    for number in range(1, 51):
+        process.exchange.nets["n"].command(Command(number, "go"))
+        with pytest.raises(JournalError, match="cannot be written"):
+            process.turn()
+    files.full = False
+    process.turn()
+    assert not process.journal.unwritten
+    sequence = process.exchange.nets["n"].sequence
+    assert JournalledProcess("x", [loop], files.reborn()).exchange.nets["n"].sequence == sequence == 100
 
 
 def test_what_json_cannot_carry_now_only_delays_the_compaction():

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_pnt.errors import JournalError
+from im_pnt.journal import log as module
 from im_pnt.journal.folder import Folder
 from im_pnt.journal.log import Log, Sync, discard, frame, scan
 from support.memory_files import MemoryFiles
@@ -229,6 +230,19 @@ def test_where_the_disk_is_full_nothing_is_half_written():
     files.full = False
     log.append('["kept"]')
     assert [batch for _, batch in Log(files, Sync.OS).recover().batches] == [["kept"]]
+
+
+def test_a_snapshot_that_is_too_long_leaves_the_old_file(tmp_path, monkeypatch):
+    """Its length would have a digit too many, and the next start would call it damage."""
+    monkeypatch.setattr(module, "MOST_BYTES", 200)
+    log = Log(Folder(tmp_path), Sync.OS)
+    log.replace(HEADER, {"n": 1})
+    with pytest.raises(JournalError, match=r"a record of 3\d\d bytes; at most 200"):
+        log.replace(HEADER, {"n": "x" * 300})
+    log.append('["kept"]')
+    log.close()
+    recovered = Log(Folder(tmp_path), Sync.OS).recover()
+    assert (recovered.state, [batch for _, batch in recovered.batches]) == ({"n": 1}, [["kept"]])
 
 
 def test_a_real_file_that_cannot_grow_keeps_what_it_had(tmp_path):

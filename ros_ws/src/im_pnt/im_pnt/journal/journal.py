@@ -34,7 +34,7 @@ from im_pnt.journal.codec import (
     net_encoder,
 )
 from im_pnt.journal.folder import Files, Folder
-from im_pnt.journal.log import DISCARD, Log, Recovered, Sync, discard, encode_json, set_aside
+from im_pnt.journal.log import DISCARD, MOST_BYTES, Log, Recovered, Sync, discard, encode_json, set_aside
 from im_pnt.journal.state import exchange_state, link_state, net_state, restore_exchange, restore_link, restore_net
 from im_pnt.model.action import Action, RequestAction
 from im_pnt.model.net import Net, ObjectScope
@@ -217,10 +217,11 @@ class Journal:
             JournalError: It cannot be written; nothing may leave now, and it may be tried again.
         """
         entries = self._entries
-        if self._outdated:
+        batch = f"[{','.join(entries)}]" if entries else ""
+        if self._outdated or len(batch) > MOST_BYTES:  # what could not be written for long is too long for a record
             self.compact()
         elif entries:
-            self._log.append(f"[{','.join(entries)}]")
+            self._log.append(batch)
             entries.clear()
 
     @property

@@ -225,8 +225,8 @@ class Log:
             JournalError: It cannot be written; the old file is still in use.
         """
         head = {"format": FORMAT, "version": VERSION, **header}
-        first, checksum = frame(_body(head, self._files.name), 0)
-        second, checksum = frame(_body(state, self._files.name), checksum)
+        first, checksum = self._framed(_body(head, self._files.name), 0)
+        second, checksum = self._framed(_body(state, self._files.name), checksum)
         name = f"{self._number + 1:06d}"
         if self._broken:
             raise JournalError(self._broken, file=self._files.name)
@@ -262,12 +262,7 @@ class Log:
         assert self._file is not None
         if self._broken:
             raise JournalError(self._broken, file=self._files.name)
-        body = batch.encode()
-        if len(body) > MOST_BYTES:
-            raise JournalError(
-                f"{self._files.name}: a batch of {len(body)} bytes; at most {MOST_BYTES}", file=self._files.name
-            )
-        data, checksum = frame(body, self._checksum)
+        data, checksum = self._framed(batch.encode(), self._checksum)
         try:
             self._file.write(data)
         except OSError as error:
@@ -282,6 +277,12 @@ class Log:
         if self._file is not None:
             self._file.close()
             self._file = None
+
+    def _framed(self, body: bytes, checksum: int) -> tuple[bytes, int]:
+        if len(body) > MOST_BYTES:
+            text = f"{self._files.name}: a record of {len(body)} bytes; at most {MOST_BYTES}"
+            raise JournalError(text, file=self._files.name)
+        return frame(body, checksum)
 
     def _synchronise(self) -> None:
         assert self._file is not None
