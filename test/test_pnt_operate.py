@@ -2,6 +2,7 @@
 
 import math
 import threading
+from pathlib import Path
 
 import pytest
 import rclpy
@@ -328,3 +329,21 @@ def test_a_net_that_was_loaded_later_is_there_after_a_restart(tmp_path):
                 assert walker.exchange.nets["lamp"].written.transitions["dim"].emit == ("dim_done", "dimmed")
     finally:
         rclpy.try_shutdown()
+
+
+def test_files_of_nets_that_came_later_are_kept_as_far_as_somebody_may_need_them(machine, monkeypatch):
+    monkeypatch.setattr("im_pnt.ros.library.MOST_KEPT", 3)
+    _, walker = machine
+    for number in range(6):
+        changed = LAMP.replace("dim_done", f"[dim_done, dimmed_{number}]")
+        assert walker.load(changed, patience_s=60.0) == ""
+        if number == 0:
+            assert walker.load(WALKER.replace("go_done", "[go_done, walked]"), patience_s=60.0) == ""
+    (kept,) = {path.parent for path in (Path(net.written.source) for net in nets_of(walker)) if "nets" in path.parts}
+    files = sorted(kept.glob("*.yaml"))
+    assert len(files) == 4, "the newest three, and the one that runs"
+    assert {Path(net.written.source) for net in nets_of(walker) if net.net.name != "bin"} <= set(files)
+
+
+def nets_of(walker):
+    return list(walker.exchange.nets.values())

@@ -11,6 +11,7 @@ import pytest
 from im_pnt_display.page import site as module
 from im_pnt_display.page.server import DisplayServer
 from im_pnt_display.page.site import LONGEST_REQUEST, MOST_VIEWERS, READ_ONLY
+from im_pnt_display.page.state import REFUSALS_KEPT, DisplayState
 
 ASKED = {"net": "n", "request": "pause", "argument": ""}
 
@@ -182,6 +183,22 @@ def test_the_address_that_it_tells_answers_also_where_the_port_was_taken(serve):
         assert json.loads(asked(second, "state.json")[2])["kind"] == "snapshot"
     finally:
         second.stop()
+
+
+def test_a_refusal_goes_with_the_next_net_of_its_name_and_the_last_ones_are_kept():
+    state = DisplayState()
+
+    def refused():
+        return [each["net"] for each in state.snapshot()["refusals"]]
+
+    for number in range(2 * REFUSALS_KEPT):
+        state.refusal(f"n{number}", {"message": "it can stand still", "counterexample": {}})
+    assert refused() == [f"n{number}" for number in range(REFUSALS_KEPT, 2 * REFUSALS_KEPT)]
+    state.net("n25", "/node", {})
+    state.gone("n26")
+    state.refusal("n21", {"message": "again", "counterexample": {}})
+    assert not {"n25", "n26"} & set(refused())
+    assert refused()[-1] == "n21"
 
 
 @pytest.mark.parametrize(

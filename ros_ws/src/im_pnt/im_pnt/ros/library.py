@@ -3,7 +3,8 @@
 A net that is loaded at run time is verified, alone and together, then takes its place when the present one is at rest.
 """
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,8 @@ REST_CHECK_S = 0.02
 #: How many nets of other nodes are known; how long it may take to read one [s].
 MOST_NETS = 1000
 READ_S = 60.0
+#: Files of nets that came later are kept so many: of those that run, and the newest; journals set aside may name them.
+MOST_KEPT = 100
 
 
 class Library:
@@ -80,6 +83,21 @@ class Library:
         path = self._kept / f"{net.name}-{fingerprint(net)}.yaml"
         write_whole(path, yaml_text(net))
         return replace(net, source=str(path))
+
+    def tidy(self, nets: Iterable[Net]) -> None:
+        """Removes the oldest files that are kept, where they are too many.
+
+        Args:
+            nets: The nets that run, which the journal names; their files stay.
+        """
+        if self._kept is None:
+            return
+        used = {Path(net.source) for net in nets}
+        with contextlib.suppress(OSError):  # the next time is early enough
+            files = sorted(self._kept.glob("*.yaml"), key=lambda file: file.stat().st_mtime)
+            for file in files[: max(0, len(files) - MOST_KEPT)]:
+                if file not in used:
+                    file.unlink()
 
     def group(self, net: Net, own: Sequence[Net]) -> list[Net]:
         """Returns a net with those that it talks to, or that talk to it, and so on, as far as they are known.

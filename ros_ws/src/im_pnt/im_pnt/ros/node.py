@@ -245,6 +245,7 @@ class PntNode(ManagedNode):
                 self._publisher.marked(former)
             self._keep_sources()
             raise
+        self._library.tidy([executor.written for executor in self.exchange.nets.values()])
         if self._execute is not None:
             self._execute.tell()
         await self.sources.look()
@@ -367,6 +368,7 @@ class PntNode(ManagedNode):
             self._execute.tell()
         if self._journal is not None:
             self._journal.renew()
+        self._library.tidy([executor.written for executor in self.exchange.nets.values()])
 
     async def _take_place(
         self, net: Net, patience_s: float, beside: Sequence[Net]

@@ -7,6 +7,7 @@ from im_pnt.model.net import Net
 from im_pnt_display.drawing.draw import draw
 
 FIRINGS_KEPT = 300
+REFUSALS_KEPT = 20
 
 Change = dict[str, object]
 
@@ -40,13 +41,14 @@ class DisplayState:
         self.recording: Mapping[str, object] | None = None
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
-        """Enters a net, or its new structure.
+        """Enters a net, or its new structure; that one of its name was refused before is over.
 
         Args:
             name: Name of the net.
             node: Node that runs it.
             content: Its description, with the drawing.
         """
+        self._refusals.pop(name, None)
         self._nets[name] = {"net": name, "node": node, **content}
         return {"kind": "net", **self._nets[name]}
 
@@ -54,6 +56,7 @@ class DisplayState:
         """Takes out a net that was unloaded; its firings stay among the last ones."""
         self._nets.pop(name, None)
         self._markings.pop(name, None)
+        self._refusals.pop(name, None)
         return {"kind": "gone", "net": name}
 
     def marking(self, net: str, marking: Mapping[str, object]) -> Change:
@@ -69,9 +72,12 @@ class DisplayState:
         return change
 
     def refusal(self, net: str, refusal: Mapping[str, object]) -> Change:
-        """Enters that a net was refused, with the counterexample."""
+        """Enters that a net was refused, with the counterexample; the last ones are kept."""
         change: Change = {"kind": "refusal", "net": net, **refusal}
+        self._refusals.pop(net, None)
         self._refusals[net] = change
+        if len(self._refusals) > REFUSALS_KEPT:
+            del self._refusals[next(iter(self._refusals))]
         return change
 
     def answer(self, net: str, success: bool, message: str) -> Change:

@@ -6,7 +6,7 @@ import { Player, readCounterexample, shown } from "/static/player.js";
 import { Recording } from "/static/recording.js";
 import { Scene } from "/static/scene.js";
 
-const KEPT = 300, LISTED = 120, PLAYER = 52;
+const KEPT = 300, REFUSALS_KEPT = 20, LISTED = 120, PLAYER = 52;
 const byId = (id) => document.getElementById(id);
 const nets = new Map();      // name -> description with drawing
 const markings = new Map();  // name -> {tokens, active, cancelling, in_doubt, mode, paused, proposed}
@@ -173,6 +173,8 @@ function listRefusals() {
   }));
 }
 
+function dropRefusal(name) { if (refusals.delete(name)) listRefusals(); }
+
 function listNets() {
   const shown = new Set(shownNets());
   byId("nets").replaceChildren(...[...nets.values()].sort((a, b) => a.net.localeCompare(b.net)).flatMap((net) => {
@@ -264,10 +266,11 @@ function take(change) {
       enterNet(recording.overview.drawings[change.drawing]); refresh(true);
       break;
     case "mcs": showMcs(change); break;
-    case "net": enterNet(change); refresh(true); break;
+    case "net": enterNet(change); dropRefusal(change.net); refresh(true); break;
     case "gone":
       recording.shown = null;
       for (const known of [nets, markings, commands, page.nets]) known.delete(change.net);
+      dropRefusal(change.net);
       refresh(true);
       break;
     case "marking":
@@ -275,7 +278,12 @@ function take(change) {
       if (!player.counterexample) scene.mark(change);
       listRunning(change.net);
       break;
-    case "refusal": refusals.set(change.net, change); listRefusals(); break;
+    case "refusal":
+      refusals.delete(change.net);
+      refusals.set(change.net, change);
+      if (refusals.size > REFUSALS_KEPT) refusals.delete(refusals.keys().next().value);
+      listRefusals();
+      break;
     case "answer": say(change.success, `${change.net}: ${change.message}`); break;
     case "firing":
       firings.push(change);
