@@ -3,7 +3,9 @@
 import asyncio
 import json
 import re
+import shutil
 import socket
+import subprocess
 
 import aiohttp
 import pytest
@@ -183,6 +185,34 @@ def test_the_address_that_it_tells_answers_also_where_the_port_was_taken(serve):
         assert json.loads(asked(second, "state.json")[2])["kind"] == "snapshot"
     finally:
         second.stop()
+
+
+CLICKS = """
+import { showControls } from "./operate.mjs";
+const made = () => ({ dataset: {}, parts: [], addEventListener() {}, append() {},
+                      replaceChildren(...parts) { this.parts = parts; } });
+globalThis.document = { createElement: made };
+const element = made(), marking = { mode: "step", paused: false, proposed: [], in_doubt: [], sequence: 1 };
+const kept = (shown, changes) => {
+  const before = element.parts;
+  showControls(element, shown, "n", { ...marking, ...changes }, () => {});
+  return before === element.parts;
+};
+console.log(JSON.stringify([
+  kept(true, {}), kept(true, { sequence: 2, tokens: { p: 1 } }), kept(true, { paused: true }),
+  kept(true, { paused: true, proposed: ["t"] }), kept(true, { mode: "automatic" }), kept(true, { in_doubt: ["t"] }),
+  kept(false, {}), kept(false, { sequence: 3 }), element.parts.length,
+]));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node, which runs the scripts of the page")
+def test_the_controls_of_a_net_stay_while_it_fires(tmp_path):
+    """A click whose button is made anew between press and release is lost."""
+    (tmp_path / "operate.mjs").write_text((module.STATIC / "operate.js").read_text())
+    (tmp_path / "clicks.mjs").write_text(CLICKS)
+    done = subprocess.run(["node", tmp_path / "clicks.mjs"], check=True, capture_output=True, text=True)
+    assert json.loads(done.stdout) == [False, True, False, False, False, False, False, True, 0]
 
 
 def test_a_refusal_goes_with_the_next_net_of_its_name_and_the_last_ones_are_kept():

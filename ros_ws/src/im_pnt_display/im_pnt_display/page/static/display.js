@@ -1,7 +1,7 @@
 // The page: what the server tells of, which nets are shown, and how. It is its address:
 // #nets=a,b (or nets=all) shows these nets, #overview=1&only=a.p1,b.t2 these parts, &filter=spot dims the others.
 // A counterexample that is played takes the place of the running nets. Of a recording &t=12.5 shows that time [s].
-import { controls } from "/static/operate.js";
+import { showControls } from "/static/operate.js";
 import { Player, readCounterexample, shown } from "/static/player.js";
 import { Recording } from "/static/recording.js";
 import { Scene } from "/static/scene.js";
@@ -199,8 +199,7 @@ function listRunning(name) {
   const running = byId(`running-${name}`);
   if (running) running.textContent = (markings.get(name)?.active || []).join(", ");
   const operate = byId(`operate-${name}`);
-  const shown = operable && shownNets().includes(name);
-  if (operate) operate.replaceChildren(...(shown ? controls(name, markings.get(name), ask) : []));
+  if (operate) showControls(operate, operable && shownNets().includes(name), name, markings.get(name), ask);
 }
 
 function listProgress(name) {
@@ -284,7 +283,13 @@ function take(change) {
       if (refusals.size > REFUSALS_KEPT) refusals.delete(refusals.keys().next().value);
       listRefusals();
       break;
-    case "answer": say(change.success, `${change.net}: ${change.message}`); break;
+    case "answer":
+      say(change.success, `${change.net}: ${change.message}`);
+      if (!change.success) {  // what was chosen is not so
+        byId(`operate-${change.net}`)?.removeAttribute("data-shown");
+        listRunning(change.net);
+      }
+      break;
     case "firing":
       firings.push(change);
       if (firings.length > KEPT) firings.shift();
@@ -313,7 +318,7 @@ function applyView() { byId("scene").setAttribute("transform", `translate(${view
 function fit() {
   const box = byId("canvas").getBoundingClientRect(), { width, height } = scene.extent;
   const top = player.counterexample ? PLAYER : 0;
-  const scale = Math.min((box.width - 32) / width, (box.height - top - 32) / height, 1.4);
+  const scale = Math.max(Math.min((box.width - 32) / width, (box.height - top - 32) / height, 1.4), 0.05);
   view = { scale, x: (box.width - width * scale) / 2, y: Math.max(top + 16, (box.height - height * scale) / 3) };
   moved = false;
   applyView();

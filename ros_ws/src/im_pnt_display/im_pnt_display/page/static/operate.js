@@ -5,8 +5,18 @@ function button(text, title, act) {
   return element;
 }
 
+// Puts the controls of a net into an element, or takes them out where the page may not operate it (shown is false).
+// They are made anew only where they would be others: with each marking, clicks between press and release got lost.
+export function showControls(element, shown, net, marking, ask) {
+  const { mode, paused, proposed, in_doubt } = marking || {};
+  const key = shown ? JSON.stringify([net, mode, paused, proposed, in_doubt]) : "";
+  if (element.dataset.shown === key) return;
+  element.dataset.shown = key;
+  element.replaceChildren(...(shown ? controls(net, marking, ask) : []));
+}
+
 // ask(net, request, argument) sends a request to the node that runs the net.
-export function controls(net, marking, ask) {
+function controls(net, marking, ask) {
   const { mode = "automatic", paused = false, proposed = [], in_doubt = [] } = marking || {};
   const modes = document.createElement("select");
   modes.title = `how ${net} fires: by itself, each firing confirmed, or one at a time`;
