@@ -18,6 +18,7 @@ from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 from im_pnt_display import DisplayServer
 from im_pnt_display.ros.node import DisplayNode
+from support.loop import in_loop
 
 NET = """
 net: shown
@@ -38,9 +39,7 @@ def machine(tmp_path, monkeypatch):
     alone = [Parameter("standalone", value=True)]
     display = DisplayNode(parameter_overrides=[*alone, Parameter("port", value=0)])
     walk = {"walk": lambda ctx: None}
-    walker = PntNode(
-        "walker", [tmp_path / "shown.yaml"], walk, verifier=verify_to_load, parameter_overrides=alone
-    )
+    walker = PntNode("walker", [tmp_path / "shown.yaml"], walk, verifier=verify_to_load, parameter_overrides=alone)
     with spin_in_thread(display, walker):
         deadline = clock.monotonic() + 60.0
         while not display.server.state.snapshot()["markings"] and clock.monotonic() < deadline:
@@ -180,3 +179,27 @@ def test_what_motion_control_said_last_is_stale_when_it_has_fallen_silent(machin
     wait_until(lambda: shown()["mcs"] == {**said, "stale": False}, "the state of MCS on the page")
     display._mcs.silence_s = 0.0
     wait_until(lambda: shown()["mcs"] == {**said, "stale": True}, "it to be marked as stale")
+
+
+def test_of_descriptions_that_come_faster_than_they_are_drawn_the_last_of_each_net_is(machine, wait_until, monkeypatch):
+    display, _ = machine
+    drawn, may_draw, draws = [], threading.Event(), threading.Event()
+
+    def draw(name, text, node):
+        draws.set()
+        assert may_draw.wait(60.0)
+        drawn.append((name, text))
+        return {}
+
+    monkeypatch.setattr("im_pnt_display.page.messages.described_net", draw)
+    in_loop(display, display._describe, NetDescription(net="large", node="/n", json="1"))
+    assert draws.wait(60.0)
+    for number in range(20):
+        for name in ("large", "small"):
+            in_loop(display, display._describe, NetDescription(net=name, node="/n", json=f"{number}"))
+    may_draw.set()
+    wait_until(lambda: len(drawn) == 3, "the drawings")
+    assert drawn == [("large", "1"), ("large", "19"), ("small", "19")]
+    in_loop(display, display._describe, NetDescription(net="last", node="/n", json="0"))
+    wait_until(lambda: ("last", "0") in drawn, "another drawing")
+    assert len(drawn) == 4

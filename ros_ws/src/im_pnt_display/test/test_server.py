@@ -14,6 +14,7 @@ from im_pnt_display.page import site as module
 from im_pnt_display.page.server import DisplayServer
 from im_pnt_display.page.site import LONGEST_REQUEST, MOST_VIEWERS, READ_ONLY
 from im_pnt_display.page.state import REFUSALS_KEPT, DisplayState
+from im_pnt_display.page.viewers import Viewers
 
 ASKED = {"net": "n", "request": "pause", "argument": ""}
 
@@ -215,6 +216,22 @@ def test_the_controls_of_a_net_stay_while_it_fires(tmp_path):
     assert json.loads(done.stdout) == [False, True, False, False, False, False, False, True, 0]
 
 
+def test_who_comes_while_nets_fire_is_told_each_firing_once():
+    """What one thread has told of, and the thread of the server has not yet shown, is in no snapshot."""
+    state = DisplayState()
+    viewers = Viewers(state)
+    first, second = (state.firing({"net": "n", "sequence": number}) for number in (1, 2))
+    viewers.show(first)
+    backlog = viewers.enter()
+    viewers.show(second)
+    snapshot, *changes = (json.loads(backlog.get_nowait()) for _ in range(backlog.qsize()))
+    assert [firing["sequence"] for firing in [*snapshot["firings"], *changes]] == [1, 2]
+    condition = {"state": "motion", "stale": False}
+    for _ in range(2):
+        viewers.show(state.motion_control(condition))
+    assert backlog.qsize() == 1, "what is nothing new is not told"
+
+
 def test_a_refusal_goes_with_the_next_net_of_its_name_and_the_last_ones_are_kept():
     state = DisplayState()
 
@@ -222,11 +239,11 @@ def test_a_refusal_goes_with_the_next_net_of_its_name_and_the_last_ones_are_kept
         return [each["net"] for each in state.snapshot()["refusals"]]
 
     for number in range(2 * REFUSALS_KEPT):
-        state.refusal(f"n{number}", {"message": "it can stand still", "counterexample": {}})
+        state.enter(state.refusal(f"n{number}", {"message": "it can stand still", "counterexample": {}}))
     assert refused() == [f"n{number}" for number in range(REFUSALS_KEPT, 2 * REFUSALS_KEPT)]
-    state.net("n25", "/node", {})
-    state.gone("n26")
-    state.refusal("n21", {"message": "again", "counterexample": {}})
+    state.enter(state.net("n25", "/node", {}))
+    state.enter(state.gone("n26"))
+    state.enter(state.refusal("n21", {"message": "again", "counterexample": {}}))
     assert not {"n25", "n26"} & set(refused())
     assert refused()[-1] == "n21"
 

@@ -24,7 +24,7 @@ def net_content(net: Net) -> dict[str, object]:
 
 
 class DisplayState:
-    """The last known state of every net; each method returns the change to pass on to viewers.
+    """The last known state of every net. Most methods return a change; :meth:`enter` makes it, where it is shown.
 
     Attributes:
         operable: Whether viewers may operate nets.
@@ -40,68 +40,75 @@ class DisplayState:
         self.operable = False
         self.recording: Mapping[str, object] | None = None
 
+    def enter(self, change: Change) -> bool:
+        """Makes a change, in the thread that takes snapshots; returns whether it is one."""
+        net = str(change.get("net"))
+        match change["kind"]:
+            case "net":
+                self._refusals.pop(net, None)
+                self._nets[net] = {name: value for name, value in change.items() if name != "kind"}
+            case "gone":  # its firings stay among the last ones
+                for known in (self._nets, self._markings, self._refusals):
+                    known.pop(net, None)
+            case "marking":
+                self._markings[net] = change
+            case "refusal":  # the last ones are kept
+                self._refusals.pop(net, None)
+                self._refusals[net] = change
+                if len(self._refusals) > REFUSALS_KEPT:
+                    del self._refusals[next(iter(self._refusals))]
+            case "firing":
+                self._firings.append(change)
+            case "mcs":
+                if change == self._mcs:
+                    return False
+                self._mcs = change
+        return True
+
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
-        """Enters a net, or its new structure; that one of its name was refused before is over.
+        """Returns that there is a net, or its new structure; that one of its name was refused before is over.
 
         Args:
             name: Name of the net.
             node: Node that runs it.
             content: Its description, with the drawing.
         """
-        self._refusals.pop(name, None)
-        self._nets[name] = {"net": name, "node": node, **content}
-        return {"kind": "net", **self._nets[name]}
+        return {"kind": "net", "net": name, "node": node, **content}
 
     def gone(self, name: str) -> Change:
-        """Takes out a net that was unloaded; its firings stay among the last ones."""
-        self._nets.pop(name, None)
-        self._markings.pop(name, None)
-        self._refusals.pop(name, None)
+        """Returns that a net was unloaded."""
         return {"kind": "gone", "net": name}
 
     def marking(self, net: str, marking: Mapping[str, object]) -> Change:
-        """Enters the marking of a net, and how it is operated.
+        """Returns the marking of a net, and how it is operated.
 
         Args:
             net: Name of the net.
             marking: ``tokens`` by place, ``active``, ``cancelling`` and ``in_doubt`` transitions, ``sequence`` number
                 of the firing after which it holds, ``mode``, ``paused``, and ``proposed`` transitions.
         """
-        change: Change = {"kind": "marking", "net": net, **marking}
-        self._markings[net] = change
-        return change
+        return {"kind": "marking", "net": net, **marking}
 
     def refusal(self, net: str, refusal: Mapping[str, object]) -> Change:
-        """Enters that a net was refused, with the counterexample; the last ones are kept."""
-        change: Change = {"kind": "refusal", "net": net, **refusal}
-        self._refusals.pop(net, None)
-        self._refusals[net] = change
-        if len(self._refusals) > REFUSALS_KEPT:
-            del self._refusals[next(iter(self._refusals))]
-        return change
+        """Returns that a net was refused, with the counterexample."""
+        return {"kind": "refusal", "net": net, **refusal}
 
     def answer(self, net: str, success: bool, message: str) -> Change:
         """Returns the answer to what a viewer asked for; it is passed on and not kept."""
         return {"kind": "answer", "net": net, "success": success, "message": message}
 
     def firing(self, firing: Mapping[str, object]) -> Change:
-        """Enters a firing."""
-        change: Change = {"kind": "firing", **firing}
-        self._firings.append(change)
-        return change
+        """Returns a firing."""
+        return {"kind": "firing", **firing}
 
-    def motion_control(self, condition: Mapping[str, object]) -> Change | None:
-        """Enters what the Motion Control System says of itself, None if that is nothing new.
+    def motion_control(self, condition: Mapping[str, object]) -> Change:
+        """Returns what the Motion Control System says of itself.
 
         Args:
             condition: ``state``, ``reason``, ``power``, ``brakes``, states of reserved ``groups``, and whether all that
                 is ``stale``.
         """
-        change: Change = {"kind": "mcs", **condition}
-        if change == self._mcs:
-            return None
-        self._mcs = change
-        return change
+        return {"kind": "mcs", **condition}
 
     def snapshot(self) -> Change:
         """Returns everything, for a viewer that begins."""

@@ -38,7 +38,9 @@ class Viewers:
         del self._backlogs[backlog]
 
     def show(self, change: Change) -> None:
-        """Pass a change of the state on to all; who is too far behind gets the state instead."""
+        """Makes a change of the state, and passes it on to all; who is too far behind gets the state instead."""
+        if not self.state.enter(change):
+            return
         text = json.dumps(change) if self._backlogs else ""
         for backlog in self._backlogs:
             if backlog.full():

@@ -1,6 +1,7 @@
 """``pnt_display``: shows every net of the machine on a web page."""
 
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -39,6 +40,8 @@ class DisplayNode(ManagedNode):
         self.server = DisplayServer(host, port, self._wanted if control else None)
         self._mcs: Latest[McsState] | None = None
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
+        self._undrawn: dict[tuple[str, ...], Callable[[], None]] = {}
+        self._undrawn_lock = threading.Lock()
         self._nodes: dict[str, str] = {}
         self._operators: dict[str, Client] = {}
 
@@ -70,19 +73,28 @@ class DisplayNode(ManagedNode):
             return
         groups = {group.group: group.state for group in said.groups if group.reserved}
         condition = {"state": said.state, "reason": said.reason, "power": said.power, "brakes": said.brakes}
-        change = self.server.state.motion_control({**condition, "groups": groups, "stale": self._mcs.stale})
-        if change is not None:
-            self.server.show(change)
+        self.server.show(self.server.state.motion_control({**condition, "groups": groups, "stale": self._mcs.stale}))
 
     def _describe(self, message: NetDescription) -> None:
-        self._draw(partial(self._draw_net if message.json else self._forget_net, message))
+        work = self._draw_net if message.json else self._forget_net
+        self._draw(("net", message.net, message.node), partial(work, message))
 
     def _refuse(self, message: NetRefusal) -> None:
-        self._draw(partial(self._draw_refusal, message))
+        self._draw(("refusal", message.net), partial(self._draw_refusal, message))
 
-    def _draw(self, work: Callable[[], None]) -> None:
-        with suppress(RuntimeError):  # the display has closed; nothing more is drawn
-            self._drawing.submit(work)
+    def _draw(self, key: tuple[str, ...], work: Callable[[], None]) -> None:
+        """Has something drawn in the thread for that, after all else, in the place of what waits of the same key."""
+        with self._undrawn_lock:
+            waited = self._undrawn.pop(key, None) is not None
+            self._undrawn[key] = work
+        if not waited:
+            with suppress(RuntimeError):  # the display has closed; nothing more is drawn
+                self._drawing.submit(self._draw_next)
+
+    def _draw_next(self) -> None:
+        with self._undrawn_lock:
+            work = self._undrawn.pop(next(iter(self._undrawn)))
+        work()
 
     def _draw_net(self, message: NetDescription) -> None:
         with self._warning(f"the description of net {message.net}"):
