@@ -1,5 +1,4 @@
 import json
-import signal
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -7,7 +6,7 @@ from xml.etree import ElementTree
 import pytest
 
 from im_pnt_analysis.cli import main
-from im_pnt_analysis.cli.terminal import BAD_INPUT, OK, REFUSED
+from im_pnt_analysis.cli.terminal import BAD_INPUT, INTERRUPTED, OK, REFUSED
 
 
 def test_verify_prints_one_object_with_every_answer(data, capsys):
@@ -152,12 +151,10 @@ def test_what_cannot_be_said_is_no_refusal_of_the_net(tmp_path):
     assert (done.returncode, done.stderr) == (BAD_INPUT, "pnt: [Errno 28] No space left on device\n")
 
 
-def test_an_interrupt_is_a_word(tmp_path):
-    net = tmp_path / "a.yaml"
-    net.write_text("net: a\nplaces: {idle: 1}\ntransitions: {go: {in: idle, out: idle, delay: 1.0}}\n")
-    run = [sys.executable, "-m", "im_pnt_analysis", "simulate", str(net), "--steps", "1000000000"]
-    with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        process.stdout.readline()  # it is under way
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
-    assert (process.returncode, said) == (130, "\npnt: interrupted\n")
+def test_an_interrupt_is_a_word(monkeypatch, capsys):
+    def interrupted(options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("im_pnt_analysis.cli.simulate.run", interrupted)
+    assert main(["simulate", "any.yaml"]) == INTERRUPTED
+    assert capsys.readouterr().err == "\npnt: interrupted\n"
