@@ -137,7 +137,7 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
         if in_memory:
             continue
         if any(not _unlocked(path) for path in locks):
-            dying = dying or any(_mine(path) for path in locks)
+            dying = dying or any(is_mine(path) for path in locks)
             continue
         for path in paths:
             with suppress(OSError):  # another user's
@@ -157,7 +157,8 @@ def _mapped_names() -> set[str]:
     return names
 
 
-def _mine(path: Path) -> bool:
+def is_mine(path: Path) -> bool:
+    """Whether a file is there, and is this user's."""
     try:
         return path.stat().st_uid == os.geteuid()
     except OSError:

@@ -139,12 +139,6 @@ def write(record: MachineRecord) -> None:
     write_whole(record_path(), json.dumps(asdict(record)))
 
 
-def is_mine() -> bool:
-    """Whether the record's file is of this user."""
-    path = record_path()
-    return path.exists() and path.stat().st_uid == os.geteuid()
-
-
 def remove() -> None:
     """Remove the record."""
     record_path().unlink(missing_ok=True)

@@ -48,7 +48,7 @@ def stop(say: Callable[[str], None]) -> int:
     if record is not None and ran:
         signal_member(record.process, signal.SIGINT)
         leftovers.await_end(_ORDERLY_S)
-    elif record is not None and record.alive and not machine.is_mine():  # root may remove what is there, and must not
+    elif record is not None and record.alive and not leftovers.is_mine(machine.record_path()):  # root could remove it
         print(f"stop: {leftovers.foreign_sentence([machine.record_path()])}", file=sys.stderr)
         return 1
     elif record is not None and record.alive:

@@ -235,6 +235,11 @@ class _Builder:
         self._probability: dict[int, float] = {}
         self._timed_ends: set[int] = set()
         self._timer_named: dict[str, int] = {}
+        self._endings: dict[tuple[Role, str], list[int]] = {}
+        for name, transition in self.transitions.items():
+            if transition.role in (Role.END, Role.FAILED):
+                for place in transition.inputs:
+                    self._endings.setdefault((transition.role, place), []).append(self.by_name[name])
 
     def add(self, index: int, transition: Transition) -> None:
         """Decides what a transition of the flat net is; START comes before its END and FAILED."""
@@ -296,12 +301,8 @@ class _Builder:
 
     def _ways(self, end: Transition, active: str) -> tuple[int, ...]:
         """All ways in which an action ends so, as which of those who have asked for it is answered."""
-        ways = [
-            index
-            for name, index in self.by_name.items()
-            if (other := self.transitions[name]).role is end.role and active in other.inputs
-        ]
-        return (*(way for way in ways if way != self.by_name[end.name]), self.by_name[end.name])
+        for_nobody = self.by_name[end.name]
+        return (*(way for way in self._endings[end.role, active] if way != for_nobody), for_nobody)
 
     def _weight(self, transition: Transition) -> float:
         weight = transition.weight
