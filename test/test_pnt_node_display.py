@@ -32,7 +32,7 @@ transitions:
 
 
 @pytest.fixture
-def machine(tmp_path, monkeypatch):
+def machine(tmp_path, monkeypatch, wait_until):
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     (tmp_path / "shown.yaml").write_text(NET)
     rclpy.init()
@@ -41,9 +41,7 @@ def machine(tmp_path, monkeypatch):
     walk = {"walk": lambda ctx: None}
     walker = PntNode("walker", [tmp_path / "shown.yaml"], walk, verifier=verify_to_load, parameter_overrides=alone)
     with spin_in_thread(display, walker):
-        deadline = clock.monotonic() + 60.0
-        while not display.server.state.snapshot()["markings"] and clock.monotonic() < deadline:
-            clock.sleep(0.05)
+        wait_until(lambda: all(display.server.state.snapshot()[kind] for kind in ("nets", "markings")), "the net")
         yield display, walker
     rclpy.try_shutdown()
 
@@ -116,12 +114,13 @@ def test_a_second_display_takes_the_next_port(machine):
         other.stop()
 
 
-def test_messages_that_make_no_sense_are_passed_over(machine):
+def test_messages_that_make_no_sense_are_passed_over(machine, wait_until):
     display, walker = machine
     nets = walker.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED_MANY)
     refusals = walker.create_publisher(NetRefusal, "/pnt/refusals", qos.LATCHED_MANY)
     firings = walker.create_publisher(Firing, "/pnt/firings", qos.EVENTS)
     markings = walker.create_publisher(Marking, "/pnt/markings", qos.LATCHED_MANY)
+    wait_until(firings.get_subscription_count, "the display to listen to firings")
     for text in ("[]", "{}", "5", "{", "[" * 100_000, json.dumps({"yaml": "# x\n" * 2_500_000})):
         nets.publish(NetDescription(net="bad", node="/nobody", json=text))
         refusals.publish(NetRefusal(net="bad", node="/nobody", json=text))
@@ -131,9 +130,7 @@ def test_messages_that_make_no_sense_are_passed_over(machine):
     good = json.dumps({"yaml": NET.replace("net: shown", "net: good")})
     nets.publish(NetDescription(net="good", node="/nobody", json=good))
     state = display.server.state.snapshot
-    deadline = clock.monotonic() + 60.0
-    while len(state()["nets"]) < 2 and clock.monotonic() < deadline:
-        clock.sleep(0.05)
+    wait_until(lambda: len(state()["nets"]) >= 2 and state()["firings"], "the good net and the odd firing")
     shown = state()
     assert [net["net"] for net in shown["nets"]] == ["good", "shown"]
     assert [firing["phase"] for firing in shown["firings"]] == ["77"]
