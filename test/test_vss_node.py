@@ -175,6 +175,7 @@ def test_camera_infos_are_set_checked_and_kept(machine):
     for change, sentence in (
         ({"width": 1280}, "table takes images of 640 x 480 px, the calibration is for 1280 x 480 px"),
         ({"d": [float("nan")] * 5}, "not finite"),
+        ({"d": [1e300, 0.0, 0.0, 0.0, 0.0]}, "D = [1e+300, 0.0, 0.0, 0.0, 0.0] folds the image in its middle half"),
         ({"d": [0.0] * 8}, "4 or 5 coefficients"),
         *(({"k": K}, sentence) for K, sentence in ABSURD),
         ({"distortion_model": "omnidirectional"}, "lens model 'omnidirectional' is unknown"),

@@ -40,7 +40,7 @@ distortion_model: plumb_bob
 distortion_coefficients:
   rows: 1
   cols: 4
-  data: [-0.25, 1e-05, 0.001, -2]   # as yaml-cpp writes numbers
+  data: [-0.25, 1e-05, 0.001, -0]   # as yaml-cpp writes numbers
 camera_matrix:
   rows: 3
   cols: 3
@@ -110,7 +110,7 @@ def test_files_of_other_tools_are_read(tmp_path):
     found = read_calibration(tmp_path, CELL)
     assert "stamp" in stamped
     assert found.intrinsics["wall"].K.tolist() == [[611.0, 0.0, 320.0], [0.0, 612.0, 240.0], [0.0, 0.0, 1.0]]
-    assert found.intrinsics["wall"].D.tolist() == [-0.25, 1e-5, 0.001, -2.0, 0.0]
+    assert found.intrinsics["wall"].D.tolist() == [-0.25, 1e-5, 0.001, 0.0, 0.0]
     assert found.notes == (f"{tmp_path}/wall.yaml: camera_name is 'narrow_stereo/left', it is taken for wall",)
     assert found.summary() == "wall (intrinsics), ceiling_left (pose)"
 
@@ -131,6 +131,9 @@ def test_files_of_other_tools_are_read(tmp_path):
         ("ceiling_left", "name: ceiling_left", "name: wall", ":3: camera_name: 'wall': the name of the file says c"),
         ("ceiling_left", "distortion_coefficients", "distortion", "distortion_coefficients: Field required"),
         ("ceiling_left", "camera_matrix:", "camera_matrix: [", "not YAML"),
+        ("ceiling_left", "[-0.2", "[1.0e+300", ":10: distortion_coefficients: D = [1e+300, 0.03"),
+        ("ceiling_left", "[-0.2", "[-20.0", "folds the image in its middle half, no lens of model plumb_bob does"),
+        ("extrinsics", "translation: {x: ", "translation: {x: 1.0e+300, n: ", "translation.x: 1e+300: Input should be"),
         ("extrinsics", "frame_id: world", "frame_id: base_link", "'base_link': ceiling_left is fixed to world"),
         ("extrinsics", "left_optical", "lift_optical", ":3: transforms[0].child_frame_id: there is no camera frame 'c"),
         ("extrinsics", "rotation: {x: ", "rotation: {x: 1", ":6: transforms[0].transform.rotation: the quat"),

@@ -8,7 +8,7 @@ Those of the cameras are changed together, see :mod:`im_cell.calibration_files.t
 from im_cell.calibration_files.covariance import COVARIANCE, covariance_yaml
 from im_cell.calibration_files.extrinsics import EXTRINSICS, CameraPose, extrinsics_yaml, frame_of
 from im_cell.calibration_files.folder import CalibrationFiles, read_calibration
-from im_cell.calibration_files.intrinsics import Rectified, camera_info_yaml, implausible, monocular
+from im_cell.calibration_files.intrinsics import Rectified, camera_info_yaml, folded, implausible, monocular
 from im_cell.calibration_files.laser import LASER, LaserEstimate, laser_yaml
 from im_cell.calibration_files.together import change_camera_files
 
@@ -24,6 +24,7 @@ __all__ = [
     "change_camera_files",
     "covariance_yaml",
     "extrinsics_yaml",
+    "folded",
     "frame_of",
     "implausible",
     "laser_yaml",

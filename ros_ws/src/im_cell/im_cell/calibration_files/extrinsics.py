@@ -19,6 +19,7 @@ EXTRINSICS = "extrinsics.yaml"
 """Name of the file."""
 FRAME_END = "_optical_frame"
 _LENGTH_TOLERANCE = 1e-3
+_FARTHEST_M = 1000.0
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,15 @@ class CameraPose:
         return cls(parent, model.R_cam_base, model.t_cam_base)
 
 
+Coordinate = Annotated[float, pydantic.Field(ge=-_FARTHEST_M, le=_FARTHEST_M)]
+
+
 class Translation(Model):
     """`geometry_msgs/Vector3` [m]."""
 
-    x: float
-    y: float
-    z: float
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate
 
 
 class Quaternion(Model):

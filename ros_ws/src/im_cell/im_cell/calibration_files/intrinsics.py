@@ -10,7 +10,7 @@ import yaml
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
-from im_cell.lens import lens_of
+from im_cell.lens import LensModel, lens_of
 from im_core.config import FieldError, load_model
 from im_core.errors import DataError
 
@@ -20,6 +20,8 @@ _FOCAL_WIDTHS = 0.05, 100.0
 """From fish eyes to telescopes."""
 _CENTRE_BESIDE = 0.5
 """How far off an image that was cut from a larger one may have its principal point."""
+_MIDDLE = np.linspace(0.25, 0.75, 5)
+"""Where in an image no lens folds it; in its corners, the models of wide ones do."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,24 @@ def implausible(K: Array, width: int, height: int) -> str:
     return ""
 
 
+def folded(K: Array, lens: LensModel, D: Array, width: int, height: int) -> str:
+    """Why no lens is like that, a clause; empty if one may be.
+
+    Args:
+        K: Camera matrix, shape (3, 3) [px].
+        lens: The lens model.
+        D: All its coefficients.
+        width: Width of the images [px].
+        height: Height of the images [px].
+    """
+    u, v = np.meshgrid(_MIDDLE * width, _MIDDLE * height)
+    try:
+        lens.undistort(np.stack(((u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]), axis=-1), D)
+    except DataError:
+        return f"D = {D.tolist()} folds the image in its middle half, no lens of model {lens.name} does"
+    return ""
+
+
 Side = Annotated[int, pydantic.Field(ge=1)]
 
 
@@ -134,6 +154,9 @@ class IntrinsicsFile(pydantic.BaseModel):
     def _plausible(self) -> Self:
         if why_not := implausible(self.camera_matrix.array, self.image_width, self.image_height):
             raise FieldError(("camera_matrix",), why_not)
+        model = self.model
+        if why_not := folded(model.K, model.lens, model.D, model.width, model.height):
+            raise FieldError(("distortion_coefficients",), why_not)
         return self
 
     @property

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from std_msgs.msg import Header
 
-from im_cell.calibration_files import implausible
+from im_cell.calibration_files import folded, implausible
 from im_cell.camera_model import CameraModel
 from im_cell.laser_model import LaserModel
 from im_cell.lens import PLUMB_BOB, lens_of
@@ -79,7 +79,10 @@ def from_camera_info(info: CameraInfo) -> CameraModel:
         raise DataError(f"K = {K.ravel().tolist()} is not [fx 0 cx; 0 fy cy; 0 0 1]")
     if why_not := implausible(K, info.width, info.height):
         raise DataError(f"{why_not} of images of {info.width} x {info.height} px")
-    return CameraModel(info.width, info.height, K, D, distortion_model=lens.name)
+    model = CameraModel(info.width, info.height, K, D, distortion_model=lens.name)
+    if why_not := folded(K, lens, D, info.width, info.height):
+        raise DataError(why_not)
+    return model
 
 
 def to_transform(entry: CameraEntry, stamp_ns: int) -> TransformStamped:
