@@ -218,7 +218,7 @@ def test_a_data_set_may_hold_known_lengths():
     np.testing.assert_allclose(lengths.spot_covariances[0, 1, 1], 0.01 * np.eye(2))
     assert first_answer(content)["scale"]["lengths_used"] == 2
     content["known_lengths"]["length_m"][1] = -0.5
-    with pytest.raises(DataError, match="known length must be a finite number > 0"):
+    with pytest.raises(DataError, match="known length must be > 0 and at most 1000 m"):
         problems(content)
     del content["trials"][0]["length_u_px"]
     with pytest.raises(DataError, match=r"trials\[0\] has no field 'length_u_px'"):

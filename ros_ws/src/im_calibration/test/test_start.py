@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.calibration.synthetic import Design, make_scene
-from im_calibration import DegenerateDataError
+from im_calibration import DegenerateDataError, calibrate
 from im_calibration.estimation.start import planar_start, robust_extent, start
 from im_calibration.estimation.unknowns import ParameterLayout
 from im_cell.camera_model import CameraModel
@@ -66,6 +66,19 @@ def test_positions_on_a_line_are_refused():
     scene = make_scene(Design(poses=20, led_offset_prior_sd=0.0), 5, positions=line)
     with pytest.raises(DegenerateDataError, match="on a line"):
         start(scene.problem, ParameterLayout.of(scene.problem))
+
+
+@pytest.mark.parametrize("reach_m", [1e-160, 1e-9, 1e-4])
+def test_positions_in_one_point_up_to_noise_are_refused(reach_m):
+    scene = make_scene(Design(poses=20), 0)
+    rng = np.random.default_rng(1)
+    positions = scene.problem.positions.mean(axis=0) + reach_m * rng.normal(size=(20, 3))
+    spots = np.array([camera.project(positions) + 0.1 * rng.normal(size=(20, 2)) for camera in scene.cameras])
+    with pytest.raises(DegenerateDataError, match="in all poses at one place of its image, within 1 px"):
+        calibrate(replace(scene.problem, positions=positions, spots=spots))
+    spread = rng.uniform(0.0, 480.0, size=spots.shape)
+    with pytest.raises(DegenerateDataError, match="lie on a line or in a point"):
+        calibrate(replace(scene.problem, positions=1e-6 * positions, spots=spread))
 
 
 def test_extent_ignores_the_farthest_points():

@@ -24,6 +24,8 @@ _FOCAL_LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)
 FLAT = 0.02
 """Thickness over length of a cloud of positions below which it counts as a plane."""
 _THIN = 0.02
+_POINT_M, _SPOT_PX = 1e-6, 1.0
+"""Places nearer to each other are the same: no noise is so small that they tell of a camera."""
 _WIDEST_ANGLES = (0.3, 0.45, 0.6, 0.75, 0.9, 1.05, 1.2, 1.35, 1.5, 1.7, 1.9)
 _PINHOLE_ANGLE = 1.2
 _CORE_SHARE, _CORE_ROUNDS = 0.85, 6
@@ -87,7 +89,14 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
         )
     points, pixels = positions[seen], problem.spots[c][seen]
     extent = core_extent(points)
-    if extent[1] <= _THIN * extent[0]:
+    if robust_extent(pixels)[0] < _SPOT_PX:
+        raise DegenerateDataError(
+            f"Camera {name} saw the LED in all poses at one place of its image, within {_SPOT_PX:g} px.",
+            "Spread the poses over a volume, and check that the camera's images change.",
+            parameters=everything,
+            camera=name,
+        )
+    if extent[1] <= max(_THIN * extent[0], _POINT_M):
         raise DegenerateDataError(
             f"The LED positions seen by {name} lie on a line or in a point.",
             "Spread the poses over a volume.",
@@ -132,7 +141,7 @@ def _centred(camera: PinholeStart, image_size: tuple[int, int]) -> PinholeStart:
 
 
 def robust_extent(points: Array) -> Array:
-    """Standard deviations of a cloud without its farthest fifth, by principal axis, largest first, shape (3,) [m]."""
+    """Standard deviations of a cloud without its farthest fifth, by principal axis, largest first, shape (d,)."""
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     core = points[distance <= np.quantile(distance, 0.8)]
     values = np.linalg.eigvalsh(np.cov((core - core.mean(axis=0)).T, ddof=0))

@@ -16,6 +16,13 @@ Mask = NDArray[np.bool_]
 NOISE_SOURCES = ("image", "robot")
 """What stated noise is of: the spots, and the positions by the robot."""
 
+_LARGEST = {"positions": (1e7, "m"), "joint_jacobians": (1e4, "m/rad"), "spots": (1e6, "px")}
+"""An origin may be anywhere on the Earth; beyond, and beyond what follows, sums of squares lose or exceed numbers."""
+_PRIOR_SDS = 1e-9, 1e3
+_POSITION_SDS_M = 0.0, 1e3
+_SPOT_SDS_PX = 1e-9, 1e6
+_LONGEST_M = 1e3
+
 
 @dataclass(frozen=True)
 class KnownLengths:
@@ -49,14 +56,16 @@ class KnownLengths:
                 raise DataError(f"{name} of the known lengths has shape {value.shape}, it must be {shape}.", array=name)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        if not np.all(np.isfinite(self.lengths) & (np.asarray(self.lengths) > 0.0)):
-            raise DataError("Each known length must be a finite number > 0 [m].", array="lengths")
-        if not np.all(np.isfinite(self.standard_deviations) & (self.standard_deviations >= 0.0)):
-            raise DataError("Each standard deviation of a known length must be a finite number >= 0 [m].")
+        if not np.all((np.asarray(self.lengths) > 0.0) & (np.asarray(self.lengths) <= _LONGEST_M)):
+            raise DataError(f"Each known length must be > 0 and at most {_LONGEST_M:g} m.", array="lengths")
+        if not np.all((self.standard_deviations >= 0.0) & (self.standard_deviations <= _LONGEST_M)):
+            raise DataError(f"Each standard deviation of a known length must be >= 0 and at most {_LONGEST_M:g} m.")
         if np.any(np.isinf(self.spots)) or np.any(np.isnan(self.spots).sum(axis=3) == 1):
             raise DataError("A spot of a known length must be two finite numbers, or two NaN where it was not seen.")
-        if np.any(np.linalg.eigvalsh(self.spot_covariances[self.detected])[:, :1] <= 0.0):
-            raise DataError("A spot covariance of a known length is not a covariance matrix.")
+        if np.any(np.abs(self.spots) > _LARGEST["spots"][0]):
+            raise DataError(f"A spot of a known length must be within {_LARGEST['spots'][0]:g} px.", array="spots")
+        seen = tuple(f"{number} of camera {camera}" for camera, number, _ in np.argwhere(self.detected))
+        _check_covariances("spot", "known length", self.spot_covariances[self.detected], seen, _SPOT_SDS_PX)
 
     @property
     def detected(self) -> Mask:
@@ -162,21 +171,26 @@ class CalibrationProblem:
                 raise DataError(f"{name} of pose {pose} holds a value that is not finite.", array=name, pose=pose)
         if np.any(np.isinf(self.spots)) or np.any(np.isnan(self.spots).sum(axis=2) == 1):
             raise DataError("A spot must be two finite numbers, or two NaN where the LED was not seen.")
-        for name in ("led_offset_prior_sd", "joint_offset_prior_sd"):
+        for name, (largest, unit) in _LARGEST.items():
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise DataError(f"{name} is {value}, it must be a finite number >= 0.")
+            if value is not None and np.any(np.abs(value) > largest):
+                found = np.nanmax(np.abs(value))
+                raise DataError(f"A value of {name} is {found:g} {unit}, it must be at most {largest:g}.", array=name)
+        for name in ("led_offset_prior_sd", "joint_offset_prior_sd"):
+            value, (low, high) = getattr(self, name), _PRIOR_SDS
+            if not (value == 0.0 or low <= value <= high):
+                raise DataError(f"{name} is {value:g}, it must be 0, which is exact, or within {low:g} and {high:g}.")
         if self.joint_offset_prior_sd > 0.0 and self.joint_jacobians is None:
             raise DataError("joint_offset_prior_sd > 0 needs joint_jacobians, none are given.")
         rotations = self.wrist_rotations
         defect = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
         for i in np.flatnonzero((defect > 1e-4) | (np.linalg.det(rotations) < 0.0)):
             raise DataError(f"The wrist rotation of pose {self.pose_names[i]} is not a rotation matrix.")
-        _check_covariances("position", self.position_covariances, self.pose_names, strict=False)
+        _check_covariances("position", "pose", self.position_covariances, self.pose_names, _POSITION_SDS_M)
         for c, camera in enumerate(self.camera_names):
             seen = self.detected[c]
             names = tuple(np.array(self.pose_names, dtype=object)[seen])
-            _check_covariances(f"{camera} spot", self.spot_covariances[c][seen], names, strict=True)
+            _check_covariances(f"{camera} spot", "pose", self.spot_covariances[c][seen], names, _SPOT_SDS_PX)
 
     @property
     def lenses(self) -> tuple[LensModel, ...]:
@@ -233,14 +247,20 @@ class CalibrationProblem:
         )
 
 
-def _check_covariances(what: str, covariances: Array, poses: tuple[str, ...], *, strict: bool) -> None:
-    """Refuse what is no covariance; `strict`: it must have an inverse as well."""
-    for covariance, pose in zip(covariances, poses, strict=True):
-        finite = bool(np.all(np.isfinite(covariance)))
-        if finite:
-            scale = float(np.abs(covariance).max())
-            lowest = float(np.linalg.eigvalsh(covariance)[0])
-            symmetric = bool(np.abs(covariance - covariance.T).max() <= 1e-6 * scale)
-            finite = symmetric and (lowest > 0.0 if strict else lowest >= -1e-9 * scale)
-        if not finite:
-            raise DataError(f"The {what} covariance of pose {pose} is not a covariance matrix.", pose=pose)
+def _check_covariances(
+    what: str, at: str, covariances: Array, names: tuple[str, ...], sds: tuple[float, float]
+) -> None:
+    """Refuse what is no covariance, or whose standard deviations are not within two; from 0, it needs no inverse."""
+    low, high = sds
+    for covariance, name in zip(covariances, names, strict=True):
+        text, found = f"The {what} covariance of {at} {name}", {at: name}
+        if not np.all(np.isfinite(covariance)):
+            raise DataError(f"{text} is not a covariance matrix.", **found)
+        scale, lowest = float(np.abs(covariance).max()), float(np.linalg.eigvalsh(covariance)[0])
+        symmetric = np.abs(covariance - covariance.T).max() <= 1e-6 * scale
+        if not symmetric or (lowest <= 0.0 if low > 0.0 else lowest < -1e-9 * scale):
+            raise DataError(f"{text} is not a covariance matrix.", **found)
+        for variance in (lowest if low > 0.0 else scale, scale):
+            if not low**2 <= variance <= high**2:
+                outside = f"has a standard deviation of {variance**0.5:g}, it must be within {low:g} and {high:g}."
+                raise DataError(f"{text} {outside}", **found)
