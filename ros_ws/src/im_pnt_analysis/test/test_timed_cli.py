@@ -127,6 +127,12 @@ def test_simulate_replays(queue, tmp_path, capsys):
         (["time", "{queue}", "--timeout", "nan"], "nan is not a time for the search"),
         (["time", "{queue}", "--measured", "/nowhere"], "cannot read measured times from '/nowhere'"),
         (["time", "{queue}", "--fit"], "--fit needs times"),
+        (["time", "{job}", "--command", "job", "--approximate"], "--approximate has no effect with --command"),
+        (["time", "{job}", "--command", "job", "--timeout", "0"], "--timeout has no effect with --command"),
+        (["time", "{queue}", "--runs", "10"], "--runs has no effect without --command"),
+        (["time", "{queue}", "--seed", "0"], "--seed has no effect without --command"),
+        (["simulate", "{queue}", "--replay", "serve", "--steps", "3"], "--steps has no effect with --replay"),
+        (["simulate", "{queue}", "--replay", "serve", "--failures", "0"], "--failures has no effect with --replay"),
         (["time", "{job}", "--command", "job", "--runs", "1"], "1 runs are too few"),
         (["simulate", "{queue}", "--until", "nan"], "cannot end at time nan"),
         (["simulate", "{queue}", "--failures", "1.5"], "1.5 is not a probability"),
@@ -139,6 +145,19 @@ def test_bad_input_is_one_sentence(queue, job, arguments, message, capsys):
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_times_of_other_nets_are_not_taken(queue, job, tmp_path, capsys):
+    file = tmp_path / "run.json"
+    for measured, message in (
+        (json.dumps(RUN), f"'{file}' has no firing of a transition of mm15; it has job_net.read, job_net.tell, job_ne"),
+        ('{"mm15.arrive": [1, 2], "mm15.depart": [1]}', "is of another version of net mm15: it has no depart"),
+    ):
+        file.write_text(measured)
+        assert main(["time", queue, "--measured", str(file), "--fit"]) == BAD_INPUT
+        assert message in capsys.readouterr().err
+    file.write_text('{"mm15.arrive": [1, 2], "mm15.accept.other": [1], "elsewhere.x": [1]}')
+    assert main(["time", queue, "--measured", str(file), "--fit"]) == OK
 
 
 @pytest.mark.parametrize(

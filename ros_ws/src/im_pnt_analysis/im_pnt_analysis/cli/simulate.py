@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt_analysis.cli.terminal import OK
+from im_pnt_analysis.cli.terminal import OK, refuse_without_effect
 from im_pnt_analysis.simulation.replay import read_firing_sequence, replay
 from im_pnt_analysis.simulation.simulate import Estimate, Summary, simulate, summarise
 
@@ -27,12 +27,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same run (0)")
+    parser.add_argument("--seed", type=int, metavar="N", help="same seed, same run (0)")
     parser.add_argument(
         "--steps", type=int, metavar="N", help=f"firings at most ({_STEPS}, or {_SUMMARY_STEPS} of a summary)"
     )
     parser.add_argument("--until", type=float, metavar="T", help="virtual time to stop at [s]")
-    parser.add_argument("--failures", type=float, default=0.0, metavar="P", help="failures of actions without success")
+    parser.add_argument("--failures", type=float, metavar="P", help="failures of actions without success")
     parser.add_argument("--json", action="store_true", help="print one JSON object a line")
     way = parser.add_mutually_exclusive_group()
     way.add_argument("--summary", action="store_true", help="print averages with 95 %% confidence intervals")
@@ -43,22 +43,23 @@ def run(options: argparse.Namespace) -> int:
     """Plays net files."""
     nets = [load_net(file) for file in options.files]
     if options.replay is not None:
+        refuse_without_effect(options, ("--seed", "--steps", "--until", "--failures"), "with --replay")
         _replay(nets, options)
         return OK
-    steps = options.steps
+    seed, steps, failures = options.seed or 0, options.steps, options.failures or 0.0
     if steps is None and options.until is None:
         steps = _SUMMARY_STEPS if options.summary else _STEPS
     if options.summary:
-        summary = summarise(nets, seed=options.seed, steps=steps, until=options.until, failures=options.failures)
+        summary = summarise(nets, seed=seed, steps=steps, until=options.until, failures=failures)
         print(json.dumps(asdict(summary)) if options.json else _readable(summary))
     else:
-        _play(nets, steps, options)
+        _play(nets, seed, steps, failures, options)
     return OK
 
 
-def _play(nets: list[Net], steps: int | None, options: argparse.Namespace) -> None:
+def _play(nets: list[Net], seed: int, steps: int | None, failures: float, options: argparse.Namespace) -> None:
     number, time = 0, 0.0
-    run = simulate(nets, seed=options.seed, steps=steps, until=options.until, failures=options.failures)
+    run = simulate(nets, seed=seed, steps=steps, until=options.until, failures=failures)
     for number, step in enumerate(run, start=1):
         time = step.time
         _show(number, step.time, step.transition, step.marking, options.json)

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
 
@@ -36,6 +37,23 @@ def count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not a number >= 1")
     return value
+
+
+def refuse_without_effect(options: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """Makes sure that options were not given.
+
+    Args:
+        options: All options; those that were not given are None or False.
+        names: As the user writes them.
+        why: Why they would have no effect, as in "with --replay".
+
+    Raises:
+        ImError: One of them was given.
+    """
+    for name in names:
+        given = getattr(options, name.removeprefix("--"))
+        if given is not None and given is not False:
+            raise ImError(f"{name} has no effect {why}", code="input")
 
 
 def write_output(path: Path, text: str, *, overwrite: bool) -> None:

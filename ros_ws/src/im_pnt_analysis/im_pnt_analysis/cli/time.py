@@ -10,7 +10,7 @@ from pathlib import Path
 from im_core.errors import ImError
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt_analysis.cli.terminal import OK
+from im_pnt_analysis.cli.terminal import OK, refuse_without_effect
 from im_pnt_analysis.timed.durations import CommandDuration, expected_command
 from im_pnt_analysis.timed.measurement import Comparison, Measurement, compare, fit_delays, read_measurement
 from im_pnt_analysis.timed.steady import Number, SteadyState, steady_state
@@ -22,7 +22,9 @@ estimates the rest. With --command: the expected duration of a command from its 
 goes, and its bottleneck, exact where means decide and by simulation otherwise. Symbols and callers come as soon as the
 nets have nothing else to do; guards are true as often as 'weight' says."""
 
+_MARKINGS_S, _RUNS = 60.0, 1000
 _MARKINGS_SHOWN = 1000
+_NAMES_SHOWN = 5
 _DIGITS_SHOWN = 9
 _DIGITS_WRITTEN = 80
 
@@ -33,13 +35,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--timeout", type=float, default=60.0, metavar="S", help="CPU time for the markings [s] (60)")
+    parser.add_argument("--timeout", type=float, metavar="S", help=f"CPU time for the markings [s] ({_MARKINGS_S:g})")
     parser.add_argument("--approximate", action="store_true", help="take all delays for exponential ones")
     parser.add_argument("--command", dest="symbol", metavar="SYMBOL", help="expected duration of this command")
     parser.add_argument("--measured", metavar="FILE", help="with --command: firings to compare with (JSON)")
     parser.add_argument("--fit", action="store_true", help="take delays, success and weights from --measured")
-    parser.add_argument("--runs", type=int, default=1000, metavar="N", help="with --command: simulated runs (1000)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="with --command: seed of the runs (0)")
+    parser.add_argument("--runs", type=int, metavar="N", help=f"with --command: simulated runs ({_RUNS})")
+    parser.add_argument("--seed", type=int, metavar="N", help="with --command: seed of the runs (0)")
     parser.add_argument("-o", "--output", metavar="OUT", help="draw it into this file, .svg or .png")
 
 
@@ -53,18 +55,39 @@ def run(options: argparse.Namespace) -> int:
     if options.fit:
         if measured is None:
             raise ImError("--fit needs times to take delays from: --measured FILE", code="input")
+        _check_fits(options.measured, measured, nets)
         nets = list(fit_delays(nets, measured.firings))
     if options.symbol is None:
+        refuse_without_effect(options, ("--runs", "--seed"), "without --command")
         if measured is not None and not options.fit:
             raise ImError("--measured is compared with a command: --command SYMBOL is missing", code="input")
         _steady(nets, options, output)
     else:
+        refuse_without_effect(options, ("--timeout", "--approximate"), "with --command")
         _command(nets, options, measured, output)
     return OK
 
 
+def _check_fits(file: str, measured: Measurement, nets: list[Net]) -> None:
+    """Makes sure that times were measured of these nets.
+
+    Raises:
+        ImError: None is of them, or one is of a transition that its net does not have.
+    """
+    fired = {tuple(name.split(".", 1)) for name in measured.by_transition()}
+    own = {(net.name, transition) for net in nets for transition in net.transitions}
+    if not fired & own:
+        text = f"'{file}' has no firing of a transition of {', '.join(net.name for net in nets)}"
+        raise ImError(f"{text}; it has {', '.join(sorted(measured.by_transition())[:_NAMES_SHOWN])}", code="input")
+    names = {net.name for net in nets}
+    for net, *transition in sorted(fired - own):
+        if net in names and "." not in "".join(transition):  # those with one are made when a net is loaded
+            raise ImError(f"'{file}' is of another version of net {net}: it has no {''.join(transition)}", code="input")
+
+
 def _steady(nets: list[Net], options: argparse.Namespace, output: Path | None) -> None:
-    state = steady_state(nets, approximate=options.approximate, seconds=options.timeout)
+    seconds = _MARKINGS_S if options.timeout is None else options.timeout
+    state = steady_state(nets, approximate=options.approximate, seconds=seconds)
     name = "+".join(net.name for net in nets)
     print(json.dumps(_plain(state), indent=1) if options.json else f"{name}: {_readable(state)}")
     if output is not None:
@@ -74,7 +97,8 @@ def _steady(nets: list[Net], options: argparse.Namespace, output: Path | None) -
 
 
 def _command(nets: list[Net], options: argparse.Namespace, measured: Measurement | None, output: Path | None) -> None:
-    expected = expected_command(nets, options.symbol, seed=options.seed, runs=options.runs)
+    runs = _RUNS if options.runs is None else options.runs
+    expected = expected_command(nets, options.symbol, seed=options.seed or 0, runs=runs)
     comparison = None
     if measured is not None:
         times = measured.commands.get(options.symbol)
