@@ -13,11 +13,14 @@ class Oven(ManagedNode):
     def __init__(self, **given):
         overrides = [Parameter(name, value=value) for name, value in {"standalone": True, **given}.items()]
         super().__init__("oven", parameter_overrides=overrides)
-        declare = self.fixed_parameters.declare
+        declare = self.declared.declare
         self.heat = declare("heat", 0.5, "of the oven [kW]", span=(0.0, 2.0))
         self.trays = declare("trays", 1, "how many are in use", span=(1, 3))
         self.mode = declare("mode", "grill", "what it does", known=("grill", "bake"))
         self.open = declare("open", False, "whether its door is open")
+
+    def phase_configure(self):
+        self.declared.declare("fan", 1.0, "of its speed", span=(0.0, 2.0), changeable=True)
 
 
 def test_each_has_a_description_a_type_and_a_range(ros):
@@ -41,6 +44,29 @@ def test_a_change_that_would_have_no_effect_is_refused(ros):
     assert result.successful
 
 
+def test_a_parameter_that_may_be_changed_is_checked_at_the_start_too(ros, wait_until):
+    node = ros(Oven(fan=2))
+    wait_until(lambda: node.ready, "the node to be ready")
+    for value, allowed in ((0.5, True), (3.0, False)):
+        (result,) = node.set_parameters([Parameter("fan", value=value)])
+        assert result.successful == allowed
+    assert node.get_parameter("fan").value == 0.5
+
+
+def test_whatever_a_phase_raises_the_node_says_that_it_has_failed(ros, wait_until):
+    class Broken(Oven):
+        def phase_start(self):
+            raise KeyError("gone")
+
+        def phase_shutdown(self):
+            raise ZeroDivisionError
+
+    node = ros(Broken())
+    wait_until(lambda: node.failed, "the node to fail")
+    assert node.failed == "KeyError: 'gone'"
+    node.shut_down_once()
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
@@ -50,6 +76,8 @@ def test_a_change_that_would_have_no_effect_is_refused(ros):
         ({"trays": 1.5}, "parameter trays of /oven is 1.5, not a whole number"),
         ({"open": 1}, "parameter open of /oven is 1, not true or false"),
         ({"mode": "gril"}, "there is no value of the parameter mode of /oven 'gril'; did you mean 'grill'?"),
+        ({"fan": "fast"}, "parameter fan of /oven is 'fast', not a number"),
+        ({"fan": 5.0}, "fan 5.0 of /oven is not between 0 and 2"),
         ({"introspection": "all"}, "there is no value of the parameter introspection of /oven 'all' (known: contents,"),
     ],
 )

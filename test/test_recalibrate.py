@@ -222,6 +222,26 @@ def test_what_the_bag_does_not_hold_is_one_sentence(tmp_path, asked, report, opt
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "cameras",
+    [5, ["ceiling_left"], [{"name": "ceiling_left"}], [{"name": "ceiling_left", "width": "x", "height": 2}]],
+)
+def test_a_report_that_is_none_is_passed_over(tmp_path, asked, report, cameras, capsys):
+    bag = write_bag(tmp_path / "bag", (asked, answer({**report, "cameras": cameras})))
+    assert run(bag, tmp_path / "out", "--lens", "plumb_bob") == recalibrate.BAD_INPUT
+    told = "neither a report nor /ceiling_left/camera_info says how large the images of ceiling_left are"
+    assert told in capsys.readouterr().err
+
+
+def test_images_of_no_height_are_refused(tmp_path, asked, report, capsys):
+    empty = Image(encoding="mono8", width=5, step=5)
+    others = [(f"/{name}/image_raw", IMAGE, serialize_message(empty)) for name in CAMERAS]
+    others.append((LOOKS, LOOK, next(iter(events(SpotFind, [(SpotFind.Request(), None)])))))
+    bag = write_bag(tmp_path / "bag", (asked, answer(report)), others=others)
+    assert run(bag, tmp_path / "out", "--from", "images") == recalibrate.BAD_INPUT
+    assert "/ceiling_left/image_raw: an image of 0 bytes, mono8; mono8 is needed" in capsys.readouterr().err
+
+
 def test_bags_without_a_calibration_are_one_sentence(tmp_path, asked, capsys):
     other = write_bag(tmp_path / "other", others=[size_of("ceiling_left")])
     sizeless = write_bag(tmp_path / "sizeless", (asked, None))

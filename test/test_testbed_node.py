@@ -95,7 +95,7 @@ def test_faults_and_objects_by_service(run_folder):
         until(lambda: node.ready or node.failed)
         assert node.ready, node.failed
         ends = [kind.attach(names.instance(), timeout_s=60.0) for kind in (PanelEnd, ServoEnd, HostEnd)]
-        panel, servo, host = ends
+        panel, servo, _ = ends
 
         def broken(fault, joint, active):
             request = InjectFault.Request(fault=fault, joint=joint, active=active)
@@ -114,7 +114,7 @@ def test_faults_and_objects_by_service(run_folder):
         request = PutInJaws.Request(gripper="left_gripper", width=0.05, stiffness=1e4, mass=0.2)
         assert call_blocking(put, request, 5.0, "object").success
         panel.wait_tick(panel.request_time(1), timeout_s=60.0)
-        assert host.objects()[0].mass == 0.2
+        assert panel.objects()[0].mass == 0.2
         answer = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=-1.0), 5.0, "object")
         assert not answer.success
         assert "width and stiffness are > 0" in answer.message

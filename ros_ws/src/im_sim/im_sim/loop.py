@@ -1,6 +1,6 @@
 """The tick loop of the physics process."""
 
-from im_cell.link import HostEnd, LaserBeam
+from im_cell.link import Faults, HostEnd, JawObject, LaserBeam
 from im_core import clock
 from im_sim.exposures import Exposures
 from im_sim.laser import Laser
@@ -48,8 +48,8 @@ class TickLoop:
     def run_tick(self) -> None:
         """One tick: the servo's command for the present state, a step of the plant, the next state."""
         plant = self._plant
-        if self._link.disturbed():
-            self._disturb()
+        if (disturbances := self._link.disturbances()) is not None:
+            self._disturb(*disturbances)
         self._link.post_state()
         # While the servo computes, what its command does not change:
         self._exposures.begin_tick(self._tick)
@@ -62,9 +62,9 @@ class TickLoop:
         self._publish()
         self._exposures.end_tick(self._tick, before, plant.q, self._laser)
 
-    def _disturb(self) -> None:
-        self._plant.break_(self._link.faults())
-        self._plant.put(self._link.objects())
+    def _disturb(self, faults: Faults, objects: tuple[JawObject | None, ...]) -> None:
+        self._plant.break_(faults)
+        self._plant.put(objects)
         clock.sleep(self._link.take_stall())
 
     def _pace(self) -> None:

@@ -1,6 +1,7 @@
 """The simulated cameras: light where the lens puts it, hidden by the arm, noise as stated and repeatable."""
 
 import json
+import os
 import signal
 from dataclasses import replace
 
@@ -12,8 +13,11 @@ from im_cell.camera_model import CameraModel
 from im_cell.frames import FrameSourceSetup, SnapOrder
 from im_cell.link import Exposure
 from im_cell.robot import load_cell
-from im_core.errors import ConfigError, WaitTimeoutError
+from im_core import names
+from im_core.errors import ConfigError, LinkError, WaitTimeoutError
 from im_core.process import ChildProcess
+from im_core.shm import Semaphore
+from im_core.shm_names import remove_all
 from im_sim.cameras.bank import CameraBank
 from im_sim.cameras.host import CameraHost
 from im_sim.cameras.lens import Lens
@@ -138,6 +142,31 @@ def test_cameras_that_hang_at_their_start_are_ended_and_started_again(monkeypatc
         host.close()
     ended = -signal.SIGTERM
     assert [(child.poll(), renderer) for child, renderer in started] == [(ended, "auto"), (ended, "tiny")]
+
+
+def test_cameras_that_cannot_be_started_again_at_once_are_later(monkeypatch, tmp_path):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    monkeypatch.setattr(ChildProcess, "of_module", lambda *_, **__: ChildProcess(["sleep", "60"]))
+    host = CameraHost(FrameSourceSetup(CELL, None, ("wall",), SETTINGS.sensor, 0.018, 0.2, {"renderer": "tiny"}))
+    host.start()
+    os.kill(host._child.pid, signal.SIGKILL)
+    assert host._child.await_end(60.0)
+    create = Semaphore.create
+    failing = [LinkError("there is no room"), LinkError("there is no room")]
+
+    def no_room(name):
+        if failing and name.endswith("replied"):
+            raise failing.pop()
+        return create(name)
+
+    monkeypatch.setattr(Semaphore, "create", no_room)
+    for again in (host.revive, lambda: host.take_frames(SnapOrder(("wall",), (False,), 0.018, 1.0))):
+        with pytest.raises(LinkError, match="there is no room"):
+            again()
+    assert "-9" in host.revive()
+    assert host._child.poll() is None
+    host.close()
+    assert remove_all(names.instance()) == []
 
 
 def test_lens_warps_as_the_camera_model_projects():

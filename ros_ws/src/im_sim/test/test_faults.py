@@ -7,7 +7,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from im_cell.link import Faults, HostEnd, PanelEnd, ServoEnd, StopEnd, TickCommand
+from im_cell.link import Faults, HostEnd, JawObject, PanelEnd, ServoEnd, StopEnd, TickCommand
 from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError
 from im_core.shm_names import remove_all
@@ -183,5 +183,24 @@ def test_faults_that_cannot_be_are_refused_and_change_nothing(plant):
             panel.put_in_jaws("gripper", 0.1, 1.0, 1.0)
         with pytest.raises(DataError, match="cannot be"):
             panel.put_in_jaws("left_gripper", 0.1, -1.0, 1.0)
-        assert not host.disturbed()
+        with pytest.raises(DataError, match="at most 1 m, 1e\\+09 N/m and 1000 kg"):
+            panel.put_in_jaws("left_gripper", 0.1, 1e4, 1e308)
+        assert host.disturbances() is None
         end.close()
+
+
+def test_what_is_being_written_is_taken_when_it_is_whole(plant):
+    with HostEnd.create(INSTANCE, factor=0.0) as host:
+        TickLoop(plant, Laser(CELL.laser, CELL.period, seed=1), host)
+        cube = JawObject(0.05, 1e4, 0.1)
+        with PanelEnd.attach(INSTANCE, 60.0) as panel:
+            panel.set_object(0, cube)
+            with panel._changing():
+                assert host.disturbances() is None
+            assert host.disturbances()[1] == (cube, None)
+            assert host.disturbances() is None
+            panel._changing().__enter__()  # the node dies there
+        assert host.disturbances() is None
+        with PanelEnd.attach(INSTANCE, 60.0) as panel:
+            panel.set_object(1, cube)
+            assert host.disturbances()[1] == (cube, cube)

@@ -2,15 +2,18 @@
 
 import threading
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as StillSearching
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from im_core import clock
 from im_core.errors import DataError, StateError, WaitTimeoutError
 
 Found = TypeVar("Found")
 
+_SLICE_S = 0.2
 MOST_LOOKS = 16
 """Looks that are known, at most; of more the oldest are forgotten."""
 
@@ -41,23 +44,25 @@ class Looks(Generic[Found]):
     def keep(self, name: str, look: Look[Found]) -> None:
         """Keep a look under a name."""
         with self._lock:
+            self._looks.pop(name, None)  # of a former life of the testbed, whose time was the same
             self._looks[name] = look
             while len(self._looks) > MOST_LOOKS:
                 self._looks.popitem(last=False)
 
-    def found(self, name: str, cameras: tuple[str, ...], timeout_s: float) -> Found:
+    def found(self, name: str, cameras: tuple[str, ...], timeout_s: float, check: Callable[[], None]) -> Found:
         """What a look has found; waits until it has.
 
         Args:
             name: Of the look.
             cameras: Those that are asked for.
             timeout_s: How long to wait, wall time [s].
+            check: Raises what shall end the wait; called now and then.
 
         Raises:
             StateError: There is no such look any more, code :data:`FORGOTTEN`.
             DataError: It was by other cameras.
             WaitTimeoutError: The search takes longer.
-            ImError: As raised by the search.
+            ImError: As raised by the search, or by the check.
         """
         with self._lock:
             look = self._looks.get(name)
@@ -66,8 +71,13 @@ class Looks(Generic[Found]):
         if look.cameras != cameras:
             told = f"look {name} was by {', '.join(look.cameras)}, not by {', '.join(cameras)}"
             raise DataError(told, look=name, cameras=list(look.cameras))
-        try:
-            return look.found.result(timeout_s)
-        except StillSearching:
-            what = f"the light to be found in the images of look {name}"
-            raise WaitTimeoutError(what=what, seconds=timeout_s) from None
+        deadline = clock.monotonic() + timeout_s
+        while True:
+            left_s = deadline - clock.monotonic()
+            try:
+                return look.found.result(max(0.0, min(left_s, _SLICE_S)))
+            except StillSearching:
+                if left_s <= _SLICE_S:
+                    what = f"the light to be found in the images of look {name}"
+                    raise WaitTimeoutError(what=what, seconds=timeout_s) from None
+            check()

@@ -38,6 +38,16 @@ class RecordedCalibration:
     report: Mapping[str, Any] | None = None
     refusal: str = ""
 
+    def image_sizes(self) -> dict[str, tuple[int, int]]:
+        """Width and height of the images of cameras [px], of which the answer says it."""
+        sizes = {}
+        cameras = (self.report or {}).get("cameras")
+        for camera in cameras if isinstance(cameras, list) else ():
+            match camera:
+                case {"name": str(name), "width": int(width), "height": int(height)} if min(width, height) > 0:
+                    sizes[name] = width, height
+        return sizes
+
     def led_offset(self) -> tuple[tuple[float, float, float], float] | None:
         """Nominal place of the light in the wrist frame, and how well it was known [m]; None: the answer says none."""
         match self.report:
@@ -88,8 +98,7 @@ def image_sizes(bag: Path, call: RecordedCalibration, cameras: Sequence[str]) ->
     Raises:
         DataError: Nothing in the bag says it of a camera.
     """
-    reported = (call.report or {}).get("cameras") or ()
-    sizes = {each["name"]: (int(each["width"]), int(each["height"])) for each in reported}
+    sizes = call.image_sizes()
     topics = topics_of(bag)
     for camera in cameras:
         topic = f"/{camera}/camera_info"
@@ -204,7 +213,8 @@ def _pairs(bag: Path, camera: str, stamps: set[int]) -> Iterator[tuple[int, Any,
 
 
 def _pixels(image: Any, topic: str) -> Any:
-    if image.encoding != "mono8" or len(image.data) != image.height * image.step or image.step < image.width:
+    fits = len(image.data) == image.height * image.step and image.step >= image.width
+    if image.encoding != "mono8" or not fits or min(image.width, image.height) < 1:
         raise DataError(f"{topic}: an image of {len(image.data)} bytes, {image.encoding}; mono8 is needed", topic=topic)
     return np.ascontiguousarray(np.frombuffer(image.data, np.uint8).reshape(image.height, -1)[:, : image.width])
 

@@ -112,6 +112,7 @@ class VisionServicesManager:
 
         Raises:
             NotFoundError: No such request is under way.
+            StateError: It changes something already.
         """
         with self._lock:
             if request not in self._clients:

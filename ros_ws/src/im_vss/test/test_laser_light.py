@@ -12,6 +12,7 @@ from im_cell.robot import load_cell
 from im_sim.cameras.bank import CameraBank
 from im_sim.cameras.laser import LaserLight
 from im_sim.cameras.scene import SceneMirror
+from im_vss.camera_book import nominal
 from im_vss.laser.line import line_peaks, match_lines
 from im_vss.settings import load_settings
 from im_vss.spot import find_spot
@@ -147,6 +148,25 @@ def test_two_cameras_agree_on_the_line_without_the_scanner(cell_seen):
     seen = models[0].project(matches.points)
     np.testing.assert_allclose(seen, places[0][matches.places], atol=0.05)
     assert len(matches.points) + sum(matches.rejected.values()) == len(places[0])
+
+
+def test_lines_that_meet_behind_the_cameras_give_no_point():
+    """Such as a reflection in the second camera, which crosses the epipolar line beyond what is infinitely far."""
+    models = tuple(nominal(CELL.cameras[name]) for name in ("ceiling_left", "ceiling_right"))
+    rng, found = np.random.default_rng(0), 0
+    for _ in range(400):
+        place = rng.uniform((50.0, 50.0), (600.0, 430.0))
+        ray = models[0].ray(place)
+        behind = models[1].to_camera(models[0].position - rng.uniform(0.3, 50.0) * ray)
+        mirrored = (models[1].K[:2] @ (behind / behind[2])).ravel()
+        along = models[1].project(models[0].position + 1e6 * ray) - mirrored
+        across = 1.5 * np.array([-along[1], along[0]]) / np.linalg.norm(along)
+        second = np.array([mirrored - across, mirrored + across])
+        if np.all((second > 0.0) & (second < 479.0)):
+            matches = match_lines(models, place[None], second)
+            assert len(matches.points) == len(matches.places) == 0
+            found += matches.rejected.get("not within 8 m in front of both cameras", 0)
+    assert found > 10
 
 
 def test_speckle_is_the_same_for_the_same_beam_and_differs_for_others(cell_seen):

@@ -162,6 +162,31 @@ def test_the_beam_of_a_client_that_gave_up_is_dark(system):
     assert (state.owner, state.leases, state.lapsed) == ("", 1, 1)
 
 
+@pytest.mark.parametrize("when", ["while the cameras are busy", "while they expose"])
+def test_what_was_exposed_after_the_lease_of_the_laser_is_no_answer(system, monkeypatch, when):
+    """Its beam may be that of another client by then."""
+    vsm, _, cameras = system("laser_spot_3d")
+    leases = []
+    acquire = vsm.managers["laser_scanner"]._acquire
+
+    def remembered(module, client):
+        leases.append(acquire(module, client))
+        return leases[-1]
+
+    def lapse(*_):
+        leases[-1].deadline = -1.0
+
+    monkeypatch.setattr(vsm.managers["laser_scanner"], "_acquire", remembered)
+    if when == "while they expose":
+        cameras.meanwhile = lapse
+    else:
+        drive = vsm.modules["vm_laser"].drive
+        monkeypatch.setattr(vsm.modules["vm_laser"], "drive", lambda *given: (drive(*given), lapse())[0])
+    with pytest.raises(StateError, match="the lease of vm_laser by me is over"):
+        vsm.tools["tool_laser_snap"](VisionClient("me"), ("wall",), LaserBeam(0.05, 0.0, 0.0, POWER), 0.0)
+    assert len(cameras.orders) == (when == "while they expose")
+
+
 def test_the_beam_of_the_next_client_is_left_alone(system):
     vsm, scanner, _ = system("laser_point")
     module, vmm = vsm.modules["vm_laser"], vsm.managers["laser_scanner"]

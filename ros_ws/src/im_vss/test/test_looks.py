@@ -52,6 +52,10 @@ class Screen:
         pass
 
 
+def patient():
+    """Nothing ends the wait."""
+
+
 @pytest.fixture
 def cameras():
     return Cameras()
@@ -94,6 +98,35 @@ def test_what_fails_after_the_exposure_is_told_to_whoever_asks_for_the_result(vs
         vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name))
 
 
+def test_a_look_outlives_the_client_that_ordered_it(vsm, cameras):
+    living = [True]
+    name = vsm.request("spot_look", SpotLookRequest((CAMERA,)), lambda: living[0])
+    living[0] = False
+    cameras.go.set()
+    (spot,) = vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name)).spots
+    assert spot.camera == CAMERA
+
+
+def test_who_waits_for_a_look_may_give_up(vsm, cameras):
+    name = vsm.request("spot_look", SpotLookRequest((CAMERA,)))
+    outcomes = []
+
+    def wait():
+        try:
+            vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name))
+        except StateError as error:
+            outcomes.append(error.message)
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    while "spot_find #2" not in vsm.state().requests:
+        pass
+    vsm.cancel("spot_find #2")
+    waiting.join(20.0)
+    assert outcomes == ["spot_find #2 was cancelled, or nobody waits for it any more"]
+    assert not cameras.go.is_set()
+
+
 def test_what_cannot_be_exposed_is_no_look(vsm, cameras):
     with pytest.raises(NotFoundError, match="nose"):
         vsm.request("spot_look", SpotLookRequest(("nose",)))
@@ -103,13 +136,13 @@ def test_what_cannot_be_exposed_is_no_look(vsm, cameras):
 def test_a_look_that_is_not_known_or_by_other_cameras_is_refused():
     looks = Looks()
     with pytest.raises(StateError, match="look 7 is not known: its images are gone") as caught:
-        looks.found("7", (CAMERA,), 1.0)
+        looks.found("7", (CAMERA,), 1.0, patient)
     assert caught.value.code == FORGOTTEN
     looks.keep("7", Look((CAMERA,)))
     with pytest.raises(DataError, match="look 7 was by ceiling_left, not by wall"):
-        looks.found("7", ("wall",), 1.0)
+        looks.found("7", ("wall",), 1.0, patient)
     with pytest.raises(WaitTimeoutError, match="the light to be found in the images of look 7"):
-        looks.found("7", (CAMERA,), 0.01)
+        looks.found("7", (CAMERA,), 0.01, patient)
 
 
 def test_of_many_looks_the_oldest_are_forgotten():
@@ -118,7 +151,18 @@ def test_of_many_looks_the_oldest_are_forgotten():
         look = Look((CAMERA,))
         look.found.set_result(number)
         looks.keep(str(number), look)
-    assert looks.found(str(MOST_LOOKS), (CAMERA,), 0.0) == MOST_LOOKS
-    assert looks.found("1", (CAMERA,), 0.0) == 1
+    assert looks.found(str(MOST_LOOKS), (CAMERA,), 0.0, patient) == MOST_LOOKS
+    assert looks.found("1", (CAMERA,), 0.0, patient) == 1
     with pytest.raises(StateError, match="look 0 is not known"):
-        looks.found("0", (CAMERA,), 0.0)
+        looks.found("0", (CAMERA,), 0.0, patient)
+
+
+def test_a_look_of_a_name_that_was_used_before_is_the_newest():
+    looks = Looks()
+    for number in (*range(MOST_LOOKS), 0, MOST_LOOKS):
+        look = Look((CAMERA,))
+        look.found.set_result(number)
+        looks.keep(str(number), look)
+    assert looks.found("0", (CAMERA,), 0.0, patient) == 0
+    with pytest.raises(StateError, match="look 1 is not known"):
+        looks.found("1", (CAMERA,), 0.0, patient)

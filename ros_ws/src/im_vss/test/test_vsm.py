@@ -199,6 +199,28 @@ def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, tmp_path
     assert rig.book.entries() == before
 
 
+def test_a_calibration_that_is_in_use_was_not_cancelled(system, monkeypatch):
+    """It is too late to give it up, also for a client that dies, when its files are written and told of."""
+    vsm, _ = system
+    rig, living = vsm.services["calibrate"].rig, [True]
+    moved = replace(rig.book["wall"].model, t_cam_base=np.array([1.0, 2.0, 3.0]))
+    found = SimpleNamespace(
+        success=True, cameras=(SimpleNamespace(name="wall", model=moved),), camera_covariance=CameraCovariance()
+    )
+    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", lambda problem: found)
+    monkeypatch.setattr("im_vss.services.svc_calibrate.report_of", lambda *_: {})
+
+    def told():
+        living[0] = False
+        with pytest.raises(StateError, match="calibrate #1 cannot be cancelled any more"):
+            vsm.cancel("calibrate #1")
+
+    rig.book.on_change = told
+    request = CalibrateRequest(("wall",), (observation(),), (), None, apply=True)
+    assert vsm.request("calibrate", request, lambda: living[0]).applied
+    assert rig.book["wall"].model.t_cam_base.tolist() == [1.0, 2.0, 3.0]
+
+
 def test_the_deployment_of_the_services_in_use(capsys):
     assert deployment.main(["snap", "calibrate"]) == 0
     (task,) = yaml.safe_load(capsys.readouterr().out)["hosts"]["localhost"]["vss"].values()

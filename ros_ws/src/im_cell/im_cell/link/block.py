@@ -56,7 +56,7 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             ("demand_until", "<i8", (3,)),
             # testbed node
             ("lights", "?", (MAX_LIGHTS,)),
-            ("disturbances", "<i8"),
+            ("disturbances", "<i8"),  # odd while what follows is written
             ("fault_joints", "?", (4, n_joints)),
             ("fault_power", "<i8"),
             ("stall_s", "<f8"),
@@ -135,10 +135,7 @@ class LinkBlock:
 
     def objects(self) -> tuple[JawObject | None, ...]:
         """What is between the jaws of each gripper."""
-        return tuple(
-            JawObject(width, stiffness, mass) if width else None
-            for width, stiffness, mass in self.view["objects"].tolist()
-        )
+        return objects_of(self.view["objects"].tolist())
 
     def lights(self) -> tuple[bool, ...]:
         """Which lights are switched on, in the order of ``light_names``."""
@@ -150,6 +147,11 @@ class LinkBlock:
         for semaphore in self._semaphores.values():
             semaphore.close()
         self.block.close()
+
+
+def objects_of(rows: list[list[float]]) -> tuple[JawObject | None, ...]:
+    """Objects of their width [m], stiffness [N/m] and mass [kg]; a width of 0 is none."""
+    return tuple(JawObject(*row) if row[0] else None for row in rows)
 
 
 _SEMAPHORES = ("state", "command", "wake", "exposed")

@@ -5,7 +5,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.link.block import MAX_LIGHTS, LinkBlock
+from im_cell.link.block import MAX_LIGHTS, LinkBlock, objects_of
 from im_cell.link.end import LinkEnd
 from im_cell.link.values import (
     ControlState,
@@ -142,19 +142,20 @@ class HostEnd(LinkEnd):
             gripper_force=view["command_gripper_force"].copy(),
         )
 
-    def disturbed(self) -> bool:
-        """Whether faults or objects have changed since the last call."""
-        changes = int(self._shared.view["disturbances"])
-        seen, self._seen = self._seen, changes
-        return changes != seen
+    def disturbances(self) -> tuple[Faults, tuple[JawObject | None, ...]] | None:
+        """Faults, and what is between the jaws of each gripper, if they have changed since they were given last.
 
-    def faults(self) -> Faults:
-        """The faults in force."""
-        return self._shared.faults()
-
-    def objects(self) -> tuple[JawObject | None, ...]:
-        """What is between the jaws of each gripper."""
-        return self._shared.objects()
+        None otherwise, and while they are being written; then they are there at a later call.
+        """
+        count = self._shared.view["disturbances"]
+        changes = int(count)
+        if changes == self._seen or changes % 2:
+            return None
+        faults, objects = self._shared.faults(), self._shared.view["objects"].tolist()
+        if int(count) != changes:
+            return None
+        self._seen = changes
+        return faults, objects_of(objects)
 
     def lights(self) -> tuple[bool, ...]:
         """Which lights are switched on, in the order of ``light_names``."""

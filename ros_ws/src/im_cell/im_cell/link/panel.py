@@ -1,5 +1,7 @@
 """The testbed's panel: its end of the link switches lights and faults, and puts objects between the jaws."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 import numpy as np
@@ -45,9 +47,9 @@ class PanelEnd(ClockEnd):
         """Replace the faults in force."""
         view = self._shared.view
         of_joints = (faults.encoder_nan, faults.encoder_frozen, faults.brake_stuck, faults.brake_open)
-        view["fault_joints"][:] = of_joints
-        view["fault_power"][()] = faults.power_loss
-        self._changed()
+        with self._changing():
+            view["fault_joints"][:] = of_joints
+            view["fault_power"][()] = faults.power_loss
 
     def faults(self) -> Faults:
         """The faults in force."""
@@ -61,8 +63,8 @@ class PanelEnd(ClockEnd):
         """
         if not 0.0 < seconds < np.inf:
             raise DataError(f"a stall of {seconds} s is not between 0 and infinity", seconds=seconds)
-        self._shared.view["stall_s"][()] = seconds
-        self._changed()
+        with self._changing():
+            self._shared.view["stall_s"][()] = seconds
 
     def set_object(self, gripper: int, held: JawObject | None) -> None:
         """Put an object between the jaws of a gripper, or take it away.
@@ -73,13 +75,17 @@ class PanelEnd(ClockEnd):
         objects = self._shared.view["objects"]
         if not 0 <= gripper < len(objects):
             raise DataError(f"gripper {gripper} is not one of 0 to {len(objects) - 1}", gripper=gripper)
-        objects[gripper] = (0.0, 0.0, 0.0) if held is None else (held.width, held.stiffness, held.mass)
-        self._changed()
+        with self._changing():
+            objects[gripper] = (0.0, 0.0, 0.0) if held is None else (held.width, held.stiffness, held.mass)
 
     def objects(self) -> tuple[JawObject | None, ...]:
         """What is between the jaws of each gripper."""
         return self._shared.objects()
 
-    def _changed(self) -> None:
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Has physics wait until all is written; a node that died while it wrote may have left the count odd."""
         changes = self._shared.view["disturbances"]
+        changes[()] = int(changes) | 1
+        yield
         changes[()] = int(changes) + 1

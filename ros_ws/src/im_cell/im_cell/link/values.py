@@ -1,6 +1,5 @@
 """What travels over the testbed link."""
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError
 
+_LARGEST_WIDTH_M, _LARGEST_STIFFNESS_N_M, _LARGEST_MASS_KG = 1.0, 1e9, 1e3
 
 class Sensors(NamedTuple):
     """What the testbed's sensors say.
@@ -129,11 +129,13 @@ class JawObject:
     mass: float
 
     def __post_init__(self) -> None:
-        finite = all(map(math.isfinite, (self.width, self.stiffness, self.mass)))
-        if not finite or self.width <= 0.0 or self.stiffness <= 0.0 or self.mass < 0.0:
+        largest = _LARGEST_WIDTH_M, _LARGEST_STIFFNESS_N_M, _LARGEST_MASS_KG
+        fits = all(value <= most for value, most in zip((self.width, self.stiffness, self.mass), largest, strict=True))
+        if not fits or not self.width > 0.0 or not self.stiffness > 0.0 or not self.mass >= 0.0:
             raise DataError(
                 f"an object of width {self.width} m, stiffness {self.stiffness} N/m and mass {self.mass} kg cannot be:"
-                " width and stiffness are > 0, mass is >= 0"
+                f" width and stiffness are > 0, mass is >= 0; at most {largest[0]:g} m, {largest[1]:g} N/m and"
+                f" {largest[2]:g} kg"
             )
 
 

@@ -41,7 +41,7 @@ class VisionCoordinator(PntNode):
         host.attach(self)
         cell = load_cell()
         self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: lights_told(message.data, cell))
-        self.fixed_parameters.declare(
+        self.declared.declare(
             LONG_EXPOSURE, 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
         )
 

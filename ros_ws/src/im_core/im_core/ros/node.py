@@ -21,8 +21,9 @@ from im_core.errors import ImError
 from im_core.process import dismiss_prepared
 from im_core.ros import qos
 from im_core.ros.coroutines import SOON_S, Alarms, Coroutines, Promise, Work
-from im_core.ros.guard import GuardedNode
-from im_core.ros.parameters import FixedParameters
+from im_core.ros.failures import sentence
+from im_core.ros.guard import INTERNAL, GuardedNode
+from im_core.ros.parameters import DeclaredParameters
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
@@ -52,7 +53,7 @@ class ManagedNode(GuardedNode):
     override :meth:`phase_configure`, :meth:`phase_start` and :meth:`phase_shutdown`.
 
     Attributes:
-        fixed_parameters: Declares parameters that are read once; with a wrong one the node fails to be configured.
+        declared: Declares parameters; with a wrong one the node fails to be configured.
         detail: What is told of the task with the phases that it has passed.
     """
 
@@ -60,10 +61,10 @@ class ManagedNode(GuardedNode):
 
     def __init__(self, name: str, *, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__(name, parameter_overrides=parameter_overrides)
-        self.fixed_parameters = FixedParameters(self)
+        self.declared = DeclaredParameters(self)
         published = "what services and actions publish of what they carry, on <service>/_service_event"
         self._introspection = INTROSPECTION[
-            self.fixed_parameters.declare("introspection", "off", published, known=INTROSPECTION)
+            self.declared.declare("introspection", "off", published, known=INTROSPECTION)
         ]
         self.task_name = name
         self.incarnation = secrets.randbits(63)
@@ -79,7 +80,7 @@ class ManagedNode(GuardedNode):
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._publish_status, clock=self.steady_clock)
         alone = "pass through the start-up phases without a bootstrap"
-        if self.fixed_parameters.declare("standalone", False, alone):
+        if self.declared.declare("standalone", False, alone):
             self.alarms.after(0.0, lambda: self._follow(StartupPhase.START))
         else:
             self.create_subscription(UInt8, PHASE_TOPIC, self._hear_phase, qos.LATCHED)
@@ -159,8 +160,8 @@ class ManagedNode(GuardedNode):
             self._publish_status()
         try:
             self.phase_shutdown()
-        except ImError as error:
-            self.get_logger().error(error.message)
+        except Exception as error:  # the process ends all the same
+            self.get_logger().error(sentence(error))
 
     def _woken(self) -> None:
         self._wake_timer.cancel()
@@ -194,10 +195,10 @@ class ManagedNode(GuardedNode):
             self._run_phase(self.phase_start, TaskStatus.READY)
 
     def _configure(self) -> None:
-        if self.fixed_parameters.fault is not None:
-            raise self.fixed_parameters.fault
-        self.phase_configure()
-        dismiss_prepared()
+        for configure in (self.phase_configure, dismiss_prepared):
+            if self.declared.fault is not None:
+                raise self.declared.fault
+            configure()
 
     def _run_phase(self, phase: Callable[[], None], reached: int) -> None:
         usual, self.standstill_s = self.standstill_s, PHASE_STANDSTILL_S
@@ -205,6 +206,9 @@ class ManagedNode(GuardedNode):
             phase()
         except ImError as error:
             self.fail(error)
+        except Exception as error:  # nobody would know why the task does not get ready
+            self.note_failure(f"start-up phase {phase.__name__}", error)
+            self.fail(ImError(sentence(error), code=INTERNAL))
         else:
             self._set_phase(reached, self.detail)
         finally:

@@ -1,4 +1,4 @@
-"""Parameters that a node reads once, when it is made: described, checked, and closed to later changes."""
+"""Parameters of a node: described, checked, and closed to later changes where they are read once."""
 
 from collections.abc import Collection
 from typing import TypeVar
@@ -13,11 +13,11 @@ ValueT = TypeVar("ValueT", bool, int, float, str)
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
-class FixedParameters:
-    """Declares the parameters of a node that have an effect at its start only; they are read-only afterwards.
+class DeclaredParameters:
+    """Declares the parameters of a node; they are read-only unless it is said that they may be changed.
 
-    A wrong value does not keep the node from being made: its default stands in, and :attr:`fault` says what is wrong,
-    for the node to fail with when it is configured.
+    A wrong value that is given at the start does not keep the node from being made: its default stands in, and
+    :attr:`fault` says what is wrong, for the node to fail with when it is configured.
 
     Args:
         node: The node.
@@ -39,6 +39,7 @@ class FixedParameters:
         *,
         span: tuple[float, float] | None = None,
         known: Collection[str] = (),
+        changeable: bool = False,
     ) -> ValueT:
         """Declare a parameter and return its value.
 
@@ -48,6 +49,7 @@ class FixedParameters:
             description: What it is, with its unit.
             span: Least and largest value, both allowed.
             known: The texts that are allowed; empty: any.
+            changeable: Whether it may be changed at any time.
         """
         given = self._node._parameter_overrides.get(name)  # rclpy's own checks say less, and end the node
         value = default
@@ -57,7 +59,7 @@ class FixedParameters:
                 self._check(name, value, span, known)
             except ImError as error:
                 self.fault, value = self.fault or error, default
-        descriptor = ParameterDescriptor(description=description, read_only=True)
+        descriptor = ParameterDescriptor(description=description, read_only=not changeable)
         if known:
             descriptor.additional_constraints = f"one of {', '.join(known)}"
         if span is not None and isinstance(default, int):

@@ -52,7 +52,7 @@ class Dispatcher(PntNode):
         name, verifier = "dispatcher", verify_to_load
         super().__init__(name, (), made.actions, made.guards, made.asks, verifier=verifier, made_by=made_by)
         named = "the commands to begin with: names of those shipped, net files, folders of them; separated by commas"
-        self._commands_named = self.fixed_parameters.declare("commands", ",".join(shipped()), named)
+        self._commands_named = self.declared.declare("commands", ",".join(shipped()), named)
         host.attach(self)
         command_host.attach(self)
         self._standing = {symbol: tell for command in commands for symbol, tell in command.standing.items()}

@@ -34,7 +34,7 @@ class McsNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("mcs")
-        declare = self.fixed_parameters.declare
+        declare = self.declared.declare
         path = declare("config", "", "file of slots, groups, limits and laws; empty: the package's mcs.yaml")
         preset = declare("preset", "", "division of the joints at the start, e.g. 2x9; empty: the configuration's")
         period = declare("period", 0.0, "of the servo [s]; 0: the configuration's", span=(0.0, 0.1))

@@ -114,7 +114,7 @@ class PntNode(ManagedNode):
         self.dom = DomClient(self)
         self.objects = NotedObjects(self.dom, self.log)
         self.sources = Sources(self, self.dom, self.log, self._source_changed)
-        declare = self.fixed_parameters.declare
+        declare = self.declared.declare
         self.seed = declare("seed", 0, "of the choices among transitions in conflict", span=(0, 2**31 - 1))
         journals = "" if self.get_parameter("standalone").value else str(run_dir() / "journal")
         kept = "what a firing waits for: os, that the kernel has it (survives kill -9); disk, that the disk has it"

@@ -1,6 +1,7 @@
 """The node's end of the camera process: starts it, orders images, starts it again when it dies."""
 
 import threading
+from contextlib import ExitStack, closing
 
 from pydantic import ValidationError
 
@@ -47,6 +48,7 @@ class CameraHost(FrameSource):
         self._names = ChannelNames(names.instance())
         self._store = ImageStore(setup.cell)
         self._lock = threading.Lock()
+        self._shared = ExitStack()  # what is closed with the process
         self._child: ChildProcess | None = None
         self._ready = False
         self._number = 0
@@ -127,34 +129,31 @@ class CameraHost(FrameSource):
                 return
             self._child.stop()
             self._child = None
-            self._release()
+            self._shared.close()
 
     def _start(self) -> None:
-        channels = self._names
-        self._images = SharedBlock.create(channels.images, self._store.size)
-        self._images.publish()
-        self._replies = MessageRing.create(channels.replies)
-        self._requested = Semaphore.create(channels.requested)
-        self._replied = Semaphore.create(channels.replied)
-        self._requests = MessageRing.create(channels.requests)
-        self._ready = False
-        run_dir = names.run_dir()
+        channels, run_dir = self._names, names.run_dir()
         arguments = ["--instance", names.instance(), "--truth", str(run_dir / FILE_NAME)]
         arguments += ["--settings", self._settings.model_dump_json()]
         arguments += ["--cell", str(self._cell_file)] if self._cell_file else []
-        self._child = ChildProcess.of_module(_CAMERAS, arguments, log=run_dir / "camera.log")
+        with ExitStack() as shared:
+            self._images = shared.enter_context(closing(SharedBlock.create(channels.images, self._store.size)))
+            self._images.publish()
+            self._replies = shared.enter_context(closing(MessageRing.create(channels.replies)))
+            self._requested = shared.enter_context(closing(Semaphore.create(channels.requested)))
+            self._replied = shared.enter_context(closing(Semaphore.create(channels.replied)))
+            self._requests = shared.enter_context(closing(MessageRing.create(channels.requests)))
+            self._ready = False
+            self._child = ChildProcess.of_module(_CAMERAS, arguments, log=run_dir / "camera.log")
+            self._shared = shared.pop_all()
 
     def _restart(self) -> None:
         code = self._child.poll() if self._child is not None else None
         if not self._ready and self._settings.renderer == "auto" and code is not None and code < 0:
             # a graphics driver that crashes or hangs does so at the start
             self._settings = self._settings.model_copy(update={"renderer": "tiny"})
-        self._release()
+        self._shared.close()
         self._start()
-
-    def _release(self) -> None:
-        for part in (self._requests, self._replies, self._requested, self._replied, self._images):
-            part.close()
 
     def _await_ready(self) -> None:
         if not self._ready:

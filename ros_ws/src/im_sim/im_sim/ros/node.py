@@ -49,7 +49,7 @@ class TestbedNode(ManagedNode):
         self._truth: CellTruth | None = None
         self._published_tick, self._published_at, self._ticked_at = -1, 0.0, 0.0
         self._last_diagnosed = (0, clock.monotonic())
-        declare = self.fixed_parameters.declare
+        declare = self.declared.declare
         fast = "simulated seconds a second of wall time; 0: as fast as it goes"
         self._factor = declare("factor", 1.0, fast, span=(0.0, math.inf))
         self._seed = declare("seed", 0, "of everything that is drawn at random", span=(0, 2**31 - 1))

@@ -20,6 +20,8 @@ Frame = NDArray[np.uint8]
 _REACH_SIGMAS = 4.0
 _RIVAL_PX = 6
 _NEIGHBOURS_PX = 4.0
+FARTHEST_M = 8.0
+"""How far from a camera a point of the line may be."""
 
 
 class LaserLineGates(Model):
@@ -146,9 +148,16 @@ def match_lines(cameras: tuple[CameraModel, CameraModel], first: Array, second: 
     before, after = side[places, here], side[places, here + 1]
     share = (before / (before - after))[:, None]
     matched = (1.0 - share) * y[here] + share * y[here + 1]
-    causes = {"no match in the other camera": count == 0, "more than one match in the other camera": count > 1}
+    points = _nearest(cameras, x[places], matched)
+    depths = np.array([camera.to_camera(points)[:, 2] for camera in cameras])
+    seen = np.all((depths > 0.0) & (depths < FARTHEST_M), axis=0)  # what meets behind them was two other things
+    causes = {
+        "no match in the other camera": count == 0,
+        "more than one match in the other camera": count > 1,
+        f"not within {FARTHEST_M:g} m in front of both cameras": ~seen,
+    }
     rejected = {cause: int(which.sum()) for cause, which in causes.items() if which.any()}
-    return LineMatches(_nearest(cameras, x[places], matched), places, rejected)
+    return LineMatches(points[seen], places[seen], rejected)
 
 
 def _ideal(camera: CameraModel, pixels: Array) -> Array:
@@ -161,7 +170,8 @@ def _nearest(cameras: tuple[CameraModel, CameraModel], x: Array, y: Array) -> Ar
     u, v = x @ cameras[0].R_cam_base, y @ cameras[1].R_cam_base
     base = cameras[1].position - cameras[0].position
     uu, uv, vv = (np.einsum("ni,ni->n", a, b) for a, b in ((u, u), (u, v), (v, v)))
-    along = (vv * (u @ base) - uv * (v @ base)) / (uu * vv - uv**2)
-    across = (uv * (u @ base) - uu * (v @ base)) / (uu * vv - uv**2)
+    with np.errstate(divide="ignore", invalid="ignore"):  # parallel rays meet nowhere
+        along = (vv * (u @ base) - uv * (v @ base)) / (uu * vv - uv**2)
+        across = (uv * (u @ base) - uu * (v @ base)) / (uu * vv - uv**2)
     ends = cameras[0].position + along[:, None] * u, cameras[1].position + across[:, None] * v
     return np.asarray(0.5 * (ends[0] + ends[1]))

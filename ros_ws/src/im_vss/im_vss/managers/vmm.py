@@ -23,16 +23,35 @@ class VisionClient:
 
     name: str
     alive: Callable[[], bool] = lambda: True
-    _cancelled: threading.Event = field(default_factory=threading.Event)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _cancelled: bool = False
+    _committed: bool = False
 
     def cancel(self) -> None:
-        """Give up: waiting ends, leases end."""
-        self._cancelled.set()
+        """Give up: waiting ends, leases end.
+
+        Raises:
+            StateError: It is too late.
+        """
+        with self._lock:
+            if self._committed:
+                raise StateError(f"{self.name} cannot be cancelled any more: it is done", request=self.name)
+            self._cancelled = True
+
+    def commit(self) -> None:
+        """Go on to the end: what follows is not undone, so that from now on the answer is what has become of it.
+
+        Raises:
+            StateError: Nobody wants the answer any more.
+        """
+        with self._lock:
+            self.check()
+            self._committed = True
 
     @property
     def gone(self) -> bool:
         """Whether nobody wants the answer any more."""
-        return self._cancelled.is_set() or not self.alive()
+        return self._cancelled or not (self._committed or self.alive())
 
     def check(self) -> None:
         """Refuse to go on for nobody.

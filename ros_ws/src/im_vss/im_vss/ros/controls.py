@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 
@@ -93,8 +92,7 @@ class ControlParameters:
         self._controls.set_exposure(self._value("exposure"))
 
     def _declare(self, name: str, value: float, low: float, high: float, what: str) -> None:
-        span = FloatingPointRange(from_value=low, to_value=high)
-        self._node.declare_parameter(name, value, ParameterDescriptor(description=what, floating_point_range=[span]))
+        self._node.declared.declare(name, value, what, span=(low, high), changeable=True)
 
     def _changed(self, parameters: list[Parameter]) -> None:
         names = {parameter.name.partition(".")[0] for parameter in parameters}

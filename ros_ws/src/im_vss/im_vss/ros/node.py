@@ -51,7 +51,7 @@ class VssNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("vss")
-        declare = self.fixed_parameters.declare
+        declare = self.declared.declare
         self._files = {
             "settings": declare("settings", "", "file of the Services in use and their settings; empty: the package's"),
             "cell": declare("cell", "", "file of robot, cameras and scenery; empty: the package's cell.yaml"),

@@ -61,9 +61,9 @@ class ImageOutputs:
         with self._telling:
             for entry in self._book.entries():
                 self._info[entry.name].publish(to_camera_info(entry, stamp_ns))
-        transforms = [to_transform(entry, stamp_ns) for entry in self._book.entries()]
-        transforms.append(to_laser_transform(self._laser.entry.model, stamp_ns))
-        self._tf_static.publish(TFMessage(transforms=transforms))
+            transforms = [to_transform(entry, stamp_ns) for entry in self._book.entries()]
+            transforms.append(to_laser_transform(self._laser.entry.model, stamp_ns))
+            self._tf_static.publish(TFMessage(transforms=transforms))
 
     def _publishers(self, names: list[str], kind: type, topic: str, profile: QoSProfile) -> dict[str, Publisher]:
         return {name: self._node.create_publisher(kind, f"/{name}/{topic}", profile) for name in names}

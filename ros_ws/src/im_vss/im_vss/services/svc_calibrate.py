@@ -123,7 +123,7 @@ class SvcCalibrate(VisionService):
             write_calibration(request.directory, calibration, problem, self.rig.book, mounted, covariance)
         applied = request.apply and calibration.success
         if applied:
-            client.check()
+            client.commit()
             self.rig.book.set_cameras(mounted, covariance)
         return CalibrateResult(calibration, report_of(calibration, problem), applied, request.directory)
 

@@ -69,7 +69,7 @@ class SvcLaserCalibrate(VisionService):
                 rejected.append(_told(spot.angles, f"{off:.1f} standard deviations off its beam"))
         file = None
         if request.apply and not calibration.verdicts:
-            client.check()
+            client.commit()
             file = self.rig.scanner.book.set(calibration.model, calibration.covariance)
         return LaserCalibrateResult(calibration, tuple(rejected), file, self.rig.book.remark(cameras))
 

@@ -58,7 +58,9 @@ class SvcSpotFind(VisionService):
                 known. A spot that is not found is no error: its finding says why.
         """
         if request.look:
-            found: SpotFindResult = self.rig.looks.found(request.look, request.cameras, self.rig.settings.waits.hold)
+            found: SpotFindResult = self.rig.looks.found(
+                request.look, request.cameras, self.rig.settings.waits.hold, client.check
+            )
             return found
         watch = Stopwatch()
         spots, timing = find_in_pairs(self, client, request.cameras, request.exposure_s, watch)

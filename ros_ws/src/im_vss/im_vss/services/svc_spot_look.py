@@ -28,13 +28,15 @@ class SvcSpotLook(VisionService):
     def serve(self, client: VisionClient, request: SpotLookRequest) -> str:
         """Expose an image without light and one with it, common to all cameras; the name of the look.
 
-        The images are read out and searched in a thread of their own, under the leases that any SpotFind has.
+        The images are read out and searched in a thread of their own, under the leases that any SpotFind has; once they
+        are exposed, the search goes on for whoever asks for it, whatever becomes of this client.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, or the cameras do not expose.
         """
         look: Look[SpotFindResult] = Look(request.cameras)
         shut: Future[str] = Future()
+        searcher = VisionClient(client.name, lambda: shut.done() or not client.gone)
 
         def exposed(stamps_ns: tuple[int, ...]) -> None:
             name = str(stamps_ns[-1])  # testbed time: no other look of this testbed ends then
@@ -44,7 +46,7 @@ class SvcSpotLook(VisionService):
         def search() -> None:
             watch = Stopwatch()
             try:
-                spots, timing = find_in_pairs(self, client, request.cameras, request.exposure_s, watch, exposed)
+                spots, timing = find_in_pairs(self, searcher, request.cameras, request.exposure_s, watch, exposed)
                 look.found.set_result(SpotFindResult(spots, {**timing, **watch.report()}))
             except Exception as error:  # whatever it is, it is for whoever waits for the result
                 look.found.set_exception(error)

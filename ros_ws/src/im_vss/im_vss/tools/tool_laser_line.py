@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from im_cell.frames import Frame
 from im_cell.link import LaserBeam
 from im_core.errors import DataError
-from im_vss.laser.line import line_peaks, upright
+from im_vss.laser.line import FARTHEST_M, line_peaks, upright
 from im_vss.tools.tool import Tool
 
 Array = NDArray[np.float64]
 
-_FARTHEST_M = 8.0
 _GRAZING = 0.02
 _SPARE_RAD = 0.01
 
@@ -67,7 +66,7 @@ class ToolLaserLine(Tool):
             distance = (laser.position - camera.position) @ normal / slope
         points = camera.position + distance[:, None] * rays
         grazing = np.abs(slope) < _GRAZING
-        reach = (distance > 0.0) & (distance < _FARTHEST_M)
+        reach = (distance > 0.0) & (distance < FARTHEST_M)
         swept = np.zeros(len(points), dtype=np.bool_)
         near = ~grazing & reach & (((points - laser.position) @ laser.rotation)[:, 2] > 0.0)
         mirror1 = laser.angles_to(points[near])[:, 0]

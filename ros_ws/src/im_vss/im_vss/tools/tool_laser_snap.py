@@ -9,7 +9,10 @@ from im_vss.tools.tool import Tool
 
 
 class ToolLaserSnap(Tool):
-    """Points the laser and takes a pair of frames, holding both hardware's leases: nobody moves a mirror in between."""
+    """Points the laser and takes a pair of frames, holding both hardware's leases: nobody moves a mirror in between.
+
+    The lease of the laser may be over when the cameras are free, or when they have exposed: then there are no frames.
+    """
 
     name: ClassVar[str] = "tool_laser_snap"
 
@@ -39,7 +42,9 @@ class ToolLaserSnap(Tool):
                 else:
                     reading, _ = vm_laser.drive(laser_lease, beam)
                 with self.modules.use("vm_snap", client) as (vm_snap, snap_lease):
+                    laser_lease.check(vm_laser.name)
                     frames: FrameSet = vm_snap.snap(snap_lease, order)
+                    laser_lease.check(vm_laser.name)
             finally:
                 if beam is not None:
                     vm_laser.darken(beam)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from control_msgs.action import FollowJointTrajectory
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action.server import ServerGoalHandle
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -91,7 +90,7 @@ class TrajectoryServer:
         self._goals = Goals(access)
         self._numbers = itertools.count(1)
         for name, what in _OPTIONS.items():
-            access.node.declare_parameter(name, False, ParameterDescriptor(description=what))
+            access.node.declared.declare(name, False, what, changeable=True)
         action = with_goals_as_bytes(FollowJointTrajectory, lambda: self._most_points)
         for group in access.group_names:
             self._goals.serve(action, f"/{group}/follow_joint_trajectory", partial(self._execute, group))

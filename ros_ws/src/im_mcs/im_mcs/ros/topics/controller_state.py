@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from control_msgs.msg import JointTrajectoryControllerState
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_core.ros import qos
@@ -12,7 +11,7 @@ from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 
 _RATE = "controller_state_rate"
-_MOST_HZ = 50.0
+_LEAST_HZ, _MOST_HZ = 0.1, 50.0
 _DESCRIPTION = (
     "How often /<group>/controller_state is published, by testbed time [1/s]; what nobody listens to is not. "
     "In force at once."
@@ -32,9 +31,7 @@ class ControllerStates:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        span = FloatingPointRange(from_value=0.1, to_value=_MOST_HZ)
-        descriptor = ParameterDescriptor(description=_DESCRIPTION, floating_point_range=[span])
-        access.node.declare_parameter(_RATE, _MOST_HZ, descriptor)
+        access.node.declared.declare(_RATE, _MOST_HZ, _DESCRIPTION, span=(_LEAST_HZ, _MOST_HZ), changeable=True)
         self._publishers = {
             group: access.node.create_publisher(
                 JointTrajectoryControllerState, f"/{group}/controller_state", qos.EVENTS
