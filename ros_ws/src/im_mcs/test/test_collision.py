@@ -1,3 +1,5 @@
+import threading
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -21,6 +23,31 @@ from im_mcs.protocol.requests import JointMove
 @pytest.fixture(scope="module")
 def kinematics(config, model):
     return Kinematics(config, model)
+
+
+def test_a_long_path_check_does_not_keep_other_questions_waiting(kinematics, cell, monkeypatch):
+    began, go, found = threading.Event(), threading.Event(), []
+    look = CollisionChecker.require_free
+
+    def slow(checker, *given):
+        began.set()
+        assert go.wait(60.0)
+        return look(checker, *given)
+
+    start = cell.home[:9].tolist()
+    monkeypatch.setattr(CollisionChecker, "require_free", slow)
+    checking = threading.Thread(target=lambda: found.append(kinematics.check_path("left", [start, start], cell.home)))
+    checking.start()
+    assert began.wait(60.0)
+    try:
+        assert kinematics.forward("left", [], cell.home).pose.translation[2] > 0.0
+        pose = kinematics.forward("left", [], cell.home).pose
+        turn = pin.Quaternion(pose.rotation).coeffs()
+        kinematics.inverse("left", pose.translation, turn, [], cell.home, avoid_collisions=False)
+    finally:
+        go.set()
+        checking.join()
+    assert found[0] > 0.02
 
 
 def test_paths_are_checked_on_the_way(kinematics, cell):

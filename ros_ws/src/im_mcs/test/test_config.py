@@ -3,7 +3,9 @@ from pydantic import ValidationError
 
 from im_core.config import package_file
 from im_core.errors import ConfigError, NotFoundError
+from im_mcs.client.kinematics import Kinematics
 from im_mcs.limits.configuration import McsConfig, load_config
+from im_mcs.limits.limits import JointLimits
 
 
 @pytest.fixture
@@ -38,6 +40,16 @@ def test_presets_partition_all_joints(config, cell):
             "joints: [left_trak,",
             r"mcs.yaml:\d+: presets.2x9.left.joints\[0\]: 'left_trak', which is no joint slot",
         ),
+        (
+            "joints: [left_track, left_rotation",
+            "joints: [left_track, left_track",
+            r"mcs.yaml:\d+: presets.2x9.left.joints\[1\]: 'left_track', which group 'left' has already",
+        ),
+        (
+            "joints: [left_track, left_rotation",
+            "joints: [right_track, left_rotation",
+            r"mcs.yaml:\d+: presets.2x9.right.joints\[0\]: 'right_track', which group 'left' has already",
+        ),
         ("period_s: 0.0045", "periods: 0.0045", "servo.period_s"),
         (
             "{name: left_j1, driver: testbed, channel: 3}",
@@ -49,6 +61,21 @@ def test_presets_partition_all_joints(config, cell):
 def test_mistakes_are_named_with_file_and_line(broken, old, new, message):
     with pytest.raises(ConfigError, match=message):
         load_config(broken(old, new))
+
+
+def test_limits_that_leave_a_joint_no_position_are_refused(config, cell):
+    wide = config.limits.model_copy(update={"position_margin": 5.0})
+    with pytest.raises(ConfigError, match=r"the limits of left_\w+ leave it no position: .* margin included"):
+        JointLimits(cell, wide, config.slots)
+
+
+def test_a_wrist_that_is_no_frame_is_refused(config, model):
+    left = config.groups["left"].model_copy(update={"wrist": "left_wirst"})
+    presets = {**config.presets, "3x6": {"left": left}}
+    with pytest.raises(ConfigError, match=r"presets.3x6.left.wrist: there is no frame 'left_wirst'"):
+        Kinematics(config.model_copy(update={"presets": presets}), model)
+    with pytest.raises(ValueError, match="a preset without groups"):
+        McsConfig.model_validate({**config.model_dump(), "presets": {**config.model_dump()["presets"], "none": {}}})
 
 
 def test_unknown_preset(config):

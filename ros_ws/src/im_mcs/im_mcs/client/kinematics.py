@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_core.errors import DataError, NotFoundError, StateError
+from im_core.errors import ConfigError, DataError, NotFoundError, StateError
 from im_mcs.client.points import check_measured_path
 from im_mcs.collision import CollisionChecker
 from im_mcs.inverse import InverseKinematics
@@ -38,6 +38,9 @@ class Kinematics:
     Args:
         config: Configuration.
         model: Kinematics and shapes; used by this object alone.
+
+    Raises:
+        ConfigError: The wrist of a group is no frame of the model.
     """
 
     def __init__(self, config: McsConfig, model: CellModel) -> None:
@@ -45,7 +48,13 @@ class Kinematics:
         self._model = model
         self._limits = JointLimits(model.cell, config.limits, config.slots)
         self._collision = CollisionChecker(model, config.collision.clearance_m)
+        for preset, groups in config.presets.items():
+            for name, group in groups.items():
+                if group.wrist is not None and not model.pin.existFrame(group.wrist):
+                    raise ConfigError(f"presets.{preset}.{name}.wrist: there is no frame '{group.wrist}'")
         self._lock = threading.Lock()
+        self._paths = CollisionChecker(model, config.collision.clearance_m)  # of their own: they may take long
+        self._paths_lock = threading.Lock()
 
     def forward(self, group: str, q: Sequence[float], q_all: NDArray[np.float64], frame: str = "") -> Forward:
         """Pose of a frame with the joints of a group at ``q``, and the group's Jacobian.
@@ -126,8 +135,8 @@ class Kinematics:
         path = check_measured_path(self._limits, index, points, self._config.planning.max_points)
         limits = self._limits.motion.of(index)
         motion = JointPath(path[0], path[1:], limits, self._config.planning.synchrony, blend)
-        with self._lock:
-            return self._collision.check_motion(q_all, index, motion, limits.velocity)
+        with self._paths_lock:
+            return self._paths.check_motion(q_all, index, motion, limits.velocity)
 
     def index(self, group: str) -> NDArray[np.intp]:
         """Ranks of a group's joints, shape (n,).

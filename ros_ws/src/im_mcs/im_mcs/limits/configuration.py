@@ -253,11 +253,17 @@ class McsConfig(Model):
     def _check_groups(self) -> None:
         joints = {slot.name for slot in self.joint_slots}
         for preset, groups in self.presets.items():
+            if not groups:
+                raise FieldError(("presets", preset), "a preset without groups")
+            moved_by: dict[str, str] = {}
             for group, description in groups.items():
                 for rank, joint in enumerate(description.joints):
+                    where = ("presets", preset, group, "joints", rank)
                     if joint not in joints:
-                        where = ("presets", preset, group, "joints", rank)
                         raise FieldError(where, f"'{joint}', which is no joint slot")
+                    if joint in moved_by:
+                        raise FieldError(where, f"'{joint}', which group '{moved_by[joint]}' has already")
+                    moved_by[joint] = group
 
 
 def load_config(path: Path | None = None) -> McsConfig:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.robot import Cell, Limits
-from im_core.errors import DataError, LimitError
+from im_core.errors import ConfigError, DataError, LimitError
 from im_mcs.limits.configuration import LimitShares
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.limits.slots import Slot, SlotLimits
@@ -31,6 +31,9 @@ class JointLimits:
         cell: Joints and the cell's limits.
         shares: Shares of them that MCS allows itself.
         slots: Slots with limits of their own; the narrower limit holds.
+
+    Raises:
+        ConfigError: They leave a joint no position.
     """
 
     def __init__(self, cell: Cell, shares: LimitShares, slots: Sequence[Slot] = ()) -> None:
@@ -43,6 +46,10 @@ class JointLimits:
         speed = np.minimum(cell.per_joint("limits.velocity"), [s.velocity or np.inf for s in narrow])
         self.lower = lower + shares.position_margin
         self.upper = upper - shares.position_margin
+        for name, least, largest in zip(self.names, self.lower, self.upper, strict=True):
+            if not least < largest:
+                text = f"the limits of {name} leave it no position: {least:g} to {largest:g}, margin included"
+                raise ConfigError(text, joint=name)
         self.ceiling = MotionLimits(speed, cell.per_joint("limits.acceleration"), cell.per_joint("limits.jerk"))
         self.motion = MotionLimits(
             velocity=speed * shares.velocity,
