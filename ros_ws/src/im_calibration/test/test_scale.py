@@ -78,6 +78,16 @@ def test_a_length_whose_spots_are_of_no_one_place_is_left_out():
     assert abs(scale.error) < 4.0 * scale.standard_deviation
 
 
+def test_a_length_with_one_spot_twice_is_left_out():
+    problem = make_scene(Design(lengths=5), 9).problem
+    spots = problem.lengths.spots.copy()
+    spots[:, 2, 1] = spots[:, 2, 0]
+    calibration = calibrate(replace(problem, lengths=replace(problem.lengths, spots=spots)))
+    assert calibration.success
+    assert (calibration.scale.lengths_used, calibration.scale.lengths_given) == (4, 5)
+    assert abs(calibration.scale.error) < 4.0 * calibration.scale.standard_deviation < 0.005
+
+
 def test_one_camera_cannot_measure_a_length():
     calibration = calibrate(make_scene(Design(cameras=1, lengths=4), 10).problem)
     assert calibration.scale is None

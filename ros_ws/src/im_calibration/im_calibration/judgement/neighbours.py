@@ -69,13 +69,13 @@ def compare_neighbours(line: Linearisation, used: Mask, positions: NDArray[np.fl
         if counts.sum() < _FEWEST_SPOTS:
             continue
         nearest = scipy.spatial.cKDTree(positions[counts]).query(positions[counts], _NEIGHBOURS + 1)[1][:, 1:]
-        near = np.zeros((len(nearest), len(nearest)))
-        np.put_along_axis(near, nearest, 1.0, axis=1)
+        rows = np.repeat(np.arange(len(nearest)), _NEIGHBOURS)
+        near = scipy.sparse.csr_array((np.ones(nearest.size), (rows, nearest.ravel())), shape=(len(nearest),) * 2)
         white = np.linalg.solve(np.linalg.cholesky(spread[c][counts]), residuals[c][counts][..., None])[..., 0]
         white = white / max(float(np.sqrt((white**2).mean())), 1e-300)
         together += float((white * (near @ white)).sum())
         weight += 2.0 * float(near.sum())
-        variance += float(((near + near.T) ** 2).sum())
+        variance += float((near + near.T).power(2).sum())
     if not weight:
         return Neighbours(float("nan"), float("nan"))
     return Neighbours(together / weight, float(scipy.stats.norm.isf(_CHANCE)) * variance**0.5 / weight)

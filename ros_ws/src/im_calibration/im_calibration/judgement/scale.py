@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 _STEPS = 50
 _CONVERGED_M = 1e-9
+_APART_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -80,15 +81,18 @@ def measure_scale(unknowns: Unknowns, covariance: Array, lengths: KnownLengths, 
         lengths.spot_covariances[:, order].reshape(c, 2 * k, 2, 2),
         guess,
     )
-    used = points.good.reshape(k, 2).all(axis=1)
+    places, spreads = points.places.reshape(k, 2, 3), points.covariances.reshape(k, 2, 3, 3)
+    apart = ((places[:, 1] - places[:, 0]) ** 2).sum(axis=1)
+    noise = np.trace(spreads.sum(axis=1), axis1=1, axis2=2)
+    used = points.good.reshape(k, 2).all(axis=1) & (apart > _APART_SIGMAS**2 * noise)  # else it is one
     if not used.any():
         return None
-    ends = points.places.reshape(k, 2, 3)[used]
+    ends = places[used]
     measured = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     along = (ends[:, 1] - ends[:, 0]) / measured[:, None]
     moved = points.by_cameras.reshape(k, 2, 3, -1)[used]
     by_cameras = np.einsum("ni,nip->np", along, moved[:, 1] - moved[:, 0])
-    noise = np.einsum("ni,neij,nj->n", along, points.covariances.reshape(k, 2, 3, 3)[used], along)
+    noise = np.einsum("ni,neij,nj->n", along, spreads[used], along)
     true, own = np.array(lengths.lengths)[order][used], lengths.standard_deviations[order][used]
     ratio = true / measured
     spread = np.diag(own**2 + ratio**2 * noise) + ratio[:, None] * (by_cameras @ cameras @ by_cameras.T) * ratio
