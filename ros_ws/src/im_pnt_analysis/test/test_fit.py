@@ -178,6 +178,17 @@ def test_a_net_gets_the_parameters_that_its_bags_were_made_with(bags, job, capsy
     assert "0 values would be new" in capsys.readouterr().out, "to fit again changes nothing"
 
 
+def test_what_is_written_once_and_used_twice_is_left_to_its_author(bags, job, capsys):
+    text = JOB.replace("rate: 2", "rate: &two 2").replace("weight: 3", "weight: *two").replace(
+        "    delay:\n", "    delay: &takes\n"
+    ).replace("action: check,", "action: check, delay: *takes,")
+    job.write_text(text)
+    assert load_net(job).transitions["check"].delay.kind == "exponential"
+    assert main(["fit", *bags, "--nets", str(job), "--write"]) == OK
+    assert "made by templates, 'tries' or anchors, to be written by hand: work, check, again" in capsys.readouterr().out
+    assert job.read_text() == text
+
+
 def test_the_fitted_net_predicts_the_runs_of_another_bag(bags, tmp_path, capsys):
     other = write_bag(tmp_path / "other", 3, 100)
     assert main(["fit", *bags, "--command", "job", "--against", other]) == OK

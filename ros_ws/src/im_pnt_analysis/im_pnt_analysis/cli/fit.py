@@ -110,7 +110,7 @@ class _Change:
         yield from difflib.unified_diff(before, after, str(self.path), f"{self.path} (fitted)")
         if self.after.elsewhere:
             names = ", ".join(self.after.elsewhere)
-            yield f"{self.path}: made by templates or 'tries', to be written by hand: {names}\n"
+            yield f"{self.path}: made by templates, 'tries' or anchors, to be written by hand: {names}\n"
 
 
 def _change(path: Path, net: Net, found: Mapping[str, TransitionEstimate]) -> _Change:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 
 import yaml
 
@@ -17,7 +18,8 @@ class Rewritten:
     Attributes:
         text: The text.
         changed: How many values are new.
-        elsewhere: Transitions that are not written in the text as they are: templates or ``tries`` make them.
+        elsewhere: Transitions that are not written in the text as they are: templates or ``tries`` make them, or what
+            is written in one place is used in several, as anchors do.
     """
 
     text: str
@@ -40,13 +42,15 @@ def rewrite(text: str, net: Net, found: Mapping[str, TransitionEstimate]) -> Rew
     written = _pairs(_pairs(root).get("transitions", (None, None))[1])
     edits: list[tuple[int, int, str]] = []
     elsewhere = []
+    shared = _shared(root)
     for name, each in found.items():
         values = _values(each, net, name)
         node = written[name][1] if name in written else None
-        if not isinstance(node, yaml.MappingNode) or not node.value:
+        keys = _pairs(node)
+        used = {id(node), *(id(keys[key][1]) for key in values if key in keys)}
+        if not isinstance(node, yaml.MappingNode) or not node.value or used & shared:
             elsewhere += [name] if values else []
             continue
-        keys = _pairs(node)
         added = []
         for key, (value, usual) in values.items():
             if key not in keys:
@@ -87,6 +91,22 @@ def _number(value: float) -> str:
 
 def _pairs(node: yaml.Node | None) -> dict[str, tuple[yaml.Node, yaml.Node]]:
     return {key.value: (key, value) for key, value in node.value} if isinstance(node, yaml.MappingNode) else {}
+
+
+def _shared(root: yaml.Node) -> set[int]:
+    """Identities of the nodes that are used in several places, and of all that is within these."""
+    met, shared, waiting = set[int](), set[int](), [(root, False)]
+    while waiting:
+        node, within = waiting.pop()
+        if id(node) in shared:
+            continue
+        if within or id(node) in met:
+            shared.add(id(node))
+        met.add(id(node))
+        if isinstance(node, yaml.CollectionNode):
+            parts = chain(*node.value) if isinstance(node, yaml.MappingNode) else node.value
+            waiting += [(part, id(node) in shared) for part in parts]
+    return shared
 
 
 def _end(text: str, node: yaml.Node) -> int:
