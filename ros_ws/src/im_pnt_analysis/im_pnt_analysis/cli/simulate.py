@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt_analysis.cli.terminal import OK, refuse_without_effect
+from im_pnt_analysis.cli.terminal import OK, ProgressLine, refuse_without_effect
 from im_pnt_analysis.simulation.replay import read_firing_sequence, replay
 from im_pnt_analysis.simulation.simulate import Estimate, Summary, simulate, summarise
 
@@ -50,7 +50,10 @@ def run(options: argparse.Namespace) -> int:
     if steps is None and options.until is None:
         steps = _SUMMARY_STEPS if options.summary else _STEPS
     if options.summary:
-        summary = summarise(nets, seed=seed, steps=steps, until=options.until, failures=failures)
+        with ProgressLine() as progress:
+            summary = summarise(
+                nets, seed=seed, steps=steps, until=options.until, failures=failures, progress=progress
+            )
         print(json.dumps(asdict(summary)) if options.json else _readable(summary))
     else:
         _play(nets, seed, steps, failures, options)

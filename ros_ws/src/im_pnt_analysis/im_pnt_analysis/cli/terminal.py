@@ -8,7 +8,9 @@ import threading
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
+from im_core.clock import monotonic
 from im_core.errors import ImError
 from im_core.files import write_whole
 
@@ -74,6 +76,31 @@ def write_output(path: Path, text: str, *, overwrite: bool) -> None:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ImError(f"cannot write '{path}': {reason}", code="input") from error
+
+
+_QUIET_S, _EVERY_S = 2.0, 0.5
+
+
+class ProgressLine:
+    """While this context lasts, shows what goes on in a line of the terminal that it removes; nothing in a file."""
+
+    def __init__(self) -> None:
+        self._begin = self._last = monotonic()
+        self._terminal, self._shown = sys.stderr.isatty(), False
+
+    def __call__(self, text: str) -> None:
+        """Shows a text, once it takes long, and if the last one was shown long enough."""
+        now = monotonic()
+        if self._terminal and now - self._begin >= _QUIET_S and now - self._last >= _EVERY_S:
+            print(f"\r\033[K{now - self._begin:4.0f} s  {text}", end="", file=sys.stderr, flush=True)
+            self._last, self._shown = now, True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 INTERRUPTED = 130

@@ -10,7 +10,7 @@ from pathlib import Path
 from im_core.errors import ImError
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt_analysis.cli.terminal import OK, refuse_without_effect
+from im_pnt_analysis.cli.terminal import OK, ProgressLine, refuse_without_effect
 from im_pnt_analysis.timed.durations import CommandDuration, expected_command
 from im_pnt_analysis.timed.measurement import Comparison, Measurement, compare, fit_delays, read_measurement
 from im_pnt_analysis.timed.steady import Number, SteadyState, steady_state
@@ -98,7 +98,8 @@ def _steady(nets: list[Net], options: argparse.Namespace, output: Path | None) -
 
 def _command(nets: list[Net], options: argparse.Namespace, measured: Measurement | None, output: Path | None) -> None:
     runs = _RUNS if options.runs is None else options.runs
-    expected = expected_command(nets, options.symbol, seed=options.seed or 0, runs=runs)
+    with ProgressLine() as progress:
+        expected = expected_command(nets, options.symbol, seed=options.seed or 0, runs=runs, progress=progress)
     comparison = None
     if measured is not None:
         times = measured.commands.get(options.symbol)

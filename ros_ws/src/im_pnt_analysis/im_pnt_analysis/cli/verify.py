@@ -2,15 +2,13 @@
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
-from im_core.clock import monotonic
 from im_pnt.errors import NetError
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.extensions import extensions
-from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, count, seconds, write_output
+from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, ProgressLine, count, seconds, write_output
 from im_pnt_analysis.cli.types import checked_types
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.simulation.replay import FiringSequence
@@ -30,8 +28,6 @@ any symbol may come at any time.
 
 Values are checked against the types of the messages that they go into, where ROS was sourced; the output says so."""
 
-_QUIET = 2.0
-_EVERY = 0.5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -53,18 +49,15 @@ def run(options: argparse.Namespace) -> int:
     """Verifies net files."""
     if options.counterexample and any(_same(options.counterexample, file) for file in options.files):
         raise NetError(f"--counterexample {options.counterexample} is one of the nets", file=options.counterexample)
-    progress = _Progress() if sys.stderr.isatty() else None
-    with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"):
+    with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"), ProgressLine() as progress:
         nets = [load_net(file) for file in options.files]
         types = checked_types(nets)
         report = verify(
             nets,
             SearchLimits(states=options.states, seconds=options.timeout),
             structure=options.json,
-            progress=progress or (lambda text: None),
+            progress=progress,
         )
-    if progress is not None:
-        progress.clear()
     if options.counterexample and report.refusals:
         _write_counterexample(options.counterexample, options.files, nets, report)
     if options.json:
@@ -94,23 +87,3 @@ def _write_counterexample(path: str, files: list[str], nets: list[Net], report: 
         "marking": refusal.marking,
     }
     write_output(Path(path), json.dumps(content, indent=1) + "\n", overwrite=True)
-
-
-class _Progress:
-    """Shows what goes on in one line of the terminal, once it takes long."""
-
-    def __init__(self) -> None:
-        self._begin = self._last = monotonic()
-        self._shown = False
-
-    def __call__(self, text: str) -> None:
-        """Shows a text, if the last one was shown long enough."""
-        now = monotonic()
-        if now - self._begin >= _QUIET and now - self._last >= _EVERY:
-            print(f"\r\033[K{now - self._begin:4.0f} s  {text}", end="", file=sys.stderr, flush=True)
-            self._last, self._shown = now, True
-
-    def clear(self) -> None:
-        """Removes the line."""
-        if self._shown:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -7,6 +7,9 @@ from im_pnt.errors import NetError
 from im_pnt.model.action import FunctionAction
 from im_pnt.model.net import Net, Place, Transition
 
+LARGEST = 100_000
+"""Largest size of a net: it is held in memory."""
+
 ACTION = "count"
 """Name of the function that the transitions of a net with actions call."""
 
@@ -18,7 +21,7 @@ def ring(places: int, action: bool = False) -> Net:
         places: Number of places and of transitions.
         action: Whether each transition calls :data:`ACTION`.
     """
-    _at_least("places of a ring", places, 2)
+    _check_size("places of a ring", places, 2)
     arcs = {f"t{i}": ((f"p{i}",), (f"p{(i + 1) % places}",)) for i in range(places)}
     return _net(f"ring_{places}", {f"p{i}": int(i == 0) for i in range(places)}, arcs, action)
 
@@ -30,7 +33,7 @@ def philosophers(places: int, action: bool = False) -> Net:
         places: Number of places, rounded up to three for each philosopher.
         action: Whether each transition calls :data:`ACTION`.
     """
-    _at_least("places of dining philosophers", places, 6)
+    _check_size("places of dining philosophers", places, 6)
     seats = range(-(-places // 3))
     tokens = {f"think{i}": 1 for i in seats} | {f"eat{i}": 0 for i in seats} | {f"fork{i}": 1 for i in seats}
     arcs: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
@@ -49,7 +52,7 @@ def catching_philosophers(seats: int) -> Net:
     Args:
         seats: Number of philosophers.
     """
-    _at_least("philosophers", seats, 2)
+    _check_size("philosophers", seats, 2)
     tokens: dict[str, int] = {}
     arcs: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
     for i in range(seats):
@@ -72,7 +75,7 @@ def kanban(cards: int) -> Net:
     Args:
         cards: Kanban cards of each cell.
     """
-    _at_least("cards of a Kanban system", cards, 1)
+    _check_size("cards of a Kanban system", cards, 1)
     tokens: dict[str, int] = {}
     arcs: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
     for i in range(1, 5):
@@ -99,7 +102,7 @@ def by_name(name: str) -> Net:
     """Returns a net of a family, e.g. ``kanban:5``.
 
     Raises:
-        NetError: There is no such family, or the size is no number or too small.
+        NetError: There is no such family, or the size is no number, too small or too large.
     """
     family, _, size = name.partition(":")
     if family not in FAMILIES:
@@ -109,9 +112,9 @@ def by_name(name: str) -> Net:
     return FAMILIES[family](int(size))
 
 
-def _at_least(what: str, value: int, least: int) -> None:
-    if value < least:
-        raise NetError(f"{value} {what}: at least {least} are needed", value=value)
+def _check_size(what: str, value: int, least: int) -> None:
+    if not least <= value <= LARGEST:
+        raise NetError(f"{value} {what}: {least} to {LARGEST} are possible", value=value)
 
 
 def _net(

@@ -4,7 +4,7 @@ Long averages come with confidence intervals by batch means (Law, Simulation Mod
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -128,6 +128,7 @@ def summarise(
     steps: int | None = None,
     until: float | None = None,
     failures: float = 0.0,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Summary:
     """Plays nets and averages; the first of 33 batches is left out of the averages, as a warm-up.
 
@@ -137,6 +138,7 @@ def summarise(
         steps: Firings at most; None: no limit.
         until: Virtual time to stop at [s]; None: no limit.
         failures: Probability that an action without ``success`` fails.
+        progress: Is told now and then how far it is.
 
     Raises:
         NetError: The nets do not fit together, no time passes any more, or there is no limit at all.
@@ -156,6 +158,7 @@ def summarise(
             quota -= 1
             left -= 1
         marks.append(_Batch(player.time, list(player.firings), player.token_time()))
+        progress(f"{sum(player.firings)} firings, {100 * batch // (_BATCHES + 1)} %")
         stuck = left > 0 and player.time < player.until and quota > 0
         if stuck or left <= 0:
             break

@@ -9,7 +9,7 @@ critical path.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from im_pnt.errors import NetError
@@ -57,7 +57,7 @@ class Played:
     totals: Totals
 
 
-def play_command(net: TimedNet, symbol: str, seed: int, runs: int) -> Played:
+def play_command(net: TimedNet, symbol: str, seed: int, runs: int, progress: Callable[[str], None]) -> Played:
     """Simulates commands and averages them.
 
     Args:
@@ -65,6 +65,7 @@ def play_command(net: TimedNet, symbol: str, seed: int, runs: int) -> Played:
         symbol: The command.
         seed: The same seed gives the same runs.
         runs: Number of runs.
+        progress: Is told how far it is.
 
     Raises:
         NetError: A run ends without an answer.
@@ -79,6 +80,7 @@ def play_command(net: TimedNet, symbol: str, seed: int, runs: int) -> Played:
     for run in range(runs):
         if run:
             player.reset()
+            progress(f"{run} of {runs} runs")
         count = 0
         while not player.tokens[done_place] and not player.tokens[failed_place]:
             count += 1
@@ -237,7 +239,13 @@ class CommandDuration:
 
 
 def expected_command(
-    nets: Sequence[Net], symbol: str, *, seed: int = 0, runs: int = 1000, failures: float = 0.0
+    nets: Sequence[Net],
+    symbol: str,
+    *,
+    seed: int = 0,
+    runs: int = 1000,
+    failures: float = 0.0,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> CommandDuration:
     """Computes how long a command takes, from reading its symbol to emitting its answer.
 
@@ -247,6 +255,7 @@ def expected_command(
         seed: Seed of the simulated runs.
         runs: Number of simulated runs.
         failures: Probability that an action without ``success`` fails.
+        progress: Is told now and then how far it is.
 
     Raises:
         NetError: Nobody reads the symbol or answers it, nothing takes time, or it may never be answered.
@@ -255,7 +264,7 @@ def expected_command(
         raise NetError(f"{runs} runs are too few for a spread; at least 2 are needed")
     model = timed_net(nets, failures=failures, command=symbol)
     exact = exact_totals(model, symbol)
-    played = play_command(model, symbol, seed, runs)
+    played = play_command(model, symbol, seed, runs, progress)
     if exact is None:
         totals = played.totals
         spread = math.sqrt(sum((t - totals.duration) ** 2 for t in played.durations) / (runs - 1))
