@@ -126,6 +126,11 @@ def write_whole(path: Path, content: str | bytes) -> Path:
     return path
 
 
+def is_same(one: str | Path, other: str | Path) -> bool:
+    """Whether two paths are of one file that is there, by whatever names and links."""
+    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
+
+
 def make_folder(path: Path) -> Path:
     """Make a folder, and those it is in, where they are missing; they are there after a loss of power, too.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from im_core.errors import StoreError
-from im_core.files import make_folder, write_whole
+from im_core.files import is_same, make_folder, write_whole
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):
@@ -26,6 +26,17 @@ def test_the_umask_decides_who_may_read(tmp_path):
         assert stat.S_IMODE(write_whole(tmp_path / "a", "").stat().st_mode) == 0o640
     finally:
         os.umask(before)
+
+
+def test_a_file_is_the_same_by_another_name(tmp_path):
+    one, other, link = (tmp_path / name for name in ("one", "other", "link"))
+    one.write_text("1")
+    other.write_text("1")
+    link.symlink_to(one)
+    assert is_same(one, str(link))
+    assert not is_same(one, other)
+    assert not is_same(one, tmp_path / "none")
+    assert not is_same(tmp_path / "none", tmp_path / "none")
 
 
 def test_a_link_stays_a_link(tmp_path):

@@ -13,7 +13,7 @@ from im_calibration.reporting.report import answer
 from im_cell.lens import LENSES
 from im_core.clock import monotonic
 from im_core.errors import DataError
-from im_core.files import write_whole
+from im_core.files import is_same, write_whole
 
 _QUIET_S = 2.0
 
@@ -87,7 +87,7 @@ def _calibrate(source: Path, target: Path, noise: str, lens: str | None) -> None
         problems = tuple(replace(problem, noise_to_estimate=NOISE_SOURCES) for problem in problems)
     if target.is_dir() or not target.parent.is_dir():
         raise DataError(f"{target}: a file in an existing directory is needed.", file=str(target))
-    if target.exists() and target.samefile(source):
+    if is_same(target, source):
         raise DataError(f"{target}: the answers would replace the data set; name another file.", file=str(target))
     begin = told = monotonic()
     trials = []

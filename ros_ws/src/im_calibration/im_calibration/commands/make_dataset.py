@@ -15,7 +15,7 @@ from im_calibration.problem.bags import BagTopics, dataset_from_bag
 from im_calibration.problem.convert import dataset_from, read_lines, read_opencv
 from im_calibration.problem.dataset import problems
 from im_core.errors import DataError
-from im_core.files import write_whole
+from im_core.files import is_same, write_whole
 
 _READERS = {"text": read_lines, "opencv": read_opencv}
 _UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
@@ -112,7 +112,7 @@ def _convert(options: argparse.Namespace) -> None:
     if "=" in target.name:
         raise DataError(f"{target}: the file to write comes last; this names a camera.", file=str(target))
     for _, file in getattr(options, "cameras", ()):
-        if target.exists() and Path(file).exists() and target.samefile(file):
+        if is_same(target, file):
             raise DataError(f"{target}: it is one of the files that are read.", file=str(target))
     content, remark = _from_bag(options) if options.format == "bag" else _from_files(options)
     (problem,) = problems(content)

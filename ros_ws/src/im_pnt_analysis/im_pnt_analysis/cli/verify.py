@@ -4,6 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
+from im_core.files import is_same
 from im_pnt.errors import NetError
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
@@ -47,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Verifies net files."""
-    if options.counterexample and any(_same(options.counterexample, file) for file in options.files):
+    if options.counterexample and any(is_same(options.counterexample, file) for file in options.files):
         raise NetError(f"--counterexample {options.counterexample} is one of the nets", file=options.counterexample)
     with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"), ProgressLine() as progress:
         nets = [load_net(file) for file in options.files]
@@ -65,10 +66,6 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(readable(report) + (f"\n  {'types':<14}{types}" if types else ""))
     return OK if report.ok else REFUSED
-
-
-def _same(one: str, other: str) -> bool:
-    return Path(one).exists() and Path(other).exists() and Path(one).samefile(other)
 
 
 def _write_counterexample(path: str, files: list[str], nets: list[Net], report: Report) -> None:
