@@ -80,6 +80,7 @@ def test_lights_are_apart_and_the_wrist_turns(poses, model):
     [
         (["--group", "lefft"], "there is no group 'lefft'; did you mean 'left'"),
         (["--cameras", "ceiling"], "there is no camera 'ceiling'"),
+        (["--cameras", "wall", "wall"], "camera 'wall' is given twice"),
         (["--group", "left", "--cameras", "wrist_left"], "'wrist_left' rides on left_wrist, which group 'left' moves"),
         (["--lower", "0", "0", "5", "--upper", "1", "1", "6"], "none is in every view"),
         (["--lower", "1", "1", "1", "--upper", "0", "0", "0"], "is not below --upper"),

@@ -119,12 +119,14 @@ def make_selector(config_file: Path | None, group: str | None, cameras: Sequence
     Raises:
         NotFoundError: No such group or camera.
         StateError: The group has no wrist, or a camera rides on it.
-        DataError: The cameras see no place in common that the light can reach.
+        DataError: A camera is given twice, or the cameras see no place in common that the light can reach.
     """
     config, model = load_config(config_file), CellModel(load_cell())
     for camera in cameras:
         if camera not in model.cell.cameras:
             raise NotFoundError(kind="camera", name=camera, known=model.cell.cameras)
+        if cameras.count(camera) > 1:
+            raise DataError(f"camera '{camera}' is given twice", camera=camera)
     group = group or _group_for(config, model, cameras)
     if group not in config.groups:
         raise NotFoundError(kind="group", name=group, known=config.groups)
