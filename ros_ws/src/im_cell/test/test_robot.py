@@ -149,6 +149,13 @@ def test_cameras_look_at_their_target_with_the_right_side_up(name):
     (lambda data: data["cart"]["tilt"].update(mass=-1.0), r":\d+: cart.tilt.mass: .*greater than 0"),
     (lambda data: data["led"].update(colour="red"), r"led.colour"),
     (lambda data: data["sides"].pop("right"), r"sides are \['left'\]"),
+    (lambda data: data["cart"]["tilt"]["motor"].update(gear=0.0), r"cart.tilt.motor.gear: 0.0 is no gear: its size is"),
+    (lambda data: data["cart"]["tilt"].update(mass=1e300), r":\d+: cart.tilt.mass: .*less than or equal to 1000000000"),
+    (lambda data: data["cameras"]["wall"].update(up=[0.0, 0.0, 0.0]), r"cameras.wall: .* has no direction"),
+    (lambda data: data["cameras"]["wall"].update(position=[0.0, 0.0, 5.0], target=[0.0, 0.0, 0.0], up=[0, 0, 1]),
+     r"cameras.wall: up, .*, is along its view"),
+    (lambda data: data["laser"].update(target=data["laser"]["position"]), r"laser: the target .* is where it is"),
+    (lambda data: data["cameras"]["wall"]["intrinsics"].update(width=10**9), r"intrinsics.width: .*less than or equal"),
 ])  # fmt: skip
 def test_a_wrong_cell_is_refused_by_name(tmp_path, change, message):
     data = yaml.safe_load(package_file("im_cell", "robot/cell.yaml").read_text())

@@ -17,6 +17,7 @@ from im_cell.robot.parameters import (
     EncoderSpec,
     Gripper,
     Led,
+    Number,
     Positive,
     Side,
     WristSensor,
@@ -34,7 +35,7 @@ class Cell(Model):
 
     period: Positive
     substeps: Annotated[int, Field(ge=1, le=64)]
-    gravity: float
+    gravity: Number
     arm_models: dict[str, ArmModel]
     cart: Cart
     sides: dict[str, Side]

@@ -4,14 +4,20 @@ from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from im_core.config import Model
 
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0.0)]
-NonNegative = Annotated[float, Field(ge=0.0)]
+_LARGEST = 1e9
+"""Of any number; no cell has one near it, and products of them are numbers still."""
+Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
+Vector = tuple[Number, Number, Number]
+Positive = Annotated[float, Field(gt=0.0, le=_LARGEST)]
+NonNegative = Annotated[float, Field(ge=0.0, le=_LARGEST)]
 Source = Annotated[str, Field(min_length=1)]
+
+_LEAST_GEAR, _MOST_PIXELS = 1e-6, 10_000
+_SAME_M, _PARALLEL = 1e-9, 1e-6
 
 
 class Limits(Model):
@@ -23,8 +29,8 @@ class Limits(Model):
         torque: Largest motor torque at the joint [Nm or N].
     """
 
-    lower: float
-    upper: float
+    lower: Number
+    upper: Number
     velocity: Positive
     acceleration: Positive
     jerk: Positive
@@ -48,9 +54,16 @@ class Motor(Model):
     """
 
     inertia: NonNegative
-    gear: float
+    gear: Number
     viscous: NonNegative
-    coulomb: tuple[NonNegative, Annotated[float, Field(le=0.0)]]
+    coulomb: tuple[NonNegative, Annotated[float, Field(le=0.0, ge=-_LARGEST)]]
+
+    @field_validator("gear")
+    @classmethod
+    def _turns(cls, gear: float) -> float:
+        if not _LEAST_GEAR <= abs(gear) <= 1.0 / _LEAST_GEAR:
+            raise ValueError(f"{gear} is no gear: its size is {_LEAST_GEAR:g} to {1.0 / _LEAST_GEAR:g}")
+        return gear
 
 
 class DhLink(Model):
@@ -63,9 +76,9 @@ class DhLink(Model):
         inertia: Principal inertias about the centre of mass [kg m2].
     """
 
-    d: float
-    a: float
-    alpha: float
+    d: Number
+    a: Number
+    alpha: Number
     mass: Positive
     com: Vector
     inertia: tuple[Positive, Positive, Positive]
@@ -119,7 +132,7 @@ class ArmModel(Model):
     """Kinematics, dynamics and shape of an arm; ``source``: where the numbers are from, or that they are estimates."""
 
     source: Source
-    mount_height: float
+    mount_height: Number
     links: Annotated[tuple[DhLink, ...], Field(min_length=6, max_length=6)]
     joints: Annotated[tuple[ArmJoint, ...], Field(min_length=6, max_length=6)]
     capsules: tuple[Capsule, ...]
@@ -128,7 +141,7 @@ class ArmModel(Model):
 class CartStage(Model):
     """One moving part of a cart; ``height`` is its joint's above the one before [m]."""
 
-    height: float
+    height: Number
     mass: Positive
     com: Vector
     inertia: tuple[Positive, Positive, Positive]
@@ -153,7 +166,7 @@ class Side(Model):
 
     arm: str
     track_limits: Limits
-    home: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)]
+    home: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
     color: Vector
 
 
@@ -213,20 +226,29 @@ class Led(Model):
 class Intrinsics(Model):
     """A pinhole camera: image size, focal lengths, principal point [px]."""
 
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
+    width: Annotated[int, Field(gt=0, le=_MOST_PIXELS)]
+    height: Annotated[int, Field(gt=0, le=_MOST_PIXELS)]
     fx: Positive
     fy: Positive
-    cx: float
-    cy: float
+    cx: Number
+    cy: Number
 
 
 def facing(position: Vector, target: Vector, up: Vector) -> NDArray[np.float64]:
-    """Axes of something at ``position`` that looks at ``target``: right, down and forward as columns, shape (3, 3)."""
+    """Axes of something at ``position`` that looks at ``target``: right, down and forward as columns, shape (3, 3).
+
+    Raises:
+        ValueError: Its target is where it is, or ``up`` is along its view.
+    """
     forward = np.array(target) - np.array(position)
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, np.array(up))
-    right /= np.linalg.norm(right)
+    distance, length = np.linalg.norm(forward), np.linalg.norm(up)
+    if distance < _SAME_M or length < _SAME_M:
+        raise ValueError(f"the target {target} is where it is, or up, {up}, has no direction")
+    forward /= distance
+    right = np.cross(forward, np.array(up) / length)
+    if (across := np.linalg.norm(right)) < _PARALLEL:
+        raise ValueError(f"up, {up}, is along its view, from {position} to {target}")
+    right /= across
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
@@ -238,6 +260,11 @@ class Camera(Model):
     target: Vector
     up: Vector
     intrinsics: Intrinsics
+
+    @model_validator(mode="after")
+    def _stands(self) -> Self:
+        facing(self.position, self.target, self.up)
+        return self
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Nominal R, shape (3, 3), and t, shape (3,) [m], with ``x_optical = R x_parent + t``."""

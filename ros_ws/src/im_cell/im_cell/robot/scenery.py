@@ -153,6 +153,11 @@ class LaserScanner(Model):
     brightness: Positive
     speckle: NonNegative
 
+    @model_validator(mode="after")
+    def _stands(self) -> Self:
+        facing(self.position, self.target, self.up)
+        return self
+
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation scanner -> world, shape (3, 3), and position in the world, shape (3,) [m]."""
         return facing(self.position, self.target, self.up), np.array(self.position)
