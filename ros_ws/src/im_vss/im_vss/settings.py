@@ -110,6 +110,7 @@ class LaserSettings(Model):
         line: What a line looks like.
         most_lines: Most lines of a scan.
         grid: Spots of a calibration.
+        most_spots: Most spots of a calibration.
         calibration: When a calibration is good enough.
     """
 
@@ -119,6 +120,7 @@ class LaserSettings(Model):
     line: LaserLineGates
     most_lines: Annotated[int, Field(ge=1)]
     grid: LaserGrid
+    most_spots: Annotated[int, Field(ge=1)]
     calibration: CalibrationGates
 
 

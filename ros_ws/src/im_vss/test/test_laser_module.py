@@ -10,7 +10,7 @@ from im_cell.laser_model import LaserModel
 from im_cell.link import HostEnd, LaserBeam, LaserEnd, Sensors
 from im_cell.robot import load_cell
 from im_core import clock
-from im_core.errors import LimitError, StateError
+from im_core.errors import ConfigError, LimitError, StateError
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.laser.book import LaserBook
@@ -220,6 +220,15 @@ def test_a_cancelled_calibration_does_not_change_the_scanner(system, monkeypatch
     with pytest.raises(StateError, match="laser_calibrate #1 was cancelled"):
         vsm.request("laser_calibrate", request)
     assert not rig.scanner.book.entry.calibrated
+
+
+def test_a_calibration_of_more_spots_than_it_may_have_is_refused_before_a_mirror_moves(system, monkeypatch):
+    vsm, scanner, _ = system("laser_calibrate")
+    monkeypatch.setattr("im_vss.services.svc_laser_calibrate.fixed_cameras", lambda rig, cameras, count: cameras)
+    request = LaserCalibrateRequest(("ceiling_left", "ceiling_right"), (0.0,) * 1601, (0.0,) * 1601)
+    with pytest.raises(ConfigError, match="1601 spots are more than 1600"):
+        vsm.request("laser_calibrate", request)
+    assert scanner.driven == []
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.link import LaserBeam
-from im_core.errors import DataError
+from im_core.errors import ConfigError, DataError
 from im_vss.laser.calibration import LaserCalibration, LaserSpot
 from im_vss.laser.scanner import check_beam
 from im_vss.managers import VisionClient
@@ -48,9 +48,9 @@ class SvcLaserCalibrate(VisionService):
         """Calibrate.
 
         Raises:
-            ImError: The cameras are not two that are fixed and calibrated, angles are out of range or not in pairs, the
-                hardware does not deliver, or the client gave up: the calibration is as before then. Too few spots are
-                no error: the verdicts say so.
+            ImError: The cameras are not two that are fixed and calibrated, angles are out of range, too many or not in
+                pairs, the hardware does not deliver, or the client gave up: the calibration is as before then. Too few
+                spots are no error: the verdicts say so.
         """
         cameras = fixed_cameras(self.rig, request.cameras, 2)
         beams = [check_beam(beam, self.rig.cell.laser) for beam in self._beams(request)]
@@ -84,6 +84,8 @@ class SvcLaserCalibrate(VisionService):
                 for count in (settings.grid.mirror1, settings.grid.mirror2)
             )
             pairs = [(float(a), float(b)) for b in second for a in first]
+        if len(pairs) > settings.most_spots:
+            raise ConfigError(f"{len(pairs)} spots are more than {settings.most_spots}", spots=len(pairs))
         return [LaserBeam(first, second, power=settings.spot_power) for first, second in pairs]
 
 
