@@ -4,11 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Point, Pose, Quaternion
+from geometry_msgs.msg import Point, Pose, Quaternion, TransformStamped
 from rclpy.serialization import serialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
 from service_msgs.msg import ServiceEventInfo
+from tf2_msgs.msg import TFMessage
 
 from im_bringup.bag import BagWriter, Delivery
 from im_calibration import calibrate, report_of
@@ -17,8 +18,9 @@ from im_cell.robot import load_cell
 from im_msgs.msg import CalibrationReport, Observation, Spot, SpotCandidates, Status
 from im_msgs.srv import Calibrate, SpotFind
 from im_vss.camera_book import nominal
-from im_vss.recalibration import CALL, CALLS, CAMERA_INFO, IMAGE, LOOK, LOOKS
+from im_vss.recalibration import CALL, CALLS, CAMERA_INFO, IMAGE, LOOK, LOOKS, TRANSFORMS, mount_in
 from im_vss.ros import recalibrate
+from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request
 from im_vss.services.svc_calibrate import problem_of
 from im_vss.settings import load_settings
@@ -231,6 +233,29 @@ def test_a_report_that_is_none_is_passed_over(tmp_path, asked, report, cameras, 
     assert run(bag, tmp_path / "out", "--lens", "plumb_bob") == recalibrate.BAD_INPUT
     told = "neither a report nor /ceiling_left/camera_info says how large the images of ceiling_left are"
     assert told in capsys.readouterr().err
+
+
+def test_observations_that_determine_no_estimate_are_no_wrong_arguments(tmp_path, asked, report, capsys):
+    few = Calibrate.Request(cameras=asked.cameras, observations=asked.observations[:3])
+    bag = write_bag(tmp_path / "bag", (few, answer(report)))
+    assert run(bag, tmp_path / "out") == recalibrate.FAILED
+    assert "there is no estimate: Camera ceiling_left saw the LED in 3 poses" in capsys.readouterr().err
+
+
+def arm(x, turned=(0.0, 0.0, 0.0, 1.0)):
+    """A message that puts the last link of the left arm somewhere in the world."""
+    link = TransformStamped(child_frame_id="left_link6")
+    link.header.frame_id = "world"
+    link.transform.translation.x = x
+    link.transform.rotation = Quaternion(**dict(zip("xyzw", turned, strict=True)))
+    return "/tf", TRANSFORMS, serialize_message(TFMessage(transforms=[link]))
+
+
+def test_transforms_that_turn_nothing_are_passed_over(tmp_path):
+    bag = tmp_path / "bag"
+    write_bag(bag, others=[arm(1.0), arm(2.0, turned=(0.0, 0.0, 0.0, 0.0))])
+    _, origin = mount_in(bag, 2 * 10**18, lambda tree, side: wrist_by(tree, CELL, side))("left_wrist")
+    assert origin[0] == pytest.approx(1.0, abs=0.2)
 
 
 def test_images_of_no_height_are_refused(tmp_path, asked, report, capsys):

@@ -1,5 +1,6 @@
 """Where the light is, by ``/tf``: whatever others send there, the pose that MCS has told stands."""
 
+import math
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -34,6 +35,7 @@ NOISE = {
     "a circle": message("left_link6", "left_base", "left_link6"),
     "itself": message("left_link6", "left_link6"),
     "no rotation": message("left_link6", "world", rotation=(0.0, 0.0, 0.0, 0.0)),
+    "no number": message("left_link6", "world", rotation=(0.0, 0.0, 0.0, math.nan)),
 }
 
 

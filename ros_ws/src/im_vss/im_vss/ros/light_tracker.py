@@ -1,5 +1,6 @@
 """Where the robot's pose puts the wrist light that is on."""
 
+import math
 from collections import deque
 
 import numpy as np
@@ -23,6 +24,9 @@ SWITCH = "/testbed/set_light"
 
 _KEPT = 50
 """Messages on ``/tf``: others than MCS may send there, too, whatever they like."""
+
+_OFF_LENGTH = 1e-3
+"""How far from 1 the length of a quaternion may be that is a rotation."""
 
 
 class LightTracker:
@@ -73,7 +77,7 @@ class LightTracker:
                 tree = {each.child_frame_id: each for each in decoded(message, TFMessage).transforms}
                 if (found := wrist_by(tree, self._cell, side, stamp_ns, self._freshness_ns)) is not None:
                     return found
-            except (DataError, ValueError):  # no message, or no rotations: not from MCS
+            except DataError:  # no message: not from MCS
                 continue
         return None
 
@@ -99,7 +103,7 @@ def wrist_by(
         freshness_ns: How far the stamps of the frames may be from it [ns].
 
     Returns:
-        None where a frame on the way is not in the message, or of another time.
+        None where a frame on the way is not in the message, of another time, or not turned by a quaternion of length 1.
     """
     xyz, rpy = far_end(cell.arm_models[cell.sides[side].arm].links[-1])
     rotation = scipy.spatial.transform.Rotation.from_euler("xyz", rpy)
@@ -113,6 +117,8 @@ def wrist_by(
         if abs(age_ns) > freshness_ns:
             return None
         q, t = transform.rotation, transform.translation
+        if not abs(math.hypot(q.x, q.y, q.z, q.w) - 1.0) < _OFF_LENGTH:
+            return None
         step = scipy.spatial.transform.Rotation.from_quat([q.x, q.y, q.z, q.w])
         rotation, origin = step * rotation, step.apply(origin) + np.array([t.x, t.y, t.z])
         frame = header.frame_id

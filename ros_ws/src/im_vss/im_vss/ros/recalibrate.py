@@ -12,6 +12,8 @@ from im_calibration import (
     SAME,
     Calibration,
     CalibrationProblem,
+    DegenerateDataError,
+    InconsistentDataError,
     calibrate,
     comparison,
     largest_difference,
@@ -57,6 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parsed(_parser(), arguments)
     try:
         return _recalibrate(options)
+    except (DegenerateDataError, InconsistentDataError) as error:
+        print(f"replay: there is no estimate: {error.message}", file=sys.stderr)
+        return FAILED
     except ImError as error:
         print(f"replay: {error.message}", file=sys.stderr)
         return BAD_INPUT
