@@ -1,6 +1,7 @@
 """The scanner's Vision Module and the Tools that borrow it, with a scanner that only remembers."""
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from im_cell.laser_model import LaserModel
 from im_cell.link import HostEnd, LaserBeam, LaserEnd, Sensors
 from im_cell.robot import load_cell
 from im_core import clock
-from im_core.errors import ConfigError, LimitError, StateError
+from im_core.errors import ConfigError, DataError, LimitError, StateError
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.laser.book import LaserBook
@@ -257,6 +258,23 @@ def test_one_camera_and_the_beam_say_where_the_other_would_see_the_spot(system, 
         wanted = rig.book["table"].model.project(place)
         assert f"({wanted[0]:.0f}, {wanted[1]:.0f}) px" in told
     assert why_not(rig, spots, none, LaserBeam(first, second)) == "the laser is not lit"
+
+
+def test_a_spot_where_the_lens_cannot_be_inverted_has_that_as_its_cause(system):
+    vsm, _, _ = system("laser_spot_3d")
+    rig, names = vsm.services["laser_spot_3d"].rig, ("ceiling_left", "ceiling_right")
+    model = rig.book["ceiling_left"].model
+    folded = {"ceiling_left": replace(model, D=np.array([-0.9, 0.0, 0.0, 0.0, 0.0]))}
+    rig.book.set_cameras({**{name: rig.book[name].model for name in names}, **folded})
+    fit = SpotFit(20.0, 20.0, np.eye(2) * 1e-3, 100.0, 1.0, 50.0, 1.0, 0, True)
+    seen, unseen = SpotFinding(fit, "", 50.0, (fit,)), SpotFinding(None, "no light seen", 0.0)
+    with pytest.raises(DataError) as fault:
+        rig.book["ceiling_left"].model.ray([20.0, 20.0])
+    assert vsm.tools["tool_triangulate"](names, (seen, seen)).cause == fault.value.message
+    spots = CameraSpot(names[0], 0, seen), CameraSpot(names[1], 0, unseen)
+    none = StereoFinding(None, "ceiling_right: no light seen", float("nan"), (fit, None))
+    told = why_not(rig, spots, none, LaserBeam(0.0, 0.0, 0.0, POWER))
+    assert told == f"ceiling_right: no light seen; ceiling_left: {fault.value.message}"
 
 
 @pytest.mark.parametrize(

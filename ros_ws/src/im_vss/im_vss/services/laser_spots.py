@@ -78,7 +78,10 @@ def why_not(rig: Rig, spots: tuple[CameraSpot, ...], stereo: StereoFinding, beam
     if not missing:
         return stereo.cause
     (lacking,), (seeing,) = missing, [spot for spot in spots if spot.finding.candidates]
-    place = _beam_meets(rig, seeing, beam)
+    try:
+        place = _beam_meets(rig, seeing, beam)
+    except DataError as error:
+        return f"{lacking.camera}: {lacking.finding.cause}; {seeing.camera}: {error.message}"
     model = rig.book[lacking.camera].model
     uv = model.project(place)
     if np.isnan(uv).any():
@@ -90,7 +93,11 @@ def why_not(rig: Rig, spots: tuple[CameraSpot, ...], stereo: StereoFinding, beam
 
 
 def _beam_meets(rig: Rig, seeing: CameraSpot, beam: LaserBeam) -> Array:
-    """Where on the beam the spot that one camera sees is, shape (3,) [m]."""
+    """Where on the beam the spot that one camera sees is, shape (3,) [m].
+
+    Raises:
+        DataError: The camera's lens model cannot be inverted there.
+    """
     model, spot = rig.book[seeing.camera].model, seeing.finding.candidates[0]
     starts, ways = rig.scanner.book.entry.model.rays([beam.mirror1, beam.mirror2])
     ray = model.ray([spot.u, spot.v])

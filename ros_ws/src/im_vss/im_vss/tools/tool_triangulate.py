@@ -44,19 +44,19 @@ class ToolTriangulate(Tool):
         """
         models = self.rig.book[cameras[0]].model, self.rig.book[cameras[1]].model
         both = product(findings[0].candidates, findings[1].candidates)
-        pairs = [(self._distance(models, pair), pair) for pair in both]
+        pairs = [(*self._distance(models, pair), pair) for pair in both]
         if not pairs:
             causes = [f"{c}: {f.cause}" for c, f in zip(cameras, findings, strict=True) if not f.candidates]
             spots = (findings[0].spot, findings[1].spot)
             return StereoFinding(None, "; ".join(causes), float("nan"), spots)
-        distance, chosen = min(pairs, key=lambda scored: scored[0])
+        distance, fault, chosen = min(pairs, key=lambda scored: scored[0])
         nominal = [camera for camera in cameras if not self.rig.book[camera].calibrated]
         if nominal:
             cause = f"no point from cameras that are not calibrated: {', '.join(nominal)}"
             return StereoFinding(None, cause, distance, chosen)
         limit = self.rig.settings.stereo.epipolar
         if not distance <= limit:
-            cause = (
+            cause = fault or (
                 f"the spots are {distance:.1f} px off each other's epipolar lines, at most {limit:g} are allowed: "
                 "they are of different lights, or a camera was moved"
             )
@@ -69,8 +69,9 @@ class ToolTriangulate(Tool):
         return StereoFinding(point, "", distance, chosen)
 
     @staticmethod
-    def _distance(models: tuple[CameraModel, CameraModel], pair: tuple[SpotFit, SpotFit]) -> float:
+    def _distance(models: tuple[CameraModel, CameraModel], pair: tuple[SpotFit, SpotFit]) -> tuple[float, str]:
+        """Distance from each other's epipolar lines [px], or infinite and why."""
         try:
-            return epipolar_distance(*models, [np.array([spot.u, spot.v]) for spot in pair])
-        except DataError:  # a lens model that does not hold at a spot
-            return float("inf")
+            return epipolar_distance(*models, [np.array([spot.u, spot.v]) for spot in pair]), ""
+        except DataError as error:  # a lens model that does not hold at a spot
+            return float("inf"), error.message
