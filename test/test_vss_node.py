@@ -139,6 +139,14 @@ def test_snap(machine):
     assert all(len(image.data) == 640 * 480 and np.std(image.data) > 3.0 for image in answer.images)
 
 
+def test_an_exposure_that_is_no_whole_ticks_is_told_as_it_was_made(machine):
+    made = machine.call(Snap, "/vss/snap", cameras=["wall"], exposure=0.0045)
+    assert (made.success, made.status.message) == (True, "")
+    rounded = machine.call(Snap, "/vss/snap", cameras=["wall"], exposure=0.006)
+    assert (rounded.success, rounded.status.message) == (True, "exposed for 0.0045 s, not for 0.006 s")
+    np.testing.assert_allclose(np.mean(rounded.images[0].data), np.mean(made.images[0].data), atol=0.5)
+
+
 ABSURD = [
     ([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], sentence)
     for fx, fy, cx, cy, sentence in (

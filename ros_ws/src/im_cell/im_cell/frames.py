@@ -73,10 +73,12 @@ class FrameSet:
     Attributes:
         frames: Images of each camera in the order of the exposures.
         timing: Where the time went, by step [s].
+        exposure_s: How long each exposure was [s]; what was ordered, as nearly as the cameras can.
     """
 
     frames: dict[str, tuple[Frame, ...]]
     timing: dict[str, float]
+    exposure_s: float
 
 
 @dataclass(frozen=True)

@@ -78,13 +78,20 @@ class VisionServicesManager:
         self._clients: dict[str, VisionClient] = {}
         self._lock = threading.Lock()
 
-    def request(self, service: str, request: Any, alive: Callable[[], bool] = lambda: True) -> Any:
+    def request(
+        self,
+        service: str,
+        request: Any,
+        alive: Callable[[], bool] = lambda: True,
+        tell: Callable[[str], None] = lambda remark: None,
+    ) -> Any:
         """Have a Service carry out a request; blocks until it has, from any number of threads.
 
         Args:
             service: Name of the Service.
             request: The Service's own request type.
             alive: Whether whoever asked still waits for the answer.
+            tell: Is told what whoever asked must know beside the answer, a clause; maybe several times.
 
         Raises:
             NotFoundError: The Service is not loaded.
@@ -93,7 +100,7 @@ class VisionServicesManager:
         """
         if service not in self.services:
             raise NotFoundError(kind="vision service", name=service, known=self.services)
-        client = VisionClient(f"{service} #{next(self._numbers)}", alive)
+        client = VisionClient(f"{service} #{next(self._numbers)}", alive, tell)
         with self._lock:
             self._clients[client.name] = client
         try:

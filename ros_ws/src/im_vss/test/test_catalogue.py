@@ -37,7 +37,7 @@ class Cameras:
                     image += np.rint(spot).astype(np.uint8)
                 images.append(Frame(camera, image, 1000 + number, blank))
             frames[camera] = tuple(images)
-        return FrameSet(frames, {"expose_s": 0.0})
+        return FrameSet(frames, {"expose_s": 0.0}, order.exposure_s)
 
 
 class Screen:

@@ -67,7 +67,7 @@ class Cameras:
             camera: tuple(Frame(camera, black, number, blank) for number, blank in enumerate(order.blank_light))
             for camera in order.cameras
         }
-        return FrameSet(frames, {})
+        return FrameSet(frames, {}, order.exposure_s)
 
 
 class Screen:

@@ -23,10 +23,14 @@ LIGHT = np.array([0.1, 0.2, 1.0])
 
 
 class Cameras:
-    """Expose at once, and have no image before they are let; the arm goes on as soon as it is exposed."""
+    """Expose at once, and have no image before they are let; the arm goes on as soon as it is exposed.
+
+    Attributes:
+        tick_s: What their exposures are multiples of; 0: they are as ordered [s].
+    """
 
     def __init__(self):
-        self.go, self.failure, self.shut, self.at = threading.Event(), None, 0, LIGHT
+        self.go, self.failure, self.shut, self.at, self.tick_s = threading.Event(), None, 0, LIGHT, 0.0
 
     def take_frames(self, order, exposed):
         self.shut += 1
@@ -38,7 +42,8 @@ class Cameras:
             raise self.failure
         black = np.full((480, 640), 40, np.uint8)
         frames = tuple(Frame(CAMERA, black, *told) for told in zip(stamps, order.blank_light, strict=True))
-        return FrameSet({CAMERA: frames}, {})
+        exposure_s = round(order.exposure_s / self.tick_s) * self.tick_s if self.tick_s else order.exposure_s
+        return FrameSet({CAMERA: frames}, {}, exposure_s)
 
 
 class Screen:
@@ -105,6 +110,19 @@ def test_a_look_outlives_the_client_that_ordered_it(vsm, cameras):
     cameras.go.set()
     (spot,) = vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name)).spots
     assert spot.camera == CAMERA
+
+
+def test_exposures_that_are_not_as_ordered_are_told_to_whoever_gets_the_spots(vsm, cameras):
+    cameras.tick_s = 0.0045
+    name = vsm.request("spot_look", SpotLookRequest((CAMERA,), 0.006))
+    cameras.go.set()
+    for look in (name, name, ""):
+        told = []
+        vsm.request("spot_find", SpotFindRequest((CAMERA,), 0.006, look), tell=told.append)
+        assert told == ["exposed for 0.0045 s, not for 0.006 s"]
+    told = []
+    vsm.request("spot_find", SpotFindRequest((CAMERA,), 0.018), tell=told.append)
+    assert told == []
 
 
 def test_who_waits_for_a_look_may_give_up(vsm, cameras):

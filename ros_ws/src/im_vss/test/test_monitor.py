@@ -39,7 +39,7 @@ class Camera:
 
     def take_frames(self, order, exposed=nobody):
         frame = Frame(CAMERA, self.plates.image(1), 1000, order.blank_light[0])
-        return FrameSet({CAMERA: (frame,)}, {"expose_s": 0.0})
+        return FrameSet({CAMERA: (frame,)}, {"expose_s": 0.0}, order.exposure_s)
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ class SlowCameras:
         self.most = max(self.most, self.inside)
         self.go.wait(60.0)
         self.inside -= 1
-        return FrameSet(dict.fromkeys(order.cameras, ()), {})
+        return FrameSet(dict.fromkeys(order.cameras, ()), {}, order.exposure_s)
 
 
 class Screen:

@@ -120,7 +120,7 @@ class CameraHost(FrameSource):
             }
             timing = dict(reply.timing or {})
             timing["handover_s"] = max(0.0, clock.monotonic() - begin - sum(timing.values()))
-            return FrameSet(frames, timing)
+            return FrameSet(frames, timing, reply.exposure_s)
 
     def close(self) -> None:
         """End the process and remove the shared memory."""

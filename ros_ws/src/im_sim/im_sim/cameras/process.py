@@ -85,7 +85,7 @@ class CameraProcess:
             give_back_zeros()
 
     def _serve(self, request: CameraRequest) -> CameraReply:
-        """Carry out an order; tell when all is exposed, for then the arms may go on.
+        """Carry out an order, in whole ticks; tell when all is exposed, for then the arms may go on.
 
         Raises:
             ImError: The testbed does not expose.
@@ -93,6 +93,7 @@ class CameraProcess:
         if not self._link.physics_alive():
             self._reattach()
         ticks = max(1, round(request.exposure_s / self._link.period_s))
+        exposure_s = ticks * self._link.period_s
         begin = clock.monotonic()
         exposures = [self._link.expose(ticks, light, request.timeout_s, laser) for light, laser in request.strobes]
         exposed = clock.monotonic()
@@ -102,13 +103,14 @@ class CameraProcess:
         for frame, exposure in enumerate(exposures):
             for camera in request.cameras:
                 sensor = request.controls[camera].of(self._settings.sensor)
-                mean = self._bank.expected(camera, exposure, ticks * self._link.period_s, sensor)
+                mean = self._bank.expected(camera, exposure, exposure_s, sensor)
                 out = self._store.image(self._images, camera, frame)
                 self._bank.read_out(camera, mean, exposure.start_tick, frame, out, sensor)
         return CameraReply(
             request.number,
             stamps_ns,
             timing={"expose_s": exposed - begin, **self._bank.lap()},
+            exposure_s=exposure_s,
         )
 
     def _reattach(self) -> None:

@@ -98,6 +98,7 @@ class CameraReply:
         number: Number of the request.
         stamps_ns: Testbed time of the middle of each exposure [ns].
         timing: Where the time went, by step [s].
+        exposure_s: How long each exposure was [s].
         error: Code, message and facts of what went wrong; None if all is well.
         exposed: Whether it says that all is exposed, and nothing else yet.
     """
@@ -105,6 +106,7 @@ class CameraReply:
     number: int
     stamps_ns: tuple[int, ...] = ()
     timing: dict[str, float] | None = None
+    exposure_s: float = 0.0
     error: dict[str, Any] | None = None
     exposed: bool = False
 

@@ -19,10 +19,12 @@ class VisionClient:
     Attributes:
         name: For messages, e.g. ``spot_find #12``.
         alive: Whether whoever asked still waits for the answer.
+        tell: Is told what whoever asked must know beside the answer, a clause; maybe several times.
     """
 
     name: str
     alive: Callable[[], bool] = lambda: True
+    tell: Callable[[str], None] = lambda remark: None
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _cancelled: bool = False
     _committed: bool = False

@@ -7,6 +7,9 @@ from im_cell.frames import Exposed, FrameSet, SnapOrder, nobody
 from im_vss.managers.vmm import Lease
 from im_vss.modules.module import VisionModule
 
+_SAME_S = 1e-6
+"""Exposures that differ by less are of the same length."""
+
 
 class VmSnap(VisionModule):
     """Takes images (paper: vmSnap)."""
@@ -16,7 +19,12 @@ class VmSnap(VisionModule):
     def snap(self, lease: Lease, order: SnapOrder, exposed: Exposed = nobody) -> FrameSet:
         """Expose all cameras of the order together, tell `exposed`, and read them out.
 
+        The client is told where the exposures were not of the length that was ordered.
+
         Raises:
             ImError: See :meth:`VisionModule.run` and :meth:`im_cell.frames.FrameSource.take_frames`.
         """
-        return self.run(lease, partial(self.rig.source.take_frames, order, exposed))
+        frames = self.run(lease, partial(self.rig.source.take_frames, order, exposed))
+        if abs(frames.exposure_s - order.exposure_s) > _SAME_S:
+            lease.client.tell(f"exposed for {frames.exposure_s:g} s, not for {order.exposure_s:g} s")
+        return frames

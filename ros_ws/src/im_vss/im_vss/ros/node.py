@@ -137,9 +137,10 @@ class VssNode(ManagedNode):
         assert vsm is not None
         self._load_ahead()
         alive = askers.present()
+        remarks: list[str] = []
 
         def serve() -> None:
-            port.answer(vsm.request(name, port.request(request), alive), response)
+            port.answer(vsm.request(name, port.request(request), alive, remarks.append), response)
 
         try:
             await run_in_thread(self, serve)
@@ -149,7 +150,7 @@ class VssNode(ManagedNode):
             self.get_logger().error(traceback.format_exc())
             port.refuse(ImError(f"fault in /vss: {error!r}", code="internal"), response)
         else:
-            port.succeed(response)
+            port.succeed(response, list(dict.fromkeys(remarks)))
         return response
 
     def _load_ahead(self) -> None:

@@ -39,10 +39,14 @@ class CameraSpot:
 
 @dataclass(frozen=True)
 class SpotFindResult:
-    """The spots, in the order of the request, and where the time went, by step [s]."""
+    """The spots, in the order of the request, and where the time went, by step [s].
+
+    `remarks` are what the client of a look was told, for whoever asks for it.
+    """
 
     spots: tuple[CameraSpot, ...]
     timing: dict[str, float]
+    remarks: tuple[str, ...] = ()
 
 
 class SvcSpotFind(VisionService):
@@ -61,6 +65,8 @@ class SvcSpotFind(VisionService):
             found: SpotFindResult = self.rig.looks.found(
                 request.look, request.cameras, self.rig.settings.waits.hold, client.check
             )
+            for remark in found.remarks:
+                client.tell(remark)
             return found
         watch = Stopwatch()
         spots, timing = find_in_pairs(self, client, request.cameras, request.exposure_s, watch)

@@ -36,7 +36,8 @@ class SvcSpotLook(VisionService):
         """
         look: Look[SpotFindResult] = Look(request.cameras)
         shut: Future[str] = Future()
-        searcher = VisionClient(client.name, lambda: shut.done() or not client.gone)
+        remarks: list[str] = []
+        searcher = VisionClient(client.name, lambda: shut.done() or not client.gone, remarks.append)
 
         def exposed(stamps_ns: tuple[int, ...]) -> None:
             name = str(stamps_ns[-1])  # testbed time: no other look of this testbed ends then
@@ -47,7 +48,7 @@ class SvcSpotLook(VisionService):
             watch = Stopwatch()
             try:
                 spots, timing = find_in_pairs(self, searcher, request.cameras, request.exposure_s, watch, exposed)
-                look.found.set_result(SpotFindResult(spots, {**timing, **watch.report()}))
+                look.found.set_result(SpotFindResult(spots, {**timing, **watch.report()}, tuple(remarks)))
             except Exception as error:  # whatever it is, it is for whoever waits for the result
                 look.found.set_exception(error)
                 if not shut.done():

@@ -1,6 +1,7 @@
 """Base of all ports."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from std_srvs.srv import Trigger
@@ -31,10 +32,10 @@ class Port(ABC):
     def answer(self, result: Any, response: Any) -> None:
         """Fill a response from the Service's result."""
 
-    def succeed(self, response: Any) -> None:
-        """Mark a response as the answer of a request that was carried out; a remark in its status stays."""
+    def succeed(self, response: Any, remarks: Sequence[str]) -> None:
+        """Mark a response as the answer of a request that was carried out; remarks join the one in its status."""
         response.success = True
-        response.status = ok_status(response.status.message)
+        response.status = ok_status("; ".join(filter(None, (response.status.message, *remarks))))
 
     def refuse(self, error: ImError, response: Any) -> None:
         """Say in a response what went wrong."""
@@ -53,9 +54,10 @@ class TriggerPort(Port):
         """The sentence."""
         response.message = result
 
-    def succeed(self, response: Trigger.Response) -> None:
+    def succeed(self, response: Trigger.Response, remarks: Sequence[str]) -> None:
         """Mark success."""
         response.success = True
+        response.message = "; ".join((response.message, *remarks))
 
     def refuse(self, error: ImError, response: Trigger.Response) -> None:
         """Say what went wrong."""
