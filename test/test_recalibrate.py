@@ -15,6 +15,7 @@ from im_bringup.bag import BagWriter, Delivery
 from im_calibration import calibrate, report_of
 from im_cell.camera_model import CameraModel
 from im_cell.robot import load_cell
+from im_core.errors import StateError
 from im_msgs.msg import CalibrationReport, Observation, Spot, SpotCandidates, Status
 from im_msgs.srv import Calibrate, SpotFind
 from im_vss.camera_book import nominal
@@ -242,20 +243,34 @@ def test_observations_that_determine_no_estimate_are_no_wrong_arguments(tmp_path
     assert "there is no estimate: Camera ceiling_left saw the LED in 3 poses" in capsys.readouterr().err
 
 
-def arm(x, turned=(0.0, 0.0, 0.0, 1.0)):
-    """A message that puts the last link of the left arm somewhere in the world."""
+def arm(x, sec, turned=(0.0, 0.0, 0.0, 1.0)):
+    """A message that puts the last link of the left arm somewhere in the world at a testbed time [s]."""
     link = TransformStamped(child_frame_id="left_link6")
-    link.header.frame_id = "world"
+    link.header.frame_id, link.header.stamp.sec = "world", sec
     link.transform.translation.x = x
     link.transform.rotation = Quaternion(**dict(zip("xyzw", turned, strict=True)))
     return "/tf", TRANSFORMS, serialize_message(TFMessage(transforms=[link]))
 
 
-def test_transforms_that_turn_nothing_are_passed_over(tmp_path):
+def mounted(bag, *secs):
+    """Where the left wrist was along x at testbed times [s], by the bag [m]."""
+
+    def wrist(tree, side, stamp_ns):
+        return wrist_by(tree, CELL, side, stamp_ns, 1e8)
+
+    return mount_in(bag, 2 * 10**18, wrist, 1e8)("left_wrist", [10**9 * sec for sec in secs])[1][0]
+
+
+def test_the_mount_of_a_camera_is_where_it_was_at_the_exposures(tmp_path):
     bag = tmp_path / "bag"
-    write_bag(bag, others=[arm(1.0), arm(2.0, turned=(0.0, 0.0, 0.0, 0.0))])
-    _, origin = mount_in(bag, 2 * 10**18, lambda tree, side: wrist_by(tree, CELL, side))("left_wrist")
-    assert origin[0] == pytest.approx(1.0, abs=0.2)
+    write_bag(bag, others=[arm(1.0, 10), arm(1.0, 11), arm(5.0, 12), arm(9.0, 11, turned=(0.0, 0.0, 0.0, 0.0))])
+    here = mounted(bag, 10)
+    assert mounted(bag, 10, 11) == mounted(bag, 11, 77) == here
+    assert mounted(bag, 12) == pytest.approx(here + 4.0)
+    with pytest.raises(StateError, match=r"left_wrist moved between the exposures, by 4000\.0 mm and 0\.0 mrad"):
+        mounted(bag, 11, 12)
+    with pytest.raises(StateError, match="it is not known where left_wrist was when its cameras were exposed"):
+        mounted(bag, 77)
 
 
 def test_images_of_no_height_are_refused(tmp_path, asked, report, capsys):

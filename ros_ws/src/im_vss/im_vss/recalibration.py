@@ -10,7 +10,8 @@ import numpy as np
 from im_core.bag import messages_of, topics_of
 from im_core.errors import DataError, StateError
 from im_core.jsontext import JsonError, decode_json
-from im_vss.services.svc_calibrate import CalibrateRequest, Observation, SeenSpot
+from im_vss.mounts import Pose, at_rest
+from im_vss.services.svc_calibrate import CalibrateRequest, Mount, Observation, SeenSpot
 from im_vss.settings import VssSettings
 from im_vss.spot import SearchDisc, find_spot
 
@@ -164,7 +165,7 @@ def find_again(
             seen.add((camera, stamp))
             finding = find_spot(on, off, settings.sensor, settings.spot, discs.get((camera, stamp)))
             if (spot := finding.spot) is not None:
-                spots[looked[camera, stamp]][camera] = SeenSpot(np.array([spot.u, spot.v]), spot.covariance)
+                spots[looked[camera, stamp]][camera] = SeenSpot(np.array([spot.u, spot.v]), spot.covariance, stamp)
             progress(f"{len(seen)} of {len(looked)} pairs of images")
     if not seen:
         topics = ", ".join(f"/{camera}/image_raw" for camera in request.cameras)
@@ -223,24 +224,32 @@ def _stamp(message: Any) -> int:
     return int(message.stamp.sec) * 10**9 + int(message.stamp.nanosec)
 
 
-def mount_in(bag: Path, until_ns: int, wrist: Callable[[dict[str, Any], str], Any]) -> Callable[[str], Any]:
-    """Where a frame of the robot was when a calibration was asked for, by the transforms of the bag.
+def mount_in(
+    bag: Path, until_ns: int, wrist: Callable[[dict[str, Any], str, int], Pose | None], freshness_ns: float
+) -> Mount:
+    """Where frames of the robot were when cameras were exposed, by the transforms of the bag.
 
     Args:
         bag: The bag.
-        until_ns: Time of recording after which transforms are too late [ns].
-        wrist: Where the transforms of a message, by the frames that they are of, put the wrist of a side.
+        until_ns: Time of recording after which transforms are too late [ns]: the testbed's time may begin again.
+        wrist: Where the transforms of a message, by the frames that they are of, put the wrist of a side at a testbed
+            time [ns]; it may take them out.
+        freshness_ns: How far the stamps of transforms may be from that time [ns].
     """
 
-    def mount(frame: str) -> Any:
-        side, found = frame.removesuffix("_wrist"), None
+    def mount(frame: str, stamps_ns: Sequence[int]) -> Pose:
+        side, found = frame.removesuffix("_wrist"), dict[int, Pose]()
         if "/tf" not in topics_of(bag):
             raise StateError(f"{bag}: a camera is fixed to {frame}, and no transforms say where that was")
         for message in messages_of(bag, {"/tf": (TRANSFORMS,)}):
             if message.logged_ns > until_ns:
                 break
             tree = {each.child_frame_id: each for each in message.content.transforms}
-            found = wrist(tree, side) or found
-        return found
+            told = {_stamp(each.header) for each in tree.values()}
+            for stamp in stamps_ns:
+                near = any(abs(stamp - when) <= freshness_ns for when in told)
+                if near and (pose := wrist(dict(tree), side, stamp)) is not None:
+                    found[stamp] = pose
+        return at_rest(frame, [found[stamp] for stamp in stamps_ns if stamp in found])
 
     return mount

@@ -17,6 +17,7 @@ from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import Scanner
 from im_vss.looks import Looks
 from im_vss.monitor import Monitors, Screen
+from im_vss.mounts import Mounts
 from im_vss.settings import VssSettings
 
 
@@ -73,8 +74,7 @@ class Rig:
             world, shape (3,) [m]; None if that is not known.
         why_dark: That all wrist lights are off, and what switches them on, a clause; empty if one is on, or that is not
             known.
-        mount: Where a frame of the robot that carries a camera is now: rotation frame -> world, shape (3, 3), and
-            origin, shape (3,) [m]; None if that is not known.
+        mounts: Where the frames of the robot that carry cameras were at exposures.
         laser: The laser scanner; None where there is none.
         looks: Images in which the light is searched while the arms go on.
     """
@@ -88,7 +88,7 @@ class Rig:
     controls: CameraControls = field(default_factory=CameraControls)
     light_position: Callable[[int], NDArray[np.float64] | None] = lambda stamp_ns: None
     why_dark: Callable[[], str] = lambda: ""
-    mount: Callable[[str], tuple[NDArray[np.float64], NDArray[np.float64]] | None] = lambda frame: None
+    mounts: Mounts = field(default_factory=Mounts)
     laser: LaserRig | None = None
     looks: Looks[Any] = field(default_factory=Looks)
 

@@ -43,7 +43,7 @@ class RegionRadius(Model):
 
     Attributes:
         nominal, calibrated: The radii [px].
-        freshness: Oldest pose of the robot, relative to the exposure, that predicts anything [s] of testbed time.
+        freshness: How far a pose of the robot may be from an exposure to be that at the exposure [s] of testbed time.
     """
 
     nominal: Annotated[float, Field(gt=0.0)]

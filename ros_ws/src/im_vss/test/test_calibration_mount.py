@@ -1,10 +1,27 @@
 """Cameras that are calibrated where an arm holds them."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
-from im_cell.camera_model import CameraModel
-from im_vss.services.svc_calibrate import fixed_to
+from im_cell.camera_covariance import CameraCovariance
+from im_cell.camera_model import PARAMETERS, CameraModel
+from im_cell.frames import Frame, FrameSet, nobody
+from im_cell.robot import load_cell
+from im_core.errors import StateError
+from im_vss.camera_book import CameraBook
+from im_vss.catalogue import load_catalogue
+from im_vss.mounts import MOST_EXPOSURES, Mounts
+from im_vss.rig import Rig
+from im_vss.services.svc_calibrate import CalibrateRequest, Observation, SeenSpot, fixed_to
+from im_vss.services.svc_snap import SnapRequest
+from im_vss.settings import load_settings
+from im_vss.vsm import VisionServicesManager
+
+CELL = load_cell()
+CAMERA, WRIST = "wrist_left", "left_wrist"
 
 
 def test_a_camera_on_an_arm_sees_the_same_from_its_mount():
@@ -20,3 +37,96 @@ def test_a_camera_on_an_arm_sees_the_same_from_its_mount():
     assert ahead.sum() > 10
     seen = fixed_to(camera, mount.as_matrix(), origin).project(in_mount[ahead])
     np.testing.assert_allclose(seen, camera.project(in_world[ahead]), atol=1e-9)
+
+
+class Arm:
+    """Holds the camera somewhere; its pose is known but at some times [ns]."""
+
+    def __init__(self):
+        self.x, self.unknown = 0.3, set()
+
+    def now(self, frame, stamp_ns):
+        assert frame == WRIST
+        return None if stamp_ns in self.unknown else (np.eye(3), np.array([self.x, 0.0, 0.0]))
+
+
+class Cameras:
+    """Expose at once, at 1000 ns, 2000 ns, ..."""
+
+    def __init__(self):
+        self.shut = 0
+
+    def take_frames(self, order, exposed=nobody):
+        self.shut += 1
+        black = np.zeros((480, 640), np.uint8)
+        frames = {camera: (Frame(camera, black, 1000 * self.shut, False),) for camera in order.cameras}
+        return FrameSet(frames, {}, order.exposure_s)
+
+
+@pytest.fixture
+def held(tmp_path, monkeypatch):
+    """The Services with an arm, and a calibration of its camera from exposures at some times [ns]; where that puts it.
+
+    The solver finds it at the origin of the world.
+    """
+    arm, settings = Arm(), load_settings(CELL)
+    screen = SimpleNamespace(raw=lambda frame: None, display=lambda *_: None)
+    rig = Rig(settings, CELL, CameraBook(CELL, settings.cameras, tmp_path), Cameras(), screen, mounts=Mounts(arm.now))
+    vsm = VisionServicesManager(rig, load_catalogue())
+    model = CameraModel(640, 480, rig.book[CAMERA].model.K, np.zeros(5), np.eye(3), np.zeros(3))
+    known = CameraCovariance(tuple(f"{CAMERA}.{name}" for name in PARAMETERS), np.eye(len(PARAMETERS)))
+    camera = SimpleNamespace(name=CAMERA, model=model)
+    found = SimpleNamespace(success=True, cameras=(camera,), camera_covariance=known)
+    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", lambda problem: found)
+    monkeypatch.setattr("im_vss.services.svc_calibrate.report_of", lambda *_: {})
+
+    def snap(x):
+        arm.x = x
+        vsm.request("snap", SnapRequest(("wall", CAMERA)))
+
+    def calibrated(*stamps_ns):
+        seen = [{CAMERA: SeenSpot(np.array([320.0, 240.0]), np.eye(2), stamp_ns)} for stamp_ns in stamps_ns]
+        observations = tuple(Observation("p", np.zeros(3), np.eye(3), np.eye(3), spots) for spots in seen)
+        vsm.request("calibrate", CalibrateRequest((CAMERA,), observations, apply=True))
+        return rig.book[CAMERA].model.t_cam_base[0]
+
+    yield arm, snap, calibrated
+    vsm.close()
+
+
+def test_the_mount_counts_where_it_was_at_the_exposures(held):
+    _, snap, calibrated = held
+    for x in (0.3, 0.3, 0.7):
+        snap(x)
+    assert calibrated(1000, 2000) == pytest.approx(0.3)
+
+
+def test_a_mount_that_moved_between_the_exposures_is_refused(held):
+    _, snap, calibrated = held
+    for x in (0.3, 0.32):
+        snap(x)
+    with pytest.raises(StateError, match=r"left_wrist moved between the exposures, by 20\.0 mm and 0\.0 mrad"):
+        calibrated(1000, 2000)
+
+
+def test_a_mount_is_known_by_any_of_the_exposures_or_refused(held):
+    arm, snap, calibrated = held
+    arm.unknown = {1000}
+    for _ in range(2):
+        snap(0.3)
+    assert calibrated(1000, 2000) == pytest.approx(0.3)
+    with pytest.raises(StateError, match="it is not known where left_wrist was when its cameras were exposed"):
+        calibrated(1000)
+
+
+def test_a_testbed_whose_time_begins_again_and_the_oldest_exposures_are_forgotten():
+    arm = Arm()
+    mounts = Mounts(arm.now)
+    mounts.note(WRIST, range(MOST_EXPOSURES + 1))
+    with pytest.raises(StateError, match="it is not known"):
+        mounts.at(WRIST, [0])
+    mounts.at(WRIST, [1])
+    arm.unknown = {1}
+    mounts.note(WRIST, [1])
+    with pytest.raises(StateError, match="it is not known"):
+        mounts.at(WRIST, [1])

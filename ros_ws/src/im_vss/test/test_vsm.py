@@ -128,7 +128,7 @@ def test_a_cancelled_request_leaves_the_queue_and_the_module(system):
 def observation():
     """One of the wall's camera."""
     problem = make_scene(Design(poses=7), 1).problem
-    seen = {"wall": SeenSpot(problem.spots[0, 0], np.eye(2))}
+    seen = {"wall": SeenSpot(problem.spots[0, 0], np.eye(2), 1000)}
     return Observation("p", problem.positions[0], np.eye(3), problem.position_covariances[0], seen)
 
 

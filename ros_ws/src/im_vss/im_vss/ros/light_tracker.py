@@ -16,6 +16,7 @@ from im_cell.robot import Cell, far_end
 from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.interfaces import decoded
+from im_vss.mounts import Pose
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class LightTracker:
             node: The node that listens.
             cell: Nominal geometry: where the lights are on the last links.
             light: Name of the light that counts unless another is the only one that is on, ``<side>_led``.
-            freshness_s: Largest age of a pose that says where the light is [s] of testbed time.
+            freshness_s: How far a pose may be from the time that is asked for [s] of testbed time.
         """
         self._cell, self._light, self._usual = cell, light, light
         self._freshness_ns = freshness_s * 1e9
@@ -62,15 +63,12 @@ class LightTracker:
         rotation, origin = wrist
         return np.asarray(origin + rotation @ np.array(self._cell.led.offset))
 
-    def wrist(self, side: str, stamp_ns: int | None = None) -> tuple[Array, Array] | None:
-        """Rotation wrist -> world, shape (3, 3), and origin of a wrist, shape (3,) [m].
+    def wrist(self, side: str, stamp_ns: int) -> Pose | None:
+        """Where a wrist is in the world at a testbed time [ns]; None if that is not known.
 
         Args:
             side: Which arm.
-            stamp_ns: Testbed time [ns]; None: the newest that is known.
-
-        Returns:
-            None if the pose at that time is not known.
+            stamp_ns: The time.
         """
         for message in reversed(tuple(self._newest)):
             try:
@@ -91,15 +89,15 @@ class LightTracker:
 
 
 def wrist_by(
-    tree: dict[str, TransformStamped], cell: Cell, side: str, stamp_ns: int | None = None, freshness_ns: float = 0.0
-) -> tuple[Array, Array] | None:
-    """Where the frames of one message put a wrist: rotation wrist -> world, shape (3, 3), and origin, shape (3,) [m].
+    tree: dict[str, TransformStamped], cell: Cell, side: str, stamp_ns: int, freshness_ns: float
+) -> Pose | None:
+    """Where the frames of one message put a wrist in the world.
 
     Args:
         tree: Transforms by the frames that they are of; those that were used are taken out.
         cell: Nominal geometry.
         side: Which arm.
-        stamp_ns: Testbed time that is asked for [ns]; None: that of the message.
+        stamp_ns: Testbed time that is asked for [ns].
         freshness_ns: How far the stamps of the frames may be from it [ns].
 
     Returns:
@@ -113,8 +111,7 @@ def wrist_by(
             return None
         step_up = tree.pop(frame)
         header, transform = step_up.header, step_up.transform
-        age_ns = 0 if stamp_ns is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns
-        if abs(age_ns) > freshness_ns:
+        if abs(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns) > freshness_ns:
             return None
         q, t = transform.rotation, transform.translation
         if not abs(math.hypot(q.x, q.y, q.z, q.w) - 1.0) < _OFF_LENGTH:

@@ -24,6 +24,7 @@ from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import LinkedScanner
+from im_vss.mounts import Mounts
 from im_vss.rig import LaserRig, Rig
 from im_vss.ros.askers import Askers
 from im_vss.ros.controls import ControlParameters, ImageStream
@@ -96,7 +97,7 @@ class VssNode(ManagedNode):
             self._outputs,
             light_position=tracker.position,
             why_dark=tracker.why_dark,
-            mount=lambda frame: tracker.wrist(frame.removesuffix("_wrist")),
+            mounts=Mounts(lambda frame, stamp_ns: tracker.wrist(frame.removesuffix("_wrist"), stamp_ns)),
             laser=self._laser,
         )
         self._controls = ControlParameters(self, settings, self._rig.controls, ImageStream(self, self._take_images))

@@ -27,6 +27,7 @@ from im_core.errors import DataError, ImError
 from im_core.names import results_dir
 from im_core.one_bag import parsed
 from im_vss.camera_book import CameraBook
+from im_vss.mounts import Pose
 from im_vss.recalibration import RecordedCalibration, find_again, image_sizes, mount_in, recorded_calibrations
 from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request
@@ -119,7 +120,7 @@ def _recalibrate(options: argparse.Namespace) -> int:
     problem = _problem(options, call, request, cell, settings)
     calibration = calibrate(problem)
     report = report_of(calibration, problem)
-    _write(directory, options, call, calibration, problem, cell, settings)
+    _write(directory, options, call, request, calibration, problem, cell, settings)
     print(f"replay: {calibration.message}")
     code = _compared(call, json.loads(json.dumps(report)), changed)
     print(f"replay: {directory}")
@@ -187,14 +188,20 @@ def _write(
     directory: Path,
     options: argparse.Namespace,
     call: RecordedCalibration,
+    request: CalibrateRequest,
     calibration: Calibration,
     problem: CalibrationProblem,
     cell: Cell,
     settings: VssSettings,
 ) -> None:
     book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs)
-    mount = mount_in(options.bag, call.logged_ns, lambda tree, side: wrist_by(tree, cell, side))
-    mounted, covariance = on_their_mounts(calibration, book, mount)
+    freshness_ns = settings.region.freshness * 1e9
+
+    def wrist(tree: dict[str, Any], side: str, stamp_ns: int) -> Pose | None:
+        return wrist_by(tree, cell, side, stamp_ns, freshness_ns)
+
+    mount = mount_in(options.bag, call.logged_ns, wrist, freshness_ns)
+    mounted, covariance = on_their_mounts(calibration, request, book, mount)
     write_calibration(directory, calibration, problem, book, mounted, covariance)
 
 

@@ -1,6 +1,6 @@
 """Service that calibrates cameras from observations of the wrist light."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,24 +12,26 @@ from im_calibration import Calibration, CalibrationProblem, KnownLengths, report
 from im_cell.calibration_files import CameraPose
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
-from im_core.errors import DataError, NotFoundError, StateError
+from im_core.errors import DataError, NotFoundError
 from im_core.memory import give_back_freed
 from im_vss.camera_book import CameraBook
 from im_vss.managers import VisionClient
+from im_vss.mounts import Pose
 from im_vss.services.service import VisionService
 
 Array = NDArray[np.float64]
 
-#: Where a frame of the robot that carries a camera is: rotation frame -> world, origin in the world [m]; None: unknown.
-Mount = Callable[[str], tuple[Array, Array] | None]
+#: Where a frame of the robot that carries a camera was at exposures, testbed times [ns]; StateError: that is not known.
+Mount = Callable[[str, Sequence[int]], Pose]
 
 
 @dataclass(frozen=True)
 class SeenSpot:
-    """Where a camera saw the light: centre, shape (2,) [px], and its covariance, shape (2, 2) [px^2]."""
+    """Where a camera saw the light: centre, shape (2,) [px], its covariance, shape (2, 2) [px^2], and when [ns]."""
 
     uv: Array
     covariance: Array
+    stamp_ns: int
 
 
 @dataclass(frozen=True)
@@ -104,9 +106,10 @@ class SvcCalibrate(VisionService):
         """Calibrate.
 
         Raises:
-            ImError: A camera is unknown, it is not known where the arm is that carries it, the observations do not
-                determine the cameras, the solver did not become free in time, the results cannot be written, or the
-                client gave up; the cameras' calibration is as before then.
+            ImError: A camera is unknown, it is not known where the arm that carries it was at the exposures, or it
+                moved in between, the observations do not determine the cameras, the solver did not become free in
+                time, the results cannot be written, or the client gave up; the cameras' calibration is as before
+                then.
         """
         cameras = self.rig.settings.check_cameras(request.cameras)
         models = {camera: self.rig.book[camera].model for camera in cameras}
@@ -118,7 +121,7 @@ class SvcCalibrate(VisionService):
             self.rig.settings.cameras,
         )
         calibration: Calibration = self.tool("tool_calibrate")(client, problem)
-        mounted, covariance = on_their_mounts(calibration, self.rig.book, self.rig.mount)
+        mounted, covariance = on_their_mounts(calibration, request, self.rig.book, self.rig.mounts.at)
         if request.directory is not None:
             write_calibration(request.directory, calibration, problem, self.rig.book, mounted, covariance)
         applied = request.apply and calibration.success
@@ -168,20 +171,20 @@ def problem_of(
 
 
 def on_their_mounts(
-    calibration: Calibration, book: CameraBook, mount: Mount
+    calibration: Calibration, request: CalibrateRequest, book: CameraBook, mount: Mount
 ) -> tuple[dict[str, CameraModel], CameraCovariance]:
     """The cameras of a good calibration, each relative to what it is fixed to, and how well all are known then.
 
     Raises:
-        StateError: A camera is on an arm, and it is not known where that is.
+        StateError: A camera is on an arm, and it is not known where that was when the camera was exposed, or it moved.
     """
     mounted: dict[str, CameraModel] = {}
     covariance = calibration.camera_covariance
     for camera in calibration.cameras if calibration.success else ():
         model, parent = camera.model, book[camera.name].parent
         if parent != "world":
-            if (where := mount(parent)) is None:
-                raise StateError(f"{camera.name} is fixed to {parent}, and it is not known where that is")
+            seen = [seen.spots[camera.name] for seen in request.observations if camera.name in seen.spots]
+            where = mount(parent, [spot.stamp_ns for spot in seen])
             model, covariance = fixed_to(model, *where), covariance.on_mount(camera.name, model.R_cam_base @ where[1])
         mounted[camera.name] = model
     return mounted, covariance

@@ -126,7 +126,7 @@ def from_spots(messages: Sequence[Spot], place: str) -> dict[str, SeenSpot]:
             raise DataError(f"{place}: the spot of {spot.camera} at {uv.tolist()} px is not finite", camera=spot.camera)
         if not is_covariance(covariance):
             raise DataError(f"{place}: {covariance.tolist()} is no covariance of a spot of {spot.camera} [px^2]")
-        spots[spot.camera] = SeenSpot(uv, covariance)
+        spots[spot.camera] = SeenSpot(uv, covariance, spot.stamp.sec * 10**9 + spot.stamp.nanosec)
     return spots
 
 
