@@ -147,6 +147,7 @@ def test_cameras_look_at_their_target_with_the_right_side_up(name):
     (lambda data: data["sides"]["left"].update(arm="puma_700"), r"'puma_700' is not one of"),
     (lambda data: data["sides"]["left"].update(home=[9.0] + [0.0] * 8), r"home of left_track, 9.0, is outside"),
     (lambda data: data["cart"]["tilt"].update(mass=-1.0), r":\d+: cart.tilt.mass: .*greater than 0"),
+    (lambda data: data.update(period=1e-10), r":\d+: period: .*greater than or equal to 0.0001"),
     (lambda data: data["led"].update(colour="red"), r"led.colour"),
     (lambda data: data["sides"].pop("right"), r"sides are \['left'\]"),
     (lambda data: data["cart"]["tilt"]["motor"].update(gear=0.0), r"cart.tilt.motor.gear: 0.0 is no gear: its size is"),
@@ -164,6 +165,13 @@ def test_a_wrong_cell_is_refused_by_name(tmp_path, change, message):
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(ConfigError, match=message):
         load_cell(path)
+
+
+@pytest.mark.parametrize("period", [1e-10, 0.0, float("nan")])
+def test_a_tick_in_which_no_time_passes_is_refused(period):
+    with pytest.raises(ConfigError, match=r"a testbed period of \S+ s is not at least 0\.0001 s"):
+        CELL.at_period(period)
+    assert CELL.at_period(1e-4).period == 1e-4
 
 
 def test_a_wrong_truth_file_is_refused(tmp_path):

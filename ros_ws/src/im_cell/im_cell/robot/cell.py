@@ -18,7 +18,6 @@ from im_cell.robot.parameters import (
     Gripper,
     Led,
     Number,
-    Positive,
     Side,
     WristSensor,
 )
@@ -29,11 +28,14 @@ from im_core.errors import ConfigError
 
 SIDES = ("left", "right")
 
+_SHORTEST_S = 1e-4
+"""Shortest tick of the testbed: times are told in whole nanoseconds, and one that is none would let no time pass."""
+
 
 class Cell(Model):
     """Everything known about the cell before calibration."""
 
-    period: Positive
+    period: Annotated[float, Field(ge=_SHORTEST_S)]
     substeps: Annotated[int, Field(ge=1, le=64)]
     gravity: Number
     arm_models: dict[str, ArmModel]
@@ -67,10 +69,10 @@ class Cell(Model):
         """The same cell with another tick [s]; physics takes as many steps in it as keep the length of a step.
 
         Raises:
-            ConfigError: The period is not > 0, or needs more steps than allowed.
+            ConfigError: The period is too short, or needs more steps than allowed.
         """
-        if not period > 0.0:
-            raise ConfigError(f"period of the testbed {period:g} s is not > 0", period=period)
+        if not period >= _SHORTEST_S:
+            raise ConfigError(f"a testbed period of {period:g} s is not at least {_SHORTEST_S:g} s", period=period)
         substeps = max(1, round(self.substeps * period / self.period))
         if substeps > 64:
             raise ConfigError(f"a testbed period of {period:g} s is {substeps} physics steps; 64 are allowed")
