@@ -47,8 +47,8 @@ class CommandHost(Protocol):
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
         """Does the same in a thread of its own, for what takes long."""
 
-    def time_steps(self, times: StepTimes) -> None:
-        """Has the firings of all nets timed."""
+    def time_steps(self, net: str, times: StepTimes) -> None:
+        """Has the firings of a net timed, and of those that it needs."""
 
     def nets_for(self, net: str) -> Sequence[Net]:
         """Returns a net as written, with the nets whose services it needs, as far as they are known."""

@@ -48,7 +48,7 @@ class Host:
     async def noted_apart(self, key: str, compute, *arguments: object) -> object:
         return compute(*arguments)
 
-    def time_steps(self, times: StepTimes) -> None:
+    def time_steps(self, net: str, times: StepTimes) -> None:
         pass
 
     def nets_for(self, net: str) -> Sequence[Net]:

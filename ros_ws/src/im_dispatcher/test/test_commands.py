@@ -54,7 +54,7 @@ class Host:
     def warn(self, text: str) -> None:
         self.log.append(text)
 
-    def time_steps(self, times: object) -> None:
+    def time_steps(self, net: str, times: object) -> None:
         pass
 
 

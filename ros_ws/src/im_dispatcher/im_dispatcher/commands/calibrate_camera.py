@@ -50,7 +50,7 @@ class CalibrateCamera:
         self._timed: int | None = None
         self._expected: CommandDuration | None = None
         self._file: tuple[int, PosesFile] | None = None
-        host.time_steps(self._times)
+        host.time_steps(SYMBOL, self._times)
 
     @property
     def functions(self) -> Functions:

@@ -1,6 +1,7 @@
 """The node as commands see it: data objects are plain values here, and messages outside."""
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -28,7 +29,7 @@ class DispatcherHost:
 
     def __init__(self, host: Host) -> None:
         self._host, self.seed = host, 0
-        self._timed: list[StepTimes] = []
+        self._timed: list[tuple[str, StepTimes]] = []
 
     def attach(self, node: PntNode) -> None:
         """Tells which node it stands for."""
@@ -53,9 +54,9 @@ class DispatcherHost:
         """Does the same in a thread of its own."""
         return await self._host.noted_apart(key, compute, *arguments)
 
-    def time_steps(self, times: StepTimes) -> None:
-        """Has the firings of all nets timed."""
-        self._timed.append(times)
+    def time_steps(self, net: str, times: StepTimes) -> None:
+        """Has the firings of a net timed, and of those that it needs."""
+        self._timed.append((net, times))
 
     def nets_for(self, net: str) -> Sequence[Net]:
         """Returns a net as written, with those that it needs."""
@@ -70,13 +71,22 @@ class DispatcherHost:
         self._host.warn(text)
 
     def _note_firing(self, message: Firing) -> None:
+        if not 0.0 <= message.duration < math.inf:
+            return  # no node of ours says that, and JSON cannot carry a number that is none
         name = f"{message.net}.{message.transition}"
         stamp = message.stamp.sec + message.stamp.nanosec * 1e-9
-        for times in self._timed:
+        for net, times in self._timed:
+            if name not in times.steps and not self._is_step(net, message):
+                continue
             if message.phase == Firing.START:
                 times.note_start(name, stamp)
             elif message.phase in (Firing.END, Firing.FAILED):
                 times.note_end(name, stamp, message.duration)
+
+    def _is_step(self, net: str, message: Firing) -> bool:
+        """Whether a transition is one of a net, or of those that it needs: anybody may tell of firings."""
+        nets = self.nets_for(net) if net in self._node.exchange.nets else ()
+        return any(each.name == message.net and message.transition in each.transitions for each in nets)
 
 
 def _stamped(pose: WristPose) -> PoseStamped:
