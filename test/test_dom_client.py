@@ -306,6 +306,45 @@ def test_an_object_whose_place_goes_while_the_disk_is_full_loses_its_validity_la
     assert not full
 
 
+def net_told(by, at, places=None):
+    """Has a node describe the net ``cell``, or say that it has gone; the publisher stays, as it is latched."""
+    text = "" if places is None else json.dumps({"places": places})
+    by.publish(NetDescription(net="cell", node=at, json=text))
+
+
+def test_an_object_stays_valid_whose_net_another_node_has_taken_over(three, wait_until):
+    _, mine, other = three
+    former = mine.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED)
+    present = other.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED)
+    net_told(former, "/mine", ["there"])
+    assert mine.do(mine.dom.put("a", String(), place="cell.there")) == 1
+    net_told(present, "/other", ["there", "too"])
+    assert mine.do(mine.dom.put("b", String(), place="cell.too")) == 1
+    net_told(former, "/mine")
+    former.publish(NetDescription(net="last", node="/mine", json='{"places": ["word"]}'))
+    assert mine.do(mine.dom.put("c", String(), place="last.word")) == 1  # what was told before has been heard
+    assert mine.do(mine.dom.put("a", String(), place="cell.there")) == 2
+    assert not [change for change in mine.changes if not change[2]]
+    net_told(present, "/other")
+    wait_until(lambda: {("a", 2, False), ("b", 1, False)} <= set(mine.changes), "the end of the net")
+
+
+def test_a_dom_that_hears_first_that_a_net_has_gone_waits_for_who_may_have_taken_it_over(
+    three, monkeypatch, wait_until
+):
+    dom, mine, other = three
+    wait_until(lambda: dom.ready, "the store")
+    for name in ("cell.there", "gone.there"):  # objects of a former life
+        dom.store.put(name, "std_msgs/msg/String", b"", name, "other", 0)
+    monkeypatch.setattr("im_dom.ros.node.DESCRIBED_S", 1.0)
+    former = mine.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED_MANY)
+    former.publish(NetDescription(net="gone", node="/mine"))
+    net_told(former, "/mine")
+    net_told(other.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED), "/other", ["there"])
+    wait_until(lambda: ("gone.there", 1, False) in mine.changes, "the end of the net that nobody runs")
+    assert dom.store.valid_record("cell.there").valid
+
+
 def test_what_the_store_does_when_nobody_waits_for_it_any_more_is_told_all_the_same(three, monkeypatch, wait_until):
     dom, mine, _ = three
     wait_until(lambda: dom.ready, "the node")

@@ -3,7 +3,10 @@
 import pydantic
 
 from im_core.arrivals import read_json
-from im_core.errors import NotFoundError
+from im_core.errors import NotFoundError, StateError
+
+#: How many nets are known.
+MOST_NETS = 1000
 
 
 class _Told(pydantic.BaseModel):
@@ -17,25 +20,31 @@ class Places:
 
     def __init__(self) -> None:
         self._of_net: dict[str, frozenset[str]] = {}
+        self._nodes: dict[str, str] = {}
 
-    def describe(self, net: str, text: str) -> frozenset[str]:
+    def describe(self, net: str, node: str, text: str) -> None:
         """Takes the description of a net, in place of the one before.
 
         Args:
             net: Its name.
-            text: JSON; empty: the net has gone.
-
-        Returns:
-            The places that it has now.
+            node: The node that describes it.
+            text: JSON; empty: the node does not run the net any more. Another one may have taken it over.
 
         Raises:
             DataError: It is no description.
+            StateError: Too many others are known.
         """
         if not text:
-            self._of_net.pop(net, None)
-            return frozenset()
-        self._of_net[net] = frozenset(read_json(_Told, text, f"the description of net {net}").places)
-        return self._of_net[net]
+            if self._nodes.get(net) == node:
+                del self._of_net[net], self._nodes[net]
+            return
+        places = frozenset(read_json(_Told, text, f"the description of net {net}").places)
+        if len(self._of_net) == MOST_NETS and net not in self._of_net:
+            raise StateError(f"net {net} is not learned: {MOST_NETS} others are known", net=net)
+        self._of_net[net], self._nodes[net] = places, node
+
+    def __contains__(self, net: object) -> bool:
+        return net in self._of_net
 
     def of(self, net: str) -> frozenset[str]:
         """The places that a net has now; none if it is not known."""

@@ -142,19 +142,29 @@ class DomNode(ManagedNode):
                 await wait(self, described, left, f"the net of place {place} to be described")
 
     def _described(self, description: NetDescription) -> None:
-        places = self._places.describe(description.net, description.json)
+        net = description.net
+        stranger = net not in self._places
+        self._places.describe(net, description.node, description.json)
         waiting, self._undescribed = self._undescribed, []
         for promise in waiting:
             if not promise.done():
                 promise.set_result(None)
-        self.spawn(self._abandon(description.net, places))
+        self.spawn(self._abandon(net, self._places.of(net), DESCRIBED_S if stranger and not description.json else 0.0))
 
-    async def _abandon(self, net: str, places: frozenset[str]) -> None:
-        """Has objects lose their validity whose place a net does not have any more: no token can stand for them."""
+    async def _abandon(self, net: str, places: frozenset[str], wait_s: float) -> None:
+        """Has objects lose their validity whose place a net does not have any more: no token can stand for them.
+
+        Args:
+            net: Its name.
+            places: Those that it has.
+            wait_s: How long another node, which may have taken the net over, has to describe it [s].
+        """
 
         def abandon() -> list[ObjectRecord]:
             return self.store.abandon(net, places, self.task_name, self._now_ns())
 
+        if wait_s:
+            await pause(self, wait_s)
         while self._places.of(net) == places:  # else it was described anew meanwhile
             try:
                 for record in await self._ask(abandon):
