@@ -1,7 +1,9 @@
 """A recorded mission is run again: equal, or the first difference with both sides."""
 
+import itertools
 import json
 import re
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from im_pnt.mission.stream import Turn, streams_of
 from im_pnt.ros.node import PntNode
 from im_pnt.ros.rerun import BAD_INPUT, DIFFERS, EQUAL, RosMessages, RosWorld, main
 from im_pnt_analysis import verify_to_load
+from support.loop import in_loop
 
 BAGS = Path(__file__).parent / "data" / "bags"
 NETS = Path(__file__).parent.parent / "ros_ws/src/im_dispatcher/im_dispatcher/nets"
@@ -230,28 +233,44 @@ def made(host):
     return Functions(actions, {"more_steps": lambda ctx: ctx.memory["left"] != 0})
 
 
-def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_until):
+def walker_of(folder, text, make):
+    """A node that runs a net, and keeps a journal; ``make`` makes its functions."""
     from im_pnt.ros.node_host import NodeHost
 
-    (tmp_path / "walker.yaml").write_text(NET, encoding="utf-8")
-    texts: list[str] = []
-    listener = GuardedNode("listener")
-    listener.create_subscription(String, "/pnt/events", lambda message: texts.append(message.data), qos.EVENTS)
-    ros(listener)
+    (folder / "walker.yaml").write_text(text, encoding="utf-8")
     host = NodeHost()
-    functions = made(host)
-    given = {"standalone": True, "journal_dir": str(tmp_path / "journal")}
+    functions = make(host)
+    given = {"standalone": True, "journal_dir": str(folder / "journal")}
     node = PntNode(
         "walker",
-        [tmp_path / "walker.yaml"],
+        [folder / "walker.yaml"],
         functions.actions,
         functions.guards,
         verifier=verify_to_load,
-        made_by=f"{__name__}:made",
+        made_by=f"{__name__}:{make.__name__}",
         parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
     )
     host.attach(node)
-    ros(node)
+    return node
+
+
+def listening(texts):
+    """A node that keeps what nodes tell of their nets."""
+    listener = GuardedNode("listener")
+    listener.create_subscription(String, "/pnt/events", lambda message: texts.append(message.data), qos.EVENTS)
+    return listener
+
+
+def run_again(texts):
+    """Runs the nets of the only node again."""
+    (stream,) = streams_of(texts)
+    return NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
+
+
+def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_until):
+    texts: list[str] = []
+    node = walker_of(tmp_path, NET, made)
+    ros(listening(texts), node)
     outcomes = []
 
     async def walk() -> None:
@@ -284,3 +303,49 @@ def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_u
                 item[2][3]["steps"] += 1
     with pytest.raises(Difference, match="memory"):
         NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
+
+
+TWO_LOOKS = """
+net: walker
+places: {ready: {tokens: 1, resource: true}, asked: , looked: , seen: , blind: }
+transitions:
+  begin: {symbol: walk, in: ready, out: asked}
+  look: {in: asked, out: looked, action: look, on_failure: blind}
+  look_again: {in: looked, out: seen, action: look, on_failure: blind}
+  rest: {in: seen, out: ready, emit: walk_done}
+  give_up: {in: blind, out: ready, emit: walk_failed}
+"""
+
+
+def looking(host):
+    """Its function, which looks until what it looks for is there."""
+
+    async def look(ctx):
+        seen = ctx.memory.setdefault("seen", [])
+        while not host.noted("there", looking.there.is_set):
+            await host.pause(0.02)
+        seen.append(host.noted("count", lambda: next(looking.counts)))
+
+    return Functions({"look": look})
+
+
+@pytest.fixture
+def walker(ros, tmp_path, wait_until):
+    """A node whose walks look twice; until ``there`` is set they see nothing."""
+    looking.there, looking.counts = threading.Event(), itertools.count(1)
+    node = ros(walker_of(tmp_path, TWO_LOOKS, looking))
+    wait_until(lambda: node.ready, "the node")
+    return node
+
+
+def test_a_recording_may_begin_while_an_action_runs(walker, ros, wait_until):
+    """What it leaves is taken as it was; what it has read is not given to the next one that asks for the same."""
+    texts: list[str] = []
+    walker.spawn(walker.command("walk"))
+    wait_until(lambda: in_loop(walker, walker.exchange.nets["walker"].busy), "the action")
+    ros(listening(texts))
+    wait_until(lambda: texts, "the state of the net")
+    looking.there.set()
+    wait_until(lambda: '"rest"' in texts[-1], "the last events")
+    assert "".join(texts).count('["count"]') == 2
+    assert run_again(texts).firings == 4

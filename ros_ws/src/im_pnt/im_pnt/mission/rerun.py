@@ -89,12 +89,13 @@ class NodeRerun:
             Difference: It was not; the first.
             DataError: What was recorded makes no sense.
         """
-        for turn in self._stream.turns:
+        for number, turn in enumerate(self._stream.turns):
             self._life.turn = turn
             self._time = max(self._time, turn.at - SLACK_S)
             self._load(turn)
             self._script.step()
-            for item in turn.items:
+            for rank, item in enumerate(turn.items):
+                self._script.at = number, rank
                 self._take(item)
             for executor in self._life.executors.values():
                 while executor.due and self._life.pump(executor):
@@ -245,14 +246,16 @@ class NodeRerun:
         if activity.checked and check is not None:
             self._checks.remove(check)
             check[1](event.error)
+        begun_before = number in self._before[name]
+        if begun_before:
+            self._script.forget_unasked()
         recorded = Reply(event.error, event.results)
         now = executor.completions.pop(number, None)
         if now is None:
             waits = self._script.waits_for(activity)
-            given = isinstance(activity.action, RequestAction) or number in self._before[name]
-            if not given and waits == ENDED:
+            if begun_before or waits == ENDED:
                 self._not_again.leave(activity, event)
-            elif not given and waits:
+            elif waits and not isinstance(activity.action, RequestAction):
                 raise self._life.differs(
                     activity, f"ends {told_of(event.error)}", f"waits for {waits}", "another function"
                 )
@@ -281,7 +284,7 @@ class NodeRerun:
             if self._life.pump(executor):
                 return True
         match entries.next():
-            case ["end" | "phase", int(number), *_] as content if number in self._before[executor.net.name]:
+            case ["end" | "phase" | "built", int(number), *_] as content if number in self._before[executor.net.name]:
                 executor.replay(decode_net_entry(content))
                 return entries.advance(content)
         return False

@@ -15,6 +15,8 @@ from im_pnt.model.net import Net
 ValueT = TypeVar("ValueT")
 MessageT = TypeVar("MessageT")
 Work = Coroutine[Any, Any, None]
+Place = tuple[int, int]
+"""Where an item is in a recording: the rank of its turn, and its own in that."""
 Differs = Callable[[Activity | None, str, str, str], BaseException]
 """Makes a difference: of an action, what the bag has, what there is now, and why."""
 
@@ -53,23 +55,26 @@ class Script:
 
     Attributes:
         label: The action that is begun now, or goes on.
+        at: The item of the recording that is taken: the rank of its turn, and its own in that.
     """
 
     def __init__(self, stream: NodeStream, differs: Differs, messages: Messages) -> None:
         self._differs, self._messages = differs, messages
         self.label: Activity | None = None
+        self.at = (0, 0)
         self._ready: deque[tuple[Work, Activity | None]] = deque()
         self._waiting: dict[str, deque[tuple[Work, Activity | None]]] = {}
         self._spare: dict[str, deque[tuple[object, ImError | None]]] = {}
-        self._noted: dict[str, deque[tuple[object, ImError | None]]] = {}
-        self._sent: dict[str, deque[object]] = {}
-        for turn in stream.turns:
-            for item in turn.items:
+        self._noted: dict[str, deque[tuple[Place, object, ImError | None]]] = {}
+        self._sent: dict[str, deque[tuple[Place, object]]] = {}
+        for number, turn in enumerate(stream.turns):
+            for rank, item in enumerate(turn.items):
                 match item:
                     case ["noted", list(key), value, error]:
-                        self._noted.setdefault(named(key), deque()).append((value, decode_error(error)))
+                        told = (number, rank), value, decode_error(error)
+                        self._noted.setdefault(named(key), deque()).append(told)
                     case ["sent", list(key), content]:
-                        self._sent.setdefault(named(key), deque()).append(content)
+                        self._sent.setdefault(named(key), deque()).append(((number, rank), content))
 
     # For the one who runs the nets.
 
@@ -98,15 +103,25 @@ class Script:
     def left_unsent(self, kind: str, activity: Activity) -> object | None:
         """Returns what was asked for then, and is not now."""
         left = self._sent.get(named([kind, activity.net, activity.number]))
-        return left[0] if left else None
+        return left[0][1] if left else None
 
     def never_sent(self, kinds: Collection[str]) -> tuple[str, object] | None:
         """Returns what of some kinds was asked for then, and has not been again, in words; None: nothing."""
         for name, left in self._sent.items():
             words = name.split("\x00")
             if left and words[0] in kinds:
-                return " ".join(words), left[0]
+                return " ".join(words), left[0][1]
         return None
+
+    def forget_unasked(self) -> None:
+        """Forgets what was read and asked for then up to here, and is not now: who did so is not run again."""
+        self._spare.clear()
+        for noted in self._noted.values():
+            while noted and noted[0][0] < self.at:
+                noted.popleft()
+        for sent in self._sent.values():
+            while sent and sent[0][0] < self.at:
+                sent.popleft()
 
     # For who stands for the node.
 
@@ -128,7 +143,7 @@ class Script:
         if not known:
             what = " ".join(map(str, key))
             raise self._differs(self.label, "nothing more of that", f"its function asks for {what}", "another function")
-        value, error = known.popleft()
+        _, value, error = known.popleft()
         if error is not None:
             raise error
         return value
@@ -139,7 +154,7 @@ class Script:
         if not known:
             now = f"{what}: {str(content)[:160]}"
             raise self._differs(self.label, "nothing of that kind", now, "another request")
-        recorded = known.popleft()
+        _, recorded = known.popleft()
         if recorded != content and (where := self._messages.difference(recorded, content)):
             then, _, now = where.rpartition(", now ")
             raise self._differs(self.label, f"{what}: {then}", now, "another request")
