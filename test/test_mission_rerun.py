@@ -18,11 +18,18 @@ from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_dispatcher.commands.calibrate_camera import CalibrateCamera
 from im_dispatcher.job import PoseLoop
+from im_pnt.execution.actions import FunctionRunner
+from im_pnt.execution.events import ModeSet, PauseSet, TokenArrived
+from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
+from im_pnt.execution.notification import Nowhere
+from im_pnt.execution.operator import Mode
+from im_pnt.journal.state import net_state
 from im_pnt.mission.difference import Difference, first_difference
 from im_pnt.mission.entries import Entries
 from im_pnt.mission.rerun import NodeRerun
 from im_pnt.mission.stream import Turn, streams_of
+from im_pnt.netfile import parse_net
 from im_pnt.ros.node import PntNode
 from im_pnt.ros.rerun import BAD_INPUT, DIFFERS, EQUAL, RosMessages, RosWorld, main
 from im_pnt_analysis import verify_to_load
@@ -261,10 +268,10 @@ def listening(texts):
     return listener
 
 
-def run_again(texts):
-    """Runs the nets of the only node again."""
+def run_again(texts, **nets):
+    """Runs the nets of the only node again, some in the place of those of their names."""
     (stream,) = streams_of(texts)
-    return NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
+    return NodeRerun(stream, RosWorld(), RosMessages(), nets).run()
 
 
 def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_until):
@@ -349,3 +356,45 @@ def test_a_recording_may_begin_while_an_action_runs(walker, ros, wait_until):
     wait_until(lambda: '"rest"' in texts[-1], "the last events")
     assert "".join(texts).count('["count"]') == 2
     assert run_again(texts).firings == 4
+
+
+@pytest.mark.parametrize(
+    ("stop", "go_on"),
+    [(PauseSet(True), PauseSet(False)), (ModeSet(Mode.SUPERVISED), ModeSet(Mode.AUTOMATIC))],
+    ids=["paused", "supervised"],
+)
+def test_a_net_that_had_not_fired_yet_may_be_operated_when_recording_begins(walker, ros, wait_until, stop, go_on):
+    texts: list[str] = []
+    net = walker.exchange.nets["walker"]
+    looking.there.set()
+    in_loop(walker, net.post, stop)
+    wait_until(lambda: not in_loop(walker, lambda: net.due), "the net to stand")
+    ros(listening(texts))
+    wait_until(lambda: texts, "the state of the net")
+    walker.spawn(walker.command("walk"))
+    wait_until(lambda: "command" in texts[-1], "the command")
+    in_loop(walker, net.post, go_on)
+    wait_until(lambda: '"rest"' in texts[-1], "the last events")
+    assert run_again(texts).firings == 6
+
+
+JOINED = """
+net: joined
+places: {ready: 1, given: {remote: true}, done: }
+transitions: {join: {in: [ready, given], out: done}}
+"""
+
+
+def test_a_net_that_had_got_a_token_before_it_is_recorded_has_it_again():
+    net = parse_net(JOINED)
+    functions = Functions()
+    begun = Executor(net, functions, FunctionRunner(functions, None, None), Nowhere(), record=lambda _: None)
+    begun.post(TokenArrived("given", 1))
+    begun.take()
+    texts = [
+        told(1, BEGIN, ("state", "joined", net_state(begun), JOINED)),
+        told(2, ("net", "joined", ["fire", "join"])),
+    ]
+    assert run_again(texts).firings == 1
+    with pytest.raises(Difference, match=r"begins with ready: 1\n.*now: +2\n.*another initial marking"):
+        run_again(texts, joined=parse_net(JOINED.replace("ready: 1", "ready: 2")))

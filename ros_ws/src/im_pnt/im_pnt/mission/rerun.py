@@ -27,6 +27,7 @@ from im_pnt.mission.life import Life, in_doubt
 from im_pnt.mission.script import Messages, Script, ScriptHost
 from im_pnt.mission.stream import Item, NodeStream, Turn
 from im_pnt.model.action import RequestAction
+from im_pnt.model.expand import expand
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
 
@@ -122,7 +123,7 @@ class NodeRerun:
         states = [
             item for item in turn.items if item[:1] == ["state"] and not (again and item[1] in self._life.executors)
         ]
-        found: list[tuple[Net, dict[str, object]]] = []
+        found: list[tuple[Net, Net, dict[str, object]]] = []
         for item in states:
             match item:
                 case ["state", str(name), dict(state), str(text)]:
@@ -131,13 +132,13 @@ class NodeRerun:
                     if fingerprint(net) != fingerprint(recorded):
                         self._compared.changed.add(name)
                     self._life.nets[name] = net
-                    found.append((net, state))
+                    found.append((net, recorded, state))
                 case _:
                     raise DataError(f"{str(item)[:100]} is no state of a net")
         if found:
             self._functions = self._made()
-        for net, state in found:
-            self._enter(net, state)
+        for net, recorded, state in found:
+            self._enter(net, recorded, state)
 
     def _made(self) -> Functions:
         imported = self._not_again.functions(others_made=bool(self._stream.functions))
@@ -151,7 +152,7 @@ class NodeRerun:
         made.actions.update(imported)
         return made
 
-    def _enter(self, net: Net, state: dict[str, object]) -> None:
+    def _enter(self, net: Net, recorded: Net, state: dict[str, object]) -> None:
         functions, script = self._functions, self._script
         assert functions is not None
         others, asks = self._world.performers(script, functions, self._keep)
@@ -171,15 +172,12 @@ class NodeRerun:
             draw=lambda names: self._life.drawn(net.name, names),
         )
         executor.completions = {}
-        places = executor.marking()
         fresh = state.get("sequence") == 0 and not state.get("jobs")
-        if not fresh:
-            restore_net(executor, state)
-        elif places != state.get("places"):
-            what = first_difference(state.get("places"), places)
+        if fresh and (what := first_difference(expand(recorded).initial_marking(), executor.marking())):
             then, _, now = what.rpartition(", now ")
             why = "another initial marking"
             raise Difference(self._stream.node, net.name, "", 0, self._life.turn.stamp, f"begins with {then}", now, why)
+        restore_net(executor, state)
         self._before[net.name] = set(executor.rule.activities)
         self._life.executors[net.name] = executor
         self._compared.nets.add(net.name)
