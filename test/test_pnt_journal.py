@@ -23,6 +23,7 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
 from im_msgs.action import Move
 from im_msgs.msg import Marking
+from im_msgs.srv import ControlCommand, ControlNet
 from im_pnt.errors import JournalError
 from im_pnt.execution.events import ModeSet, PauseSet
 from im_pnt.execution.functions import idempotent, woken_by
@@ -33,6 +34,7 @@ from im_pnt.netfile import parse_net
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.cli.journal import described
+from support.loop import in_loop
 from support.warm import Copy, Warm
 
 NETS = {
@@ -475,6 +477,54 @@ def test_a_net_whose_going_cannot_be_written_down_stays(tmp_path, ros, wait_unti
     node.spawn(unload())
     wait_until(lambda: refused, "the refusal")
     assert list(node.exchange.nets.items()) == before
+
+
+THINK = """
+net: think
+places: {idle: {tokens: 1, resource: true}, asked: , known: , tired: }
+transitions:
+  begin: {symbol: think, in: idle, out: asked}
+  think: {in: asked, out: known, action: think, on_failure: tired}
+  tell: {in: known, out: idle, emit: think_done}
+  give_up: {in: tired, out: idle, emit: think_failed}
+"""
+
+
+def test_who_cancels_or_operates_while_the_journal_cannot_be_written_is_answered(
+    tmp_path, ros, wait_until, monkeypatch
+):
+    """What was asked for is done; that it would not outlive the process is said."""
+    monkeypatch.setattr("im_pnt.ros.node.ANSWER_S", 0.2)
+    (tmp_path / "think.yaml").write_text(THINK)
+    node = Server("think", tmp_path)
+    client = ManagedNode("client", parameter_overrides=[Parameter("standalone", value=True)])
+    ros(node, client)
+    wait_until(lambda: node.ready, "the node")
+    in_loop(node, node.offer_commands)
+    cancel = client.create_client(ControlCommand, "/think/control_command")
+    operate = client.create_client(ControlNet, "/think/control_net")
+    node.spawn(node.command("think"))
+    wait_until((tmp_path / "begun").exists, "the action")
+
+    def asked():
+        return [
+            call_blocking(operate, ControlNet.Request(net="think", request="pause"), 20.0, "the pause"),
+            call_blocking(cancel, ControlCommand.Request(command_id=1, request="cancel"), 20.0, "the cancel"),
+        ]
+
+    def full(_):
+        raise JournalError("journal cannot be written: No space left on device", file="journal")
+
+    done = ["pause", "cancel think (number 1)"]
+    not_kept = "; it is done, but not on file: journal cannot be written: No space left on device"
+    with monkeypatch.context() as patch:
+        patch.setattr(node._journal._log, "append", full)
+        answers = asked()
+    assert all(answer.success for answer in answers)
+    assert [answer.message for answer in answers] == [f"{each}{not_kept}" for each in done]
+    assert in_loop(node, lambda: node.exchange.nets["think"].paused)
+    wait_until(lambda: not node._journal.unwritten, "the journal, which has room again")
+    assert [answer.message for answer in asked()] == done
 
 
 @pytest.mark.parametrize("fault", ["journal", "topic"])

@@ -2,12 +2,14 @@
 
 import gc
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from rclpy.exceptions import NameValidationException
 from rclpy.parameter import Parameter
 
+from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
 from im_core.names import results_dir, run_dir
 from im_core.open_commands import set_aside
@@ -63,6 +65,8 @@ ENDPOINT_GOES_S = 0.05
 """After so long the executor has let go of what a former net reached others with [s]."""
 WRITTEN_S = 0.1
 """How often it is looked whether a journal that could not be written is [s]."""
+ANSWER_S = 3.0
+"""How long who cancels, pauses or operates waits for a journal that cannot be written [s]."""
 
 
 class PntNode(ManagedNode):
@@ -197,7 +201,7 @@ class PntNode(ManagedNode):
 
     def phase_start(self) -> None:
         """Begins to fire."""
-        ControlService(self, self.exchange.nets, self._written)
+        ControlService(self, self.exchange.nets, self._on_file)
         self.create_timer(TIDY_PERIOD_S, self.exchange.tidy, clock=self.steady_clock)
         self.spawn(self._begin())
         self.spawn(self._scopes.begin())
@@ -317,7 +321,8 @@ class PntNode(ManagedNode):
         Args:
             run: Runs a command; None: :meth:`command`.
         """
-        self._execute = ExecuteServer(self, self.exchange.nets, self.commands, run or self.command, self, self._written)
+        run = run or self.command
+        self._execute = ExecuteServer(self, self.exchange.nets, self.commands, run, self, self._written, self._on_file)
 
     def net_with_servers(self, name: str) -> list[Net]:
         """Returns a net of this node as written, with the nets of all nodes that it needs, as far as they are known."""
@@ -501,14 +506,32 @@ class PntNode(ManagedNode):
         self._publisher.publish()
         self._mission.publish()
 
-    async def _written(self) -> None:
-        """Waits until what was asked for is in the journal, and noted for whoever starts the machine again."""
+    async def _written(self, longest_s: float = math.inf) -> None:
+        """Waits until what was asked for is in the journal, and noted for whoever starts the machine again.
+
+        Args:
+            longest_s: Longest wait for a journal that cannot be written [s].
+
+        Raises:
+            JournalError: It cannot be written.
+        """
         while not self._may_turn():
             await pause(self, WRITTEN_S)
         self._loop.turn()
+        deadline = monotonic() + longest_s
         while self._journal is not None and self._journal.unwritten:  # the loop tries again
+            if monotonic() >= deadline:
+                self._journal.write()
             await pause(self, WRITTEN_S)
         await self._notes.written()
+
+    async def _on_file(self) -> str:
+        """Waits likewise, but not for long; returns what an answer says of it: nothing, or why it is not on file."""
+        try:
+            await self._written(ANSWER_S)
+        except JournalError as error:
+            return f"; it is done, but not on file: {error.message}"
+        return ""
 
     def _commit(self) -> None:
         if self._journal is not None:

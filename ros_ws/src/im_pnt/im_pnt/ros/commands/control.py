@@ -20,16 +20,17 @@ class ControlService:
     Args:
         node: The node.
         nets: Its nets by name; looked at anew for each request.
-        written: Has the nets go on with what was asked, and waits until that outlives this process.
+        on_file: Has the nets go on with what was asked, and waits until that outlives this process; returns what the
+            answer says where it does not.
     """
 
     def __init__(
         self,
         node: ManagedNode,
         nets: Mapping[str, Executor],
-        written: Callable[[], Coroutine[Any, Any, None]],
+        on_file: Callable[[], Coroutine[Any, Any, str]],
     ) -> None:
-        self._nets, self._written = nets, written
+        self._nets, self._on_file = nets, on_file
         node.create_service(ControlNet, f"/{node.task_name}/control_net", self._control)
 
     async def _control(self, request: Any, response: Any) -> Any:
@@ -40,9 +41,9 @@ class ControlService:
             response.success, response.message = False, error.message
             return response
         executor.post(event)
-        await self._written()
+        not_kept = await self._on_file()
         response.success = True
-        response.message = f"{request.request} {request.argument}".strip()
+        response.message = f"{request.request} {request.argument}".strip() + not_kept
         paused = ", paused" if executor.paused else ""
         marked = ", ".join(f"{place}={count}" for place, count in executor.marking().items())
         response.state = f"{executor.mode}{paused}: {marked}"

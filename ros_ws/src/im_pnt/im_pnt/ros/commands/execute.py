@@ -76,6 +76,7 @@ class ExecuteServer:
         run: Runs a command.
         control: Cancels and pauses commands.
         written: Waits until the commands that are open outlive this process.
+        on_file: Waits until what was done to them does; returns what the answer says where it does not.
     """
 
     def __init__(
@@ -86,9 +87,10 @@ class ExecuteServer:
         run: RunCommand,
         control: CommandControl,
         written: Callable[[], Coroutine[Any, Any, None]],
+        on_file: Callable[[], Coroutine[Any, Any, str]],
     ) -> None:
         self._node, self._nets, self._commands, self._run, self._control = node, nets, commands, run, control
-        self._written = written
+        self._written, self._on_file = written, on_file
         self._list = node.create_publisher(String, f"/{node.task_name}/commands", qos.LATCHED)
         self._server = GuardedActionServer(
             node,
@@ -146,9 +148,9 @@ class ExecuteServer:
         except ImError as error:
             response.success, response.message = False, error.message
             return response
-        await self._written()  # it holds whoever dies now
+        not_kept = await self._on_file()
         response.success = True
-        response.message = f"{request.request} {command.job.command.symbol} (number {request.command_id})"
+        response.message = f"{request.request} {command.job.command.symbol} (number {request.command_id}){not_kept}"
         return response
 
     async def _execute(self, goal: ServerGoalHandle) -> ExecuteCommand.Result:
