@@ -12,7 +12,7 @@ from rclpy.task import Future
 
 from im_bringup.tasks.middleware import loopback_profile, open_profile
 from im_core import silence
-from im_core.errors import LinkError
+from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import heartbeats
 from im_core.ros.heartbeats import CHECK_PERIOD_S, LEASE_S, SILENCE_S, Heartbeats
 from im_core.ros.node import ManagedNode
@@ -101,6 +101,21 @@ def test_who_was_stopped_for_longer_than_the_lease_of_dds_waits_no_more_for_what
     wait_until(lambda: ended, "the end")
     assert ended == ["listener stood still for 21 s, and an answer may be lost while waited for an answer"]
     assert not followed._owed
+
+
+def test_what_is_not_waited_for_any_longer_is_given_up(followed, wait_until):
+    """A client keeps each call until it has been answered or given up."""
+    answer, ended = Future(), []
+
+    async def ask():
+        try:
+            await followed.wait(answer, "back", 0.1, "an answer")
+        except WaitTimeoutError as error:
+            ended.append(error)
+
+    followed._node.spawn(ask())
+    wait_until(lambda: ended, "the end")
+    assert answer.cancelled()
 
 
 @pytest.mark.parametrize("profile", [loopback_profile(), open_profile()])

@@ -10,11 +10,13 @@ from action_msgs.msg import GoalStatus
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
 from im_core import clock, open_commands
+from im_core.errors import LinkError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.guard import GuardedActionClient
@@ -24,7 +26,9 @@ from im_msgs.action import ExecuteCommand, Move
 from im_msgs.msg import Firing, ObjectChange, Status, TaskStatus
 from im_msgs.srv import ControlCommand, GetObject, ListCommands
 from im_pnt.errors import NetFileError
+from im_pnt.execution.events import Answer, Outcome
 from im_pnt.expression.scope import check_net
+from im_pnt.model.action import GoalAction
 from im_pnt.netfile import parse_net
 from im_pnt.ros.commands import notes
 from im_pnt.ros.execution.goals import GoalActions
@@ -168,6 +172,13 @@ class Hardware(ManagedNode):
         return Move.Result(success=True)
 
 
+class Doubtful:
+    """An action of which it is not known what became."""
+
+    def __init__(self, action):
+        self.action, self.life, self.net, self.number = action, "before", "worker", 1
+
+
 def path(ctx):
     points = [{"positions": [0, 1.5]}, {"positions": [1.0, 2.0]}]
     return {"path": {"joint_names": ["a", "b"], "points": points}, "speed_scale": ctx.command.arguments["speed"]}
@@ -243,6 +254,22 @@ def test_a_goal_that_its_server_has_already_is_followed_not_lost(machine, monkey
     monkeypatch.setattr(GoalActions, "_goal_id", lambda *_: UUID(uuid=[7] * 16))
     assert run(machine[0], "follow").success
     assert run(machine[0], "follow").success
+
+
+def test_a_goal_of_which_nobody_can_tell_any_more_is_not_followed(machine, monkeypatch):
+    """Its server has died, and owes no result: that would be kept for ever."""
+    goals, result = machine[0]._kinds[GoalAction], Future()
+    activity = Doubtful(GoalAction("/hardware/move", "im_msgs/action/Move"))
+
+    async def died(*_):
+        raise LinkError("hardware is missing", task="hardware")
+
+    monkeypatch.setattr(goals, "_follow", lambda *_: result)
+    monkeypatch.setattr(goals._surroundings, "wait", died)
+    answer = in_loop(machine[0], goals.ask, activity, None)
+    assert answer == Answer(Outcome.UNKNOWN, asked="hardware is missing")
+    assert not goals._results
+    assert result.cancelled()
 
 
 def test_a_net_that_was_loaded_again_sends_goals_of_its_own(machine):

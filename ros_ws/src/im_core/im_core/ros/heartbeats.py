@@ -143,7 +143,7 @@ class Heartbeats:
         An answer that comes while this process is stopped for longer than :data:`LEASE_S` is lost.
 
         Args:
-            future: Future of rclpy.
+            future: Future of rclpy; cancelled where it is not waited for any longer.
             task: Name of the task that answers.
             timeout_s: Longest wait, wall time [s].
             what: What is waited for.
@@ -168,6 +168,7 @@ class Heartbeats:
             del self._owed[settle]
             unwatch()
             self._node.alarms.cancel(alarm)
+            future.cancel()  # no effect on one that is done; else its client would keep it for ever
         if future.done():
             return future.result()
         if missing:

@@ -128,8 +128,11 @@ class GoalActions:
             result.add_done_callback(lambda _: over.set_result(None))
             await around.wait(over, task, ASK_S, f"what became of the goal of {action.name}")
         except ImError as error:
-            running = activity in self._results and error.code == "timeout"
-            return Answer(Outcome.RUNNING if running else Outcome.UNKNOWN, asked=error.message)
+            if activity in self._results and error.code == "timeout":
+                return Answer(Outcome.RUNNING, asked=error.message)
+            if (result := self._results.pop(activity, None)) is not None:
+                result.cancel()
+            return Answer(Outcome.UNKNOWN, asked=error.message)
         del self._results[activity]
         answer = result.result()
         if answer.status == GoalStatus.STATUS_UNKNOWN:
