@@ -25,8 +25,9 @@ from im_msgs.action import Move
 from im_msgs.msg import Marking
 from im_msgs.srv import ControlCommand, ControlNet
 from im_pnt.errors import JournalError
-from im_pnt.execution.events import ModeSet, PauseSet
+from im_pnt.execution.events import Answer, Answered, ModeSet, Outcome, PauseSet
 from im_pnt.execution.functions import idempotent, woken_by
+from im_pnt.execution.jobs import ActivityState
 from im_pnt.execution.operator import Mode
 from im_pnt.journal.folder import Folder
 from im_pnt.journal.log import look
@@ -525,6 +526,39 @@ def test_who_cancels_or_operates_while_the_journal_cannot_be_written_is_answered
     assert in_loop(node, lambda: node.exchange.nets["think"].paused)
     wait_until(lambda: not node._journal.unwritten, "the journal, which has room again")
     assert [answer.message for answer in asked()] == done
+
+
+ASK = """
+net: ask
+places: {idle: {tokens: 1, resource: true}, told: , bad: }
+transitions:
+  go: {symbol: ask, in: idle, out: told, request: away.work, timeout: 0.1, on_failure: bad}
+  tell: {in: told, out: idle, emit: ask_done}
+  give_up: {in: bad, out: idle, emit: ask_failed}
+"""
+
+
+def test_that_a_request_is_given_up_is_on_file_at_once(tmp_path, ros, wait_until, monkeypatch):
+    """While something is not, the node neither acknowledges what it gets nor repeats what it has sent."""
+    monkeypatch.setattr("im_pnt.ros.node.TIDY_PERIOD_S", 0.1)
+    (tmp_path / "ask.yaml").write_text(ASK)
+    node = ros(Server("ask", tmp_path))
+    wait_until(lambda: node.ready, "the node")
+    net, ended = node.exchange.nets["ask"], []
+
+    async def ask():
+        ended.append(await node.command("ask"))
+
+    def doubtful():
+        return [each for each in net.activities if each.state is ActivityState.IN_DOUBT]
+
+    node.spawn(ask())
+    wait_until(lambda: in_loop(node, doubtful), "doubt about the request")
+    failed = Answer(Outcome.FAILED, ImError("it has failed", code="operator"), asked="the operator")
+    in_loop(node, lambda: net.post(Answered(doubtful()[0], failed)))
+    wait_until(lambda: ended, "the command to end")
+    wait_until(lambda: in_loop(node, lambda: not node.exchange.book.items()), "the request to be given up")
+    assert not in_loop(node, lambda: node._journal.unwritten)
 
 
 @pytest.mark.parametrize("fault", ["journal", "topic"])

@@ -202,7 +202,7 @@ class PntNode(ManagedNode):
     def phase_start(self) -> None:
         """Begins to fire."""
         ControlService(self, self.exchange.nets, self._on_file)
-        self.create_timer(TIDY_PERIOD_S, self.exchange.tidy, clock=self.steady_clock)
+        self.create_timer(TIDY_PERIOD_S, self._tidy, clock=self.steady_clock)
         self.spawn(self._begin())
         self.spawn(self._scopes.begin())
         gc.freeze()  # what is there now stays: the garbage collector need not look at it again, which takes 20 ms
@@ -500,6 +500,11 @@ class PntNode(ManagedNode):
 
     def _may_turn(self) -> bool:
         return (self.ready and self._looked and self.sources.known) or self._stopped
+
+    def _tidy(self) -> None:
+        """Has requests given up that nobody waits for; what that leaves in the journal is written, and may leave."""
+        self.exchange.tidy()
+        self._loop.turn()
 
     def _told(self) -> None:
         self._validity.turned()
