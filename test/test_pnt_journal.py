@@ -12,6 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from im_core import clock
@@ -593,6 +594,47 @@ def test_a_net_that_was_refused_keeps_nobody_waiting_for_the_objects_of_its_guar
     node.spawn(say())
     wait_until(lambda: ended, "the command of the other net to end")
     assert ended[0].success
+
+
+WATCH = """
+net: watch
+places: {idle: {tokens: 1, resource: true}, seen: }
+transitions:
+  look: {in: idle, out: seen, guard: there}
+  rest: {in: seen, out: idle}
+"""
+
+
+class Watcher(Server):
+    """A node whose guard looks at a topic, and at an object of a /dom that does not answer."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__("watch", folder)
+        self.functions.guards["there"] = woken_by("data:thing", "topic:/chat")(lambda ctx: False)
+        self.sources.follow("/chat", String, qos.LATCHED)
+
+    def hear(self, text: str) -> None:
+        """Takes a message of the topic."""
+        self.sources._hear("/chat", lambda _: None, String(data=text))
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_what_is_heard_does_not_pile_up_while_it_is_not_known_whether_objects_are_valid(
+    tmp_path, ros, wait_until, recorded
+):
+    (tmp_path / "watch.yaml").write_text(WATCH)
+    node = ros(Watcher(tmp_path))
+    if recorded:
+        listener = ros(ManagedNode("listener", parameter_overrides=[Parameter("standalone", value=True)]))
+        listener.create_subscription(String, "/pnt/events", lambda _: None, qos.EVENTS)
+        wait_until(lambda: node.count_subscribers("/pnt/events"), "who listens")
+    wait_until(lambda: node.ready, "the node")
+    for number in range(100):
+        in_loop(node, node.hear, f"{number}")
+    assert not node.sources.known
+    assert in_loop(node, lambda: len(node.log.items)) <= 1
+    assert in_loop(node, lambda: len(node.exchange.nets["watch"]._inbox)) == 1
+    assert node.sources.last("/chat").data == "99"
 
 
 def test_a_net_that_goes_right_after_it_has_changed_takes_no_marking_of_another_with_it(tmp_path, ros, wait_until):

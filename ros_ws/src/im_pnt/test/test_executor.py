@@ -4,7 +4,7 @@ from im_core.errors import DataError, ImError
 from im_pnt.errors import NetError, NetFileError
 from im_pnt.execution.events import CommandCancelled, GuardsChanged, ObjectInvalidated, RequestArrived
 from im_pnt.execution.executor import Executor
-from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.functions import ActionContext, woken_by
 from im_pnt.execution.jobs import Command, Request
 from im_pnt.netfile import load_net, parse_net
 from support.process import Process, hold
@@ -180,6 +180,17 @@ transitions:
         process = Process([parse_net(text)], seed=seed)
         process.pump()
         assert process.marking("n") == {"c": 1, "e": 1}
+
+
+def test_guards_that_are_to_be_asked_again_are_asked_once_however_often_that_is_said():
+    asked: list[str] = []
+    net = parse_net("net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: b, guard: g}}")
+    process = Process([net], guards={"g": woken_by("topic:/seen")(lambda ctx: asked.append(ctx.transition))})
+    process.pump()
+    for source in ("topic:/seen", "topic:/other") * 3:
+        process.exchange.nets["n"].guards_changed(source)
+    process.pump()
+    assert asked == ["t", "t"]
 
 
 def test_one_symbol_resolves_several_contending_transitions():

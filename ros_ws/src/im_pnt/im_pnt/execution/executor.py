@@ -15,7 +15,15 @@ from im_pnt.errors import NetError
 from im_pnt.execution.actions import Actions, CheckObjects, Runner
 from im_pnt.execution.conflicts import ConflictResolution, StrategyBook
 from im_pnt.execution.event_loop import EventLoop
-from im_pnt.execution.events import ActionEnded, Answer, Answered, CommandWritten, Event, TokenArrived
+from im_pnt.execution.events import (
+    ActionEnded,
+    Answer,
+    Answered,
+    CommandWritten,
+    Event,
+    GuardsChanged,
+    TokenArrived,
+)
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job
@@ -223,6 +231,13 @@ class Executor:
     def post(self, event: Event) -> None:
         """Puts an event into the queue; like all that does so, from any thread."""
         self._inbox.append(event)
+        self._wake()
+
+    def guards_changed(self, source: str = "") -> None:
+        """Has guards asked again that declare a source, or all; once, however often that is said before it is taken."""
+        changed = GuardsChanged(source)
+        if changed not in tuple(self._inbox):
+            self._inbox.append(changed)
         self._wake()
 
     def pump(self, limit: int = 1000) -> bool:

@@ -26,7 +26,7 @@ from im_pnt.distributed.packets import began_at, new_epoch
 from im_pnt.errors import JournalError, NetError
 from im_pnt.execution.actions import Ask, FunctionRunner
 from im_pnt.execution.conflicts import StrategyBook
-from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
+from im_pnt.execution.events import CommandCancelled, CommandHeld
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
 from im_pnt.execution.jobs import Activity
@@ -547,12 +547,14 @@ class PntNode(ManagedNode):
 
     def _guards_changed(self) -> None:
         for executor in self.exchange.nets.values():
-            executor.post(GuardsChanged())
+            executor.guards_changed()
 
     def _source_changed(self, source: str) -> None:
         for executor in self.exchange.nets.values():
             if source in self.functions.wakes(executor.written):
-                executor.post(GuardsChanged(source))
+                executor.guards_changed(source)
+        if not self._may_turn():  # what is told after a turn would pile up until there is one
+            self._mission.publish()
 
     def _object_changed(self, change: ObjectChange) -> None:
         self.dom.heard(change.object)

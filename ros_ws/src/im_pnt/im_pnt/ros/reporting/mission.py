@@ -67,12 +67,11 @@ class MissionPublisher:
             self._tell_state(executor)
 
     def publish(self) -> None:
-        """Publishes what was collected."""
-        if not self._publisher.get_subscription_count() or any(each.record is None for each in self._nets()):
+        """Publishes what was collected; nothing of before the nets may fire, as the states tell it."""
+        listened_to = self._begun and self._publisher.get_subscription_count() > 0
+        if not listened_to or any(each.record is None for each in self._nets()):
             self._log.items.clear()
             self._anew = True
-            return
-        if not self._begun:
             return
         if self._anew:
             self._anew = False
