@@ -193,6 +193,25 @@ def test_guards_that_are_to_be_asked_again_are_asked_once_however_often_that_is_
     assert asked == ["t", "t"]
 
 
+def test_what_guards_have_said_of_commands_is_forgotten_with_them():
+    net = parse_net(
+        """
+net: n
+places: {idle: {tokens: 1, resource: true}, a: , b: }
+transitions:
+  go: {symbol: go, in: idle, out: a}
+  yes: {in: a, out: b, guard: g}
+  no: {in: a, out: b, guard: not g}
+  tell: {in: b, out: idle, emit: go_done}
+"""
+    )
+    process = Process([net], guards={"g": woken_by()(lambda ctx: True)})
+    for _ in range(100):
+        process.command("n", "go")
+    assert [result.success for result in process.results] == [True] * 100
+    assert not process.exchange.nets["n"]._loop.conflicts._stalled_for
+
+
 def test_one_symbol_resolves_several_contending_transitions():
     text = """
 net: n

@@ -17,6 +17,7 @@ import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 from im_core.errors import ImError
 from im_core.files import FileError, write_whole
@@ -167,7 +168,7 @@ class ConflictResolution:
         self._strategies = any(t.strategy is not None for t in self._transitions)
         self._even = all(t.weight == 1.0 and t.strategy is None for t in self._transitions)
         self._verdicts: dict[tuple[str, int], bool | None] = {}
-        self._stalled_for: dict[int, set[int]] = {}
+        self._stalled_for: WeakKeyDictionary[Job, set[int]] = WeakKeyDictionary()
         self._sources: dict[str, list[int]] = {}
         self._undeclared: set[int] = set()
         for index, transition in enumerate(self._transitions):
@@ -201,7 +202,7 @@ class ConflictResolution:
 
     def wake_job(self, job: Job) -> None:
         """Has those guards asked again that were asked about a job."""
-        self._enabling.consider_stalled(self._stalled_for.pop(job.number, ()))
+        self._enabling.consider_stalled(self._stalled_for.pop(job, ()))
 
     def choose(self, index: int) -> int | None:
         """Decides about an enabled transition and its rivals; each guard is evaluated at most once.
@@ -277,7 +278,7 @@ class ConflictResolution:
                 lineage = self._rule.foreseen(index, owner)
                 if not self._passes(index, guard, negated, lineage, (guard, id(lineage.job))):
                     if lineage.job is not None:
-                        self._stalled_for.setdefault(lineage.job.number, set()).add(index)
+                        self._stalled_for.setdefault(lineage.job, set()).add(index)
                     continue
             self._owners[index] = owner
             return True

@@ -180,7 +180,7 @@ class JobData(NamedTuple):
     progress: float
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, weakref_slot=True)
 class Job:
     """A command or request in work, or what one of another net has left to do here.
 
