@@ -169,6 +169,8 @@ BEGIN = ("node", "/n", "")
         ([told(1, BEGIN), told(4)], "messages 2 to 3 of /n on /pnt/events are not in the bag"),
         ([told(1, BEGIN, ("net", "front", ["fire", "go"]))], "before its state is told"),
         ([told(1, BEGIN, ("odd",))], "is nothing that a node tells"),
+        ([told(1, BEGIN, ("noted", ["at"], None, []))], "[] is no error"),
+        ([told(1, BEGIN, ("net", ["front"], 3))], "is nothing that a node tells"),
         ([told(1, BEGIN, ("state", "n", {}, "places: 3"))], "places"),
     ],
 )
@@ -303,6 +305,13 @@ def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_u
     with pytest.raises(Difference, match=r"its function leaves something else: memory.*left.*1.*now 2"):
         NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
     left["memory"][1]["left"] = ["set", 2]
+
+    end = next(item[2] for turn in stream.turns for item in turn.items if item[0] == "net" and item[2][0] == "end")
+    rest = end[3:]
+    del end[3:]
+    with pytest.raises(DataError, match=r"what /walker told at .* cannot be run again: IndexError"):
+        NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
+    end.extend(rest)
 
     for turn in stream.turns:
         for item in turn.items:

@@ -65,7 +65,7 @@ class NodeRerun:
         nets: Nets that take the places of those of the bag, by name.
 
     Raises:
-        DataError: The functions of the node cannot be made.
+        DataError: What was recorded makes no sense.
     """
 
     def __init__(self, stream: NodeStream, world: ActionsAgain, messages: Messages, nets: Mapping[str, Net]) -> None:
@@ -90,6 +90,13 @@ class NodeRerun:
             Difference: It was not; the first.
             DataError: What was recorded makes no sense.
         """
+        try:
+            return self._run()
+        except (LookupError, TypeError, ValueError, AssertionError) as error:
+            text = f"what {self._stream.node} told at {self._life.turn.stamp:.3f} s cannot be run again: {error!r}"
+            raise DataError(text, node=self._stream.node) from error
+
+    def _run(self) -> Compared:
         for number, turn in enumerate(self._stream.turns):
             self._life.turn = turn
             self._time = max(self._time, turn.at - SLACK_S)

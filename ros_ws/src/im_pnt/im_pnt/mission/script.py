@@ -5,9 +5,9 @@ from collections.abc import Callable, Collection, Coroutine, Generator
 from typing import Any, Protocol, TypeVar
 
 from im_core.errors import ImError
-from im_pnt.errors import decode_error
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import Activity
+from im_pnt.mission.entries import error_of
 from im_pnt.mission.log import Key
 from im_pnt.mission.stream import NodeStream, named
 from im_pnt.model.net import Net
@@ -53,6 +53,9 @@ class Script:
         differs: Makes differences.
         messages: Compares messages.
 
+    Raises:
+        DataError: What was recorded makes no sense.
+
     Attributes:
         label: The action that is begun now, or goes on.
         at: The item of the recording that is taken: the rank of its turn, and its own in that.
@@ -71,7 +74,7 @@ class Script:
             for rank, item in enumerate(turn.items):
                 match item:
                     case ["noted", list(key), value, error]:
-                        told = (number, rank), value, decode_error(error)
+                        told = (number, rank), value, error_of(error)
                         self._noted.setdefault(named(key), deque()).append(told)
                     case ["sent", list(key), content]:
                         self._sent.setdefault(named(key), deque()).append(((number, rank), content))
