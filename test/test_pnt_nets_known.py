@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import pytest
 from rclpy.parameter import Parameter
 
 from im_core.ros import qos
@@ -68,3 +69,25 @@ def test_a_net_that_another_node_has_taken_over_stays_known_whatever_the_former_
     present.tell("feeder", "")
     wait_until(lambda: known() == {"marker": "former"}, "the net to go")
     assert node._transport.node_of("feeder") == "feeder"
+
+
+@pytest.mark.parametrize(("node", "text"), [("/no such name", '{"yaml": ""}'), ("/other", "x")])
+def test_a_description_that_makes_no_sense_leads_no_request_anywhere(tmp_path, ros, wait_until, node, text):
+    asker, teller = ros(make_asker(tmp_path)), ros(Teller("teller"))
+    wait_until(lambda: asker.ready, "the node")
+    teller.descriptions.publish(NetDescription(net="feeder", node=node, json=text))
+    teller.tell("marker", FEEDER.replace("feeder", "marker"))
+    wait_until(lambda: in_loop(asker, asker._transport.node_of, "marker") == "teller", "what is told last")
+    assert in_loop(asker, asker._transport.node_of, "feeder") == "feeder"
+
+
+def test_so_many_nets_of_others_are_known_and_those_stay(tmp_path, ros, wait_until, monkeypatch):
+    monkeypatch.setattr("im_pnt.ros.execution.transport.MOST_NETS", 2)
+    asker, teller = ros(make_asker(tmp_path)), ros(Teller("teller"))
+    wait_until(lambda: asker.ready, "the node")
+    for net in ("marker", "feeder"):  # beside the asker itself
+        teller.tell(net, FEEDER.replace("feeder", net))
+    wait_until(lambda: asker.failures.counts, "the refusal")
+    known = [in_loop(asker, asker._transport.node_of, net) for net in ("marker", "feeder")]
+    assert known == ["teller", "feeder"]
+    assert "who runs net feeder is not learned: it is known of 2 others" in asker.failures.last

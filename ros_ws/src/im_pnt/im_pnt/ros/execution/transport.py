@@ -1,11 +1,12 @@
 """Packets of a link between processes: topics ``/<node>/tokens``."""
 
-import contextlib
 from collections.abc import Callable
 
+from rclpy.exceptions import NameValidationException
 from rclpy.publisher import Publisher
+from rclpy.validate_node_name import validate_node_name
 
-from im_core.errors import DataError
+from im_core.errors import DataError, StateError
 from im_core.ros import qos
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
@@ -18,6 +19,7 @@ from im_pnt.errors import NetError
 from im_pnt.execution.notification import Observer
 from im_pnt.ros.cdr import decode_packet, encode_packet
 from im_pnt.ros.execution.loop import NetLoop
+from im_pnt.ros.library import MOST_NETS
 
 TICK_PERIOD_S = 0.05
 
@@ -141,15 +143,32 @@ class DdsTransport:
         publisher.publish(encode_packet(text))
 
     def _learn(self, description: NetDescription) -> None:
+        """Takes note of who runs a net; where that makes no sense, nobody could be written to.
+
+        Raises:
+            DataError: There can be no node of that name.
+            StateError: It is known of too many others.
+        """
         node = description.node.rpartition("/")[2]
         if not description.json:  # it has gone from there; another node may have taken it over
             if self._directory.get(description.net) == node:
                 del self._directory[description.net]
             return
+        try:
+            content = read_content(description.net, description.json)
+        except DataError:  # who reads the nets of others says so
+            return
+        try:
+            validate_node_name(node)
+        except NameValidationException as error:
+            text = f"net {description.net} is described by a node of no possible name: {node[:100]!r}"
+            raise DataError(text, net=description.net) from error
+        if len(self._directory) == MOST_NETS and description.net not in self._directory:
+            text = f"who runs net {description.net} is not learned: it is known of {MOST_NETS} others"
+            raise StateError(text, net=description.net)
         self._directory[description.net] = node
-        with contextlib.suppress(DataError):  # whatever else is told is no journal
-            if read_content(description.net, description.json).journal:
-                self._journalling.add(node)
+        if content.journal and len(self._journalling) < MOST_NETS:
+            self._journalling.add(node)
 
     def _publisher(self, node: str) -> Publisher:
         if node not in self._publishers:
