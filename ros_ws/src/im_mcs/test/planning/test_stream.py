@@ -98,3 +98,15 @@ def test_setpoints_that_could_not_be_followed_are_refused(rig):
         rig.stream(np.where(np.arange(9) == 3, np.nan, rig.home))
     assert rig.group.goals == ()
     assert not rig.group.moving
+
+
+def test_a_velocity_that_is_the_limit_but_for_rounding_is_followed(rig):
+    for joint in range(9):
+        velocity = np.zeros(9)
+        velocity[joint] = rig.limits.velocity[joint] * (1.0 + 9e-7)
+        rig.stream(rig.home, velocities=velocity.tolist())
+        rig.ticks(40)
+        rig.stream(rig.home)
+        rig.ticks(400)
+    np.testing.assert_allclose(rig.trace[-1].q, rig.home, atol=1e-12)
+    rig.check_motion()

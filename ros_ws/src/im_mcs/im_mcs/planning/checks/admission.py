@@ -51,7 +51,7 @@ def check_timed_points(context: PlanContext, points: TimedPoints, begin: int) ->
 
 
 def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Position and velocity of a streaming setpoint, shape (n,) each.
+    """Position and velocity of a streaming setpoint, shape (n,) each, the velocity within its limit to the last bit.
 
     Raises:
         DataError: A wrong size, or a value that is not finite.
@@ -64,6 +64,7 @@ def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[
         return q, np.zeros_like(q)
     motion = limits.motion.of(index)
     _check_within(context, v, motion.velocity, "velocity of the setpoint", "/s")
+    v = np.clip(v, -motion.velocity, motion.velocity)  # ruckig tolerates no rounding
     speed = np.abs(v)
     way = speed * (speed / motion.acceleration + motion.acceleration / motion.jerk) / 2.0
     stop = q + np.sign(v) * way
