@@ -296,6 +296,8 @@ class ControlledGroup:
         if self._rates.protective is not None:
             self._suspended(self._rates.protective)
         self.setpoint = self.planner.advance()
+        if current is not None and current.stream is not None and current.stream.fault is not None:
+            self._interrupt(current.stream.fault)
         return self.setpoint
 
     def cut(self, setpoint: Setpoint, joints: Sequence[str], tick: int) -> None:

@@ -2,8 +2,15 @@
 
 import numpy as np
 import pytest
+from ruckig import Ruckig, RuckigError, Synchronization
 
-from im_core.errors import ImError, LimitError, StateError
+from im_core.errors import DataError, ImError, LimitError, StateError
+from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.planning.motions import stream
+from im_mcs.planning.motions.stream import StreamFollower
+from im_mcs.planning.trajectories import profile
+from im_mcs.planning.trajectories.profile import Chase
+from im_mcs.planning.trajectories.trajectory import Setpoint
 
 
 def test_a_target_is_reached_and_held(rig, way):
@@ -109,4 +116,83 @@ def test_a_velocity_that_is_the_limit_but_for_rounding_is_followed(rig):
         rig.stream(rig.home)
         rig.ticks(400)
     np.testing.assert_allclose(rig.trace[-1].q, rig.home, atol=1e-12)
+    rig.check_motion()
+
+
+# of a group slowed down to a tenth: ruckig synchronises no motion from this state to this target
+UNSYNCHRONISED = {
+    "start": Setpoint(
+        q=np.array([-0.5999357033799571, -0.0003167262, -0.000159993771997483, -8.171614992960431e-10,
+                    1.748504112827027, -3.300814303775843, -0.002399054048656251, 0.3018932492573633,
+                    -0.004338714111550299]),
+        v=np.array([0.001286161651019102, -0.0150822, -0.004642921555441066, 0.0, -0.0616022908017395,
+                    -0.01800473741794386, -0.05543568249166355, 0.04115195071595902, -0.134344258471209]),
+        a=np.array([0.0, -0.4788, 0.0, 0.0, -0.9452336978878904, 0.0, 0.0, 0.0, 0.0]),
+    ),
+    "limits": MotionLimits(
+        velocity=np.array([0.057, 0.07600000000000001, 0.0475, 0.13585, 0.12255, 0.20235, 0.3781, 0.399, 0.3781]),
+        acceleration=np.array([0.95, 1.14, 0.76, 3.8, 3.8, 5.699999999999999, 14.25, 14.25, 14.25]),
+        jerk=np.array([7.6, 7.6, 5.699999999999999, 38.0, 38.0, 57.0, 142.5, 142.5, 142.5]),
+    ),
+    "target": np.array([-0.5555560660579975, -2.612993877991495, -0.1602941637438641, -8.171614992960431e-10,
+                        -0.7803981633974483, -3.921990815621379, -1.914862177193763, 0.9529180547556717,
+                        -4.637575810304917]),
+}  # fmt: skip
+
+
+def test_a_target_that_the_joints_cannot_reach_together_is_reached_by_each(rig):
+    start, limits, target = (UNSYNCHRONISED[name] for name in ("start", "limits", "target"))
+    with pytest.raises(DataError, match="ruckig"):
+        Chase(start, target, np.zeros(9), limits, together=True)
+    follower = StreamFollower(start, limits, np.full(9, -9.0), np.full(9, 9.0), rig.period, 2)
+    follower.renew(target, np.zeros(9))
+    trace = [start] + [follower.advance(1.0)[0] for _ in range(10_000)]
+    assert follower.fault is None
+    np.testing.assert_array_equal(trace[-1].q, target)
+    q, v, a = (np.array([getattr(s, name) for s in trace]) for name in ("q", "v", "a"))
+    assert (np.abs(v) <= np.maximum(limits.velocity, np.abs(start.v)) + 1e-9).all()
+    assert (np.abs(a) <= limits.acceleration + 1e-9).all()
+    assert (np.abs(np.diff(q, axis=0)) <= 2.0 * rig.period * np.abs(v).max(axis=0) + 1e-9).all()
+
+
+def test_joints_that_meet_moving_targets_one_by_one_move_on_with_them(rig):
+    start, velocity = Setpoint.at_rest(rig.home), 0.1 * rig.limits.velocity
+    chase = Chase(start, rig.home + np.linspace(0.1, 0.9, 9), velocity, rig.limits, together=False)
+    assert len(set(chase.durations)) > 1
+    last = chase.durations.max()
+    before, after = chase.at(last - 1e-9), chase.at(last + 1e-9)
+    np.testing.assert_allclose(after.q, before.q, atol=1e-8)
+    np.testing.assert_allclose(after.q, rig.home + np.linspace(0.1, 0.9, 9) + velocity * (last - chase.durations))
+
+
+def test_a_stream_to_which_no_motion_is_found_ends_on_the_way_and_says_why(rig, way, monkeypatch):
+    goal = rig.stream(rig.home + way)
+    rig.ticks(60)
+    assert (rig.trace[-1].v != 0.0).any()
+
+    def none_found(*_, **__):
+        raise DataError("no trajectory")
+
+    monkeypatch.setattr(stream, "Chase", none_found)
+    rig.stream(rig.home)
+    rig.run()
+    assert rig.results[goal][0].message == "no trajectory"
+    assert not rig.trace[-1].v.any()
+    rig.check_motion()
+
+
+def test_each_joint_comes_to_rest_by_itself_where_they_cannot_together(rig, way, monkeypatch):
+    rig.stream(rig.home + way)
+    rig.ticks(60)
+
+    class Alone(Ruckig):
+        def calculate(self, asked, trajectory):
+            if asked.synchronization is not Synchronization.No:
+                raise RuckigError("error in step 2")
+            return super().calculate(asked, trajectory)
+
+    monkeypatch.setattr(profile, "Ruckig", Alone)
+    rig.group.pause()
+    rig.ticks(300)
+    assert not rig.trace[-1].v.any()
     rig.check_motion()

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError
+from im_core.errors import DataError, ImError
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
 from im_mcs.planning.trajectories.profile import Chase, to_rest
@@ -45,6 +45,9 @@ class StreamLease:
 class StreamFollower:
     """Chases the newest target, replanned at every knot while it moves; a target with a velocity moves on by itself.
 
+    Attributes:
+        fault: Why it chases no more, but comes to rest: no motion to the target was found.
+
     Args:
         start: Present setpoint.
         limits: Of the group.
@@ -76,6 +79,7 @@ class StreamFollower:
         self._elapsed = 0.0
         self._held = np.zeros(len(start.q), dtype=np.bool_)
         self.rate = 1.0
+        self.fault: ImError | None = None
 
     def renew(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
         """A new target: position and velocity, shape (n,) each."""
@@ -101,7 +105,11 @@ class StreamFollower:
         if rate == 0.0:
             self._state = self._halted()
         elif not (self._arrived() and not self._state.v.any() and not self._state.a.any()):
-            self._state = self._chased(rate)
+            try:
+                self._state = self._chased(rate)
+            except DataError as fault:
+                self.fault = fault
+                self._state = self._halted()
         return self._state, self._divisor
 
     def look_ahead(self) -> None:
@@ -129,12 +137,20 @@ class StreamFollower:
         """The motion that meets the target where it will be by then."""
         drift = np.where(self._held, 0.0, self._drift) * rate
         now = np.clip(self._target + self._drift * (self._age - self._knot_s), self._lower, self._upper)
-        chase = Chase(self._state, now, drift, limits)
+        try:
+            return self._met(now, drift, limits, together=True)
+        except DataError:  # ruckig cannot always synchronise joints, least of all while they are slowed down
+            return self._met(now, drift, limits, together=False)
+
+    def _met(
+        self, now: NDArray[np.float64], drift: NDArray[np.float64], limits: MotionLimits, *, together: bool
+    ) -> Chase:
+        chase = Chase(self._state, now, drift, limits, together=together)
         if not drift.any():
             return chase
         for _ in range(_MEETINGS):
-            ahead = now + drift * chase.duration
-            chase = Chase(self._state, np.clip(ahead, self._lower, self._upper), drift, limits)
+            ahead = np.clip(now + drift * chase.durations, self._lower, self._upper)
+            chase = Chase(self._state, ahead, drift, limits, together=together)
         return chase
 
     def _outside(self) -> NDArray[np.bool_]:

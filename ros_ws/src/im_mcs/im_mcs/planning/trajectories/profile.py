@@ -52,13 +52,20 @@ def to_point(
 def to_rest(start: Setpoint, limits: MotionLimits) -> PiecewisePolynomial:
     """Deceleration to rest from any state as fast as acceleration and jerk limits allow, all joints at the same time.
 
+    Where ruckig cannot synchronise the joints, each comes to rest by itself.
+
     Raises:
         DataError: Ruckig finds no trajectory.
     """
     asked = request(start, limits)
     asked.control_interface = ControlInterface.Velocity
     asked.target_velocity = [0.0] * len(start.q)
-    return _solve(asked, f"to rest from velocity {start.v.tolist()}")
+    what = f"to rest from velocity {start.v.tolist()}"
+    try:
+        return _solve(asked, what)
+    except DataError:
+        asked.synchronization = Synchronization.No
+        return _solve(asked, what)
 
 
 def to_meet(
@@ -146,30 +153,42 @@ class Chase:
     """Motion from any state to a target that may have a velocity; beyond it goes on with that.
 
     Attributes:
-        duration: Until the target is met [s].
+        durations: Until each joint meets its target, shape (n,) [s].
 
     Args:
         start: State now.
         q: Target, shape (n,).
         v: Velocity there, shape (n,).
         limits: Limits of velocity, acceleration and jerk.
+        together: Whether all joints meet their targets at the same time.
 
     Raises:
         DataError: Ruckig finds no trajectory.
     """
 
-    def __init__(self, start: Setpoint, q: NDArray[np.float64], v: NDArray[np.float64], limits: MotionLimits) -> None:
+    def __init__(
+        self,
+        start: Setpoint,
+        q: NDArray[np.float64],
+        v: NDArray[np.float64],
+        limits: MotionLimits,
+        *,
+        together: bool,
+    ) -> None:
         asked = request(start, limits)
+        if not together:
+            asked.synchronization = Synchronization.No
         asked.target_position, asked.target_velocity = q.tolist(), v.tolist()
-        self._trajectory = _trajectory(asked, f"to {q.tolist()} with velocity {v.tolist()}")
-        self.duration: float = self._trajectory.duration
+        found = self._trajectory = _trajectory(asked, f"to {q.tolist()} with velocity {v.tolist()}")
+        self._duration: float = found.duration
+        self.durations = np.array([found.duration] * len(q) if together else found.independent_min_durations)
         self._end = Setpoint(q, v, np.zeros_like(q))
 
     def at(self, t: float) -> Setpoint:
-        """State at time ``t`` [s]; from the duration on that of the target, which moves on."""
-        if t >= self.duration:
+        """State at time ``t`` [s]; once all targets are met that of the targets, which move on."""
+        if t >= self._duration:
             end = self._end
-            return Setpoint(end.q + end.v * (t - self.duration), end.v, end.a) if end.v.any() else end
+            return Setpoint(end.q + end.v * (t - self.durations), end.v, end.a) if end.v.any() else end
         q, v, a = self._trajectory.at_time(t)
         return Setpoint(np.array(q), np.array(v), np.array(a))
 
