@@ -119,7 +119,9 @@ def test_the_cells_of_a_path_are_bounded(make_rig, monkeypatch):
     monkeypatch.setattr("im_mcs.planning.retiming.asked_path._MOST_IN_ALL", 5000)
     rig = make_rig()
     goal, _, _ = prepared(rig, wave(rig, 60.0))
-    assert "would be re-timed in 5990 cells; up to 5000 are allowed" in rig.results[goal][0].message
+    fault = rig.results[goal][0]
+    assert fault.facts["value"] > fault.facts["limit"] == 5000
+    assert f"would be re-timed in {fault.facts['value']} cells; up to 5000 are allowed" in fault.message
 
 
 def test_a_motion_that_cannot_be_planned_ends_alone(rig, monkeypatch):

@@ -4,11 +4,14 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
 from scipy.linalg import solve_banded
 
 from im_core.errors import LimitError
 from im_mcs.planning.trajectories import interpolation
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, quintic
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.points import TimedPoints, share_points
 
@@ -77,8 +80,8 @@ def test_quintic_where_accelerations_are_given_too(rig, course):
     rig.check_motion()
 
 
-def test_positions_alone_are_joined_without_jumps_of_acceleration(rig, course):
-    q, _, _ = course
+def test_positions_alone_are_joined_without_jumps_of_acceleration(rig, way):
+    q = rig.home + np.outer([0.2, 0.35, 0.25, 0.1], way)
     goal, begin = follow(rig, points(TIMES, q))
     assert rig.code(goal) is None
     spline = CubicSpline([0.0, *TIMES], np.vstack([rig.home, q]), bc_type="clamped")
@@ -86,6 +89,39 @@ def test_positions_alone_are_joined_without_jumps_of_acceleration(rig, course):
         s, t = rig.trace[begin + k], k * 0.0045
         np.testing.assert_allclose(s.q, spline(t), atol=2e-6)
         np.testing.assert_allclose(s.a, spline(t, 2), atol=2e-4)
+    rig.check_motion()
+
+
+intervals = st.lists(st.floats(1e-3, 10.0), min_size=2, max_size=12)
+
+
+@given(intervals, st.integers(0, 1000), st.booleans())
+def test_positions_alone_lead_beyond_no_point(lengths, seed, there_and_back):
+    """Not at all while a joint goes on in one direction; where it turns by less than a fifth of the way around."""
+    random = np.random.default_rng(seed)
+    count = len(lengths)
+    steps = 10.0 ** random.uniform(-3.0, 0.0, (count, 9)) * random.choice([0.0, 1.0, 1.0, 1.0], (count, 9))
+    if there_and_back:
+        steps *= random.choice([-1.0, 1.0], (count, 9))
+    h, q = np.array(lengths), np.vstack([np.zeros(9), np.cumsum(steps, axis=0)])
+    rows = quintic(h, q, *interpolation.smooth(h, q, np.zeros(9), np.zeros(9)))
+    spline = PiecewisePolynomial(h, rows)
+    ways = np.abs(np.vstack([np.zeros(9), steps, np.zeros(9)]))
+    for k in range(count):
+        between = spline.span(spline.edges[k] + h[k] * np.linspace(0.0, 0.999, 50)).q
+        beyond = np.maximum(between - np.maximum(q[k], q[k + 1]), np.minimum(q[k], q[k + 1]) - between).max(axis=0)
+        most = 0.2 * ways[k : k + 3].max(axis=0) if there_and_back else 0.0
+        assert (beyond <= most + 1e-9).all()
+
+
+def test_a_point_far_away_at_once_is_gone_to_and_not_passed(rig):
+    """As where a client's clock is behind: what is left begins with a leap, and goes on slowly."""
+    q = np.tile(rig.home, (4, 1))
+    q[:, 3] += [0.5, 0.6, 0.7, 0.8]
+    goal, _ = follow(rig, points([0.01, 0.51, 1.01, 1.51], q))
+    assert rig.code(goal) is None
+    assert (np.diff(rig.q[:, 3]) >= -1e-6).all()
+    assert rig.q[:, 3].max() <= rig.home[3] + 0.8 + 1e-6
     rig.check_motion()
 
 

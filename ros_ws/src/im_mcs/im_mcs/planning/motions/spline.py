@@ -4,9 +4,11 @@ The splines are those of ros2_controllers' ``JointTrajectoryController``: cubic 
 where they have accelerations too; the point before the first is the present setpoint. Two things differ:
 
 - *Positions alone*: there they are joined by straight lines, whose velocity jumps at every point. No arm follows that
-  and no limit allows it. Here they are joined by the spline that is continuous to acceleration: velocities and
+  and no limit allows it. Here they are joined by a spline that is continuous to acceleration: velocities and
   accelerations at the points are those of the cubic spline that ends at rest; the first and the last piece are
-  quintics, which begin with the motion under way and end without acceleration.
+  quintics, which begin with the motion under way and end without acceleration. Where that spline would swing beyond the
+  points, as where a far way in a short time is followed by a slow one, its velocities are bounded
+  (:func:`~im_mcs.planning.trajectories.interpolation.velocity_bounds`).
 - *The last point*: an acceleration given there is taken as 0. Where it has a velocity, the motion goes on and
   decelerates to rest, as quickly as limits allow; there the arm would be told to stop dead.
 
