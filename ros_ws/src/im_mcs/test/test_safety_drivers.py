@@ -146,3 +146,27 @@ def test_stops_end_torque_streams(owned, model, cell, request_name):
     owned.send(request_name, reason="enough")
     assert "enough" in owned.reply(first)["error"]["message"]
     assert not owned.mcs.loop.torque_streams
+
+
+def test_a_pause_of_all_halts_whoever_is_not_driven_by_torques_and_names_who_is(owned, model, cell):
+    bench = owned
+    bench.ask("reserve", group="right")
+    for request in ("power_on", "enable_motion"):
+        bench.ask(request)
+    target = cell.home[9:].copy()
+    target[3] += 0.5
+    bench.send("move", group="right", path={"kind": "joint", "points": [target.tolist()]})
+    drive(bench, model.gravity(cell.home)[LEFT], lease_s=5.0)
+    for _ in range(20):
+        bench.mcs.tick([])
+    assert bench.mcs.setpoint[1, 9:].any()
+    error = bench.reply(bench.send("pause"))["error"]["message"]
+    assert "group 'left' is driven by torques" in error
+    assert error.endswith("; right paused")
+    for _ in range(200):
+        bench.mcs.tick([])
+    assert not bench.mcs.setpoint[1, 9:].any()
+    assert bench.mcs.groups["right"].paused
+    assert bench.mcs.loop.torque_streams.goal("left") is not None
+    error = bench.reply(bench.send("pause", group="left"))["error"]["message"]
+    assert error.endswith("ask for a protective stop")

@@ -144,11 +144,7 @@ class Dispatch:
             case CancelRequest():
                 self._cancel(request.goal)
             case PauseRequest():
-                groups = self._named(event, request.group)
-                for group in groups:
-                    mcs.loop.torque_streams.require_free(group.name)
-                for group in groups:
-                    group.pause()
+                self._pause(self._named(event, request.group))
             case ResumeRequest():
                 groups = self._named(event, request.group, request.sender)
                 for group in groups:
@@ -175,6 +171,25 @@ class Dispatch:
             return mcs.loop.torque_streams.take_torques(group, goal, request)
         mcs.loop.torque_streams.require_free(request.group)
         return group.stream(goal, request)
+
+    def _pause(self, groups: list[ControlledGroup]) -> None:
+        """Pause what can be; what a client drives by torques has no path to halt on, and is named once all else halts.
+
+        Raises:
+            StateError: A group is driven by torques.
+        """
+        streams = self._mcs.loop.torque_streams
+        halted = [group for group in groups if streams.goal(group.name) is None]
+        for group in halted:
+            group.pause()
+        for group in groups:
+            if (goal := streams.goal(group.name)) is not None:
+                others = f"; {', '.join(each.name for each in halted)} paused" if halted else ""
+                raise StateError(
+                    f"group '{group.name}' is driven by torques (goal {goal.id}) and does not pause: cancel that, or "
+                    f"ask for a protective stop{others}",
+                    group=group.name,
+                )
 
     def _cancel(self, goal: int) -> None:
         mcs = self._mcs
