@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -84,3 +85,44 @@ def test_an_arm_that_friction_holds_off_its_setpoint_is_at_rest_later_and_a_far_
             if tick < ticks // 2:
                 assert not monitor.at_rest
         assert monitor.at_rest is rests
+
+
+def at_rest(truth, target):
+    """A monitor that has measured rest, and the tick of it."""
+    monitor = RestMonitor(RESOLUTION, NOISE, SERVO)
+    for tick, q in zip(range(200), readings(truth, 4), strict=False):
+        monitor.update(tick, q, target)
+        if monitor.at_rest:
+            return monitor, tick
+    raise AssertionError("it does not come to rest")
+
+
+@pytest.mark.parametrize("target", [TARGET, None])
+def test_an_arm_that_is_moved_after_it_rested_comes_to_rest_anew(target):
+    """As when something pushes it, or a brake slips."""
+    monitor, begin = at_rest(TARGET, target)
+    moved = TARGET + np.array([0.0, 4e-5, 0.0])
+    source = readings(moved, 5)
+    for tick in range(begin, begin + 2 * SERVO.settle.window_ticks):
+        monitor.update(tick, next(source), target)
+    assert not monitor.at_rest
+    for tick in range(begin, begin + 500):
+        monitor.update(tick, next(source), target)
+    assert monitor.at_rest
+    np.testing.assert_array_less(np.abs(monitor.q - moved), 5.0 * np.sqrt(monitor.variance))
+
+
+def test_noise_alone_moves_no_arm():
+    monitor, begin = at_rest(TARGET, TARGET)
+    since = monitor.since_tick
+    for tick, q in zip(range(begin, begin + 20_000), readings(TARGET, 6), strict=False):
+        monitor.update(tick, q, TARGET)
+    assert monitor.at_rest
+    assert monitor.since_tick == since
+
+
+def test_a_reading_that_is_none_is_no_rest():
+    monitor, tick = at_rest(TARGET, None)
+    for k in range(2 * SERVO.settle.window_ticks):
+        monitor.update(tick + k, np.array([0.1, np.nan, 0.3]), None)
+    assert not monitor.at_rest

@@ -25,7 +25,7 @@ class RestMonitor:
     agree within what encoder noise explains (three standard deviations). After half the time allowed, an arm that
     stands still may be further off: friction holds it there, and what counts is the position measured. *Measuring*
     then averages a window of ``rest_window_ticks`` readings; if its halves disagree the arm has moved, and settling
-    begins anew.
+    begins anew. So it does when the mean of a later short window is off that of the rest by as much: brakes may slip.
 
     Args:
         resolution: Of the encoders, shape (n,) [rad or m].
@@ -89,6 +89,7 @@ class RestMonitor:
             target: Setpoint, shape (n,); None while brakes hold, when any place will do.
         """
         if self.phase is RestPhase.AT_REST:
+            self._watch(q)
             return
         if self.phase is RestPhase.MOVING:
             self._settle()
@@ -115,6 +116,16 @@ class RestMonitor:
         self.phase = RestPhase.AT_REST
         self.q = mean
         self.variance = readings.var(axis=0, ddof=1) / len(readings) + self._quantisation
+        self._readings = deque(maxlen=self._settle_window)
+
+    def _watch(self, q: NDArray[np.float64]) -> None:
+        """Let settling begin anew when the arm is not where it rested any more; judged once a short window."""
+        self._readings.append(q)
+        if len(self._readings) == self._settle_window:
+            off = np.abs(_mean(np.array(self._readings)) - self.q)
+            self._readings.clear()
+            if not (off <= self._drift[self._settle_window]).all():
+                self.restart()
 
     def _settle(self) -> None:
         if self.phase is not RestPhase.SETTLING:
