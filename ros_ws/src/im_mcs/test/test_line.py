@@ -242,3 +242,32 @@ def test_groups_without_an_arm_have_no_lines(lines):
         lines.prepare(np.array([0, 1, 2]), target, frame=None)
     with pytest.raises(StateError, match="needs left_j5, left_j6, not in the group"):
         lines.prepare(np.arange(3, 7), target)
+
+
+@pytest.mark.parametrize("off", [2e-9, 1e-8, 1e-6, 1e-5, 1e-4, 9e-4])
+@pytest.mark.parametrize("where", ["first", "last"])
+def test_a_pose_all_but_in_the_place_of_another_costs_no_time(lines, off, where):
+    """As a first pose that is measured, or read from text with few digits, is."""
+    far = np.array([0.0, 0.1, 0.0])
+    alone = lines.prepare(NINE, [lines.target(far)], speed=0.1)
+    steps = [-off * far / 0.1, far] if where == "first" else [far, far * (1.0 + off / 0.1)]
+    found = lines.prepare(NINE, [lines.target(step) for step in steps], speed=0.1, blend=0.02)
+    assert found.duration == pytest.approx(alone.duration, rel=0.02)
+    (end,) = lines.poses(NINE, [found.end_setpoint.q])
+    np.testing.assert_allclose(end.translation, lines.target(steps[-1])[:3], atol=1e-6)
+
+
+@pytest.mark.parametrize(("leg", "blend"), [(1.2e-3, 0.02), (0.05, 1e-9), (0.05, 5e-4)])
+def test_in_a_corner_too_tight_to_be_rounded_it_rests(lines, leg, blend):
+    poses = [lines.target(step) for step in ([0.0, leg, 0.0], [0.0, leg, -0.1])]
+    found, resting = (lines.prepare(NINE, poses, speed=0.1, blend=b) for b in (blend, 0.0))
+    np.testing.assert_array_equal(found.coefficients, resting.coefficients)
+
+
+def test_every_pose_is_passed_within_the_blend(lines):
+    random, blend = np.random.default_rng(4), 0.01
+    steps = np.cumsum(10.0 ** random.uniform(-6.0, -2.0, (12, 1)) * random.normal(size=(12, 3)), axis=0)
+    found = lines.prepare(NINE, [lines.target(step) for step in steps], blend=blend)
+    passed = np.array([pose.translation for pose in lines.poses(NINE, lines.ticks(found).q)])
+    for step in steps:
+        assert np.linalg.norm(passed - lines.pose.translation - step, axis=1).min() < blend

@@ -24,6 +24,8 @@ _KNOT_S, _KNOT_M = 0.02, 2e-3
 # Longest motion between two rests [s].
 _LONGEST_S = 1e4
 _SAME_M = 1e-9
+# A corner that can only be rounded less than this is rested in: that is quicker, and third derivatives are sound.
+_TIGHTEST_M = 1e-3
 _PIECES_A_STEP = 100
 # rounding must not bring a limit back that a slower motion just keeps
 _SLOWER = 1.0 + 1e-9
@@ -36,6 +38,7 @@ class LinePreparation:
     by quintics. A one-dimensional profile of the path parameter sets the speed, with one bound of velocity,
     acceleration and jerk for all lines between two rests, and one speed for each rounded corner: the largest with
     which no joint passes its limits. That is time-optimal only where the arm's Jacobian changes little on the way.
+    It rests in corners that the lines are too short to round by a millimetre.
 
     A group that carries its arm on joints of its own (a cart) moves these too where that helps, see
     :class:`~im_mcs.planning.line.carriers.CarrierChoice`.
@@ -110,11 +113,32 @@ class LinePreparation:
         return parts[0].followed_by(parts[1:])
 
     def _runs(self) -> list[list[int]]:
-        """Numbers of the poses that are passed without rest in between: all of them, or each by itself."""
-        lever = self._settings.rotation_lever_m
+        """Numbers of the poses that are passed without rest in between.
+
+        Of poses within half the blend and a tight corner of each other one is passed; the last is reached.
+        """
         poses = [self._tracker.pose(self._start), *self._poses]
-        different = [k for k, (a, b) in enumerate(pairwise(poses), start=1) if parameter_length(a, b, lever) > _SAME_M]
-        return [different] if self._blend > 0.0 and different else [[number] for number in different]
+
+        def length(a: int, b: int) -> float:
+            return parameter_length(poses[a], poses[b], self._settings.rotation_lever_m)
+
+        same, last = max(_SAME_M, min(self._blend / 2.0, _TIGHTEST_M)), len(self._poses)
+        passed = [0]
+        for number in range(1, last):
+            if length(passed[-1], number) > same:
+                passed.append(number)
+        while passed[-1] > 0 and length(passed[-1], last) <= same:
+            passed.pop()
+        if length(passed[-1], last) > _SAME_M:
+            passed.append(last)
+        runs, before = list[list[int]](), 0.0
+        for start, end in pairwise(passed):
+            after = length(start, end)
+            if min(self._blend, before / 2.0, after / 2.0) < _TIGHTEST_M:
+                runs.append([])
+            runs[-1].append(end)
+            before = after
+        return runs
 
     def _line_curve(self, path: LinePath, numbers: list[int]) -> LineCurve:
         return LineCurve(

@@ -15,8 +15,8 @@ from im_mcs.planning.trajectories.profile import along, transition_distance
 
 _SHORTEST_S = 1e-7
 _SHORTEST_M = 1e-9
-# Steps by which a speed is lowered that a stretch is too short for.
-_SLOWER, _SLOWEST = 0.97, 1e-5
+# Step by which a speed is lowered that a stretch is too short for.
+_SLOWER = 0.97
 _SAMPLE_S = 0.01
 _SAMPLES = 200
 _GRID = 65
@@ -138,7 +138,7 @@ def _passable(gaps: Sequence[float], speeds: list[float], bounds: Bounds) -> lis
             way = transition_distance(passing[slow], passing[fast], bounds.acceleration, bounds.jerk)
             if way <= gaps[k]:
                 break
-            passing[fast] = max(passing[slow], passing[fast] * _SLOWER - _SLOWEST)
+            passing[fast] = max(passing[slow], passing[fast] * _SLOWER)
     return passing
 
 
