@@ -279,6 +279,8 @@ def test_of_a_trajectory_that_has_begun_the_rest_is_followed():
     assert [p["positions"][0] for p in rest] == [2.0, 3.0]
     with pytest.raises(OldStampError, match=r"ends at 9.500 s, 0.500 s before now \(10.000 s\)"):
         path(*points, start=6.5)
+    with pytest.raises(DataError, match=r"begins 1.7e\+09 s from now \(testbed time 10.000 s\).*of another clock"):
+        path(*points, start=1.7e9)
 
 
 def test_tolerances_by_name():

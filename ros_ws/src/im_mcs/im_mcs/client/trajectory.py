@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, ImError, NotFoundError
 from im_mcs.client.points import JointsError, joint_order
 from im_mcs.protocol.points import TimedPoints
+from im_mcs.protocol.requests import LARGEST
 
 UNSET = 0.0
 """A tolerance that is not given: the server's own holds."""
@@ -158,15 +159,15 @@ def trajectory_path(
     Raises:
         JointsError: The joints are not the group's.
         OldStampError: The trajectory ends before now.
-        DataError: No points, a time that does not grow, a value that is not finite, a velocity at the end, or a
-            tolerance that is none.
+        DataError: No points, a time that does not grow, a value that is not finite, a velocity at the end, a start too
+            far ahead, or a tolerance that is none.
     """
     course = _course(group, joints, trajectory, present.q, accepted)
     streams = stream and len(course.times) == 1 and course.times[0] <= STREAM_S
     if not (streams or accepted.end_velocity):
         _check_end(course, joints)
     delay_s = trajectory.start_s - present.now_s if trajectory.start_s != 0.0 else 0.0
-    _check_age(trajectory, present.now_s, delay_s)
+    _check_stamp(trajectory, present.now_s, delay_s)
     course = course.since(int(np.argmax(course.times + delay_s >= 0.0)), delay_s)
     if delay_s > 0.0 and present.at_rest and course.times[0] > delay_s:
         course = course.held(delay_s, present.q)
@@ -248,13 +249,20 @@ def _check_end(course: Course, joints: Sequence[str]) -> None:
         )
 
 
-def _check_age(trajectory: TimedTrajectory, now_s: float, delay_s: float) -> None:
+def _check_stamp(trajectory: TimedTrajectory, now_s: float, delay_s: float) -> None:
     end_s = trajectory.start_s + float(trajectory.times[-1])
     if trajectory.times[-1] + delay_s < 0.0:
         raise OldStampError(
             f"the trajectory ends at {end_s:.3f} s, {now_s - end_s:.3f} s before now ({now_s:.3f} s);"
             " give the header a stamp to come, or 0 for now",
             end=end_s,
+            now=now_s,
+        )
+    if delay_s > LARGEST:
+        raise DataError(
+            f"the trajectory begins {delay_s:.3g} s from now (testbed time {now_s:.3f} s), up to {LARGEST:g} s are "
+            "allowed: is its stamp of another clock?",
+            start=trajectory.start_s,
             now=now_s,
         )
 

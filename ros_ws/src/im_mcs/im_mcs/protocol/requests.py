@@ -163,12 +163,15 @@ def _timed(points: list[TimedPoint]) -> TimedPoints:
 
 
 def _in_order(points: TimedPoints) -> TimedPoints:
-    late = np.flatnonzero(np.diff(points.times) <= 0.0)
+    times = points.times
+    late = np.flatnonzero(~(np.diff(times) > 0.0))
     if late.size:
-        k, times = int(late[0]), points.times
+        k = int(late[0])
         raise ValueError(
             f"times must increase: point {k + 2} is at {times[k + 1]:g} s, not after point {k + 1} at {times[k]:g} s"
         )
+    if not (times[0] >= 0.0 and times[-1] <= LARGEST):
+        raise ValueError(f"times from {times[0]:g} to {times[-1]:g} s are not within 0 to {LARGEST:g} s")
     if points.a is not None and points.v is None:
         raise ValueError("the trajectory has accelerations but no velocities; give both, or velocities alone")
     return points
