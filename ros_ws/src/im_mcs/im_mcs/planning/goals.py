@@ -8,7 +8,7 @@ from im_mcs.planning.motions.preparation import Preparation
 from im_mcs.planning.motions.stream import StreamFollower, StreamLease
 from im_mcs.planning.retiming import RetimedTrajectory
 from im_mcs.planning.trajectories.trajectory import Trajectory
-from im_mcs.protocol.requests import Move, Policy
+from im_mcs.protocol.requests import SLOWEST, Move, Policy
 
 
 @dataclass
@@ -87,7 +87,7 @@ class Rates:
 
     Attributes:
         override: Of the client, above 0 up to 1.
-        ceiling: Of the collision monitor, 0 to 1.
+        ceiling: Of the collision monitor, above 0 up to 1.
         paused: By the client.
         protective: Fault of a protective stop in force.
     """
@@ -103,4 +103,4 @@ class Rates:
             return 0.0
         if share is None:
             share = 1.0 if current is None else current.share
-        return min(self.override * share, self.ceiling)
+        return min(max(self.override * share, SLOWEST), self.ceiling)

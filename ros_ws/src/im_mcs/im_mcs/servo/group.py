@@ -262,8 +262,8 @@ class ControlledGroup:
         self._rates.override = scale
 
     def set_ceiling(self, scale: float) -> None:
-        """Upper bound of the rate, 0 to 1, in steps of 0.05; beside the client's override."""
-        self._rates.ceiling = int(scale * _CEILING_STEPS) / _CEILING_STEPS
+        """Upper bound of the rate, in steps of 0.05 up to 1 and at least one of them; beside the client's override."""
+        self._rates.ceiling = max(int(scale * _CEILING_STEPS), 1) / _CEILING_STEPS
 
     def drop_goals(self) -> list[Goal]:
         """Forget every goal at once; the goals."""

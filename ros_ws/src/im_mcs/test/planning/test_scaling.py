@@ -122,6 +122,20 @@ def test_speed_scale_of_a_move_override_and_ceiling_combine(rig, way):
     rig.check_motion()
 
 
+def test_scales_together_slow_down_no_further_than_one_alone(rig, way):
+    rig.move(rig.home + way, speed_scale=0.01)
+    rig.group.set_speed(0.01)
+    rig.ticks(400)
+    assert rig.group.speed == pytest.approx(0.01)
+    rig.group.set_speed(1.0)
+    rig.group.cancel(rig.group.goal.id, ImError("enough"))
+    rig.run()
+    rig.move(rig.home + way)
+    rig.group.set_ceiling(0.049)
+    rig.ticks(400)
+    assert rig.group.speed == pytest.approx(0.05)
+
+
 def test_speed_may_change_all_the_time(rig, way):
     goal = rig.move(rig.home + way, rig.home, rig.home + 0.5 * way, blend=0.05)
     random = np.random.default_rng(8)
