@@ -1,5 +1,6 @@
 """Trajectories that ask for more than limits allow: on their own path, within limits, at rest where they end."""
 
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
 
 from im_core.errors import ImError
 from im_mcs.limits.saturation import Saturations
+from im_mcs.planning.retiming import stretch
 from im_mcs.planning.retiming.stretch import least_ahead
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.safety import SetpointLimiter
@@ -348,3 +350,36 @@ def test_where_nothing_may_be_re_timed_it_is_refused_with_the_facts(make_rig, re
 def test_the_least_of_those_ahead(values, reach):
     found = least_ahead(np.array(values, dtype=float), reach)
     assert found.tolist() == [min(values[k : k + reach + 1]) for k in range(len(values))]
+
+
+def test_what_is_too_quick_for_floating_point_numbers_is_refused(rig):
+    """Seventy nanoseconds for a tenth of a radian, which two milliseconds go on with."""
+    q = np.array([
+        [-0.601275, 0.164362, 0.0, 0.0, 1.142411, -3.3, 0.0, 0.312765, 0.005902],
+        [-0.601275, 0.488423, 0.0, 0.0, 1.142411, -3.3, 0.021483, 0.312822, 0.007156],
+    ])  # fmt: skip
+    v = np.zeros((2, 9))
+    v[0] = [0.382718, -0.523978, -0.578193, 0.14462, -0.253009, 0.433229, 0.351547, 0.390119, -0.017372]
+    with np.errstate(all="ignore"):
+        goal, _, _ = follow(rig, [6.99881e-8, 1.97889e-3], q, v)
+    assert rig.code(goal) == "data"
+
+
+def test_what_ends_in_no_number_is_refused_by_point_and_time(rig, monkeypatch):
+    monkeypatch.setattr(stretch, "excess", lambda coefficients, *_: np.full(len(coefficients), np.nan))
+    q = np.tile(rig.home, (2, 1))
+    q[:, 3] += [0.3, 0.6]
+    goal, _, _ = follow(rig, [0.1, 0.2], q)
+    assert "what is asked for on the way to point 1, at 0 s, is too quick to be re-timed" in message(rig, goal)
+
+
+def test_a_count_of_pieces_beyond_measure_is_said_shortly(rig):
+    q = np.tile(rig.home, (2, 1))
+    q[:, 3] += [0.1, 0.2]
+    with np.errstate(all="ignore"):
+        goal, _, _ = follow(rig, [1.0, 1.0 + 1e-9], q)
+    assert re.search(r"would be re-timed in \d\.\d+e\+\d+ pieces; up to 250000 are allowed$", message(rig, goal))
+
+
+def message(rig, goal):
+    return rig.results[goal][0].message

@@ -44,9 +44,9 @@ def check_count(pieces: float, asked_s: float) -> None:
     Raises:
         DataError: It has too many pieces.
     """
-    if pieces > MOST_PIECES:
+    if not pieces <= MOST_PIECES:
         raise DataError(
-            f"what is asked for within {asked_s:.4g} s is beyond limits, and would be re-timed in {pieces:.0f} pieces; "
+            f"what is asked for within {asked_s:.4g} s is beyond limits, and would be re-timed in {pieces:.7g} pieces; "
             f"up to {MOST_PIECES} are allowed",
             value=pieces,
             limit=MOST_PIECES,
@@ -84,7 +84,7 @@ def retime_stretch(
         stops: How many rests it may be given, one within the other.
 
     Raises:
-        DataError: It takes too long.
+        DataError: It takes too long, or is so quick that floating-point numbers end.
     """
     path = AskedPath(trajectory, begin, end, limits.velocity)
     yield from path.measure()
@@ -97,6 +97,13 @@ def retime_stretch(
     for rank in range(_ROUNDS):
         law = yield from _law(path, speed * np.sqrt(square), limits)
         nodes, retimed, over = yield from _motion(path, law, limits)
+        if not np.isfinite(over).all():
+            when = float(retimed.asked[int(np.argmin(np.isfinite(over)))])
+            raise DataError(
+                f"what is asked for on the way to point {trajectory.point(when) + 1}, at {when:.9g} s, is too quick "
+                "to be re-timed; give it more time",
+                time=when,
+            )
         worst = float(over.max())
         if worst <= _ENOUGH or (rank >= _PATIENCE and worst > _STUCK * before) or law.duration > longest:
             break
