@@ -8,7 +8,7 @@ import pytest
 
 from im_mcs.planning.line.line import LinePreparation
 
-TICK_S = 0.05
+TICK_S = 0.2
 WAY_M = 0.05
 
 
