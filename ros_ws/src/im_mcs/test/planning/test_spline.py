@@ -295,6 +295,16 @@ def test_a_spline_built_some_pieces_a_slice_is_the_same(rig, course, monkeypatch
     np.testing.assert_allclose(sliced.end_setpoint.v, 0.0)
 
 
+def test_a_motion_ends_in_its_last_point_however_short_the_way_there(rig):
+    """Rounding is no velocity from which to run out."""
+    q = np.vstack([rig.home, rig.home])
+    q[:, 6] += (0.2, 1.2)
+    rest = np.zeros_like(q)
+    goal, _ = follow(rig, points([1.0, 1.0 + 1e-9], q, rest, rest), goal_tolerance=[1e-3] * 9)
+    assert rig.code(goal) is None
+    np.testing.assert_allclose(rig.trace[-1].q, q[-1], atol=1e-6)
+
+
 def test_a_point_out_of_range_is_named_however_far_behind(rig):
     count = 5000
     q = np.tile(rig.home, (count, 1))

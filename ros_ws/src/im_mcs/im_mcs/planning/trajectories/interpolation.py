@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, cubic, quintic
-from im_mcs.planning.trajectories.profile import with_run_out
+from im_mcs.planning.trajectories.profile import STILL, with_run_out
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.points import TimedPoints
 
@@ -35,7 +35,9 @@ def interpolated(
     h = np.diff(times)
     spline = _Pieces(given, start, first, h)
     count = len(h)
-    end = with_run_out(PiecewisePolynomial(h[-1:], spline.coefficients(count - 1, count)), limits)
+    end = PiecewisePolynomial(h[-1:], spline.coefficients(count - 1, count))
+    if given.v is not None and np.abs(given.v[-1]).max() > STILL:  # else what moves there is rounding
+        end = with_run_out(end, limits)
     coefficients = np.empty((count - 1 + len(end.lengths), *end.coefficients.shape[1:]))
     coefficients[count:] = end.coefficients[1:]
     for begin in range(0, count, PIECES_AT_ONCE):

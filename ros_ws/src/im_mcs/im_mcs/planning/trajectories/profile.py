@@ -18,7 +18,8 @@ from im_mcs.planning.trajectories.trajectory import Setpoint
 
 _RUCKIG = {Synchrony.PHASE: Synchronization.Phase, Synchrony.TIME: Synchronization.Time}
 _SHORTEST_S = 1e-9
-_STILL = 1e-6
+STILL = 1e-6
+"""Below this speed a motion is at rest [rad/s or m/s]."""
 _NOISE = {"position": 1e-9, "velocity": 1e-8, "acceleration": 1e-4}
 """What a state is off by rounding, or is as good as zero: a setpoint that drops it leaps by less than any limit."""
 
@@ -89,7 +90,7 @@ def with_run_out(trajectory: PiecewisePolynomial, limits: MotionLimits) -> Piece
         DataError: Ruckig finds no trajectory.
     """
     end = Setpoint(*(powers(trajectory.lengths[-1:])[0] @ trajectory.coefficients[-1]))
-    if np.abs(end.v).max() <= _STILL:
+    if np.abs(end.v).max() <= STILL:
         return trajectory
     run_out = to_rest(end, limits)
     run_out.points = [trajectory.points[-1]] * len(run_out.points)
