@@ -7,13 +7,18 @@ import threading
 import pytest
 import rclpy
 
+from im_core import clock
 from im_core.errors import ImError
+from im_core.ros.calls import pause
 from im_core.ros.run import spin_in_thread
+from im_dispatcher.cell.needs import Needs
 from im_dispatcher.ros.node import Dispatcher
 from im_msgs.srv import LoadNet
+from im_pnt.execution.events import PauseSet
 from im_pnt.journal.journal import fingerprint
 from im_pnt.netfile import parse_net, yaml_text
 from im_pnt.ros.node import PntNode
+from support.loop import in_loop
 
 GRAB = """
 net: grab
@@ -47,21 +52,61 @@ def dispatcher(tmp_path, monkeypatch, wait_until):
         yield node
 
 
-def done(node, work):
-    """Does something in the node; returns what it is refused for."""
-    ended, said = threading.Event(), []
+class Begun:
+    """Something that the node does meanwhile."""
 
-    async def working():
+    def __init__(self, node, work):
+        self._ended, self._said = threading.Event(), []
+        node.executor.create_task(self._do(work))
+        node.wake()
+
+    async def _do(self, work):
         try:
             await work
         except ImError as error:
-            said.append(error)
-        ended.set()
+            self._said.append(error)
+        self._ended.set()
 
-    node.executor.create_task(working())
-    node.wake()
-    assert ended.wait(60.0)
-    return said[0] if said else None
+    def refused(self):
+        """What it is refused for, when it has ended; None if it is not."""
+        assert self._ended.wait(60.0)
+        return self._said[0] if self._said else None
+
+
+def done(node, work):
+    """Does something in the node; returns what it is refused for."""
+    return Begun(node, work).refused()
+
+
+def holder(name, needs="left_arm"):
+    """A net with a command that holds something, and one that needs nothing; both wait while the net is paused."""
+    return parse_net(f"""
+net: {name}
+commands: {{{name}: {{needs: [{needs}]}}, {name}_idle: {{}}}}
+places: {{idle: {{tokens: 1, resource: true}}, run: , asleep: {{tokens: 1, resource: true}}, awake: }}
+transitions:
+  go: {{symbol: {name}, in: idle, out: run}}
+  work: {{in: run, out: idle, delay: 0.5, emit: {name}_done}}
+  wake: {{symbol: {name}_idle, in: asleep, out: awake}}
+  sleep: {{in: awake, out: asleep, delay: 0.5, emit: {name}_idle_done}}
+""")
+
+
+def states(node):
+    """How far the commands are."""
+    return {each.job.command.symbol: each.state for each in node.commands.open()}
+
+
+@pytest.fixture
+def slow(dispatcher, monkeypatch):
+    """Each verification takes a while, as that of large nets does."""
+    verified = dispatcher.loader.verified
+
+    async def slowly(*arguments, **options):
+        await pause(dispatcher, 0.5)
+        return await verified(*arguments, **options)
+
+    monkeypatch.setattr(dispatcher.loader, "verified", slowly)
 
 
 def test_a_net_is_proved_together_with_what_its_commands_need_of_the_cell(dispatcher):
@@ -154,3 +199,71 @@ def test_what_was_loaded_comes_back_with_what_its_commands_need(tmp_path, monkey
             return told is not None and told.arguments == declared.arguments
 
         wait_until(known, "the net of the cell to have its command")
+
+
+def test_nets_that_are_loaded_at_once_come_one_after_the_other(dispatcher, wait_until):
+    loads = [Begun(dispatcher, dispatcher.load_net(holder(name))) for name in ("first", "second")]
+    assert [load.refused() for load in loads] == [None, None]
+    assert {"first", "second"} <= dispatcher.exchange.nets["cell"].written.transitions.keys()
+    commands = [Begun(dispatcher, dispatcher._run(name, {})) for name in ("first", "second")]
+    wait_until(lambda: states(dispatcher) == {"first": "running", "second": "waiting"}, "one to wait for the other")
+    assert [command.refused() for command in commands] == [None, None]
+
+
+def test_a_command_of_a_net_that_comes_waits_for_what_it_needs(dispatcher, slow, wait_until):
+    assert done(dispatcher, dispatcher.load_net(holder("present"))) is None
+    dispatcher.exchange.nets["present"].post(PauseSet(True))
+    held = Begun(dispatcher, dispatcher._run("present", {}))
+    load = Begun(dispatcher, dispatcher.load_net(holder("coming")))
+    wait_until(lambda: "coming" in dispatcher.exchange.nets, "the net")
+    command = Begun(dispatcher, dispatcher._run("coming", {}))
+    wait_until(lambda: states(dispatcher).get("coming"), "its command")
+    assert load.refused() is None
+    assert states(dispatcher) == {"present": "running", "coming": "waiting"}
+    dispatcher.exchange.nets["present"].post(PauseSet(False))
+    assert [each.refused() for each in (held, command)] == [None, None]
+
+
+def test_a_command_of_a_net_that_goes_when_it_is_at_rest_waits_for_what_it_needs(dispatcher, wait_until):
+    for name in ("staying", "going"):
+        assert done(dispatcher, dispatcher.load_net(holder(name))) is None
+    awake = Begun(dispatcher, dispatcher._run("going_idle", {}))
+    wait_until(lambda: dispatcher.exchange.nets["going"].marking().get("awake"), "the command to begin")
+    in_loop(dispatcher, dispatcher.hold, 1, True)
+    dispatcher.exchange.nets["staying"].post(PauseSet(True))
+    held = Begun(dispatcher, dispatcher._run("staying", {}))
+    unload = Begun(dispatcher, dispatcher.unload_net("going", 60.0))
+    command = Begun(dispatcher, dispatcher._run("going", {}))
+    wait_until(lambda: "going" in states(dispatcher), "the command of the net that goes")
+    clock.sleep(0.5)  # it could begin now
+    assert states(dispatcher) == {"going_idle": "paused", "staying": "running", "going": "waiting"}
+    dispatcher.exchange.nets["staying"].post(PauseSet(False))
+    assert [each.refused() for each in (held, command)] == [None, None]
+    in_loop(dispatcher, dispatcher.hold, 1, False)
+    assert [each.refused() for each in (awake, unload)] == [None, None]
+    assert "going" not in dispatcher.exchange.nets
+    assert "going" not in dispatcher.exchange.nets["cell"].written.transitions
+
+
+def test_a_net_is_refused_whose_command_has_come_meanwhile_and_would_need_something_else(dispatcher, slow, wait_until):
+    for name in ("present", "changed"):
+        assert done(dispatcher, dispatcher.load_net(holder(name))) is None
+    before = dispatcher.exchange.nets["changed"]
+    dispatcher.exchange.nets["present"].post(PauseSet(True))
+    held = Begun(dispatcher, dispatcher._run("present", {}))
+    load = Begun(dispatcher, dispatcher.load_net(holder("changed", "right_arm"), 60.0))
+    command = Begun(dispatcher, dispatcher._run("changed", {}))
+    told = "changed (number 2) has not ended, and would not need the same any more"
+    assert load.refused().message == told
+    assert dispatcher.exchange.nets["changed"] is before
+    assert states(dispatcher) == {"present": "running", "changed": "waiting"}
+    dispatcher.exchange.nets["present"].post(PauseSet(False))
+    assert [each.refused() for each in (held, command)] == [None, None]
+
+
+def test_a_command_is_refused_whose_needs_the_cell_does_not_hand_out_yet(dispatcher):
+    """As after a kill between a net and what its commands need."""
+    assert done(dispatcher, PntNode.load_net(dispatcher, holder("half"))) is None
+    dispatcher._know(Needs(dispatcher._command_nets(), dispatcher._resources))
+    refused = done(dispatcher, dispatcher._run("half", {}))
+    assert refused.message == "net cell does not take what half needs yet; ask again"

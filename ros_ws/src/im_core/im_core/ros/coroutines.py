@@ -56,6 +56,33 @@ class Promise(Future):
         self._wake()
 
 
+class OneAtATime:
+    """What one coroutine of a node does at a time; the others wait, in the order in which they came.
+
+    Args:
+        promise: Makes a promise of the node.
+    """
+
+    def __init__(self, promise: Callable[[], Promise]) -> None:
+        self._promise, self._taken = promise, False
+        self._waiting: deque[Promise] = deque()
+
+    async def __aenter__(self) -> None:
+        """Waits until it is the turn of this coroutine."""
+        if self._taken:
+            turn = self._promise()
+            self._waiting.append(turn)
+            await turn
+        self._taken = True
+
+    async def __aexit__(self, *_: object) -> None:
+        """Lets the next one in: nobody who comes now is before it."""
+        if self._waiting:
+            self._waiting.popleft().set_result(None)
+        else:
+            self._taken = False
+
+
 class Coroutines:
     """Runs coroutines in the loop of a node.
 

@@ -87,6 +87,17 @@ class WaitingLine:
                 text = f"{job.symbol} (number {job.command.id}) has not ended, and would not need the same any more"
                 raise StateError(text, command=job.symbol)
 
+    def require_taken(self, claim: Claim) -> None:
+        """Checks that the net takes what a command needs.
+
+        Raises:
+            StateError: It does not know the command, or takes something else: it was made for other nets.
+        """
+        symbol, begins = claim.command.symbol, self._executor().written.transitions.get(claim.variant.name)
+        if begins is None or begins.inputs.keys() != set(claim.variant.needs):
+            text = f"net {self._executor().net.name} does not take what {symbol} needs yet; ask again"
+            raise StateError(text, command=symbol)
+
     def guards(self) -> dict[str, GuardFunction]:
         """Returns the enabling functions of the net, by name."""
 

@@ -3,12 +3,15 @@
 import json
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
 
 from im_cell.robot import load_cell
 from im_core.errors import ArgumentError, ImError, StateError
 from im_core.ros import run
 from im_core.ros.calls import run_in_thread
+from im_core.ros.coroutines import OneAtATime
 from im_dispatcher.cell import net as cell
 from im_dispatcher.cell.line import WaitingLine, reason
 from im_dispatcher.cell.needs import Needs
@@ -19,6 +22,7 @@ from im_dispatcher.poses_file import load_poses
 from im_dispatcher.ros.host import DispatcherHost
 from im_msgs.msg import CalibrationReport
 from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
+from im_pnt.errors import JournalError
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Command, Job
 from im_pnt.journal.journal import fingerprint
@@ -57,6 +61,7 @@ class Dispatcher(PntNode):
         command_host.attach(self)
         self._standing = {symbol: tell for command in commands for symbol, tell in command.standing.items()}
         self._resources = resources_of(load_cell())
+        self._changes = OneAtATime(self.promise)
         self._know(Needs((), self._resources))
 
     def phase_configure(self) -> None:
@@ -86,48 +91,48 @@ class Dispatcher(PntNode):
     async def _complete_cell(self) -> None:
         """Ends what a former life had begun when it loaded or unloaded a net."""
         try:
-            await self._change_cell(self._needs)
+            async with self._changes:
+                if self._is_other(cell.cell_net(self._needs)):
+                    net, report = await self._cell_for(self._needs)
+                    with self._cell_changes(self._needs, net, report):
+                        pass
         except ImError as error:
             self.get_logger().error(f"what commands need is as before the last net came or went: {error.message}")
 
-    async def load_net(self, net: Net, patience_s: float = 0.0, beside: Sequence[Net] = ()) -> Verification:
-        """Take a net into execution, and what its commands need into the net of the cell.
+    async def load_net(self, net: Net, patience_s: float = 0.0) -> Verification:
+        """Take a net into execution, and what its commands need into the net of the cell, in one turn.
 
-        All nets that will run then are verified together before either comes.
+        All nets that will run then are verified together before. One net comes or goes at a time; others wait.
 
         Raises:
             StateError: It would be the net of the cell, or commands wait or run that it would need otherwise.
         """
         if net.name == cell.NAME:
             raise StateError(f"net {net.name} is made of what commands need; load the nets of these")
-        # each at its place: in another order it would be another net of the cell
-        nets = {each.name: each for each in self._command_nets()}
-        needs = Needs([*{**nets, net.name: net}.values()], self._resources)
-        self._line.require_same(needs)
-        changed = cell.cell_net(needs)
-        await self.loader.verified_alone(net)
-        await self.loader.verified(changed, [*beside, net])
-        report = await super().load_net(net, patience_s, [*beside, changed])
-        await self._change_cell(needs)
-        return report
+        async with self._changes:
+            # each at its place: in another order it would be another net of the cell
+            nets = {each.name: each for each in self._command_nets()}
+            needs = Needs([*{**nets, net.name: net}.values()], self._resources)
+            self._line.require_same(needs)
+            await self.loader.verified_alone(net)
+            changed, report = await self._cell_for(needs, beside=[net])
+            around = partial(self._cell_changes, needs, changed, report)
+            return await self.load_beside(net, patience_s, [changed], around)
 
     async def unload_net(self, name: str, patience_s: float = 0.0) -> None:
-        """Take a net out of execution, and its commands out of the net of the cell.
+        """Take a net out of execution, and its commands out of the net of the cell, in one turn.
 
         Raises:
             StateError: One of its commands waits or runs, or it is the net of the cell.
         """
         if name == cell.NAME:
             raise StateError(f"net {name} is made of what commands need; unload the nets of these")
-        needs = Needs([each for each in self._command_nets() if each.name != name], self._resources)
-        self._line.require_same(needs)
-        before = self._needs
-        await self._change_cell(needs, without=name)
-        try:
-            await super().unload_net(name, patience_s)
-        except ImError:
-            await self._change_cell(before)
-            raise
+        async with self._changes:
+            needs = Needs([each for each in self._command_nets() if each.name != name], self._resources)
+            self._line.require_same(needs)
+            changed, report = await self._cell_for(needs, without=name)
+            around = partial(self._cell_changes, needs, changed, report)
+            await self.unload_beside(name, patience_s, [changed], around)
 
     def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
         """What a command needs of the cell, and who keeps it from beginning, if somebody does."""
@@ -144,15 +149,30 @@ class Dispatcher(PntNode):
         self._line = WaitingLine(needs, lambda: self.exchange.nets[cell.NAME])
         self.functions.guards.update(self._line.guards())
 
-    async def _change_cell(self, needs: Needs, without: str = "") -> None:
+    async def _cell_for(self, needs: Needs, beside: Sequence[Net] = (), without: str = "") -> tuple[Net, Verification]:
+        """Makes the net of the cell for other needs, and verifies it with the nets that will run then."""
         net = cell.cell_net(needs)
-        if fingerprint(net) == fingerprint(self.exchange.nets[cell.NAME].written):
-            self._know(needs)
-            return
-        report = await self.loader.verified(net, without=without)
+        return net, await self.loader.verified(net, beside, without)
+
+    def _is_other(self, net: Net) -> bool:
+        return fingerprint(net) != fingerprint(self.exchange.nets[cell.NAME].written)
+
+    @contextmanager
+    def _cell_changes(self, needs: Needs, net: Net, report: Verification) -> Iterator[None]:
+        """Has the cell hand out what commands need from now on, with the net that comes or goes meanwhile.
+
+        Raises:
+            StateError: A command waits or runs that would need something else, or is not there any more.
+        """
+        present = self.exchange.nets[cell.NAME]
+        while present.pump():  # what has just come counts, too
+            pass
         self._line.require_same(needs)
+        yield
         self._know(needs)
-        self.succeed(net, report)
+        if self._is_other(net):
+            with suppress(JournalError):  # the loop tries again, and says so; nothing leaves before
+                self.succeed(net, report)
 
     def _command_nets(self) -> list[Net]:
         return [each.written for name, each in self.exchange.nets.items() if name != cell.NAME]
@@ -170,7 +190,7 @@ class Dispatcher(PntNode):
         Of a command that needs nothing, a second one is refused.
 
         Raises:
-            StateError: It is refused; says who holds what.
+            StateError: It is refused; says who holds what, or that the cell does not hand it out yet.
         """
         if symbol not in self._needs:
             running = self.commands.running(symbol)
@@ -180,6 +200,7 @@ class Dispatcher(PntNode):
         declared = self._needs.declared(symbol)
         taken = declared.arguments.check(arguments, f"command {symbol}")
         claim = self._line.claim(Command(NO_NUMBER, symbol, taken))
+        self._line.require_taken(claim)
         keepers = self._line.keepers(claim)
         if keepers and declared.busy is Busy.REFUSE:
             first = keepers[0][0].command

@@ -192,7 +192,7 @@ class Loader:
         Args:
             net: The net.
             patience_s: Longest wait for that [s].
-            beside: Nets that will take the places of those of their names, once it has come.
+            beside: Nets that take the places of those of their names in the same turn.
 
         Returns:
             The report, and the state that it takes over, if any; the net is to take its place at once.
@@ -216,12 +216,13 @@ class Loader:
             raise StateError(f"net {net.name} went on while its successor was verified; load it again")
         return report, net_state(present)
 
-    async def until_it_may_go(self, name: str, patience_s: float) -> None:
+    async def until_it_may_go(self, name: str, patience_s: float, beside: Sequence[Net] = ()) -> None:
         """Waits until a net may be taken out.
 
         Args:
             name: Its name.
             patience_s: Longest wait for it to come to rest [s].
+            beside: Nets that take the places of those of their names in the same turn.
 
         Raises:
             NotFoundError: There is none of that name.
@@ -229,7 +230,9 @@ class Loader:
         """
         if name not in self._nets:
             raise NotFoundError(kind="net", name=name, known=self._nets)
-        asking = [net for net, each in self._nets.items() if net != name and name in each.written.partners()]
+        left = {net: each.written for net, each in self._nets.items() if net != name}
+        left |= {each.name: each for each in beside}
+        asking = [net for net, each in left.items() if name in each.partners()]
         if asking:
             raise StateError(f"net {name} cannot go: {', '.join(asking)} asks it", net=name, askers=asking)
         await self._until_rest(self._nets[name], patience_s)

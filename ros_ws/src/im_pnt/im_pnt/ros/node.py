@@ -4,6 +4,7 @@ import gc
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from rclpy.exceptions import NameValidationException
@@ -219,13 +220,12 @@ class PntNode(ManagedNode):
             self._journal.close()
         super().destroy_node()
 
-    async def load_net(self, net: Net, patience_s: float = 0.0, beside: Sequence[Net] = ()) -> Verification:
+    async def load_net(self, net: Net, patience_s: float = 0.0) -> Verification:
         """Verifies a net, alone and with those it talks to, and takes it into execution.
 
         Args:
             net: The net; it takes the place of one of the same name when that one is at rest.
             patience_s: Longest wait for that [s].
-            beside: Nets that will take the places of those of their names, once it has come; verified with it.
 
         Raises:
             VerificationError: The net may not run; carries the firing sequence that shows why.
@@ -233,22 +233,24 @@ class PntNode(ManagedNode):
             StateError: The present net of that name does not come to rest; says what keeps it.
             JournalError: The journal cannot be written; all is as it was.
         """
+        return await self.load_beside(net, patience_s, (), nullcontext)
+
+    async def load_beside(
+        self, net: Net, patience_s: float, beside: Sequence[Net], around: Callable[[], AbstractContextManager[None]]
+    ) -> Verification:
+        """As :meth:`load_net`, of a net with which others change.
+
+        Args:
+            net: The net.
+            patience_s: As there.
+            beside: Nets that take the places of those of their names in the same turn; verified with it.
+            around: Entered in that turn before it comes, where it may still be refused, and left when it has come.
+
+        Raises:
+            ImError: As there, and what ``around`` raises.
+        """
         await run_in_thread(self, self.functions.check, net)  # a user's module may take long to import
-        report, former = await self._take_place(net, patience_s, beside)
-        self._prepare_partners()
-        try:
-            if self._journal is not None:
-                self._journal.compact()
-        except (JournalError, NetError):  # a journal of other nets would not be one to come back from
-            if former is None:
-                del self.exchange.nets[net.name]
-                self._publisher.withdrawn(net.name)
-            else:
-                self.exchange.nets[net.name] = former
-                self._publisher.described(former)
-                self._publisher.marked(former)
-            self._keep_sources()
-            raise
+        report = await self._take_place(net, patience_s, beside, around)
         self._library.tidy([executor.written for executor in self.exchange.nets.values()])
         if self._execute is not None:
             self._execute.tell()
@@ -267,19 +269,25 @@ class PntNode(ManagedNode):
             StateError: Another net of this node asks it, or it does not come to rest; says what keeps it.
             JournalError: The journal cannot be written; all is as it was.
         """
-        await self.loader.until_it_may_go(name, patience_s)
-        nets = self.exchange.nets
-        before = dict(nets)
-        del nets[name]
-        if self._journal is not None:
-            try:
-                self._journal.compact()
-            except (JournalError, NetError):
-                nets.clear()
-                nets.update(before)  # in the order in which they were
-                raise
-        self._publisher.withdrawn(name)
-        self._keep_sources()
+        await self.unload_beside(name, patience_s, (), nullcontext)
+
+    async def unload_beside(
+        self, name: str, patience_s: float, beside: Sequence[Net], around: Callable[[], AbstractContextManager[None]]
+    ) -> None:
+        """As :meth:`unload_net`, of a net with which others change.
+
+        Args:
+            name: Its name.
+            patience_s: As there.
+            beside: Nets that take the places of those of their names in the same turn, and ask it no more.
+            around: Entered in that turn before it goes, where it may still be refused, and left when it has gone.
+
+        Raises:
+            ImError: As there, and what ``around`` raises.
+        """
+        await self.loader.until_it_may_go(name, patience_s, beside)
+        with around():
+            self._take_out(name)
         if self._execute is not None:
             self._execute.tell()
 
@@ -376,18 +384,66 @@ class PntNode(ManagedNode):
         self._library.tidy([executor.written for executor in self.exchange.nets.values()])
 
     async def _take_place(
-        self, net: Net, patience_s: float, beside: Sequence[Net]
-    ) -> tuple[Verification, Executor | None]:
-        """Takes in a net that may run, when the present one of its name is at rest; returns that, too."""
+        self,
+        net: Net,
+        patience_s: float,
+        beside: Sequence[Net],
+        around: Callable[[], AbstractContextManager[None]],
+    ) -> Verification:
+        """Takes in a net that may run, when the present one of its name is at rest."""
         while True:
             report, state = await self.loader.prepare(net, patience_s, beside)
             former = self.exchange.nets.get(net.name)
             try:
-                self._take_in(self._library.kept(net), report, state)
+                with around():
+                    self._take_in(self._library.kept(net), report, state)
+                    self._prepare_partners()
+                    self._write_down(net.name, former)
             except EndpointGoesError:
                 await pause(self, ENDPOINT_GOES_S)
             else:
-                return report, former
+                return report
+
+    def _write_down(self, name: str, former: Executor | None) -> None:
+        """Has a net that has come in the journal; else it goes: nobody could come back from one of other nets.
+
+        Raises:
+            JournalError: The journal cannot be written; all is as it was.
+            NetError: Likewise.
+        """
+        try:
+            if self._journal is not None:
+                self._journal.compact()
+        except (JournalError, NetError):
+            if former is None:
+                del self.exchange.nets[name]
+                self._publisher.withdrawn(name)
+            else:
+                self.exchange.nets[name] = former
+                self._publisher.described(former)
+                self._publisher.marked(former)
+            self._keep_sources()
+            raise
+
+    def _take_out(self, name: str) -> None:
+        """Takes a net out of execution, and out of the journal.
+
+        Raises:
+            JournalError: The journal cannot be written; all is as it was.
+            NetError: Likewise.
+        """
+        nets = self.exchange.nets
+        before = dict(nets)
+        del nets[name]
+        if self._journal is not None:
+            try:
+                self._journal.compact()
+            except (JournalError, NetError):
+                nets.clear()
+                nets.update(before)  # in the order in which they were
+                raise
+        self._publisher.withdrawn(name)
+        self._keep_sources()
 
     def _prepare_partners(self) -> None:
         """Makes ready to write to the nets of other nodes that those of this node talk to."""
