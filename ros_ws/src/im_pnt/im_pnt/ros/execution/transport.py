@@ -43,6 +43,7 @@ class DdsTransport:
         self._directory: dict[str, str] = {}
         self._journalling: set[str] = set()
         self._publishers: dict[str, Publisher] = {}
+        self._wake: Callable[[], None] = lambda: None
         self.link = Link(
             node.task_name,
             epoch,
@@ -65,7 +66,7 @@ class DdsTransport:
             exchange: For which; its nets are there now.
             loop: Has the nets go on with what has arrived.
         """
-        self._exchange, self._loop = exchange, loop
+        self._exchange, self._loop, self._wake = exchange, loop, loop.wake
         self.link.accept = exchange.receive
         topic = f"/{self._node.task_name}/tokens"
         self._node.create_subscription(TokenPacket, topic, self._hear, qos.EVENTS, raw=True)
@@ -89,6 +90,7 @@ class DdsTransport:
         if node not in self._watched:
             self._watch(node)
         self.link.send(node, message)
+        self._wake()  # where a coroutine sends it, no turn need come by itself that lets it leave
 
     def forget(self, request_id: str) -> None:
         """Sends nothing more about a request."""
