@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.open_commands import OpenCommandNote, note, noted
-from im_core.ros import qos
+from im_core.ros import dom, qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
@@ -567,6 +567,7 @@ def test_a_net_that_was_refused_keeps_nobody_waiting_for_the_objects_of_its_guar
     tmp_path, ros, wait_until, monkeypatch, fault
 ):
     """Nobody answers for data objects here: a node that waited to know of one would fire no more."""
+    monkeypatch.setattr(dom, "PATIENCE_S", 1.0)
     (tmp_path / "say.yaml").write_text(SAY)
     node = ros(Server("say", tmp_path))
     wait_until(lambda: node.ready, "the node")

@@ -231,6 +231,7 @@ class PntNode(ManagedNode):
             VerificationError: The net may not run; carries the firing sequence that shows why.
             NetError: It names a function that is not registered, or does not fit to the present marking.
             StateError: The present net of that name does not come to rest; says what keeps it.
+            WaitTimeoutError: ``/dom`` does not say whether the data objects are valid that its guards are woken by.
             JournalError: The journal cannot be written; all is as it was.
         """
         return await self.load_beside(net, patience_s, (), nullcontext)
@@ -250,11 +251,17 @@ class PntNode(ManagedNode):
             ImError: As there, and what ``around`` raises.
         """
         await run_in_thread(self, self.functions.check, net)  # a user's module may take long to import
-        report = await self._take_place(net, patience_s, beside, around)
+        wakes = self.functions.wakes(net)
+        self.sources.check_topics(net.name, wakes)
+        try:
+            await self.sources.meet(wakes)  # before it comes: nobody has to wait for /dom with it
+            report = await self._take_place(net, patience_s, beside, around)
+        except ImError:
+            self._keep_sources()
+            raise
         self._library.tidy([executor.written for executor in self.exchange.nets.values()])
         if self._execute is not None:
             self._execute.tell()
-        await self.sources.look()
         return report
 
     async def unload_net(self, name: str, patience_s: float = 0.0) -> None:
@@ -359,6 +366,8 @@ class PntNode(ManagedNode):
     def succeed(self, net: Net, report: Verification) -> None:
         """Has a net take the place of one of its name that goes on: what is under way in that goes on in this.
 
+        Data objects that only its guards are woken by count as not valid until ``/dom`` has answered.
+
         Args:
             net: The net.
             report: Says that it may run.
@@ -422,7 +431,6 @@ class PntNode(ManagedNode):
                 self.exchange.nets[name] = former
                 self._publisher.described(former)
                 self._publisher.marked(former)
-            self._keep_sources()
             raise
 
     def _take_out(self, name: str) -> None:
@@ -555,7 +563,7 @@ class PntNode(ManagedNode):
         self._guards_changed()
 
     def _may_turn(self) -> bool:
-        return (self.ready and self._looked and self.sources.known) or self._stopped
+        return (self.ready and self._looked) or self._stopped
 
     def _tidy(self) -> None:
         """Has requests given up that nobody waits for; what that leaves in the journal is written, and may leave."""

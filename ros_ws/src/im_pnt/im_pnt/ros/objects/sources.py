@@ -31,11 +31,6 @@ class Sources:
         self._unknown: set[str] = set()
         self._last: dict[str, Any] = {}
 
-    @property
-    def known(self) -> bool:
-        """Whether it is known of every object that was declared whether it is valid."""
-        return not self._unknown
-
     def follow(
         self, topic: str, message_type: type, profile: QoSProfile, check: Callable[[Any], object] = lambda _: None
     ) -> None:
@@ -76,10 +71,20 @@ class Sources:
                 raise NetError(f"{text}{nearest(topic, self._last)}", net=net, topic=topic)
 
     def declare(self, sources: Iterable[str]) -> None:
-        """Enters the data objects that the guards of a net are woken by; the net is there now."""
+        """Enters the data objects that the guards of a net are woken by; none is valid until :meth:`look` has ended."""
         for name in _named("data", sources) - self._valid.keys():
             self._valid[name] = False
             self._unknown.add(name)
+
+    async def meet(self, sources: Iterable[str]) -> None:
+        """Enters the data objects that the guards of a net are woken by which is to come, and asks for their validity.
+
+        Raises:
+            ImError: ``/dom`` does not tell.
+        """
+        self.declare(sources)
+        for name in self._unknown & _named("data", sources):
+            self._learned(name, await self._dom.is_valid(name))
 
     def keep(self, sources: Iterable[str]) -> None:
         """Forgets the data objects that no guard is woken by any more.
@@ -92,15 +97,14 @@ class Sources:
             self._unknown.discard(name)
 
     async def look(self) -> None:
-        """Asks for the validity of the objects that guards have declared; changes are heard of from then on.
-
-        It ends when ``/dom`` has answered: no net fires before.
-        """
+        """Asks for the validity of the objects that guards have declared; ends when ``/dom`` has answered."""
         for name in tuple(self._valid):
-            valid = await valid_or_not(self._node, self._dom, name)
-            if name in self._valid:  # its net may have gone meanwhile
-                self._valid[name] = valid
-                self._unknown.discard(name)
+            self._learned(name, await valid_or_not(self._node, self._dom, name))
+
+    def _learned(self, name: str, valid: bool) -> None:
+        self._unknown.discard(name)
+        if self._valid.get(name, valid) != valid:  # its net may have gone meanwhile
+            self.object_changed(name, valid)
 
     def follows(self, name: str) -> bool:
         """Whether a guard has declared a data object."""
