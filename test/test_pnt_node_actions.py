@@ -643,6 +643,37 @@ def test_a_command_is_listed_paused_resumed_attached_to_and_cancelled_by_its_num
     assert f"no command has the number {number}" in control(hardware, number, "cancel").message
 
 
+def test_a_command_that_is_cancelled_is_not_paused(machine, client, wait_until):
+    hardware, steps = machine[1], []
+    goals = len(hardware.goals)
+    handle = execute(client[0], "move", '{"speed": 0.1}', steps)
+    wait_until(lambda: len(hardware.goals) > goals, "the goal")
+    hardware.refusals = 1_000_000  # it goes on until it is let go
+    number = steps[0].command_id
+    assert control(hardware, number, "cancel").success
+    for request in ("pause", "resume"):
+        assert control(hardware, number, request).message == f"move is cancelling: there is nothing to {request}"
+    hardware.refusals = 0
+    assert completed(handle.get_result_async()).result.status.code == "cancelled"
+
+
+def test_a_command_that_was_paused_while_it_was_being_cancelled_can_be_resumed(machine, client, wait_until):
+    (node, hardware, _, _), steps = machine, []
+    goals = len(hardware.goals)
+    handle = execute(client[0], "move", '{"speed": 0.1}', steps)
+    wait_until(lambda: len(hardware.goals) > goals, "the goal")
+    number = steps[0].command_id
+
+    def both():
+        node.cancel(number)
+        node.hold(number, True)
+
+    in_loop(node, both)
+    wait_until(lambda: node.exchange.nets["worker"].marking() == {"trouble": 1}, "its goal to end")
+    assert control(hardware, number, "resume").success
+    assert completed(handle.get_result_async()).result.status.code == "cancelled"
+
+
 @pytest.mark.parametrize(
     ("goal", "sentence"),
     [

@@ -52,11 +52,16 @@ class OpenCommand:
     progress: float = -1.0
 
     @property
+    def held(self) -> bool:
+        """Whether nothing more is begun for it."""
+        return self.job.command.id in self.net.rule.held
+
+    @property
     def state(self) -> str:
         """How far it is, in a word."""
         if self.job.cancelled:
             return "cancelling"
-        if self.job.command.id in self.net.rule.held:
+        if self.held:
             return "paused"
         return "waiting" if self.job.waiting else "running"
 

@@ -139,8 +139,10 @@ class ExecuteServer:
             match request.request:
                 case "cancel":
                     self._control.cancel(request.command_id)
-                case "pause" | "resume" as asked if (asked == "pause") != (command.state == "paused"):
-                    self._control.hold(request.command_id, asked == "pause")
+                case "pause" if not (command.held or command.job.cancelled):  # what is to end is not held up
+                    self._control.hold(request.command_id, True)
+                case "resume" if command.held:
+                    self._control.hold(request.command_id, False)
                 case "pause" | "resume" as asked:
                     raise StateError(f"{command.job.command.symbol} is {command.state}: there is nothing to {asked}")
                 case other:
