@@ -3,10 +3,11 @@
 import json
 
 from im_core.errors import ImError
-from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
+from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged, RequestArrived
 from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Command, Request
 from im_pnt.journal.codec import decode_net_entry, net_encoder
-from im_pnt.journal.state import net_state
+from im_pnt.journal.state import net_state, restore_net
 from im_pnt.netfile import parse_net
 from support.process import Process, hold
 
@@ -94,6 +95,64 @@ def test_a_command_that_is_held_is_not_even_read_from_the_tape():
     process.exchange.nets["n"].post(CommandHeld(held, False))
     process.pump()
     assert going(process) == [held]
+
+
+SERVER = """
+net: n
+places: {wanted: , served: , refused: , idle: {tokens: 1, resource: true}, begun: }
+services: {work: {entry: wanted, done: served, failed: refused}}
+at_once: 9
+transitions:
+  work: {in: wanted, out: served, action: go, on_failure: refused}
+  begin: {symbol: go, in: idle, out: begun}
+  finish: {in: begun, out: idle, emit: go_done}
+"""
+
+
+def asked(number: int, scope: str) -> RequestArrived:
+    """Another node's request, or one of another net here, for a command."""
+    node = "" if scope.startswith("node/") else "other"
+    return RequestArrived(Request(f"r-{scope}", "n", "work", node, "front", "ask", Command(number, scope=scope), {}))
+
+
+def test_a_command_that_is_held_holds_none_of_another_node_that_has_its_number():
+    written: list[str] = []
+    encode = net_encoder("n")
+    process = Process([parse_net(SERVER)], {"go": hold}, record=lambda e: written.append(encode(e)))
+    net = process.exchange.nets["n"]
+    net.post(CommandHeld(1, True, "node/1"))
+    assert process.command("n", "go") == 1
+    for scope in ("other/1", "third/1", "node/1"):
+        net.post(asked(1, scope))
+    process.pump()
+    assert [ctx.command.scope for _, _, ctx in process.held] == ["other/1", "third/1"]
+    process.end("work")
+    assert_replayed(process, written)
+    net.post(CommandHeld(1, False))
+    process.pump()
+    assert [ctx.command.scope for _, _, ctx in process.held] == ["third/1", "node/1"]
+    assert [result.success for result in process.results] == [True]
+    assert_replayed(process, written)
+
+
+def test_what_is_held_is_kept_also_as_journals_of_before_have_told_it():
+    process = Process([parse_net(SERVER)], {"go": hold}, record=lambda _: None)
+    process.exchange.nets["n"].post(CommandHeld(1, True, "node/1"))
+    process.pump()
+    state = net_state(process.exchange.nets["n"])
+    for told, begun in ((state["held"], ["other/1"]), ([1], [])):
+        again = Process([parse_net(SERVER)], {"go": hold})
+        restore_net(again.exchange.nets["n"], json.loads(json.dumps({**state, "held": told})))
+        for scope in ("other/1", "node/1"):
+            again.exchange.nets["n"].post(asked(1, scope))
+        again.pump()
+        assert [ctx.command.scope for _, _, ctx in again.held] == begun
+    for line, entry in (
+        (["hold", 1, True], CommandHeld(1, True)),
+        (["hold", 1, True, "a/1"], CommandHeld(1, True, "a/1")),
+    ):
+        assert decode_net_entry(line) == entry
+        assert json.loads(net_encoder("n")(entry))[2] == line
 
 
 FRONT = """

@@ -59,7 +59,7 @@ class WaitingLine:
     def waiting(self) -> list[Claim]:
         """Returns those that wait and are not paused, the next first."""
         rule = self._executor().rule
-        jobs = [job for job in rule.ledger.tape.waiting() if job.command.id not in rule.held]
+        jobs = [job for job in rule.ledger.tape.waiting() if not rule.is_held(job)]
         return sorted((self.claim(job.command) for job in jobs), key=lambda claim: claim.rank)
 
     def running(self) -> list[Claim]:

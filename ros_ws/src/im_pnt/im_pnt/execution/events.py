@@ -51,10 +51,18 @@ class CommandCancelled:
 
 @dataclass(frozen=True, slots=True)
 class CommandHeld:
-    """Nothing more is begun for a command (what runs ends), or it goes on."""
+    """Nothing more is begun for a command (what runs ends), or it goes on.
+
+    Attributes:
+        command_id: Its number.
+        held: Whether nothing is begun.
+        scope: Its scope: commands of other nodes have their own numbers. Empty, as in journals of before: whichever
+            has the number.
+    """
 
     command_id: int
     held: bool
+    scope: str = ""
 
 
 @dataclass(frozen=True, slots=True)

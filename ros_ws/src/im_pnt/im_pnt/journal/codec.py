@@ -11,7 +11,8 @@ Of a net, ``["net", name, entry]``::
     ["node_forgotten", node, nets, error]              a node is gone for good
     ["settled", job]                                   nothing is left of a job of another net
     ["cancel", id | null, error]                       a command, or everything, should end early
-    ["hold", id, bool]                                 nothing more is begun for a command, or it goes on
+    ["hold", id, bool, scope]                          nothing more is begun for a command, or it goes on; scope
+                                                       where it is known
     ["request_cancelled", request, error]              so should a request
     ["ended", number, error | null, results]  ["ended", number, error | null, results, data]    an action has ended
     ["built", number, data]                            what an action sends is made, and leaves after that
@@ -168,8 +169,8 @@ def encode_net_entry(entry: NetEntry) -> list[object]:
             return ["command", *encode_command(job.command)]
         case CommandCancelled(command_id, error):
             return ["cancel", command_id, encode_error(error)]
-        case CommandHeld(command_id, held):
-            return ["hold", command_id, held]
+        case CommandHeld(command_id, held, scope):
+            return ["hold", command_id, held, *([scope] if scope else [])]
         case ModeSet(mode):
             return ["mode", mode.value]
         case PauseSet(paused):
@@ -207,8 +208,8 @@ def decode_net_entry(content: object) -> NetEntry:
                 return CommandWritten(Job(command, command.arguments))
             case ["cancel", None | int() as number, error]:
                 return CommandCancelled(number, _reason(error))
-            case ["hold", int(number), bool(held)]:
-                return CommandHeld(number, held)
+            case ["hold", int(number), bool(held), *scope]:
+                return CommandHeld(number, held, *map(str, scope[:1]))
             case ["mode", str(mode)]:
                 return ModeSet(Mode(mode))
             case ["pause", bool(paused)]:

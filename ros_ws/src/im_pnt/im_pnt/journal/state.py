@@ -56,7 +56,7 @@ def net_state(executor: Executor) -> dict[str, object]:
         "tape": [job.number for job in rule.ledger.tape.waiting()],
         "serving": serving if len(serving) > 1 else next(iter(serving), None),
         "activities": [_activity(activity) for activity in rule.activities.values()],
-        **({"held": sorted(rule.held)} if rule.held else {}),
+        **({"held": [[number, scope] for number, scope in sorted(rule.held.items())]} if rule.held else {}),
         "mode": operator.mode.value,
         "paused": operator.paused,
     }
@@ -110,13 +110,22 @@ def _restore(executor: Executor, state: Mapping[str, object]) -> None:
         rule.activities[activity.number] = activity
     held = state.get("held", [])
     assert isinstance(held, list)
-    rule.held = {int(number) for number in held}
+    rule.held = dict(_held_of(entry) for entry in held)
     rule.ledger.count = entered
     served = serving if isinstance(serving, list) else [] if serving is None else [serving]
     rule.ledger.serving = {job.number: job for job in (known[number] for number in served)}
     rule.notifier.sequence = sequence
     operator.set_mode(Mode(mode))
     operator.pause(paused)
+
+
+def _held_of(content: object) -> tuple[int, str]:
+    match content:
+        case [int(number), str(scope)]:
+            return number, scope
+        case int(number):  # a journal of before
+            return number, ""
+    raise ValueError(f"{str(content)[:80]} is no command that is held")
 
 
 def _lineage(rule: FiringRule, lineage: Lineage) -> object:

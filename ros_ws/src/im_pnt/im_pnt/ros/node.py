@@ -352,10 +352,15 @@ class PntNode(ManagedNode):
             executor.post(CommandCancelled(command_id, error))
 
     def hold(self, command_id: int, held: bool) -> None:
-        """Has nothing more begun for a command (what runs for it ends), or has it go on."""
+        """Has nothing more begun for a command (what runs for it ends), or has it go on.
+
+        Raises:
+            StateError: It is to be held, and has ended.
+        """
+        scope = self.commands.get(command_id).job.command.scope if held else ""
         for executor in self.exchange.nets.values():
             if held != (command_id in executor.rule.held):
-                executor.post(CommandHeld(command_id, held))
+                executor.post(CommandHeld(command_id, held, scope))
 
     def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
         """Returns what a command needs of what there is once, and what it waits for; here nothing is known of that."""

@@ -85,8 +85,8 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             rule.cancel(rule.ledger.of_command(command_id), error)
         case RequestCancelled(request_id, error):
             rule.cancel(rule.ledger.of_request(request_id), error)
-        case CommandHeld(command_id, held):
-            rule.hold(command_id, held, rule.ledger.of_command(command_id))
+        case CommandHeld(command_id, held, scope):
+            rule.hold(command_id, held, rule.ledger.of_command(command_id), scope)
         case GuardBroke(number, error):
             _open_job(rule, number).last_failure = error
         case JobForgotten(number, error):

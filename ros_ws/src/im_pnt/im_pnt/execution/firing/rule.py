@@ -84,7 +84,8 @@ class FiringRule:
         expires: For each symbol that does not wait for ever, how long it does [s].
         choosy: Transitions that tokens alone do not enable: it matters whose they are.
         begins: Transitions that begin a command where they read a symbol with tokens of nobody.
-        held: Numbers of the commands for which nothing is begun; of a visit its number here, negative.
+        held: Numbers of the commands for which nothing is begun, with their scopes as far as these are known; of a
+            visit its number here, negative.
         replaying: Whether what an entry of a journal tells is done again.
         shared_objects: Data objects that places declare to be global.
     """
@@ -126,7 +127,7 @@ class FiringRule:
         self.choosy = self.tokens.choosy | self._finishing | self._to_commands
         beginning = (i for i in free if self.transitions[i].symbol and self.transitions[i].symbol_of is None)
         self.begins = frozenset(beginning)
-        self.held: set[int] = set()
+        self.held: dict[int, str] = {}
         self.replaying = False
         reading = [t for t in self.transitions if t.symbol is not None]
         self.expires = {t.symbol: t.symbol_expires for t in reading if t.symbol and t.symbol_expires is not None}
@@ -205,20 +206,20 @@ class FiringRule:
             if job.visit is None or job.visit.owner.key.net != net:
                 self.outlet.send_tiding(self.net.name, job, tiding, net, error, {})
 
-    def hold(self, number: int, held: bool, jobs: Iterable[Job]) -> None:
+    def hold(self, number: int, held: bool, jobs: Iterable[Job], scope: str = "") -> None:
         """Has nothing begun any more for jobs, or again, also where their tokens have gone; see :attr:`held`."""
         if held == (number in self.held):
             return
         if held:
-            self.held.add(number)
+            self.held[number] = scope
         else:
-            self.held.discard(number)
+            del self.held[number]
         for job in jobs:
             self.pass_on(job, Tiding.HELD if held else Tiding.RELEASED, None)
 
     def is_held(self, job: Job) -> bool:
         """Whether nothing is begun for a job."""
-        return (job.command.id if job.visit is None else -job.number) in self.held
+        return self.held.get(job.command.id if job.visit is None else -job.number) in ("", job.command.scope)
 
     @property
     def keeps(self) -> bool:
@@ -232,9 +233,11 @@ class FiringRule:
         self.ledger.close(job, error)
         self.tokens.disown(job)
         if job.visit is not None:
-            self.held.discard(-job.number)
-        elif job.command.id in self.held and all(each.command.id != job.command.id for each in self.ledger.jobs()):
-            self.held.discard(job.command.id)
+            self.held.pop(-job.number, None)
+        elif self.is_held(job) and not any(
+            each.command.id == job.command.id and self.is_held(each) for each in self.ledger.jobs()
+        ):
+            del self.held[job.command.id]
         if was_open:
             self.pass_on(job, Tiding.ENDED, None)
         for word in self.ledger.tape.waiting() if self._words else ():

@@ -54,7 +54,7 @@ class OpenCommand:
     @property
     def held(self) -> bool:
         """Whether nothing more is begun for it."""
-        return self.job.command.id in self.net.rule.held
+        return self.net.rule.is_held(self.job)
 
     @property
     def state(self) -> str:
