@@ -12,6 +12,7 @@ from im_core.errors import ImError
 from im_core.ros.calls import pause
 from im_core.ros.run import spin_in_thread
 from im_dispatcher.cell.needs import Needs
+from im_dispatcher.ros import node as dispatcher_node
 from im_dispatcher.ros.node import Dispatcher
 from im_msgs.srv import LoadNet
 from im_pnt.execution.events import PauseSet
@@ -57,8 +58,7 @@ class Begun:
 
     def __init__(self, node, work):
         self._ended, self._said = threading.Event(), []
-        node.executor.create_task(self._do(work))
-        node.wake()
+        node.spawn(self._do(work))
 
     async def _do(self, work):
         try:
@@ -78,11 +78,11 @@ def done(node, work):
     return Begun(node, work).refused()
 
 
-def holder(name, needs="left_arm"):
+def holder(name, needs="left_arm", busy="wait"):
     """A net with a command that holds something, and one that needs nothing; both wait while the net is paused."""
     return parse_net(f"""
 net: {name}
-commands: {{{name}: {{needs: [{needs}]}}, {name}_idle: {{}}}}
+commands: {{{name}: {{needs: [{needs}], busy: {busy}}}, {name}_idle: {{}}}}
 places: {{idle: {{tokens: 1, resource: true}}, run: , asleep: {{tokens: 1, resource: true}}, awake: }}
 transitions:
   go: {{symbol: {name}, in: idle, out: run}}
@@ -267,3 +267,16 @@ def test_a_command_is_refused_whose_needs_the_cell_does_not_hand_out_yet(dispatc
     dispatcher._know(Needs(dispatcher._command_nets(), dispatcher._resources))
     refused = done(dispatcher, dispatcher._run("half", {}))
     assert refused.message == "net cell does not take what half needs yet; ask again"
+
+
+@pytest.mark.parametrize(
+    ("busy", "taken", "sentence"),
+    [("wait", 3, "3 commands wait already"), ("refuse", 1, "single is already running (begun); ask again")],
+)
+def test_of_commands_that_come_together_no_more_are_taken_than_may_wait(dispatcher, monkeypatch, busy, taken, sentence):
+    monkeypatch.setattr(dispatcher_node, "MOST_WAITING", 3)
+    assert done(dispatcher, dispatcher.load_net(holder("single", busy=busy))) is None
+    together = in_loop(dispatcher, lambda: [Begun(dispatcher, dispatcher._run("single", {})) for _ in range(5)])
+    refused = [each.refused() for each in together]
+    assert refused[:taken] == [None] * taken
+    assert all(sentence in error.message for error in refused[taken:])

@@ -62,6 +62,10 @@ class WaitingLine:
         jobs = [job for job in rule.ledger.tape.waiting() if not rule.is_held(job)]
         return sorted((self.claim(job.command) for job in jobs), key=lambda claim: claim.rank)
 
+    def coming(self) -> list[Claim]:
+        """Returns those that have just been written: the net has not taken them yet, and will in its next turn."""
+        return [self.claim(job.command) for job in self._executor().coming()]
+
     def running(self) -> list[Claim]:
         """Returns those that have begun."""
         return [self.claim(job.command) for job in self._executor().jobs() if not job.waiting]
@@ -113,7 +117,7 @@ class WaitingLine:
 
     def keepers(self, asking: Claim) -> list[tuple[Claim, str]]:
         """Returns who keeps a command from beginning, each with what it has, or waits for before that."""
-        before = [other for other in self.waiting() if other.rank < asking.rank]
+        before = [other for other in (*self.waiting(), *self.coming()) if other.rank < asking.rank]
         told = [(other, "has") for other in self.running()] + [(other, "waits for") for other in before]
         return [(other, how) for other, how in told if other.command.id != asking.command.id and asking.shares(other)]
 

@@ -207,7 +207,7 @@ class Dispatcher(PntNode):
             if first.symbol == symbol:
                 raise self._already_running(symbol, self.commands.get(first.id).job)
             raise StateError(f"{reason(claim, keepers)}; ask again when it has ended", command=symbol)
-        if len(self._line.waiting()) >= MOST_WAITING:
+        if len(self._line.waiting()) + len(self._line.coming()) >= MOST_WAITING:
             raise StateError(f"{MOST_WAITING} commands wait already; {symbol} is not taken", command=symbol)
         return await self.command(symbol, taken, listener, started, declared.priority + priority)
 

@@ -281,6 +281,10 @@ class Executor:
         """Returns the open jobs, in the order of their arrival."""
         return self.rule.ledger.jobs()
 
+    def coming(self) -> list[Job]:
+        """Returns the commands that were written and that it has not taken yet: they are not among its jobs."""
+        return [event.job for event in list(self._inbox) if isinstance(event, CommandWritten)]
+
     def concerned(self, node: str, nets: Collection[str]) -> bool:
         """Whether anything here has to do with tokens that came from a node, or went to one of its nets."""
         came = (event.carried for event in list(self._inbox) if isinstance(event, TokenArrived))
