@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from im_core import clock
 from im_pnt_analysis.cli import main as pnt
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -38,6 +39,16 @@ def done(folder, file="done"):
     return path.read_text().splitlines() if path.exists() else []
 
 
+PICK = """
+net: pick
+commands: {pick: {arguments: {width: {type: number, default: 0.02}}}}
+places: {idle: {tokens: 1, resource: true}, open: , closed: , failed: }
+transitions:
+  open: {symbol: pick, in: idle, out: open}
+  close: {in: open, out: closed, delay: 5.0}
+  tell: {in: closed, out: idle, emit: pick_done, on_failure: failed, result: {closed_to: "${arguments.width}"}}
+  give_up: {in: failed, out: idle, emit: pick_failed}
+"""
 WAIT = """
 net: wait
 places: {idle: 1, ready: , late: }
@@ -97,6 +108,34 @@ def test_a_message_that_is_awaited_is_awaited_again_after_a_death(robot, line, w
     (robot / "pressed").touch()
     wait_until(lambda: again.poll() is not None, "the end")
     assert (again.returncode, "begin done" in again.out.read_text()) == (0, True), again.out.read_text()
+
+
+@pytest.mark.parametrize(
+    ("width", "lines"),
+    [
+        ("0.02", ["pick goes on where the journal ends", 'pick done: {"closed_to": 0.02}']),
+        (
+            "0.07",
+            [
+                'pick of {"width": 0.02} goes on where the journal ends, and {"width": 0.07} comes after it',
+                'pick done: {"closed_to": 0.07}',
+            ],
+        ),
+    ],
+)
+def test_a_command_with_other_arguments_is_not_taken_for_the_one_that_goes_on(tmp_path, line, wait_until, width, lines):
+    (tmp_path / "pick.yaml").write_text(PICK)
+    text = f"run {tmp_path}/pick.yaml --symbol pick --journal {tmp_path}/journal"
+    killed = line(text)
+    wait_until(lambda: "command 1: pick" in killed.out.read_text(), "the command to begin")
+    clock.sleep(0.5)  # until it is on file
+    killed.kill()
+    killed.wait()
+    again = line(f"{text} --arg width={width}")
+    wait_until(lambda: again.poll() is not None, "the end")
+    told = again.out.read_text()
+    assert again.returncode == 0, told
+    assert [each for each in re.findall(r" s  (.*)$", told, re.MULTILINE) if "pick" in each] == lines
 
 
 @pytest.mark.parametrize(

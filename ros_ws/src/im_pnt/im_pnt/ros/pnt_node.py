@@ -181,10 +181,15 @@ class RunNode(PntNode):
     async def _obey(self, order: Order) -> None:
         self.exit_code = REFUSED  # until it is done
         try:
-            if self.commands.running(order.symbol) is not None:
+            going_on = [each for each in self.commands.open() if each.job.command.symbol == order.symbol]
+            same = next((each for each in going_on if each.job.command.arguments == order.arguments), None)
+            if same is not None:
                 self._tell(f"{order.symbol} goes on where the journal ends")
-                outcome = await self.commands.attach(order.symbol, self._step)
+                outcome = await self.commands.wait(same.job.command.id, self._step)
             else:
+                for other in going_on:
+                    given, asked = json.dumps(other.job.command.arguments), json.dumps(order.arguments)
+                    self._tell(f"{order.symbol} of {given} goes on where the journal ends, and {asked} comes after it")
                 outcome = await self.command(order.symbol, order.arguments, self._step)
         except ImError as error:
             self._tell(f"{order.symbol} was not begun: {error.message}")
