@@ -188,8 +188,9 @@ def test_what_was_loaded_comes_back_with_what_its_commands_need(tmp_path, monkey
     run, killed = tmp_path / "run", tmp_path / "killed"
     with life(wait_until, "commands:=demo,home", f"journal_dir:={run / 'journal'}") as node:
         net = change(node)
-        assert done(node, PntNode.load_net(node, net) if half else node.load_net(net)) is None
-        shutil.copytree(run, killed)  # as a kill leaves it
+        refused = done(node, PntNode.load_net(node, net, 30.0) if half else node.load_net(net, 30.0))
+        assert refused is None, refused
+        shutil.copytree(run, killed, ignore=shutil.ignore_patterns(".*"))  # as a kill leaves it; no file half written
     with life(wait_until, "commands:=demo,home", f"journal_dir:={killed / 'journal'}") as node:
         assert fingerprint(node.exchange.nets[net.name].written) == fingerprint(net)
         ((symbol, declared),) = net.commands.items()
@@ -217,9 +218,8 @@ def test_a_command_of_a_net_that_comes_waits_for_what_it_needs(dispatcher, slow,
     load = Begun(dispatcher, dispatcher.load_net(holder("coming")))
     wait_until(lambda: "coming" in dispatcher.exchange.nets, "the net")
     command = Begun(dispatcher, dispatcher._run("coming", {}))
-    wait_until(lambda: states(dispatcher).get("coming"), "its command")
+    wait_until(lambda: states(dispatcher) == {"present": "running", "coming": "waiting"}, "its command to wait")
     assert load.refused() is None
-    assert states(dispatcher) == {"present": "running", "coming": "waiting"}
     dispatcher.exchange.nets["present"].post(PauseSet(False))
     assert [each.refused() for each in (held, command)] == [None, None]
 
@@ -259,6 +259,24 @@ def test_a_net_is_refused_whose_command_has_come_meanwhile_and_would_need_someth
     assert states(dispatcher) == {"present": "running", "changed": "waiting"}
     dispatcher.exchange.nets["present"].post(PauseSet(False))
     assert [each.refused() for each in (held, command)] == [None, None]
+
+
+@pytest.mark.parametrize("needs", ["left_arm", "right_arm"])
+def test_a_command_that_comes_in_the_turn_of_its_net_is_done_by_that_or_keeps_it_out(
+    dispatcher, monkeypatch, wait_until, needs
+):
+    assert done(dispatcher, dispatcher.load_net(holder("changed"))) is None
+    before, prepare = dispatcher.exchange.nets["changed"], dispatcher.loader.prepare
+
+    async def prepared(*arguments):
+        found = await prepare(*arguments)
+        dispatcher.commands.write("changed", {})
+        return found
+
+    monkeypatch.setattr(dispatcher.loader, "prepare", prepared)
+    refused = done(dispatcher, dispatcher.load_net(holder("changed", needs)))
+    assert (dispatcher.exchange.nets["changed"] is before) == (needs == "right_arm") == (refused is not None)
+    wait_until(lambda: not dispatcher.commands.open(), "the end of the command")
 
 
 def test_a_command_is_refused_whose_needs_the_cell_does_not_hand_out_yet(dispatcher):

@@ -85,7 +85,7 @@ class WaitingLine:
             StateError: One would need something else, or is not there any more; names it.
         """
         known = {(each.name, each.needs) for each in needs.variants.values()}
-        for job in self._executor().jobs():
+        for job in (*self._executor().jobs(), *self._executor().coming()):
             claim = self.claim(job.command)
             if (claim.variant.name, claim.variant.needs) not in known:
                 text = f"{job.symbol} (number {job.command.id}) has not ended, and would not need the same any more"

@@ -164,9 +164,6 @@ class Dispatcher(PntNode):
         Raises:
             StateError: A command waits or runs that would need something else, or is not there any more.
         """
-        present = self.exchange.nets[cell.NAME]
-        while present.pump():  # what has just come counts, too
-            pass
         self._line.require_same(needs)
         yield
         self._know(needs)
