@@ -53,6 +53,7 @@ def test_a_parameter_that_may_be_changed_is_checked_at_the_start_too(ros, wait_u
     assert node.get_parameter("fan").value == 0.5
 
 
+@pytest.mark.raises
 def test_whatever_a_phase_raises_the_node_says_that_it_has_failed(ros, wait_until):
     class Broken(Oven):
         def phase_start(self):
