@@ -311,3 +311,15 @@ def test_timers_that_are_reset_while_the_loop_is_late_put_no_other_off(ros, wait
     node.executor.create_task(lambda: later.append(None))
     wait_until(lambda: later, "a turn of the loop")  # which is not busy with strikes that are too many
     wait_until(lambda: all(timer.time_until_next_call() <= timer.timer_period_ns for timer in slow), "timers in time")
+
+
+def test_a_timer_that_is_destroyed_while_its_strike_waits_is_not_called(ros):
+    """As by another thread that ends the node: the loop, which strikes it nevertheless, goes on."""
+    struck = []
+    node = ManagedNode("late")
+    timer = node.create_timer(10.0, lambda: struck.append(None), clock=node.steady_clock)
+    strike = timer.callback
+    strike()
+    timer.destroy()
+    strike()
+    assert len(struck) == 1

@@ -8,6 +8,7 @@ import inspect
 import sys
 import threading
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -17,6 +18,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidHandle
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -182,7 +184,11 @@ class GuardedNode(Node):
 
         def strike() -> None:
             nonlocal mending
-            if not put_off():
+            try:
+                early = put_off()
+            except InvalidHandle:  # destroyed since it was due
+                return
+            if not early:
                 guarded()
             elif not mending:  # a strike too many
                 mending = True
@@ -193,8 +199,9 @@ class GuardedNode(Node):
             """Once, after all strikes that wait: each reset has all timers looked at again."""
             nonlocal mending
             mending = False
-            if put_off():
-                timer.reset()
+            with suppress(InvalidHandle):
+                if put_off():
+                    timer.reset()
 
         timer = super().create_timer(timer_period_sec, strike, callback_group, clock, autostart)
         return timer
