@@ -316,7 +316,7 @@ def test_timers_that_are_reset_while_the_loop_is_late_put_no_other_off(ros, wait
 def test_a_timer_that_is_destroyed_while_its_strike_waits_is_not_called(ros):
     """As by another thread that ends the node: the loop, which strikes it nevertheless, goes on."""
     struck = []
-    node = ManagedNode("late")
+    node = ros(ManagedNode("late"))
     timer = node.create_timer(10.0, lambda: struck.append(None), clock=node.steady_clock)
     strike = timer.callback
     strike()
