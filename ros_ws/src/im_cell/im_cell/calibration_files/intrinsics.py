@@ -10,7 +10,7 @@ import yaml
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
-from im_cell.lens import LensModel, lens_of
+from im_cell.lens import lens_of
 from im_core.config import FieldError, load_model
 from im_core.errors import DataError
 
@@ -106,21 +106,13 @@ def implausible(K: Array, width: int, height: int) -> str:
     return ""
 
 
-def folded(K: Array, lens: LensModel, D: Array, width: int, height: int) -> str:
-    """Why no lens is like that, a clause; empty if one may be.
-
-    Args:
-        K: Camera matrix, shape (3, 3) [px].
-        lens: The lens model.
-        D: All its coefficients.
-        width: Width of the images [px].
-        height: Height of the images [px].
-    """
-    u, v = np.meshgrid(_MIDDLE * width, _MIDDLE * height)
+def folded(model: CameraModel) -> str:
+    """Why no lens is like that of a camera, a clause; empty if one may be."""
+    u, v = np.meshgrid(_MIDDLE * model.width, _MIDDLE * model.height)
     try:
-        lens.undistort(np.stack(((u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]), axis=-1), D)
+        model.undistort(np.stack((u, v), axis=-1))
     except DataError:
-        return f"D = {D.tolist()} folds the image in its middle half, no lens of model {lens.name} does"
+        return f"D = {model.D.tolist()} folds the image in its middle half, no lens of model {model.lens.name} does"
     return ""
 
 
@@ -154,8 +146,7 @@ class IntrinsicsFile(pydantic.BaseModel):
     def _plausible(self) -> Self:
         if why_not := implausible(self.camera_matrix.array, self.image_width, self.image_height):
             raise FieldError(("camera_matrix",), why_not)
-        model = self.model
-        if why_not := folded(model.K, model.lens, model.D, model.width, model.height):
+        if why_not := folded(self.model):
             raise FieldError(("distortion_coefficients",), why_not)
         return self
 

@@ -129,13 +129,12 @@ class JawObject:
     mass: float
 
     def __post_init__(self) -> None:
-        largest = _LARGEST_WIDTH_M, _LARGEST_STIFFNESS_N_M, _LARGEST_MASS_KG
-        fits = all(value <= most for value, most in zip((self.width, self.stiffness, self.mass), largest, strict=True))
-        if not fits or not self.width > 0.0 or not self.stiffness > 0.0 or not self.mass >= 0.0:
+        can_be = 0.0 < self.width <= _LARGEST_WIDTH_M and 0.0 < self.stiffness <= _LARGEST_STIFFNESS_N_M
+        if not (can_be and 0.0 <= self.mass <= _LARGEST_MASS_KG):
             raise DataError(
                 f"an object of width {self.width} m, stiffness {self.stiffness} N/m and mass {self.mass} kg cannot be:"
-                f" width and stiffness are > 0, mass is >= 0; at most {largest[0]:g} m, {largest[1]:g} N/m and"
-                f" {largest[2]:g} kg"
+                f" width and stiffness are > 0, mass is >= 0; at most {_LARGEST_WIDTH_M:g} m,"
+                f" {_LARGEST_STIFFNESS_N_M:g} N/m and {_LARGEST_MASS_KG:g} kg"
             )
 
 

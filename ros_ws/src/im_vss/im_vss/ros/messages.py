@@ -80,7 +80,7 @@ def from_camera_info(info: CameraInfo) -> CameraModel:
     if why_not := implausible(K, info.width, info.height):
         raise DataError(f"{why_not} of images of {info.width} x {info.height} px")
     model = CameraModel(info.width, info.height, K, D, distortion_model=lens.name)
-    if why_not := folded(K, lens, D, info.width, info.height):
+    if why_not := folded(model):
         raise DataError(why_not)
     return model
 
