@@ -148,6 +148,61 @@ def test_stops_end_torque_streams(owned, model, cell, request_name):
     assert not owned.mcs.loop.torque_streams
 
 
+def setpoint(bench, q):
+    return bench.send("stream", group="left", kind="setpoint", positions=q.tolist(), owner="ann", lease_s=0.05)
+
+
+@pytest.mark.parametrize("kind", ["torque", "setpoint"])
+@pytest.mark.parametrize("ending", ["protective_stop", "cancel"])
+def test_who_goes_on_streaming_after_a_stop_moves_nothing(owned, model, cell, kind, ending):
+    push = model.gravity(cell.home)[LEFT]
+    push[3] += 5.0
+    target = cell.home[LEFT].copy()
+    target[3] += 0.5
+
+    def send():
+        return drive(owned, push) if kind == "torque" else setpoint(owned, target)
+
+    first = send()
+    for _ in range(20):
+        assert owned.reply(send())["success"]
+    owned.send(ending, **({"reason": "enough"} if ending == "protective_stop" else {"goal": first}))
+    patience = round(owned.mcs.config.protective.patience_s / owned.mcs.config.servo.period_s) + 400
+    for _ in range(patience):
+        last = send()
+        if owned.reply(first) is not None and not owned.mcs.setpoint[1].any():
+            break
+    stopped = owned.mcs.setpoint[0].copy()
+    for _ in range(50):
+        last = send()
+        np.testing.assert_array_equal(owned.mcs.setpoint[0], stopped)
+    error = owned.reply(last)["error"]
+    assert error["code"] == "state"
+    assert "send nothing for 0.05 s, its lease, or resume the group" in error["message"]
+    began = owned.mcs.measured.tick
+    while owned.mcs.wants_time:  # at clock factor 0 too his silence comes to its end
+        owned.mcs.tick([])
+    assert owned.mcs.measured.tick >= began + 10
+    again = send()
+    owned.mcs.tick([])
+    while owned.mcs.wants_time:
+        owned.mcs.tick([])
+    assert owned.reply(again)["error"]["code"] == "lease"  # it was taken
+
+
+def test_a_resumed_group_takes_torques_at_once_and_another_owner_need_not_wait(owned, model, cell):
+    push = model.gravity(cell.home)[LEFT]
+    drive(owned, push)
+    owned.send("protective_stop", reason="enough")
+    assert not owned.reply(drive(owned, push))["success"]
+    assert owned.ask("resume", group="left", sender=ANN)["success"]
+    goal = drive(owned, push)
+    assert owned.reply(goal) is None
+    assert owned.ask("take_over", group="left", owner="bob", lease_s=0.0, sender={"names": ["bob"]})["success"]
+    assert owned.reply(goal)["error"]["code"] == "state"
+    assert owned.reply(drive(owned, push, owner="bob")) is None
+
+
 def test_a_pause_of_all_halts_whoever_is_not_driven_by_torques_and_names_who_is(owned, model, cell):
     bench = owned
     bench.ask("reserve", group="right")

@@ -167,6 +167,7 @@ class Dispatch:
         mcs = self._mcs
         self._manager.reservations.require_driver(request.group, Sender(names=[request.owner]))
         group, goal = mcs.groups[request.group], self._goal(number)
+        group.gate.require_open(request.owner)
         if request.kind == "torque":
             return mcs.loop.torque_streams.take_torques(group, goal, request)
         mcs.loop.torque_streams.require_free(request.group)

@@ -25,6 +25,7 @@ from im_mcs.planning.retiming import RetimedTrajectory
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import LineMove, MoveRequest, Policy, StreamRequest
 from im_mcs.servo.rest import RestMonitor, RestPhase
+from im_mcs.servo.stream_gate import StreamGate
 
 EndedGoal = tuple[Goal, ImError | None, dict[str, Any]]
 """A goal, why it ended badly if it did, and results: ``duration`` [s] of its motion, ``retimed`` if it took longer."""
@@ -47,6 +48,7 @@ class ControlledGroup:
         place: The same, quicker to write to.
         controller: Motion control layer; a law in force of several.
         monitor: Judge of rest.
+        gate: Whether it takes a stream.
         engaged: Whether it has setpoints and torques.
 
     Args:
@@ -69,6 +71,7 @@ class ControlledGroup:
         self.index, self.place = context.index, place_of(context.index)
         self.controller = controller
         self.monitor = monitor
+        self.gate = StreamGate(name, planner.period_s)
         self.engaged = False
         self.setpoint = planner.setpoint
         self._position, self._velocity = planner.setpoint.q, planner.setpoint.v
@@ -123,8 +126,11 @@ class ControlledGroup:
 
     @property
     def moving(self) -> bool:
-        """Whether the setpoint moves, a motion is being prepared, or a lease, a patience or a goal tolerance runs."""
-        if not self.still or self._rates.protective is not None:
+        """Whether the setpoint moves, a motion is being prepared, or a lease, a patience or a goal tolerance runs.
+
+        The silence that is waited for of a sender counts as well.
+        """
+        if not self.still or self._rates.protective is not None or self.gate.closed:
             return True
         waits = self._queue and self._end_known()
         if waits and (not self._rates.paused or any(queued.trajectory is None for queued in self._queue)):
@@ -153,6 +159,7 @@ class ControlledGroup:
         """No setpoint, no torque; who engages it next begins without the pause of who had it before."""
         self.engaged = False
         self._rates.paused = False
+        self.gate.open()
         self.monitor.restart()
 
     def switch(self, law: str) -> None:
@@ -231,6 +238,7 @@ class ControlledGroup:
         """
         if self._current is not None and self._current.goal.id == goal_id:
             self._interrupt(fault)
+            self._close_gate(fault)
             return
         for rank, queued in enumerate(self._queue):
             if queued.goal.id == goal_id:
@@ -253,7 +261,8 @@ class ControlledGroup:
         self._rates.paused = True
 
     def resume(self) -> None:
-        """Go on along the path after a pause or a protective stop."""
+        """Go on along the path after a pause or a protective stop, and take streams again that were ended."""
+        self.gate.open()
         self._rates.paused = False
         self._rates.protective = None
 
@@ -287,6 +296,7 @@ class ControlledGroup:
 
     def advance(self) -> Setpoint:
         """The setpoint of the next servo tick."""
+        self.gate.tick()
         current = self._current
         if current is not None:
             current.ticks += 1
@@ -516,6 +526,12 @@ class ControlledGroup:
         self._patience_ticks -= 1
         if self._patience_ticks < 0:
             self._end_all(fault)
+            self._close_gate(fault)
+
+    def _close_gate(self, fault: ImError) -> None:
+        """Whoever streams was stopped, and must not go on by sending the next setpoint."""
+        if self._current is not None and (lease := self._current.lease) is not None:
+            self.gate.close(lease.owner, lease.seconds, fault)
 
     def _check_lease(self, current: Current, lease: StreamLease) -> None:
         if current.goal.fault is None:

@@ -13,6 +13,8 @@ from im_mcs.protocol.requests import StreamRequest
 from im_mcs.safety.stopping_position import stopping_position
 from im_mcs.servo.group import ControlledGroup
 
+_LAPSED = "lease"
+
 Ended = tuple[ControlledGroup, Goal, ImError]
 
 
@@ -91,9 +93,15 @@ class TorqueStreams:
         return next((name for name, stream in self._streams.items() if stream.goal.id == goal_id), None)
 
     def end_streams(self, fault: ImError, groups: Iterable[str] | None = None) -> list[Ended]:
-        """Let the laws take over again; all groups if none are named."""
+        """Let the laws take over again; all groups if none are named.
+
+        Who did not end his stream himself, by silence, must be silent before he opens another.
+        """
         names = list(self._streams) if groups is None else [name for name in groups if name in self._streams]
         streams = [self._streams.pop(name) for name in names]
+        for stream in streams:
+            if fault.code != _LAPSED:
+                stream.group.gate.close(stream.owner, stream.lease_s, fault)
         return [(stream.group, stream.goal, fault) for stream in streams]
 
     def tick(self, q: NDArray[np.float64], v: NDArray[np.float64], tick: int) -> list[Ended]:
@@ -117,7 +125,7 @@ class TorqueStreams:
             return None
         who = f"'{stream.owner}'" if stream.owner else "the sender"
         return ImError(
-            f"{who} has sent no torques for {stream.lease_s:g} s, its lease", code="lease", owner=stream.owner
+            f"{who} has sent no torques for {stream.lease_s:g} s, its lease", code=_LAPSED, owner=stream.owner
         )
 
     def _beyond(

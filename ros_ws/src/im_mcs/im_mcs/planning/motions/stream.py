@@ -15,14 +15,18 @@ _MEETINGS = 5
 class StreamLease:
     """Time until which a sender must be heard of again, in testbed time from receipt.
 
-    Args:
+    Attributes:
         owner: Who sends.
         seconds: How long silence may last [s].
+
+    Args:
+        owner: As the attribute.
+        seconds: As the attribute.
         tick_s: Servo period [s].
     """
 
     def __init__(self, owner: str, seconds: float, tick_s: float) -> None:
-        self._owner, self._seconds, self._tick_s = owner, seconds, tick_s
+        self.owner, self.seconds, self._tick_s = owner, seconds, tick_s
         self._silent = 0
 
     def tick(self) -> None:
@@ -31,14 +35,14 @@ class StreamLease:
 
     def lapsed(self) -> ImError | None:
         """The fault if it has been silent for too long."""
-        if self._silent * self._tick_s <= self._seconds:
+        if self._silent * self._tick_s <= self.seconds:
             return None
-        who = f"'{self._owner}'" if self._owner else "the sender"
+        who = f"'{self.owner}'" if self.owner else "the sender"
         return ImError(
-            f"{who} has sent no setpoint for {self._seconds:g} s, its lease",
+            f"{who} has sent no setpoint for {self.seconds:g} s, its lease",
             code="lease",
-            owner=self._owner,
-            lease_s=self._seconds,
+            owner=self.owner,
+            lease_s=self.seconds,
         )
 
 
