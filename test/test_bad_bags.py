@@ -13,8 +13,8 @@ from rosbags.typesys import Stores, get_typestore
 from im_bringup.bag import BagReader, BagWriter, Delivery
 from im_bringup.bag import writer as bag_writer
 from im_bringup.ros import replay
-from im_core.bag import messages_of
-from im_core.bag_files import METADATA
+from im_core.bag.files import METADATA
+from im_core.bag.reading import messages_of
 from im_core.errors import DataError
 from im_pnt.ros import rerun
 from im_pnt_analysis.cli import main as pnt

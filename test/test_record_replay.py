@@ -26,7 +26,7 @@ from tf2_msgs.msg import TFMessage
 from im_bringup.bag import BagReader, BagWriter, Delivery
 from im_bringup.ros.record import BagRecorder, RecordedTopic
 from im_core import clock
-from im_core.bag import messages_of, topics_of
+from im_core.bag.reading import messages_of, topics_of
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.ros.interfaces import interface_class

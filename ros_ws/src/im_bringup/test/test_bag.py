@@ -12,8 +12,8 @@ from im_bringup import bag
 from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits, chosen_topics
 from im_bringup.bag import writer as bag_writer
 from im_bringup.bag.definitions import full_definition, is_defined_so
-from im_core.bag import messages_of
-from im_core.bag_files import METADATA
+from im_core.bag.files import METADATA
+from im_core.bag.reading import messages_of
 from im_core.errors import DataError, StoreError
 
 

@@ -24,8 +24,8 @@ from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits
 from im_bringup.bag.definitions import full_definition
 from im_bringup.tasks.executables import prefixes
-from im_core.bag import messages_of
-from im_core.bag_files import METADATA, complete_bag
+from im_core.bag.files import METADATA, complete_bag
+from im_core.bag.reading import messages_of
 
 EVENT = "im_msgs/srv/SpotFind_Event"
 TOPICS = {

@@ -11,9 +11,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import IndexType, Writer
 
-from im_core import bag_files
-from im_core.bag import open_bag
-from im_core.bag_files import LIBRARY, complete_bag
+from im_core.bag import files as bag_files
+from im_core.bag.files import LIBRARY, complete_bag
+from im_core.bag.reading import open_bag
 from im_core.errors import DataError
 
 STRING = "std_msgs/msg/String"

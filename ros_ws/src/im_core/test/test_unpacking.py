@@ -9,8 +9,8 @@ from backports import zstd
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, storage_mcap
 from rosbags.typesys import Stores, get_typestore
 
-from im_core import unpacking
-from im_core.bag import messages_of
+from im_core.bag import unpacking
+from im_core.bag.reading import messages_of
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE
 

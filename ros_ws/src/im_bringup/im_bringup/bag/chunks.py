@@ -10,7 +10,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Header, McapRecord, Schema
 
-from im_core.bag_files import LIBRARY, MAGIC, Contents, end_of
+from im_core.bag.contents import MAGIC, Contents, end_of
+from im_core.bag.files import LIBRARY
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _INDEX = struct.Struct("<BQHI")

@@ -15,7 +15,7 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodet
 from rosbags.typesys import TypesysError, get_types_from_msg
 
 from im_bringup.tasks.executables import prefixes
-from im_core.bag import defined_types
+from im_core.bag.reading import defined_types
 from im_core.errors import DataError
 from im_core.files import read_text
 

@@ -9,8 +9,8 @@ from typing import Self
 
 from im_bringup.bag.definitions import is_defined_so
 from im_bringup.bag.delivery import Delivery
-from im_core.bag import open_bag, unreadable_bag
-from im_core.bag_files import METADATA
+from im_core.bag.files import METADATA
+from im_core.bag.reading import open_bag, unreadable_bag
 from im_core.errors import DataError
 
 #: Topics that start and end machines, and that carry tokens between nets: recorded, but replayed only by name.

@@ -12,7 +12,7 @@ from typing import Any
 from im_bringup.bag.chunks import ChunkWriter
 from im_bringup.bag.definitions import Definition, full_definition
 from im_bringup.bag.delivery import Delivery
-from im_core.bag_files import complete_file, write_metadata
+from im_core.bag.files import complete_file, write_metadata
 from im_core.errors import DataError, StoreError
 from im_core.yamltext import write_yaml
 
@@ -84,7 +84,7 @@ class BagWriter:
     """Writes a bag in parts: each is a file that is complete when the next begins.
 
     A recorder that is killed loses what it has not flushed; readers complete its last part
-    (:func:`im_core.bag_files.complete_bag`).
+    (:func:`im_core.bag.files.complete_bag`).
 
     Args:
         path: Folder of the bag; it must not exist.

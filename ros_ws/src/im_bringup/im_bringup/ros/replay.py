@@ -25,8 +25,8 @@ from im_bringup.bag.playback import KEYS, Controls, Playback
 from im_bringup.bag.reader import changed_type
 from im_bringup.ros.record import check_topic_name, to_profile
 from im_core import clock
+from im_core.bag.command_line import parsed
 from im_core.errors import DataError, ImError, NotFoundError
-from im_core.one_bag import parsed
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class

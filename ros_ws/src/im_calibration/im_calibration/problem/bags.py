@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from im_calibration.problem.convert import dataset_head
 from im_cell.lens import LENSES, PLUMB_BOB
-from im_core.bag import BagMessage, messages_of, topics_of
+from im_core.bag.reading import BagMessage, messages_of, topics_of
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]

@@ -9,10 +9,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
 
-from im_core.bag import messages_of, topics_of
+from im_core.bag.command_line import parsed
+from im_core.bag.reading import messages_of, topics_of
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
-from im_core.one_bag import parsed
 from im_core.ros.interfaces import decoded, interface_class
 from im_pnt.errors import decode_error
 from im_pnt.execution.actions import Ask, Perform

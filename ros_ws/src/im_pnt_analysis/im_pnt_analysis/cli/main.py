@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 
+from im_core.bag.command_line import parsed
 from im_core.errors import ImError
-from im_core.one_bag import parsed
 from im_pnt_analysis.cli.extensions import extensions
 from im_pnt_analysis.cli.terminal import BAD_INPUT, INTERRUPTED, OK, REFUSED
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
-from im_core.bag import messages_of, open_bag, read_on
+from im_core.bag.reading import messages_of, open_bag, read_on
 from im_core.errors import DataError, ImError
 from im_pnt.description import read_net
 from im_pnt.execution.notification import Firing

@@ -12,7 +12,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from im_core.bag import messages_of
+from im_core.bag.reading import messages_of
 from im_core.errors import DataError
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.model.compiled import compile_net

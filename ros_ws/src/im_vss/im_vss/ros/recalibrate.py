@@ -23,9 +23,9 @@ from im_calibration.problem.problem import NOISE_SOURCES
 from im_cell.lens import LENSES
 from im_cell.robot import Cell, load_cell
 from im_core import clock
+from im_core.bag.command_line import parsed
 from im_core.errors import DataError, ImError
 from im_core.names import results_dir
-from im_core.one_bag import parsed
 from im_vss.camera_book import CameraBook
 from im_vss.mounts import Pose
 from im_vss.recalibration import RecordedCalibration, find_again, image_sizes, mount_in, recorded_calibrations

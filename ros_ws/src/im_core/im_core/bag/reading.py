@@ -13,9 +13,9 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from im_core import unpacking
-from im_core.bag_files import complete_bag
-from im_core.bag_storage import WholeReader
+from im_core.bag import unpacking
+from im_core.bag.files import complete_bag
+from im_core.bag.storage import WholeReader
 from im_core.errors import DataError, printable
 from im_core.files import FileError, check_regular
 
