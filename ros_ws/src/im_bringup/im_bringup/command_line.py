@@ -2,12 +2,12 @@
 
 import argparse
 import json
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from im_core.errors import NotFoundError, nearest
+from im_core.options import finite_number, whole
 
 Schema = Mapping[str, Any]
 """JSON schema of an argument, or of all arguments of a command."""
@@ -30,9 +30,9 @@ class CommandParser(argparse.ArgumentParser):
         self._names: dict[str, str] = {}
         for name, schema in self._schema.get("properties", {}).items():
             self._add(name, schema, name in self._schema.get("required", ()))
-        group = self.add_argument_group("of every command")
-        group.add_argument("--priority", type=int, default=0, metavar="N", help="-10 to 10, added to the command's own")
-        group.add_argument("--json", action="store_true", help="print the results as JSON; progress goes to stderr")
+        add = self.add_argument_group("of every command").add_argument
+        add("--priority", type=whole, default=0, metavar="N", help="-10 to 10, added to the command's own")
+        add("--json", action="store_true", help="print the results as JSON; progress goes to stderr")
         if "arguments" not in told:
             self.add_argument("--arguments", type=json_object, default={}, metavar="JSON", help="a JSON object")
 
@@ -122,26 +122,10 @@ def _truth(text: str) -> bool:
     return text == "true"
 
 
-def _whole(text: str) -> int:
-    if not re.fullmatch(r"[+-]?\d{1,19}", text):
-        raise argparse.ArgumentTypeError(f"{text[:60]} is not a whole number")
-    return int(text)
-
-
-def _number(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"{text[:60]} is not a number")
-    return number
-
-
 _READERS: Mapping[str, Callable[[str], object]] = {
     "boolean": _truth,
-    "integer": _whole,
-    "number": _number,
+    "integer": whole,
+    "number": finite_number,
     "string": str,
 }
 _BUSY = {"wait": "waits", "refuse": "is refused"}

@@ -66,8 +66,8 @@ def test_a_command_without_a_schema_takes_json():
         ("--group up --grup left --poses-file a", "there is no --grup (did you mean '--group'?)"),
         ("", "--poses-file"),
         ("--poses-file a --count 1.5", "1.5 is not a whole number"),
-        ("--poses-file a --joints one", "one is not a number"),
-        ("--poses-file a --joints nan", "nan is not a number"),
+        ("--poses-file a --joints one", "one is not a finite number"),
+        ("--poses-file a --joints nan", "nan is not a finite number"),
         ("--poses-file a --slow yes", "yes is not true or false"),
     ],
 )

@@ -96,9 +96,9 @@ def test_mistakes_are_named(capsys, arguments, message):
     [
         (["--count", "0"], "0 is no whole number from 1 on"),
         (["--seed=-1"], "-1 is no whole number from 0 on"),
-        (["--tilt", "nan"], "nan is no finite number"),
+        (["--tilt", "nan"], "nan is not a finite number"),
         (["--tilt=-40"], "-40 is no angle from 0 to 180 deg"),
-        (["--lower", "inf", "0", "0"], "inf is no finite number"),
+        (["--lower", "inf", "0", "0"], "inf is not a finite number"),
     ],
 )
 def test_numbers_that_cannot_be_are_bad_usage(capsys, arguments, message):

@@ -23,12 +23,12 @@ from im_bringup.tasks.middleware import reach
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
 from im_core.files import read_text
+from im_core.options import seconds
 from im_core.process import ChildProcess
 from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
 CALIBRATION = "${calibration}"
 _POLL_S = 0.05
-_LONGEST_S = 86_400.0
 #: What the parts of a start are: this host's and what is left of a machine before, and those of the bootstrap.
 _PARTS = {
     "preflight": "preflight",
@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--timeout",
-        type=_seconds,
+        type=seconds,
         default=os.environ.get(START_TIMEOUT) or f"{START_TIMEOUT_S:g}",
         help="longest wait in s, of the command and of the machine's parts for each other (default: %(default)s, which "
         f"the environment variable {START_TIMEOUT} sets)",
@@ -332,16 +332,6 @@ def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> Chi
         environment={**environment(os.environ, run_dir, deployment), START_TIMEOUT: repr(timeout_s)},
         death_signal=None,
     )
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0.0 < seconds <= _LONGEST_S:
-        raise argparse.ArgumentTypeError(f"{text} is no time between 0 and {_LONGEST_S:g} s")
-    return seconds
 
 
 def _folder(text: str) -> str:

@@ -19,6 +19,7 @@ from im_bringup.machine.recovery import McsCondition, Step, next_step
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, InterruptibleNode, spun
 from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
+from im_core.options import seconds
 from im_core.ros import qos
 from im_core.ros.latest import Latest
 from im_msgs.msg import McsState, TaskRegistry
@@ -168,7 +169,7 @@ def main() -> int:
         epilog="Exit codes: 0 ready, 1 not ready (said what is missing), 2 bad usage, 3 no machine runs, "
         "130 interrupted.",
     )
-    parser.add_argument("--timeout", type=float, default=TIMEOUT_S, help="longest wait in s (default: %(default)g)")
+    parser.add_argument("--timeout", type=seconds, default=TIMEOUT_S, help="longest wait in s (default: %(default)g)")
     arguments = parser.parse_args()
     try:
         machine.read_running()

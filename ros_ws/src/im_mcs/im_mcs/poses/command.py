@@ -1,9 +1,8 @@
 """``poses``: writes a file of wrist poses for a calibration."""
 
 import argparse
-import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import pinocchio as pin
 from im_cell.robot import load_cell
 from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.files import write_whole
+from im_core.options import at_least, finite_number
 from im_mcs.collision import CollisionChecker
 from im_mcs.limits.configuration import Group, McsConfig, load_config
 from im_mcs.limits.limits import JointLimits
@@ -70,40 +70,21 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--group", help="that carries the light (default: the first that carries none of the cameras)")
-    parser.add_argument("--count", type=_at_least(1), default=40, help="number of poses (%(default)s)")
+    parser.add_argument("--count", type=at_least(1), default=40, help="number of poses (%(default)s)")
     parser.add_argument("--cameras", nargs="+", default=["ceiling_left", "ceiling_right"], help="that see the light")
     parser.add_argument(
         "--tilt", type=_tilt, default=50.0, help="largest tilt away from the cameras [deg] (%(default)s)"
     )
-    parser.add_argument("--lower", nargs=3, type=_finite, help="corner of the volume [m]")
-    parser.add_argument("--upper", nargs=3, type=_finite, help="opposite corner [m]")
-    parser.add_argument("--seed", type=_at_least(0), default=1, help="of the candidates (%(default)s)")
+    parser.add_argument("--lower", nargs=3, type=finite_number, help="corner of the volume [m]")
+    parser.add_argument("--upper", nargs=3, type=finite_number, help="opposite corner [m]")
+    parser.add_argument("--seed", type=at_least(0), default=1, help="of the candidates (%(default)s)")
     parser.add_argument("--config", type=Path, help="configuration of MCS (default: the shipped one)")
     parser.add_argument("--output", type=Path, help="file to write (default: standard output)")
     return parser
 
 
-def _at_least(least: int) -> Callable[[str], int]:
-    def number(text: str) -> int:
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f"{text} is no whole number from {least} on")
-        return int(text)
-
-    return number
-
-
-def _finite(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is no finite number")
-    return value
-
-
 def _tilt(text: str) -> float:
-    if not 0.0 <= (value := _finite(text)) <= 180.0:
+    if not 0.0 <= (value := finite_number(text)) <= 180.0:
         raise argparse.ArgumentTypeError(f"{text} is no angle from 0 to 180 deg")
     return value
 

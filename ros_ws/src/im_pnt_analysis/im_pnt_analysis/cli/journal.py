@@ -7,9 +7,10 @@ from pathlib import Path
 
 from im_core.errors import NotFoundError
 from im_core.names import run_dir
+from im_core.options import at_least
 from im_pnt.journal.folder import LOCK, Folder
 from im_pnt.journal.log import Recovered, discard, look
-from im_pnt_analysis.cli.terminal import OK, count
+from im_pnt_analysis.cli.terminal import OK
 
 _DESCRIPTION = """Looks into the journals of nodes that run nets, and moves them aside.
 
@@ -44,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     raw = argparse.RawDescriptionHelpFormatter
     show = commands.add_parser("show", help="what does it hold?", description=_SHOW, formatter_class=raw)
     show.add_argument("journal", nargs="?", metavar="NODE", help="name of a node, or folder of a journal; none: all")
-    show.add_argument("--entries", type=count, default=10, metavar="N", help="how many of the last (default: 10)")
+    show.add_argument("--entries", type=at_least(1), default=10, metavar="N", help="how many of the last (default: 10)")
     show.set_defaults(run=_show)
     forget = commands.add_parser("discard", help="move it aside", description=_DISCARD, formatter_class=raw)
     forget.add_argument("journal", metavar="NODE", help="name of a node, or folder of a journal")

@@ -3,8 +3,9 @@
 import argparse
 
 from im_core.clock import cpu
+from im_core.options import computing_seconds
 from im_pnt.netfile import load_net
-from im_pnt_analysis.cli.terminal import OK, REFUSED, UNPROVED, EndOnInterrupt, seconds
+from im_pnt_analysis.cli.terminal import OK, REFUSED, UNPROVED, EndOnInterrupt
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.load import LOAD_LIMITS, verify_to_start
 from im_pnt_analysis.verify.report import refusal_text
@@ -25,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", metavar="FILE", help="all net files of the machine")
     parser.add_argument(
         "--timeout",
-        type=seconds,
+        type=computing_seconds,
         default=LOAD_LIMITS.seconds,
         metavar="S",
         help="CPU time for each verification [s] (%(default)g); with more of it, more markings are listed, too",

@@ -17,30 +17,6 @@ from im_core.files import write_whole
 OK, REFUSED, BAD_INPUT, UNPROVED = 0, 1, 2, 3
 
 
-def seconds(text: str) -> float:
-    """Reads a time of more than nothing [s], for argparse.
-
-    Raises:
-        argparse.ArgumentTypeError: It is none.
-    """
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not a time > 0 s")
-    return value
-
-
-def count(text: str) -> int:
-    """Reads a number of 1 or more, for argparse.
-
-    Raises:
-        argparse.ArgumentTypeError: It is none.
-    """
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a number >= 1")
-    return value
-
-
 def refuse_without_effect(options: argparse.Namespace, names: Iterable[str], why: str) -> None:
     """Makes sure that options were not given.
 

@@ -5,11 +5,12 @@ import json
 from pathlib import Path
 
 from im_core.files import is_same
+from im_core.options import at_least, computing_seconds
 from im_pnt.errors import NetError
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.extensions import extensions
-from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, ProgressLine, count, seconds, write_output
+from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, ProgressLine, write_output
 from im_pnt_analysis.cli.types import checked_types
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.simulation.replay import FiringSequence
@@ -37,8 +38,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--json", action="store_true", help="print one JSON object with every answer")
-    parser.add_argument("--timeout", type=seconds, default=60.0, metavar="S", help="CPU time for everything [s] (60)")
-    parser.add_argument("--states", type=count, default=20_000_000, metavar="N", help="markings to list (20000000)")
+    add = parser.add_argument
+    add("--timeout", type=computing_seconds, default=60.0, metavar="S", help="CPU time for everything [s] (60)")
+    add("--states", type=at_least(1), default=20_000_000, metavar="N", help="markings to list (20000000)")
     parser.add_argument(
         "--counterexample",
         metavar="FILE",

@@ -1,0 +1,65 @@
+"""Numbers on a command line, for the ``type`` of argparse: whoever gives another reads it, and what is allowed."""
+
+import argparse
+import math
+import re
+from collections.abc import Callable
+
+#: Longest time that a command may be told to wait [s].
+LONGEST_S = 86_400.0
+_SHOWN = 60
+
+
+def finite_number(text: str) -> float:
+    """Reads a finite number.
+
+    Raises:
+        ArgumentTypeError: It is none.
+    """
+    if not math.isfinite(value := _value(text)):
+        raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is not a finite number")
+    return value
+
+
+def seconds(text: str) -> float:
+    """Reads a time to wait [s], above 0 and up to :data:`LONGEST_S`; raises as :func:`finite_number`."""
+    if not 0.0 < (value := _value(text)) <= LONGEST_S:
+        raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is no time between 0 and {LONGEST_S:g} s")
+    return value
+
+
+def computing_seconds(text: str) -> float:
+    """Reads how long something may compute [s], above 0; raises as :func:`finite_number`."""
+    if not 0.0 < (value := _value(text)) < math.inf:
+        raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is no time above 0 s")
+    return value
+
+
+def whole(text: str) -> int:
+    """Reads a whole number.
+
+    Raises:
+        ArgumentTypeError: It is none.
+    """
+    if not re.fullmatch(r"[+-]?\d{1,19}", text, re.ASCII):
+        raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is not a whole number")
+    return int(text)
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """What reads a whole number that is not below ``least``; it raises as :func:`whole`."""
+
+    def number_from(text: str) -> int:
+        if (value := whole(text)) < least:
+            raise argparse.ArgumentTypeError(f"{value} is no whole number from {least} on")
+        return value
+
+    return number_from
+
+
+def _value(text: str) -> float:
+    """NaN for what is no number."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
