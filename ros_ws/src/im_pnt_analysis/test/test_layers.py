@@ -136,7 +136,10 @@ def some_nets(dice):
             act = f"request: {dice.choice(offered)}.work" if offered and dice.random() < 0.8 else "action: f"
             transitions.append(f"t{step}: {{in: s{step}, out: {out}, {act}, on_failure: [failed, tool]}}")
         text = f"net: {name}\nplaces: {{{', '.join(places)}}}\n"
-        text += "services: {work: {entry: asked, done: done, failed: failed}}\ntransitions:\n  "
+        text += "services: {work: {entry: asked, done: done, failed: failed}}\n"
+        if dice.random() < 0.3:
+            text += f"assume: {{work: {{at_most: {dice.randint(1, 2)}}}}}\n"
+        text += "transitions:\n  "
         nets.append(parse_net(text + "\n  ".join(transitions)))
         offered.append(name)
     return nets
@@ -149,6 +152,18 @@ def test_the_verdict_on_parts_is_that_on_the_whole(seed):
     divided = parts(nets)
     if all(verify(part).ok for part in divided):
         assert verify(nets).ok
+
+
+def test_callers_of_whom_a_net_assumes_something_are_counted_together():
+    server = parse_net(
+        "net: server\nplaces: {asked: , done: , no: }\nservices: {s: {entry: asked, done: done, failed: no}}\n"
+        "assume: {s: {at_most: 1}}\ntransitions: {go: {in: asked, out: done}}"
+    )
+    ask = "places: {idle: 1}\ntransitions: {ask: {symbol: go, in: idle, out: idle, request: server.s, on_failure: idle}}"
+    one, other = parse_net(f"net: one\n{ask}"), parse_net(f"net: other\n{ask}")
+    assert verify_to_load([server, one]).ok
+    report = verify_to_load([server, one, other])
+    assert "assumes at most 1 requests of s at once, and other nets bring it to 2" in report.refusals[0].reason
 
 
 def test_a_tape_whose_reader_says_nothing_is_found_with_those_who_write_to_it():

@@ -74,6 +74,14 @@ def test_philosophers(count):
     assert "siphon" in report.refusals[0].reason
 
 
+def test_a_net_that_can_die_is_not_reversible_however_it_may_grow():
+    net = net_of("n", {"a": 1, "b": 0, "c": 0}, {"grow": ({"a": 1}, {"a": 1, "c": 1}), "die": ({"a": 1}, {"b": 1})})
+    report = verify([net])
+    assert (report.has_deadlock, report.live, report.reversible) == (True, False, False)
+    dead = verify([net_of("n", {"a": 1, "b": 0}, {"never": ({"b": 1}, {"a": 1})})])
+    assert (dead.has_deadlock, dead.live, dead.reversible) == (True, False, True)
+
+
 @pytest.mark.parametrize(("cards", "states"), [(1, 160), (2, 4600), (3, 58400)])
 def test_kanban(cards, states):
     report = verify([kanban(cards)])

@@ -238,7 +238,7 @@ class _ClosedSetSearch:
                     self.reason = "the time is up"
                     return None
                 # the solver counts wall time: on a busy computer it is asked again for the CPU time that is left
-                self._solver.set("timeout", max(_LEAST_MS, min(2**31, int(1000 * left))))
+                self._solver.set("timeout", int(max(_LEAST_MS, min(2**31, 1000 * left))))
             answer = self._solver.check()
             if answer == self._z3.unknown and self._solver.reason_unknown() not in _INTERRUPTED:
                 self.reason = f"the solver gives up: {self._solver.reason_unknown()}"

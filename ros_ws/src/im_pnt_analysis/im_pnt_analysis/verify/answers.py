@@ -221,7 +221,7 @@ def answer_from_part(report: Report, problem: Problem, search: Search, deadline:
     if dead:
         report.answer(method, has_deadlock=True)
         if problem.closed and problem.compiled.transitions:
-            report.answer("a dead marking is reachable", live=False, live_transitions=0, reversible=dead != [0])
+            report.answer("a dead marking is reachable", live=False, live_transitions=0, reversible=dead == [0])
     if thread_cpu() + _COLUMN_COST * len(problem.initial) * found.count < deadline:
         bounds, _ = place_bounds(found)
         if max(bounds, default=0) > 1:

@@ -4,10 +4,11 @@ A net *comes to rest by itself* if it is back in its first marking whenever it d
 again, whatever came before and however its own requests are answered. Who asks only such nets need not be verified with
 them: verified alone, where a request is answered either way after some time, it has met all that they can do. Requests
 in a circle, and tokens that nets send each other, are no such askings; nor are those of nets that rest in several ways,
-as a lock that is taken by one request and given back by another.
+as a lock that is taken by one request and given back by another; nor those of a service of whose callers its net assumes
+something, for then they are counted together.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -41,7 +42,8 @@ def parts(nets: Sequence[Net], limits: SearchLimits = LIMITS) -> list[list[Net]]
         for partner in net.partners() & by_name.keys():
             sends = any(remote.net == partner for t in net.transitions.values() for remote in t.remote_outputs)
             circle = net.name in reach[partner]
-            if sends or circle or not calm[partner] or not _reads_at_rest(by_name[partner], net):
+            promised = not _services(net, partner).isdisjoint(by_name[partner].assume)
+            if sends or circle or promised or not calm[partner] or not _reads_at_rest(by_name[partner], net):
                 joined = of[net.name] | of[partner]
                 for name in joined:
                     of[name] = joined
@@ -74,8 +76,9 @@ def comes_to_rest(net: Net, limits: SearchLimits = LIMITS) -> bool:
     found = search.found
     quiet = np.flatnonzero((found.kinds[: found.count] & 1) == 0)
     words = found.words[:, quiet]
+    own = expand(net).places
     for index, place in enumerate(problem.compiled.places):
-        if place in expand(net).places:
+        if place in own:
             tokens = problem.initial[index]
             if found.packing.holds(words, index, tokens + 1).any():
                 return False
@@ -91,9 +94,19 @@ def _rests(net: Net, limits: SearchLimits) -> bool:
         return False
 
 
+def _requests(net: Net) -> Iterator[RequestAction]:
+    for transition in net.transitions.values():
+        if isinstance(transition.action, RequestAction):
+            yield transition.action
+
+
 def _asked(net: Net) -> set[str]:
-    actions = (transition.action for transition in net.transitions.values())
-    return {action.net for action in actions if isinstance(action, RequestAction)}
+    return {action.net for action in _requests(net)}
+
+
+def _services(asking: Net, net: str) -> set[str]:
+    """Returns the services, and the symbols, that a net asks of another one."""
+    return {action.service for action in _requests(asking) if action.net == net}
 
 
 def _reach(name: str, asked: Mapping[str, set[str]]) -> set[str]:
@@ -110,11 +123,7 @@ def _reach(name: str, asked: Mapping[str, set[str]]) -> set[str]:
 def _reads_at_rest(net: Net, asking: Net) -> bool:
     """Whether a net can begin, from its first marking, all that another one asks it by a symbol."""
     first = net.initial_marking()
-    symbols = {
-        t.action.service
-        for t in asking.transitions.values()
-        if isinstance(t.action, RequestAction) and t.action.net == net.name and t.action.service not in net.services
-    }
+    symbols = _services(asking, net.name) - net.services.keys()
     return all(
         any(
             t.symbol == symbol
