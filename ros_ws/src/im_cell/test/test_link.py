@@ -138,6 +138,26 @@ def test_silent_servo_is_declared_gone_told_so_and_may_come_back(host, servo, pa
     assert commands[2].tau.tolist() == [1.0, 1.0, 1.0]
 
 
+def test_a_servo_that_was_declared_gone_commands_nothing_once_another_has_come(host, servo, panel):
+    commands = []
+    servo.attach_servo(os.getpid())
+    with running(host, commands, timeout_s=0.5), ServoEnd.attach(INSTANCE, timeout_s=60.0) as other:
+        panel.wait_tick(panel.request_time(1), timeout_s=60.0)
+        assert panel.servo_losses == 1
+        other.attach_servo(os.getppid())
+        panel.request_time(1)
+        assert other.wait_state(60.0)
+        own = TickCommand(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN)
+        for _ in range(2):
+            with pytest.raises(LinkError, match=f"gone before tick 1; process {os.getppid()} is its servo now"):
+                servo.write_command(TickCommand(np.full(N, 99.0), True, NO_BRAKES, OPEN, True, OPEN))
+        servo.detach_servo()
+        other.write_command(own)
+        panel.wait_tick(2, timeout_s=60.0)
+    assert commands[0] is None
+    assert commands[1].tau.tolist() == [1.0, 1.0, 1.0]
+
+
 def test_detaching_ends_the_demand(host, servo, time):
     with running(host, []):
         servo.attach_servo(os.getpid())

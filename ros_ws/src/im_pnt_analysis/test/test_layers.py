@@ -159,7 +159,10 @@ def test_callers_of_whom_a_net_assumes_something_are_counted_together():
         "net: server\nplaces: {asked: , done: , no: }\nservices: {s: {entry: asked, done: done, failed: no}}\n"
         "assume: {s: {at_most: 1}}\ntransitions: {go: {in: asked, out: done}}"
     )
-    ask = "places: {idle: 1}\ntransitions: {ask: {symbol: go, in: idle, out: idle, request: server.s, on_failure: idle}}"
+    ask = (
+        "places: {idle: 1}\n"
+        "transitions: {ask: {symbol: go, in: idle, out: idle, request: server.s, on_failure: idle}}"
+    )
     one, other = parse_net(f"net: one\n{ask}"), parse_net(f"net: other\n{ask}")
     assert verify_to_load([server, one]).ok
     report = verify_to_load([server, one, other])

@@ -9,7 +9,7 @@ from im_core.procfs import ProcessId
 class ServoEnd(LinkEnd):
     """Reads the measured state of each tick and answers it with a command."""
 
-    _attached = False
+    _pid = 0  # of the servo that this end has attached; 0: none
 
     def attach_servo(self, pid: int) -> None:
         """Take part in the handshake from the next tick on.
@@ -29,7 +29,7 @@ class ServoEnd(LinkEnd):
         self._shared.state.drain()
         view["servo_start"][()] = process.start
         view["servo_pid"][()] = pid
-        self._attached = True
+        self._pid = pid
         self._shared.wake.post()
 
     def wait_state(self, timeout_s: float) -> bool:
@@ -71,7 +71,8 @@ class ServoEnd(LinkEnd):
                 gripper_force=view["gripper_force"].copy(),
             )
             if before % 2 == 0 and int(sequence) == before:
-                self._require_attached()
+                if self._pid and int(view["servo_pid"]) != self._pid:
+                    raise self._gone()
                 return state
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
@@ -83,11 +84,12 @@ class ServoEnd(LinkEnd):
         """Answer the current tick.
 
         Raises:
-            LinkError: Physics has declared this servo gone; :meth:`attach_servo` again.
+            LinkError: Physics has declared this servo gone, whether another one is attached since or not;
+                :meth:`attach_servo` again.
         """
         view = self._shared.view
-        if not int(view["servo_pid"]):
-            raise LinkError(f"the testbed declared the servo gone before tick {int(view['tick'])}")
+        if not self._pid or int(view["servo_pid"]) != self._pid:
+            raise self._gone()
         view["command_tau"][:] = command.tau
         view["command_power"][()] = command.power
         view["command_brakes"][:] = command.brakes
@@ -98,14 +100,18 @@ class ServoEnd(LinkEnd):
         self._shared.command.post()
 
     def detach_servo(self) -> None:
-        """Leave the handshake; the testbed engages brakes and cuts power. Harmless when not attached."""
+        """Leave the handshake; the testbed engages brakes and cuts power. Harmless when another one is attached."""
         view = self._shared.view
-        self._attached = False
+        pid, self._pid = self._pid, 0
+        if int(view["servo_pid"]) != pid:
+            return
         view["servo_pid"][()] = 0
         view["command_wants_time"][()] = False
         self._shared.command.post()
 
-    def _require_attached(self) -> None:
-        if self._attached and not int(self._shared.view["servo_pid"]):
-            self._attached = False
-            raise LinkError(f"the testbed declared the servo gone before tick {self.tick}")
+    def _gone(self) -> LinkError:
+        """What is said once to who reads, and to who writes until it attaches a servo again."""
+        self._pid = 0
+        present = int(self._shared.view["servo_pid"])
+        other = f"; process {present} is its servo now" if present else ""
+        return LinkError(f"the testbed declared the servo gone before tick {self.tick}{other}")

@@ -4,8 +4,8 @@ A net *comes to rest by itself* if it is back in its first marking whenever it d
 again, whatever came before and however its own requests are answered. Who asks only such nets need not be verified with
 them: verified alone, where a request is answered either way after some time, it has met all that they can do. Requests
 in a circle, and tokens that nets send each other, are no such askings; nor are those of nets that rest in several ways,
-as a lock that is taken by one request and given back by another; nor those of a service of whose callers its net assumes
-something, for then they are counted together.
+as a lock that is taken by one request and given back by another; nor those of a service of whose callers its net
+assumes something, for they are counted together.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
