@@ -9,7 +9,8 @@ import pytest
 from im_core.errors import DataError, ImError, NotFoundError
 from im_pnt.errors import NetFileError
 from im_pnt.execution.events import GuardsChanged
-from im_pnt.execution.jobs import Command
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Activity, Command
 from im_pnt.execution.values import ObjectPendingError
 from im_pnt.expression.scope import NetScope, check_net, read_answers
 from im_pnt.expression.types import ANY, BOOLEAN, NUMBER, NoTypes, ValueType, field_type, list_of, message_type
@@ -85,11 +86,15 @@ class Machine:
 
     def __init__(self, text: str, answer: dict[str, object] | ImError, **more: object) -> None:
         self.answer, self.sent = answer, list[tuple[str, object]]()
+        self.begun = list[Activity]()
+        self.contexts = list[ActionContext]()
         others = {ServiceAction: self.perform, TopicAction: self.perform}
         self.process = Process([parse_net(text)], others=others, **more)
 
     async def perform(self, activity, context):
         self.sent.append((activity.transition, await context.filled(activity.action.fields)))
+        self.begun.append(activity)
+        self.contexts.append(context)
         if isinstance(self.answer, ImError):
             raise self.answer
         return self.answer if isinstance(activity.action, ServiceAction) else {}
@@ -350,6 +355,24 @@ def test_data_objects_are_read_and_stored():
     machine = Machine(stored, {"found": True, "spots": SPOTS}, objects=objects)
     numbers = [machine.process.command("n", "pick", width=0.1) for _ in range(2)]
     assert [fields["x"] for fields in objects.objects.values()] == [number + 1 for number in numbers]
+
+
+@pytest.mark.parametrize("scope", ["command", "global"])
+def test_an_object_whose_name_says_arguments_is_the_same_wherever_it_is_named(scope):
+    name = "spot/${arguments.group}/${arguments.wide}"
+    text = NET.replace("name: spot,", f'name: "{name}", scope: {scope},')
+    text = text.replace("least: {", "wide: {type: boolean, default: true}\n      least: {")
+    text = text.replace("result: {spots", f'store: {{"{name}": {{x: 5}}}}, result: {{spots')
+    text = text.replace("out: looked\n    service", "out: [looked, asked]\n    service")
+    text = text.replace("in: done, out: idle", "in: [done, asked], out: idle")
+    objects = MemoryObjects()
+    machine = Machine(text, {"found": True, "spots": SPOTS}, objects=objects)
+    number = machine.process.command("n", "pick", width=0.1)
+    stored = "spot/left/true" if scope == "global" else f"node/{number}/spot/left/true"
+    assert machine.process.results[0].success
+    assert list(objects.objects) == [stored]
+    assert machine.begun[0].objects == (stored,)
+    assert {machine.contexts[0].object(called) for called in (name, "spot/left/true")} == {stored}
 
 
 def test_a_guard_over_a_data_object_lets_neither_way_pass_until_the_object_is_known():

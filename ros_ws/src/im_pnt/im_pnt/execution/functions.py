@@ -2,7 +2,7 @@
 
 import inspect
 import math
-from collections.abc import Awaitable, Callable, Container, Mapping, MutableMapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping, MutableMapping
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
@@ -59,7 +59,7 @@ class ActionContext:
         activity: Activity | None = None,
         progress: ProgressSink | None = None,
         begun: Callable[[], Activity | None] | None = None,
-        shared: Container[str] = (),
+        shared: Iterable[str] = (),
         values: NetValues | None = None,
     ) -> None:
         self.net = net
@@ -83,10 +83,13 @@ class ActionContext:
         """Returns the name in the DOM of a data object of the command it is done for.
 
         Args:
-            name: Name among the objects of the command, as other nets that work for it call it, too; that of an
-                object of the machine has ``/`` before it, or a place of the net declares it to be global.
+            name: Name among the objects of the command, as other nets that work for it call it, too, or as the net
+                has it, with arguments; that of an object of the machine has ``/`` before it, or a place of the net
+                declares it to be global.
         """
-        return object_name(name, scope_of(self.net, self.command), self._shared)
+        job = self._lineage.job
+        arguments = {} if job is None else job.arguments
+        return object_name(name, scope_of(self.net, self.command), self._shared, arguments)
 
     @property
     def failure(self) -> ImError | None:

@@ -3,12 +3,13 @@
 import enum
 import re
 from collections import deque
-from collections.abc import Callable, Collection, Container, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from im_core.errors import ImError
 from im_pnt.execution.timers import Timer
+from im_pnt.expression.evaluation import as_text
 from im_pnt.model.action import Action
 
 
@@ -45,20 +46,28 @@ _ARGUMENT = re.compile(r"\$\{arguments\.(\w+)\}")
 
 def filled_name(name: str, arguments: Mapping[str, object]) -> str:
     """Returns the name of a data object with the values of arguments that it says: ``path/${arguments.group}``."""
-    return _ARGUMENT.sub(lambda match: str(arguments.get(match[1], match[0])), name) if "$" in name else name
+
+    def said(match: re.Match[str]) -> str:
+        return as_text(arguments[match[1]]) if match[1] in arguments else match[0]
+
+    return _ARGUMENT.sub(said, name) if "$" in name else name
 
 
-def object_name(name: str, scope: str, shared: Container[str]) -> str:
+def object_name(name: str, scope: str, shared: Iterable[str], arguments: Mapping[str, object]) -> str:
     """Returns the name of a data object in the DOM.
 
     Args:
-        name: What nets and requests call it; with ``/`` before it, one of the machine: ``/calibration``.
+        name: What nets and requests call it, see :func:`filled_name`; with ``/`` before it, one of the machine:
+            ``/calibration``.
         scope: Of the command that it belongs to, see :func:`scope_of`.
-        shared: Names that the net has declared to be of the machine.
+        shared: Names that the net has declared to be of the machine, as they are written there.
+        arguments: What the request in work, or else the command, was given.
     """
-    if name.startswith("/"):
-        return name[1:]
-    return name if name in shared else f"{scope}/{name}"
+    called = filled_name(name, arguments)
+    if called.startswith("/"):
+        return called[1:]
+    of_machine = any(called == filled_name(declared, arguments) for declared in shared)
+    return called if of_machine else f"{scope}/{called}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,6 @@ from im_pnt.execution.jobs import (
     Lineage,
     Request,
     ends,
-    filled_name,
     object_name,
     scope_of,
 )
@@ -324,7 +323,7 @@ class FiringRule:
     def object_name(self, name: str, job: Job | None) -> str:
         """Returns the name in the DOM of a data object that a place names, for a token of a job."""
         command, arguments = (NO_COMMAND, {}) if job is None else (job.command, job.arguments)
-        return object_name(filled_name(name, arguments), scope_of(self.net.name, command), self.shared_objects)
+        return object_name(name, scope_of(self.net.name, command), self.shared_objects, arguments)
 
     def owners(self, index: int) -> Sequence[Job | None]:
         """Returns for whom a transition that its arcs enable can fire, oldest first; None: for nobody.
