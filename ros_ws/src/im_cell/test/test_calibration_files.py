@@ -1,6 +1,7 @@
 """Calibrations go through files unchanged, files of other tools are read, and wrong ones are refused by name."""
 
 import re
+import shutil
 from copy import deepcopy
 from pathlib import Path
 
@@ -15,11 +16,13 @@ from im_cell.calibration_files import (
     CameraPose,
     LaserEstimate,
     camera_info_yaml,
+    change_camera_files,
     covariance_yaml,
     extrinsics_yaml,
     laser_yaml,
     read_calibration,
 )
+from im_cell.calibration_files import folder as reading
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 from im_cell.laser_model import LaserModel
@@ -74,6 +77,34 @@ def test_what_is_written_is_read(folder):
     assert np.array_equal(found.laser.covariance, LASER.covariance)
     assert found.notes == ()
     assert found.summary() == "ceiling_left (intrinsics and pose), laser scanner"
+
+
+@pytest.mark.parametrize("always", [False, True])
+@pytest.mark.parametrize("half_changed", [False, True])
+def test_files_that_are_changed_while_they_are_read_are_read_again(tmp_path, monkeypatch, half_changed, always):
+    def files(f):
+        camera = CameraModel(640, 480, [[f, 0.0, 320.0], [0.0, f, 240.0], [0.0, 0.0, 1.0]], D)
+        return {f"{name}.yaml": camera_info_yaml(name, camera) for name in ("ceiling_left", "ceiling_right")}
+
+    change_camera_files(tmp_path, files(600.0))
+    if half_changed:  # as by a writer that is at work, or was killed
+        shutil.copytree(tmp_path, tmp_path / ".before")
+        (tmp_path / "ceiling_left.yaml").write_text(files(650.0)["ceiling_left.yaml"])
+    read, changes = reading.read_intrinsics, iter(range(700, 10_000))
+
+    def read_and_change(path):
+        found = read(path)
+        if always or not path.samefile(tmp_path / path.name) or found.model.K[0, 0] == 600.0:
+            change_camera_files(tmp_path, files(float(next(changes))))
+        return found
+
+    monkeypatch.setattr(reading, "read_intrinsics", read_and_change)
+    if always:
+        with pytest.raises(ConfigError, match=f"^{tmp_path}: cannot be read: its files were changed each of 50 times$"):
+            read_calibration(tmp_path, CELL)
+    else:
+        found = read_calibration(tmp_path, CELL)
+        assert {camera.K[0, 0] for camera in found.intrinsics.values()} == {700.0}
 
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)

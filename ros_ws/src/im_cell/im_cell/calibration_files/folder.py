@@ -8,7 +8,7 @@ from im_cell.calibration_files.covariance import COVARIANCE, read_covariance
 from im_cell.calibration_files.extrinsics import EXTRINSICS, FRAME_END, CameraPose, frame_of, read_extrinsics
 from im_cell.calibration_files.intrinsics import read_intrinsics
 from im_cell.calibration_files.laser import LASER, LaserEstimate, read_laser
-from im_cell.calibration_files.together import camera_files
+from im_cell.calibration_files.together import camera_files, read_between_changes
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import PARAMETERS, CameraModel
 from im_cell.robot import Camera, Cell
@@ -69,10 +69,14 @@ def read_calibration(folder: Path, cell: Cell) -> CalibrationFiles:
         what = "it is a file, the folder around it is needed" if folder.exists() else "there is no such folder"
         raise ConfigError(f"{folder}: no calibration: {what}", file=str(folder))
     try:
-        files = camera_files(folder)
-        files += [folder / LASER] if (folder / LASER).exists() else []
+        return read_between_changes(folder, lambda: _read(folder, cell))
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be read: {error.strerror}", file=str(folder)) from error
+
+
+def _read(folder: Path, cell: Cell) -> CalibrationFiles:
+    files = camera_files(folder)
+    files += [folder / LASER] if (folder / LASER).exists() else []
     if not files:
         raise ConfigError(
             f"{folder}: no calibration: it holds no <camera>.yaml, {EXTRINSICS} or {LASER}{_reason(folder)}",

@@ -5,13 +5,20 @@ While they are changed, and when that came to no end, the old ones are in the fo
 
 import contextlib
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 from im_cell.calibration_files.laser import LASER
+from im_core import clock
+from im_core.errors import ConfigError
 from im_core.files import make_folder, move, read_bytes, write_whole
 
 _BEFORE, _ASIDE = ".before", ".aside"
+#: How often a folder is read that is changed meanwhile, and how long to wait before it is read again [s].
+_READINGS, _PAUSE_S = 50, 0.02
+
+FoundT = TypeVar("FoundT")
 
 
 def camera_files(folder: Path) -> list[Path]:
@@ -22,6 +29,31 @@ def camera_files(folder: Path) -> list[Path]:
     """
     before = folder / _BEFORE
     return _files(before if before.is_dir() else folder)
+
+
+def read_between_changes(folder: Path, read: Callable[[], FoundT]) -> FoundT:
+    """What is found in a folder whose files do not change while they are read; else it is read again.
+
+    Args:
+        folder: Their folder.
+        read: Reads it.
+
+    Raises:
+        ConfigError: As ``read`` raises; or it changes again and again.
+        OSError: It cannot be read.
+    """
+    for _ in range(_READINGS):
+        before = _state(folder)
+        try:
+            found = read()
+        except ConfigError:
+            if _state(folder) == before:
+                raise
+        else:
+            if _state(folder) == before:
+                return found
+        clock.sleep(_PAUSE_S)
+    raise ConfigError(f"{folder}: cannot be read: its files were changed each of {_READINGS} times", file=str(folder))
 
 
 def change_camera_files(folder: Path, contents: Mapping[str, str | None]) -> None:
@@ -52,6 +84,19 @@ def change_camera_files(folder: Path, contents: Mapping[str, str | None]) -> Non
 
 def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob("*.yaml") if not path.name.startswith(".") and path.name != LASER)
+
+
+def _state(folder: Path) -> dict[str, tuple[int, int] | None]:
+    """Changes whenever one of the files does: each is written as a new one."""
+    state: dict[str, tuple[int, int] | None] = {}
+    for path in (folder / _BEFORE, *folder.glob("*.yaml")):
+        try:
+            told = path.stat()
+        except FileNotFoundError:
+            state[path.name] = None
+        else:
+            state[path.name] = told.st_ino, told.st_mtime_ns
+    return state
 
 
 def _keep(folder: Path) -> None:
