@@ -123,6 +123,12 @@ def test_every_urdf_shape_and_frame_is_attached_to_a_known_link():
     assert max(len(line) for line in urdf(CELL).splitlines()) < 300
 
 
+def test_names_of_boxes_may_have_any_letters():
+    boxes = [CELL.boxes[0].model_copy(update={"name": 'table <1> & "co"'})]
+    (visual,) = ET.fromstring(urdf(CELL.model_copy(update={"boxes": boxes}))).find("link").findall("visual/material")
+    assert visual.get("name") == 'table <1> & "co"_world'
+
+
 def test_arms_start_apart():
     for capsule in CELL.capsules:
         for end in (capsule.p0, capsule.p1):
@@ -157,6 +163,16 @@ def test_cameras_look_at_their_target_with_the_right_side_up(name):
      r"cameras.wall: up, .*, is along its view"),
     (lambda data: data["laser"].update(target=data["laser"]["position"]), r"laser: the target .* is where it is"),
     (lambda data: data["cameras"]["wall"]["intrinsics"].update(width=10**9), r"intrinsics.width: .*less than or equal"),
+    (lambda data: data["boxes"][2].update(link="left_link6"), r":\d+: boxes\[2\].link: .*'left_link6' is not one of"),
+    (lambda data: data["boxes"][2].update(name="floor"), r":\d+: boxes\[2\].name: .*the same name, 'floor'"),
+    (lambda data: data["cart"]["boxes"][1].update(link="platfrom"), r"cart.boxes\[1\].link: .*'platfrom' is not"),
+    (lambda data: data["cart"]["capsules"][0].update(link="link1"), r"cart.capsules\[0\].link: .*'link1' is not"),
+    (lambda data: data["arm_models"]["puma_560"]["capsules"][3].update(link="link9"),
+     r":\d+: arm_models.puma_560.capsules\[3\].link: .*'link9' is not one of link1, link2"),
+    (lambda data: data["cameras"]["wall"].update(parent="left_wirst"), r"cameras.wall.parent: .*'left_wirst' is not"),
+    (lambda data: data["mirrors"][0].update(link="wrld"), r"mirrors\[0\].link: .*'wrld' is not one of world, left"),
+    (lambda data: data["gripper"].update(initial=0.8), r":\d+: gripper.initial: .*0.8 is more than the stroke"),
+    (lambda data: data["led"].update(axis=[0.0, 0.0, 0.0]), r":\d+: led.axis: .* has no direction"),
 ])  # fmt: skip
 def test_a_wrong_cell_is_refused_by_name(tmp_path, change, message):
     data = yaml.safe_load(package_file("im_cell", "robot/cell.yaml").read_text())

@@ -1,5 +1,6 @@
 """The cell: parameters of ``cell.yaml`` and what follows from them."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Self
@@ -22,11 +23,13 @@ from im_cell.robot.parameters import (
     WristSensor,
 )
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
-from im_cell.robot.tree import Joint, LinkInertia, joints_of, links_of
-from im_core.config import Model, load_model, package_file
+from im_cell.robot.tree import CART_LINKS, Joint, LinkInertia, joints_of, links_of
+from im_core.config import FieldError, Model, load_model, package_file
 from im_core.errors import ConfigError
+from im_core.yamltext import Location
 
 SIDES = ("left", "right")
+_WORLD = "world"
 
 _SHORTEST_S = 1e-4
 """Shortest tick of the testbed: times are told in whole nanoseconds, and one that is none would let no time pass."""
@@ -63,7 +66,32 @@ class Cell(Model):
         for joint, position in zip(self.joints, self.home, strict=True):
             if not joint.limits.lower <= position <= joint.limits.upper:
                 raise ValueError(f"home of {joint.name}, {position}, is outside its limits")
+        self._check_frames()
         return self
+
+    def _check_frames(self) -> None:
+        """Whatever is fixed to something is fixed to what is there."""
+        arm_links = [f"link{number}" for number in range(1, 7)]
+        frames = (_WORLD, *(link.name for link in self.links), *(f"{side}_wrist" for side in self.sides))
+        fixed: list[tuple[Location, Sequence[Box | Capsule | Mirror], Sequence[str]]] = [
+            (("cart", "capsules"), self.cart.capsules, CART_LINKS),
+            (("cart", "boxes"), self.cart.boxes, CART_LINKS),
+            *((("arm_models", name, "capsules"), arm.capsules, arm_links) for name, arm in self.arm_models.items()),
+            (("boxes",), self.boxes, (_WORLD,)),
+            (("mirrors",), self.mirrors, frames),
+        ]
+        for where, things, known in fixed:
+            for rank, thing in enumerate(things):
+                if thing.link not in known:
+                    raise FieldError((*where, rank, "link"), f"'{thing.link}' is not one of {', '.join(known)}")
+        for name, camera in self.cameras.items():
+            if camera.parent not in frames:
+                where = ("cameras", name, "parent")
+                raise FieldError(where, f"'{camera.parent}' is not one of {', '.join(frames)}")
+        names = [box.name for box in self.boxes]
+        for rank, name in enumerate(names):
+            if name in names[:rank]:
+                raise FieldError(("boxes", rank, "name"), f"two boxes have the same name, '{name}'")
 
     def at_period(self, period: float) -> Self:
         """The same cell with another tick [s]; physics takes as many steps in it as keep the length of a step.

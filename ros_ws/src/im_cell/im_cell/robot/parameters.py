@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from im_core.config import Model
+from im_core.config import FieldError, Model
 
 _LARGEST = 1e9
 """Of any number; no cell has one near it, and products of them are numbers still."""
@@ -205,6 +205,12 @@ class Gripper(Model):
     reach: NonNegative
     force_sensor: SensorSpec
 
+    @model_validator(mode="after")
+    def _opens(self) -> Self:
+        if self.initial > self.stroke:
+            raise FieldError(("initial",), f"{self.initial} is more than the stroke, {self.stroke} [m]")
+        return self
+
 
 class WristSensor(Model):
     """The six-axis sensor of a wrist; ``source`` as of an arm."""
@@ -221,6 +227,12 @@ class Led(Model):
     axis: Vector
     diameter: Positive
     half_angle: Positive
+
+    @model_validator(mode="after")
+    def _shines(self) -> Self:
+        if np.linalg.norm(self.axis) < _SAME_M:
+            raise FieldError(("axis",), f"{self.axis} has no direction")
+        return self
 
 
 class Intrinsics(Model):

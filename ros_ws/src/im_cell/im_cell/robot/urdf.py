@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from math import atan2, dist, hypot
+from xml.sax.saxutils import quoteattr
 
 from im_cell.robot.cell import Cell
 from im_cell.robot.parameters import Box, Capsule, Limits, Vector
@@ -113,7 +114,7 @@ def _capsule(capsule: Capsule, color: Vector) -> list[str]:
 
 
 def _material(name: str, color: Vector) -> str:
-    return f'<material name="{name}"><color rgba="{_join(color)} 1.0"/></material>'
+    return f'<material name={quoteattr(name)}><color rgba="{_join(color)} 1.0"/></material>'
 
 
 def _origin(xyz: Vector, rpy: Vector) -> str:
