@@ -84,6 +84,32 @@ def test_a_delay_begins_when_its_guard_lets_it_and_is_void_when_it_does_not_in_t
     assert process.marking("n") == {"b": 1}
 
 
+@pytest.mark.parametrize("sources", [None, ("topic:/t",), ("clock:0.5",)])
+def test_a_delay_whose_guard_was_false_meanwhile_begins_anew(sources):
+    allowed = [True]
+
+    def guard(ctx: ActionContext) -> bool:
+        return allowed[0]
+
+    told = guard if sources is None else woken_by(*sources)(guard)
+    process = Process([net("t: {in: a, out: b, delay: 5, guard: g}")], guards={"g": told}, clock=Clock())
+    executor = process.exchange.nets["n"]
+
+    def become(lets: bool) -> None:
+        allowed[0] = lets
+        if sources != ("clock:0.5",):
+            executor.post(GuardsChanged(sources[0] if sources else ""))
+
+    process.wait(1.1)
+    become(False)
+    process.wait(3.8)
+    become(True)
+    process.wait(4.8)
+    assert process.marking("n") == {"a": 1}
+    process.wait(0.8)
+    assert process.marking("n") == {"b": 1}
+
+
 def test_nothing_is_to_be_woken_for_while_nothing_waits_for_the_clock():
     timed = "t: {in: a, out: b, action: f, on_failure: c, timeout: 60}"
     process = Process([net(timed, "a: 1000, b: , c: ")], {"f": hold}, clock=Clock())

@@ -393,14 +393,22 @@ class Delays:
         self._running: dict[int, Timer] = {}
 
     def waits(self, index: int) -> bool:
-        """Whether a transition that is enabled has still to wait; starts its clock where its guard lets it."""
+        """Whether a transition that is enabled has still to wait; its clock runs while symbol and guard let it fire."""
         if index not in self._conflicts.delayed or index in self._conflicts.ripe:
             return False
-        delay = self._transitions[index].delay
-        if delay is not None and index not in self._running and self._conflicts.holds(index):
-            self._enabling.clocks.add(index)
-            time = self._clock() + delay.sample(self._conflicts.dice)
-            self._running[index] = self._timers.at(time, lambda: self._ripen(index))
+        transition = self._transitions[index]
+        guarded = transition.guard is not None
+        if transition.delay is None or (index in self._running and not guarded):
+            return True
+        if not self._conflicts.holds(index):
+            self._stop(index)
+        else:
+            if index not in self._running:
+                self._enabling.clocks.add(index)
+                time = self._clock() + transition.delay.sample(self._conflicts.dice)
+                self._running[index] = self._timers.at(time, lambda: self._ripen(index))
+            if guarded:
+                self._enabling.stalled.add(index)  # what wakes its guard has it looked at again
         return True
 
     def settle(self, fired: int | None = None) -> None:

@@ -28,7 +28,8 @@ class Enabling:
         agenda: Transitions to decide about, in order.
         listed: For each transition whether it is on the agenda; always, for those that are not free.
         contended: For each free transition the free consumers of each of its input places that has several.
-        stalled: Enabled transitions that only their guards hold back; tokens that come or go wake them.
+        stalled: Enabled transitions that only their guards hold back, and those whose clocks run while their guards let
+            them; tokens that come or go wake them.
         clocks: Transitions with a delay whose time runs.
         crossed: Those of them that a firing has disabled, perhaps only for its own duration.
     """
