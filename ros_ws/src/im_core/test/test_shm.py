@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections import deque
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -185,6 +186,23 @@ def test_ring_refuses_what_is_not_json_and_says_when_it_is_full():
     assert reader.receive() == {"a": [1, 2.5, None, "ü"]}
     reader.close()
     ring.close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
+def test_what_belongs_to_another_user_is_refused_by_name():
+    calls = ("SharedBlock.create(n, 64)", "SharedBlock.attach(n, 0)", "Semaphore.create(n)", "Semaphore.attach(n, 0)")
+    tried = "".join(f"try: {call}\nexcept LinkError as error: print(error)\n" for call in calls)
+    code = (
+        "import os; from im_core.errors import LinkError; from im_core.shm import Semaphore, SharedBlock\n"
+        f"os.setuid(65534); n = '{PREFIX}owned'\n{tried}"
+    )
+    with closing(SharedBlock.create(PREFIX + "owned", 64)) as block, closing(Semaphore.create(PREFIX + "owned")):
+        block.publish()
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0, check=True)
+        said = done.stdout.splitlines()
+        assert [line.partition(" '")[0] for line in said] == ["shared memory"] * 2 + ["semaphore"] * 2
+        assert all(f"'{PREFIX}owned' belongs to another user of this host" in line for line in said)
+        SharedBlock.attach(PREFIX + "owned", 0.0).close()
 
 
 def test_semaphore_counts():

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from im_core import clock
 from im_core.errors import LinkError
 from im_core.procfs import ProcessId
+from im_core.shm.ownership import own_names
 
 _MAGIC = 0x696D5F73686D3032
 _HEADER = np.dtype([("magic", "<u8"), ("pid", "<i8"), ("start", "<i8"), ("size", "<u8")])
 _HEADER_BYTES = 64
 _POLL_S = 0.01
+_KIND = "shared memory"
 
 
 class SharedBlock:
@@ -45,12 +47,13 @@ class SharedBlock:
         where ``/dev/shm`` has become full.
 
         Raises:
-            LinkError: Another living process owns a block of that name, or there is no room for it.
+            LinkError: Another living process, or another user, owns a block of that name, or there is no room for it.
         """
-        _refuse_if_in_use(name)
-        unlink(name)
         whole = _HEADER_BYTES + size
-        shared = posix_ipc.SharedMemory(f"/{name}", posix_ipc.O_CREX, mode=0o600)
+        with own_names(_KIND, name):
+            _refuse_if_in_use(name)
+            unlink(name)
+            shared = posix_ipc.SharedMemory(f"/{name}", posix_ipc.O_CREX, mode=0o600)
         try:
             os.posix_fallocate(shared.fd, 0, whole)
             memory = mmap.mmap(shared.fd, whole)
@@ -77,7 +80,8 @@ class SharedBlock:
             timeout_s: How long to wait for the block to appear [s].
 
         Raises:
-            LinkError: No such block appeared in time; the message says whether a stale one is there.
+            LinkError: No such block appeared in time, the message says whether a stale one is there; or it is another
+                user's.
         """
         deadline = clock.monotonic() + timeout_s
         while True:
@@ -140,7 +144,8 @@ class SharedBlock:
 def _open(name: str) -> tuple[mmap.mmap | None, str]:
     """Map a published block with a living owner, or say why there is none."""
     try:
-        shared = posix_ipc.SharedMemory(f"/{name}")
+        with own_names(_KIND, name):
+            shared = posix_ipc.SharedMemory(f"/{name}")
     except posix_ipc.ExistentialError:
         return None, "does not exist"
     try:

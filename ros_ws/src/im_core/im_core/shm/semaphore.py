@@ -6,6 +6,9 @@ import posix_ipc
 
 from im_core import clock
 from im_core.errors import LinkError
+from im_core.shm.ownership import own_names
+
+_KIND = "semaphore"
 
 _POLL_S = 0.01
 
@@ -21,21 +24,28 @@ class Semaphore:
 
     @classmethod
     def create(cls, name: str) -> Self:
-        """Create a semaphore of value 0; one of that name is replaced."""
-        _unlink(name)
-        return cls(name, posix_ipc.Semaphore(f"/{name}", posix_ipc.O_CREX, mode=0o600, initial_value=0), owned=True)
+        """Create a semaphore of value 0; one of that name is replaced.
+
+        Raises:
+            LinkError: It is another user's.
+        """
+        with own_names(_KIND, name):
+            _unlink(name)
+            made = posix_ipc.Semaphore(f"/{name}", posix_ipc.O_CREX, mode=0o600, initial_value=0)
+        return cls(name, made, owned=True)
 
     @classmethod
     def attach(cls, name: str, timeout_s: float) -> Self:
         """Attach to a semaphore.
 
         Raises:
-            LinkError: No such semaphore appeared within ``timeout_s`` [s].
+            LinkError: No such semaphore appeared within ``timeout_s`` [s], or it is another user's.
         """
         deadline = clock.monotonic() + timeout_s
         while True:
             try:
-                return cls(name, posix_ipc.Semaphore(f"/{name}"), owned=False)
+                with own_names(_KIND, name):
+                    return cls(name, posix_ipc.Semaphore(f"/{name}"), owned=False)
             except posix_ipc.ExistentialError:
                 if clock.monotonic() >= deadline:
                     raise LinkError(
