@@ -12,6 +12,7 @@ import pydantic
 
 from im_core.config import field_name
 from im_core.errors import DataError
+from im_core.jsontext import JsonError, check_keys
 
 #: Characters of a text that is read; a net of 1,000 places has 50,000.
 LARGEST = 2_000_000
@@ -29,12 +30,15 @@ def read_json(kind: type[T], text: str, what: str) -> T:
         what: What it is, for complaints.
 
     Raises:
-        DataError: It is too long, no JSON, nested too deeply, or of another form.
+        DataError: It is too long, no JSON, has a key twice, is nested too deeply, or of another form.
     """
     if len(text) > LARGEST:
         raise DataError(f"{what} has {len(text)} characters; {LARGEST} are read", what=what)
     try:
+        check_keys(text)
         value: T = _reader(cast(Hashable, kind)).validate_json(text, strict=True)
+    except JsonError as error:
+        raise DataError(f"{what} makes no sense: {error.sentence}", what=what) from error
     except pydantic.ValidationError as error:
         raise _refused(error, what) from error
     return value

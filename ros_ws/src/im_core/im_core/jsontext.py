@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from contextlib import suppress
 from pathlib import Path
 
 from im_core.errors import DataError, printable, require_text
@@ -68,6 +69,16 @@ def decode_json(text: str) -> object:
     if _SURROGATE.search(text) or not text.isascii():
         _check_unicode(data)
     return data
+
+
+def check_keys(text: str) -> None:
+    """Make sure that no key is twice in an object of a JSON; what is no JSON is left to whoever reads it.
+
+    Raises:
+        JsonError: One is.
+    """
+    with suppress(json.JSONDecodeError, RecursionError):
+        json.loads(text, object_pairs_hook=_object)
 
 
 def _integer(text: str) -> int | float:

@@ -106,12 +106,13 @@ def test_what_is_not_understood_is_named(tmp_path, find, replacement, complaint)
         read(tmp_path, text)
 
 
-def test_one_net_of_several_is_asked_for_by_name(tmp_path):
+@pytest.mark.parametrize("dot", ["", "."])
+def test_one_net_of_several_is_asked_for_by_name(tmp_path, dot):
     net = '<net id="{0}"><place id="p"/><transition id="t"/><arc source="p" target="t"/></net>'
-    with pytest.raises(NetFileError, match=r"holds 2 nets: a, b; say which, as in .*net\.pnml#a"):
-        read(tmp_path, f"<pnml>{net.format('a')}{net.format('b')}</pnml>")
-    assert load_net(tmp_path / "net.pnml#b").name == "b"
-    with pytest.raises(NetFileError, match=r"there is no net 'c' \(known: a, b\)"):
+    with pytest.raises(NetFileError, match=rf"holds 2 nets: a{dot}a, b{dot}b; say which, as in .*net\.pnml#a{dot}a"):
+        read(tmp_path, f"<pnml>{net.format(f'a{dot}a')}{net.format(f'b{dot}b')}</pnml>")
+    assert load_net(tmp_path / f"net.pnml#b{dot}b").transitions
+    with pytest.raises(NetFileError, match=rf"there is no net 'c' \(known: a{dot}a, b{dot}b\)"):
         load_net(tmp_path / "net.pnml#c")
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from im_core.errors import ImError
 from im_pnt.execution.notification import Firing, Phase
+from im_pnt.netfile import parse_net
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import BAD_INPUT, OK
 from im_pnt_analysis.timed.measurement import MeasuredFiring, measured_firings, read_measurement
@@ -193,6 +194,22 @@ def test_measurements_in_their_forms(tmp_path):
         assert "stamp" in record
     file.write_text(json.dumps([{k: v for k, v in record.items() if k != "stamp"} for record in RUN]))
     assert read_measurement(str(file)).by_transition()["job_net.work"] == [0.02]
+
+
+def test_a_command_ends_with_the_symbol_that_answers_it_wherever_its_net_names_that(tmp_path):
+    file = tmp_path / "firings"
+    net = parse_net(
+        "net: n\nplaces: {a: 1, b: }\ntransitions:\n"
+        "  go: {symbol: pick, in: a, out: b, action: f, on_failure: b}\n"
+        "  end: {in: b, out: a, emit: [lamp_off, pick_done]}\n"
+        "  at_once: {symbol: put, in: a, out: a, emit: put_done}\n"
+    )
+    told = [("go", 0, "pick", 0.0), ("go", 1, "", 1.0), ("end", 1, "lamp_off", 2.0), ("at_once", 1, "put", 3.0)]
+    file.write_text(
+        json.dumps([{"net": "n", "transition": t, "phase": p, "symbol": s, "stamp": at} for t, p, s, at in told])
+    )
+    assert read_measurement(str(file), [net]).commands == {"pick": (2.0,), "put": (0.0,)}
+    assert read_measurement(str(file)).commands == {}
 
 
 def test_observations_are_the_ends_of_firings():

@@ -23,7 +23,7 @@ def load_net(path: str | Path) -> Net:
     """Reads a net file.
 
     Args:
-        path: File with one net: PNML where it ends in ``.pnml`` or ``.xml``, else YAML.
+        path: File with one net: PNML where it ends in ``.pnml`` or ``.xml``, else YAML. ``FILE#net`` is one of several.
 
     Returns:
         The net; its names are consistent, its behaviour is not verified.
@@ -32,7 +32,8 @@ def load_net(path: str | Path) -> Net:
         NetFileError: The file is not a net; names file, line, column and what is allowed.
     """
     file = Path(path)
-    if file.suffix.lower().partition("#")[0] in PNML_SUFFIXES:
+    named = file if file.exists() else Path(file.name.partition("#")[0])  # FILE.pnml#net
+    if named.suffix.lower() in PNML_SUFFIXES:
         from im_pnt.pnml import load_pnml
 
         return load_pnml(file)

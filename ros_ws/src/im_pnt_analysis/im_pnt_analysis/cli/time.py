@@ -50,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
     output = None if options.output is None else Path(options.output)
     if output is not None and output.suffix not in (".svg", ".png"):
         raise ImError(f"cannot draw into '{output}': the name must end in .svg or .png", code="input")
-    measured = None if options.measured is None else read_measurement(options.measured)
     nets = [load_net(file) for file in options.files]
+    measured = None if options.measured is None else read_measurement(options.measured, nets)
     if options.fit:
         if measured is None:
             raise ImError("--fit needs times to take delays from: --measured FILE", code="input")

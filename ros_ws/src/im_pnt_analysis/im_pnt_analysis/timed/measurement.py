@@ -61,12 +61,16 @@ def measured_firings(firings: Iterable[Firing]) -> list[MeasuredFiring]:
     ]
 
 
-def read_measurement(file: str) -> Measurement:
+def read_measurement(file: str, nets: Sequence[Net] = ()) -> Measurement:
     """Reads measured times.
 
     The file holds one JSON object ``{"net.transition": [seconds, ...]}``, or firings as on ``/pnt/firings``, in a list
     or one a line: ``{"net": ..., "transition": ..., "phase": 0|1|2, "duration": seconds}``. Where all of them have a
     ``stamp`` (seconds, or sec and nanosec), times are differences of stamps: testbed time, not wall time.
+
+    Args:
+        file: Its path.
+        nets: Those that fired, as far as they are known: a firing names one symbol only, and its net all that it emits.
 
     Raises:
         ImError: There is no such file, or it holds something else.
@@ -88,7 +92,7 @@ def read_measurement(file: str) -> Measurement:
         raise _bad(file, "it holds neither a list nor an object")
     if not data:
         raise _bad(file, "it holds no firings")
-    return _from_records(file, data)
+    return _from_records(file, data, nets)
 
 
 def _lines(file: str, text: str) -> list[object]:
@@ -127,7 +131,8 @@ def _time(value: object) -> float | None:
     return None
 
 
-def _from_records(file: str, records: list[object]) -> Measurement:
+def _from_records(file: str, records: list[object], nets: Sequence[Net]) -> Measurement:
+    emitted = {f"{net.name}.{name}": transition.emit for net in nets for name, transition in net.transitions.items()}
     stamped = all(isinstance(record, dict) and "stamp" in record for record in records)
     begun: defaultdict[str, deque[float]] = defaultdict(deque)
     commands: defaultdict[str, list[float]] = defaultdict(list)
@@ -148,7 +153,8 @@ def _from_records(file: str, records: list[object]) -> Measurement:
         elif phase in (Phase.END, Phase.FAILED):
             since = begun[name].popleft() if begun[name] else time
             found.append(MeasuredFiring(name, max(time - since, 0.0) if stamped else time, phase == Phase.FAILED))
-        if stamped and isinstance(symbol := record.get("symbol"), str) and symbol:
+        said = [record.get("symbol"), *(emitted.get(name, ()) if phase == Phase.END else ())]
+        for symbol in dict.fromkeys(each for each in said if stamped and isinstance(each, str) and each):
             command = symbol.removesuffix("_done").removesuffix("_failed")
             key = f"{net} {command}"
             if command == symbol:
