@@ -21,6 +21,11 @@ from im_pnt.netfile import parse_net, yaml_text
 from im_pnt.ros.node import PntNode
 from support.loop import in_loop
 
+SHADOW = """
+net: shadow
+places: {idle: {tokens: 1, resource: true}, run: }
+transitions: {go: {symbol: SYMBOL, in: idle, out: run}, end: {in: run, out: idle, emit: SYMBOL_done}}
+"""
 GRAB = """
 net: grab
 commands: {grab: {needs: [NEED]}}
@@ -146,6 +151,7 @@ def test_a_net_is_proved_together_with_what_its_commands_need_of_the_cell(dispat
         ({"net_yaml": GRAB, "wait": float("nan")}, "wait is nan s; a time of 0 or more is allowed"),
         ({"net_yaml": GRAB, "wait": -1.0}, "wait is -1 s"),
         ({"net_yaml": GRAB.replace("NEED", "left_arn").replace("ASKED", "cell.demo")}, "did you mean 'left_arm'"),
+        ({"net_yaml": SHADOW.replace("SYMBOL", "demo")}, "nets demo and shadow both have the command demo"),
     ],
 )
 def test_a_net_that_cannot_be_loaded_is_refused_in_a_sentence(dispatcher, fields, sentence):
@@ -209,6 +215,26 @@ def test_nets_that_are_loaded_at_once_come_one_after_the_other(dispatcher, wait_
     commands = [Begun(dispatcher, dispatcher._run(name, {})) for name in ("first", "second")]
     wait_until(lambda: states(dispatcher) == {"first": "running", "second": "waiting"}, "one to wait for the other")
     assert [command.refused() for command in commands] == [None, None]
+
+
+def test_a_word_goes_to_the_net_whose_command_it_names(dispatcher, wait_until):
+    text = """
+net: NAME
+places: {idle: {tokens: 1, resource: true}, asks: , told: }
+transitions:
+  go: {symbol: NAME, in: idle, out: asks}
+  hear: {symbol: {name: confirm, of: command}, in: asks, out: told}
+  end: {in: told, out: idle, emit: NAME_done}
+"""
+    for name in ("one", "other"):
+        assert done(dispatcher, dispatcher.load_net(parse_net(text.replace("NAME", name)))) is None
+    numbers = {name: [] for name in ("one", "other")}
+    for name, told in numbers.items():
+        dispatcher.spawn(dispatcher.command(name, started=told.append))
+    wait_until(lambda: all(numbers.values()), 30.0)
+    dispatcher.spawn(dispatcher.command("confirm", {"command": numbers["other"][0]}))
+    wait_until(lambda: "other" not in states(dispatcher), 30.0)
+    assert states(dispatcher).keys() == {"one"}
 
 
 def test_a_command_of_a_net_that_comes_waits_for_what_it_needs(dispatcher, slow, wait_until):

@@ -9,7 +9,10 @@ from rclpy.parameter import Parameter
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import NetDescription
+from im_pnt.errors import NetError
+from im_pnt.ros.library import Library
 from im_pnt.ros.node import PntNode
+from im_pnt.verification import accept
 from im_pnt_analysis import verify_to_load
 from support.loop import in_loop
 
@@ -91,3 +94,11 @@ def test_so_many_nets_of_others_are_known_and_those_stay(tmp_path, ros, wait_unt
     known = [in_loop(asker, asker._transport.node_of, net) for net in ("marker", "feeder")]
     assert known == ["teller", "feeder"]
     assert "who runs net feeder is not learned: it is known of 2 others" in asker.failures.last
+
+
+def test_two_files_with_a_net_of_one_name_are_refused_and_both_are_named(tmp_path):
+    files = [tmp_path / "feeder.yaml", tmp_path / "feeder_backup.yaml"]
+    for file in files:
+        file.write_text(FEEDER)
+    with pytest.raises(NetError, match=f"^there are two nets named feeder: {files[0]} and {files[1]}$"):
+        Library(files, accept).nets({})

@@ -51,6 +51,17 @@ def made_of(*texts: str) -> tuple[list[Net], Needs, Net]:
     return nets, needs, cell_net(needs)
 
 
+def test_a_symbol_begins_a_command_of_one_net_only():
+    text = (
+        "net: {0}\nplaces: {{a: 1, b: }}\n"
+        "transitions: {{go: {{symbol: {1}, in: a, out: b}}, back: {{in: b, out: a}}}}"
+    )
+    word = "{name: confirm, of: command}"
+    Needs([parse_net(text.format(name, word)) for name in ("one", "other")], RESOURCES)
+    with pytest.raises(NetError, match=r"^nets one and other both have the command go$"):
+        Needs([parse_net(text.format(name, "go")) for name in ("one", "other")], RESOURCES)
+
+
 class Cell:
     """Commands over a cell, whose actions a test ends by hand.
 

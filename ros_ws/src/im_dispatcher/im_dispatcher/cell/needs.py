@@ -9,6 +9,7 @@ from im_core.errors import NotFoundError
 from im_pnt.errors import NetError
 from im_pnt.model.acting import filled, named_arguments, require_told, shown
 from im_pnt.model.arguments import CommandDeclaration
+from im_pnt.model.groups import require_one_reader
 from im_pnt.model.net import Net
 
 MOST_VARIANTS = 200
@@ -60,16 +61,13 @@ class Needs:
     def __init__(self, nets: Iterable[Net], resources: Sequence[str]) -> None:
         self.resources = tuple(resources)
         self.variants: dict[str, Variant] = {}
-        owners: dict[str, str] = {}
+        nets = list(nets)
+        require_one_reader(nets)
         for net in nets:
             require_told(net)
             for symbol, declared in net.commands.items():
                 if not declared.needs:
                     continue
-                if symbol in owners:
-                    text = f"nets {owners[symbol]} and {net.name} both have the command {symbol}"
-                    raise NetError(text, symbol=symbol, nets=[owners[symbol], net.name])
-                owners[symbol] = net.name
                 for variant in _variants(net, symbol, declared, self.resources):
                     if variant.name in self.variants:
                         raise NetError(f"two commands would be the transition {variant.name} of the net cell")

@@ -3,8 +3,9 @@
 They may do so by any number of others in between. What nets of different groups do cannot matter to each other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
+from im_pnt.errors import NetError
 from im_pnt.model.net import Net
 
 
@@ -33,3 +34,18 @@ def group_of(net: Net, others: Sequence[Net]) -> list[Net]:
         others: Nets that may be there beside it.
     """
     return groups([net, *(other for other in others if other.name != net.name)])[0]
+
+
+def require_one_reader(nets: Iterable[Net]) -> None:
+    """Makes sure that each symbol begins a command of one net only: else nobody could tell which does it.
+
+    Raises:
+        NetError: Two nets of a node read one.
+    """
+    owners: dict[str, Net] = {}
+    for net in nets:
+        for symbol in net.begun_symbols():
+            if (other := owners.setdefault(symbol, net)) is not net:
+                files = f" ({other.source}, {net.source})" if other.source and net.source else ""
+                text = f"nets {other.name} and {net.name} both have the command {symbol}{files}"
+                raise NetError(text, symbol=symbol, nets=[other.name, net.name])

@@ -273,6 +273,11 @@ class Net:
         """Returns the symbols that the net reads from its input tape, in order of first use."""
         return tuple(dict.fromkeys(t.symbol for t in self.transitions.values() if t.symbol))
 
+    def begun_symbols(self) -> tuple[str, ...]:
+        """Returns those of them that begin something; others are words to commands under way, or of nobody."""
+        transitions = self.transitions.values()
+        return tuple(dict.fromkeys(t.symbol for t in transitions if t.symbol and t.symbol_of is None))
+
     def arguments_of(self, asked: str) -> ArgumentSchema | None:
         """Returns what a service, or a symbol that begins a command, takes; None: anything."""
         if asked in self.services:

@@ -72,9 +72,15 @@ class Library:
 
         Raises:
             NetFileError: A file is not a net.
+            NetError: Two files have nets of the same name.
         """
         files = [Path(source) for source in found.values()] if found else self._files
-        return [load_net(file) for file in files]
+        nets = [load_net(file) for file in files]
+        by_name: dict[str, Net] = {}
+        for net in nets:
+            if (other := by_name.setdefault(net.name, net)) is not net:
+                raise NetError(f"there are two nets named {net.name}: {other.source} and {net.source}", net=net.name)
+        return nets
 
     def kept(self, net: Net) -> Net:
         """Writes a net down, if nets are kept; returns it with its new source."""

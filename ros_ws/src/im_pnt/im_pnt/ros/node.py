@@ -37,6 +37,7 @@ from im_pnt.journal.log import Sync
 from im_pnt.journal.state import restore_net, taken_over
 from im_pnt.mission.log import MissionLog
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
+from im_pnt.model.groups import require_one_reader
 from im_pnt.model.net import Net
 from im_pnt.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 from im_pnt.ros.commands.control import ControlService
@@ -197,7 +198,12 @@ class PntNode(ManagedNode):
         self._library.follow(self)
 
     def completed(self, nets: list[Net]) -> list[Net]:
-        """Returns the nets to begin with: those of files or of a journal, and what a subclass makes of them."""
+        """Returns the nets to begin with: those of files or of a journal, and what a subclass makes of them.
+
+        Raises:
+            NetError: They cannot be together.
+        """
+        require_one_reader(nets)
         return nets
 
     def phase_start(self) -> None:
@@ -229,11 +235,13 @@ class PntNode(ManagedNode):
 
         Raises:
             VerificationError: The net may not run; carries the firing sequence that shows why.
-            NetError: It names a function that is not registered, or does not fit to the present marking.
+            NetError: It names a function that is not registered, does not fit to the present marking, or has a command
+                that another net has.
             StateError: The present net of that name does not come to rest; says what keeps it.
             WaitTimeoutError: ``/dom`` does not say whether the data objects are valid that its guards are woken by.
             JournalError: The journal cannot be written; all is as it was.
         """
+        require_one_reader([*(each.written for name, each in self.exchange.nets.items() if name != net.name), net])
         return await self.load_beside(net, patience_s, (), nullcontext)
 
     async def load_beside(

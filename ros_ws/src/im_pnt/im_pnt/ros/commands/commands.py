@@ -15,6 +15,7 @@ from im_core.ros.status import ok_status, to_status
 from im_msgs.msg import Status
 from im_pnt.errors import NetError
 from im_pnt.execution.executor import Executor
+from im_pnt.execution.firing.rule import ADDRESS
 from im_pnt.execution.jobs import Command, CommandResult, Job
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.execution.record import plain_dict
@@ -163,16 +164,22 @@ class Commands:
                 result = CommandResult(False, ImError(why, code="set_aside"), {})
                 self.ended.add(_ended(command.number, command.symbol, result))
 
-    def reader(self, symbol: str) -> Executor:
+    def reader(self, symbol: str, arguments: Mapping[str, object] | None = None) -> Executor:
         """Returns the net that reads a symbol.
+
+        Args:
+            symbol: The symbol; several nets may read it as a word to their commands.
+            arguments: What comes with it; they may say for which command it is meant.
 
         Raises:
             NotFoundError: None does.
         """
-        for executor in self._nets.values():
-            if symbol in executor.net.symbols():
-                return executor
-        raise NotFoundError(kind="command", name=symbol, known=self.symbols())
+        readers = [executor for executor in self._nets.values() if symbol in executor.net.symbols()]
+        if not readers:
+            raise NotFoundError(kind="command", name=symbol, known=self.symbols())
+        meant = (arguments or {}).get(ADDRESS)
+        at_work = (each for each in readers if any(job.command.id == meant for job in each.jobs()))
+        return next(at_work, readers[0]) if meant is not None else readers[0]
 
     def write(self, symbol: str, arguments: Mapping[str, object], priority: int = 0) -> int:
         """Writes a command to the tape of the net that reads its symbol; returns its number.
@@ -186,7 +193,7 @@ class Commands:
             NotFoundError: No net knows the symbol.
             DataError: The arguments are not what the net declares.
         """
-        executor = self.reader(symbol)
+        executor = self.reader(symbol, arguments)
         number = self._count + 1
         scope = f"{self._node.task_name}/{self._life}-{number}"
         command = Command(number, symbol, dict(arguments), priority=priority, scope=scope)
