@@ -151,7 +151,7 @@ def test_a_net_is_proved_together_with_what_its_commands_need_of_the_cell(dispat
         ({"net_yaml": GRAB, "wait": float("nan")}, "wait is nan s; a time of 0 or more is allowed"),
         ({"net_yaml": GRAB, "wait": -1.0}, "wait is -1 s"),
         ({"net_yaml": GRAB.replace("NEED", "left_arn").replace("ASKED", "cell.demo")}, "did you mean 'left_arm'"),
-        ({"net_yaml": SHADOW.replace("SYMBOL", "demo")}, "nets demo and shadow both have the command demo"),
+        ({"net_yaml": SHADOW.replace("SYMBOL", "demo")}, "and shadow (net) both have the command demo"),
     ],
 )
 def test_a_net_that_cannot_be_loaded_is_refused_in_a_sentence(dispatcher, fields, sentence):
@@ -223,7 +223,8 @@ net: NAME
 places: {idle: {tokens: 1, resource: true}, asks: , told: }
 transitions:
   go: {symbol: NAME, in: idle, out: asks}
-  hear: {symbol: {name: confirm, of: command}, in: asks, out: told}
+  hear: {symbol: {name: confirm, of: command}, in: asks, out: told, emit: confirm_done}
+  too_late: {in: asks, out: told, delay: 600}
   end: {in: told, out: idle, emit: NAME_done}
 """
     for name in ("one", "other"):

@@ -67,6 +67,8 @@ class Lab:
         while not self.go_on.wait(0.02):
             if ctx.cancelled:
                 raise DataError("the scale was needed")
+        if ctx.command.arguments["mass"] < -5.0:
+            sys.exit("no scale")
         if ctx.command.arguments["mass"] < 0.0:
             raise ValueError("a mass is not negative")
 
@@ -142,13 +144,14 @@ def test_a_function_may_block_while_its_node_goes_on_and_what_it_writes_comes_ba
     assert lab.stopped == []
 
 
-def test_its_failure_and_what_it_wrote_before_are_those_of_its_command(bench, lab, wait_until):
+@pytest.mark.parametrize(("mass", "said"), [(-1.0, "a mass is not negative"), (-9.0, "called sys.exit: no scale")])
+def test_its_failure_and_what_it_wrote_before_are_those_of_its_command(bench, lab, wait_until, mass, said):
     lab.go_on.set()
-    weighing = bench.run("weigh", mass=-1.0)
+    weighing = bench.run("weigh", mass=mass)
     wait_until(lambda: weighing.outcomes, "its end")
     (outcome,) = weighing.outcomes
     assert not outcome.success
-    assert "a mass is not negative" in outcome.status.message
+    assert said in outcome.status.message
 
 
 def test_it_learns_that_it_is_cancelled(bench, lab, wait_until):

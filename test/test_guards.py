@@ -50,6 +50,8 @@ class Clumsy(ManagedNode):
 
     def _hear(self, message):
         self.heard.append(message.data)
+        if message.data == "exit":
+            sys.exit(FAULT)
         if not message.data.startswith("good"):
             raise ValueError(FAULT)
 
@@ -63,7 +65,7 @@ class Clumsy(ManagedNode):
         raise StateError(FAULT)
 
     def _who(self, client):
-        raise RecursionError(FAULT)
+        sys.exit(FAULT)
 
     def _unsayable(self, request, response):
         response.success, response.message = True, "half a pair: \ud800"
@@ -99,9 +101,9 @@ def test_subscriptions_and_timers_that_raise_are_counted_and_go_on(clumsy, asker
     asker.create_subscription(DiagnosticArray, "/diagnostics", told.append, qos.EVENTS)
     publisher = asker.create_publisher(String, "/clumsy/hear", qos.EVENTS)
     wait_until(lambda: publisher.get_subscription_count(), "the subscription")
-    for words in ("bad", "worse", "good"):
+    for words in ("bad", "exit", "good"):
         publisher.publish(String(data=words))
-    wait_until(lambda: clumsy.heard == ["bad", "worse", "good"], "all messages")
+    wait_until(lambda: clumsy.heard == ["bad", "exit", "good"], "all messages")
     assert clumsy.failures.counts["subscription /clumsy/hear"] == 2
     wait_until(lambda: clumsy.failures.counts.get("timer Clumsy._strike", 0) > 2, "the timer to go on")
 

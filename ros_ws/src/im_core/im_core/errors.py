@@ -178,6 +178,15 @@ def require_text(text: str, what: str) -> str:
     return text
 
 
+FOREIGN = (Exception, SystemExit)
+"""What code of users may raise: ``sys.exit`` ends what it was called for, not the process that called it."""
+
+
+def as_exception(error: BaseException) -> Exception:
+    """What code of users has raised, as an exception that can be raised where its outcome is awaited."""
+    return error if isinstance(error, Exception) else RuntimeError(f"it has called sys.exit: {error}")
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Says what may have been meant: `` (did you mean 'x'?)``, or the known names where none is near.
 

@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TypeVar, overload
 
-from im_core.errors import ConfigError
+from im_core.errors import FOREIGN, ConfigError
 
 ClassT = TypeVar("ClassT")
 
@@ -31,7 +31,7 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
         if not (module and colon and name):
             raise ValueError("module or class is missing")
         found: object = getattr(import_module(module), name)
-    except Exception as error:  # a module of the user's may raise anything
+    except FOREIGN as error:  # a module of the user's may raise anything
         known = isinstance(error, ImportError | AttributeError | ValueError)
         why = str(error) if known else f"{type(error).__name__}: {error}"
         sentence = f"{what} '{reference}' cannot be loaded: {why}; it is written module:Class"

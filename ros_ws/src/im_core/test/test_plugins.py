@@ -28,8 +28,9 @@ def test_what_cannot_be_loaded_is_named(reference, message):
         plugins.load(reference, ImError, "law")
 
 
-def test_a_module_may_fail_in_any_way(tmp_path, monkeypatch):
-    (tmp_path / "im_faulty.py").write_text("raise RuntimeError('no hands')")
+@pytest.mark.parametrize("error", ["RuntimeError", "SystemExit"])
+def test_a_module_may_fail_in_any_way(tmp_path, monkeypatch, error):
+    (tmp_path / "im_faulty.py").write_text(f"raise {error}('no hands')")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ConfigError, match="im_faulty:Law' cannot be loaded: RuntimeError: no hands"):
+    with pytest.raises(ConfigError, match=f"im_faulty:Law' cannot be loaded: {error}: no hands"):
         plugins.load("im_faulty:Law", None, "law")

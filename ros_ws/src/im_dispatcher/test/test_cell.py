@@ -58,7 +58,7 @@ def test_a_symbol_begins_a_command_of_one_net_only():
     )
     word = "{name: confirm, of: command}"
     Needs([parse_net(text.format(name, word)) for name in ("one", "other")], RESOURCES)
-    with pytest.raises(NetError, match=r"^nets one and other both have the command go$"):
+    with pytest.raises(NetError, match=r"^nets one \(net\) and other \(net\) both have the command go$"):
         Needs([parse_net(text.format(name, "go")) for name in ("one", "other")], RESOURCES)
 
 

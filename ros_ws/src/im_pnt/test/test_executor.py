@@ -1,3 +1,5 @@
+import sys
+
 import pytest
 
 from im_core.errors import DataError, ImError
@@ -94,6 +96,18 @@ def test_a_guard_that_breaks_counts_as_false_and_is_reported():
     process.pump()
     assert process.marking("n") == {"c": 1}
     assert "guard g counts as false" in process.recorder.troubles[0]
+
+
+def test_functions_that_would_end_the_process_end_what_they_are_called_for():
+    net = parse_net(
+        "net: n\nplaces: {a: 1, b: , c: }\n"
+        "transitions: {t: {in: a, out: b, guard: g}, u: {in: a, out: c, guard: not g, action: f, on_failure: b}}"
+    )
+    process = Process([net], {"f": lambda ctx: sys.exit("enough")}, guards={"g": lambda ctx: sys.exit(1)})
+    process.pump()
+    assert process.marking("n") == {"b": 1}
+    assert "guard g counts as false" in process.recorder.troubles[0]
+    assert "broke: SystemExit: enough" in process.recorder.firings[-1].message
 
 
 def test_the_tape_symbol_resolves_contending_transitions_and_is_consumed():

@@ -10,7 +10,7 @@ from rclpy.client import Client
 from rclpy.task import Future
 
 from im_core import clock
-from im_core.errors import LinkError, StateError, WaitTimeoutError
+from im_core.errors import FOREIGN, LinkError, StateError, WaitTimeoutError, as_exception
 from im_core.ros.node import ManagedNode
 
 ResultT = TypeVar("ResultT")
@@ -138,8 +138,8 @@ def carry(function: Callable[[], object], ended: Future) -> None:
     """Call a function, and bring what it returns or raises to whoever awaits that."""
     try:
         result = function()
-    except Exception as error:  # it is raised where it is awaited
-        ended.set_exception(error)
+    except FOREIGN as error:  # it is raised where it is awaited
+        ended.set_exception(as_exception(error))
     else:
         ended.set_result(result)
 

@@ -17,6 +17,7 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 
 from im_core import clock
+from im_core.errors import FOREIGN, as_exception
 
 Work = Coroutine[object, object, None]
 
@@ -124,8 +125,8 @@ class Coroutines:
             awaited = work.send(None)
         except StopIteration:
             return
-        except Exception as error:  # foreign code must not stop the loop
-            self._failed(error)
+        except FOREIGN as error:  # foreign code must not stop the loop
+            self._failed(as_exception(error))
             return
         if isinstance(awaited, Promise):
             awaited.add_done_callback(lambda _: self._ready.append(work))

@@ -27,7 +27,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from im_core.errors import ImError, LinkError
+from im_core.errors import FOREIGN, ImError, LinkError, as_exception
 from im_core.ros import one_reader, qos
 from im_core.ros.action_events import ActionEvents
 from im_core.ros.callers import client_of, nodes_of, process_of, sender_of
@@ -117,8 +117,8 @@ class GuardedNode(Node):
             self.turns += 1
             try:
                 return callback(*arguments)
-            except Exception as error:  # whatever it is, the node goes on
-                self.note_failure(what, error, told)
+            except FOREIGN as error:  # whatever it is, the node goes on
+                self.note_failure(what, as_exception(error), told)
                 return None
 
         return call
@@ -298,7 +298,8 @@ class GuardedActionServer(ActionServer):
             try:
                 result = execute_callback(handle)
                 result = await result if inspect.iscoroutine(result) else result
-            except Exception as error:  # every goal is answered
+            except FOREIGN as raised:  # every goal is answered
+                error = as_exception(raised)
                 self._guard.note_failure(self._what, error, self._told)
                 if handle.is_active:
                     handle.abort()
@@ -461,8 +462,8 @@ class _Answers:
         self._node.turns += 1
         try:
             return self._callback(request, response)
-        except Exception as error:  # answered where the client is known
-            return _Raised(error)
+        except FOREIGN as error:  # answered where the client is known
+            return _Raised(as_exception(error))
 
     def _answer(self, response: Any, header: Any) -> None:
         """Send what the callback returned; the events executor would take a coroutine for the response."""
@@ -474,16 +475,16 @@ class _Answers:
             if not inspect.iscoroutine(response):
                 self._deliver(response, header)
                 return
-        except Exception as error:  # every request is answered
-            self._refuse(error, header)
+        except FOREIGN as error:  # every request is answered
+            self._refuse(as_exception(error), header)
             return
         self._node.begin(self._finish(response, header))
 
     async def _finish(self, response: Any, header: Any) -> None:
         try:
             self._deliver(await response, header)
-        except Exception as error:  # as above
-            self._refuse(error, header)
+        except FOREIGN as error:  # as above
+            self._refuse(as_exception(error), header)
 
     def _deliver(self, response: Any, header: Any) -> None:
         self._node.late_answers.send(self._what, header, partial(self._send, response, header))

@@ -3,7 +3,7 @@
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 
@@ -78,6 +78,10 @@ class Dispatcher(PntNode):
         self._know(Needs(others, self._resources))
         before = [net for net in nets if net.name == cell.NAME]
         return [*(before or [self._library.kept(cell.cell_net(self._needs))]), *others]
+
+    def require_together(self, nets: Iterable[Net]) -> None:
+        """The net of the cell reads what others do, which it hands on to them."""
+        super().require_together(net for net in nets if net.name != cell.NAME)
 
     def phase_start(self) -> None:
         """Start the nets, then take commands."""

@@ -5,7 +5,7 @@ from collections.abc import Awaitable, Callable, Container, Coroutine, Mapping
 from typing import Protocol
 
 from im_core.clock import monotonic
-from im_core.errors import ImError
+from im_core.errors import FOREIGN, ImError
 from im_pnt.execution.conflicts import ConflictResolution
 from im_pnt.execution.doubt import Inquiry
 from im_pnt.execution.events import Answer, Outcome
@@ -129,7 +129,7 @@ class Actions:
         else:
             try:
                 outcome = self.functions[index](context)
-            except Exception as error:  # an action is foreign code: whatever it raises is its failure
+            except FOREIGN as error:  # an action is foreign code: whatever it raises is its failure
                 self.finish(activity, as_failure(activity, error), {})
             else:
                 if outcome is not None and inspect.isawaitable(outcome):
@@ -155,7 +155,7 @@ class Actions:
         """Goes on with an action whose function was called, and has raised, or goes on, or was looked at."""
         activity = self._rule.called() or self._rule.callee
         assert activity is not None
-        if isinstance(error, Exception):  # an action is foreign code: whatever it raises is its failure
+        if isinstance(error, FOREIGN):  # an action is foreign code: whatever it raises is its failure
             self.finish(activity, as_failure(activity, error), {})
         elif error is not None:
             raise error
@@ -336,7 +336,7 @@ class FunctionRunner:
                 self._spawn(self._perform(owner, activity, self._others[type(action)](activity, context)))
             else:
                 owner.ended(activity, ImError(f"{action} cannot be done here: it needs a ROS node", code="runner"))
-        except Exception as error:  # an action is foreign code: whatever it raises is its failure
+        except FOREIGN as error:  # an action is foreign code: whatever it raises is its failure
             owner.ended(activity, as_failure(activity, error))
 
     def direct(self, action: Action) -> ActionFunction | None:
@@ -394,13 +394,13 @@ class FunctionRunner:
     ) -> None:
         try:
             answered(_as_answer(activity, await asking))
-        except Exception as error:  # asking is foreign code too
+        except FOREIGN as error:  # asking is foreign code too
             answered(Answer(Outcome.UNKNOWN, asked=f"asking broke: {as_failure(activity, error)}"))
 
     async def _watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
         try:
             await work
-        except Exception as error:  # likewise
+        except FOREIGN as error:  # likewise
             owner.ended(activity, as_failure(activity, error))
         else:
             owner.ended(activity, None)
@@ -412,7 +412,7 @@ class FunctionRunner:
     ) -> None:
         try:
             owner.ended(activity, None, await work)
-        except Exception as error:  # likewise
+        except FOREIGN as error:  # likewise
             owner.ended(activity, as_failure(activity, error))
         finally:
             self._running.discard(activity)
@@ -424,7 +424,7 @@ class FunctionRunner:
             assert isinstance(activity.action, RequestAction)
             fields = await context.filled(activity.action.fields)
             self._request(owner, activity, context, fields, await built if inspect.isawaitable(built) else built)
-        except Exception as error:  # likewise
+        except FOREIGN as error:  # likewise
             owner.ended(activity, as_failure(activity, error))
 
     def _request(

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
-from im_core.errors import ImError
+from im_core.errors import FOREIGN, ImError
 from im_core.files import FileError, write_whole
 from im_core.jsontext import load_json
 from im_pnt.errors import NetError
@@ -296,7 +296,7 @@ class ConflictResolution:
             return bool(self.guards[guard](self.context(index, lineage)))
         except ObjectPendingError:
             return None
-        except Exception as error:  # a guard is foreign code: whatever it raises must not stop the net
+        except FOREIGN as error:  # a guard is foreign code: whatever it raises must not stop the net
             return self.guard_broke(index, lineage, error)
 
     def owner(self, index: int) -> Job | None:
@@ -351,7 +351,7 @@ class ConflictResolution:
             and all(transition.symbol is None and transition.strategy is None for transition in transitions)
         )
 
-    def guard_broke(self, index: int, lineage: Lineage, error: Exception) -> bool:
+    def guard_broke(self, index: int, lineage: Lineage, error: BaseException) -> bool:
         """Takes note that the guard of a transition broke; returns what it counts as."""
         guard = self._transitions[index].guard
         name = guard.name if guard is not None else ""

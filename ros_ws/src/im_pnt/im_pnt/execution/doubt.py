@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from im_core.errors import ImError, WaitTimeoutError
+from im_core.errors import FOREIGN, ImError, WaitTimeoutError
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.firing.rule import DOUBT_CODE, FiringRule
 from im_pnt.execution.jobs import Activity, ActivityState, as_failure
@@ -99,7 +99,7 @@ class Inquiry:
         activity.timer = self._timers.at(self._clock() + ANSWER_LIMIT_S, lambda: self.take_answer(activity, silent))
         try:
             self._asker.ask(activity, lambda answer: self._answered(activity, answer))
-        except Exception as error:  # asking is foreign code, like the action
+        except FOREIGN as error:  # asking is foreign code, like the action
             failure = as_failure(activity, error)
             self.take_answer(activity, Answer(Outcome.UNKNOWN, asked=f"asking broke: {failure}"))
 

@@ -6,7 +6,7 @@ from functools import partial
 from inspect import isawaitable
 from typing import NamedTuple
 
-from im_core.errors import ImError
+from im_core.errors import FOREIGN, ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.actions import Actions
 from im_pnt.execution.conflicts import ConflictResolution, Delays
@@ -387,7 +387,7 @@ class EventLoop:
                     context = asked[index]
                     try:
                         held = bool(guard(context)) == negated
-                    except Exception as error:  # a guard is foreign code: whatever it raises must not stop the net
+                    except FOREIGN as error:  # a guard is foreign code: whatever it raises must not stop the net
                         held = conflicts.guard_broke(index, NO_LINEAGE, error) == negated
                     if context.used:
                         asked[index] = conflicts.context(index, NO_LINEAGE)

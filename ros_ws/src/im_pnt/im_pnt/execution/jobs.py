@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from im_core.errors import ImError
+from im_core.errors import FOREIGN, ImError, as_exception
 from im_pnt.execution.timers import Timer
 from im_pnt.expression.evaluation import as_text
 from im_pnt.model.action import Action
@@ -348,8 +348,8 @@ class Activity:
         for callback in self.on_cancel:
             try:
                 callback()
-            except Exception as error:  # foreign code must not keep the others from being told
-                raised.append(error)
+            except FOREIGN as error:  # foreign code must not keep the others from being told
+                raised.append(as_exception(error))
         return raised
 
 
@@ -373,7 +373,7 @@ class Activities(Collection[Activity]):
         return len(self._by_number)
 
 
-def as_failure(activity: Activity, error: Exception) -> ImError:
+def as_failure(activity: Activity, error: BaseException) -> ImError:
     """Returns an exception of an action as the failure that the net will carry."""
     if isinstance(error, ImError):
         return error

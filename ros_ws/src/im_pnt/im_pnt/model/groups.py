@@ -46,6 +46,5 @@ def require_one_reader(nets: Iterable[Net]) -> None:
     for net in nets:
         for symbol in net.begun_symbols():
             if (other := owners.setdefault(symbol, net)) is not net:
-                files = f" ({other.source}, {net.source})" if other.source and net.source else ""
-                text = f"nets {other.name} and {net.name} both have the command {symbol}{files}"
-                raise NetError(text, symbol=symbol, nets=[other.name, net.name])
+                both = f"nets {other.name} ({other.source}) and {net.name} ({net.source})"
+                raise NetError(f"{both} both have the command {symbol}", symbol=symbol, nets=[other.name, net.name])

@@ -3,7 +3,7 @@
 import gc
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from rclpy.exceptions import NameValidationException
 from rclpy.parameter import Parameter
 
 from im_core.clock import monotonic
-from im_core.errors import ImError, StateError
+from im_core.errors import FOREIGN, ImError, StateError, as_exception
 from im_core.names import results_dir, run_dir
 from im_core.open_commands import set_aside
 from im_core.ros import qos
@@ -203,8 +203,16 @@ class PntNode(ManagedNode):
         Raises:
             NetError: They cannot be together.
         """
-        require_one_reader(nets)
+        self.require_together(nets)
         return nets
+
+    def require_together(self, nets: Iterable[Net]) -> None:
+        """Makes sure that nets can run in this node together.
+
+        Raises:
+            NetError: They cannot.
+        """
+        require_one_reader(nets)
 
     def phase_start(self) -> None:
         """Begins to fire."""
@@ -241,7 +249,7 @@ class PntNode(ManagedNode):
             WaitTimeoutError: ``/dom`` does not say whether the data objects are valid that its guards are woken by.
             JournalError: The journal cannot be written; all is as it was.
         """
-        require_one_reader([*(each.written for name, each in self.exchange.nets.items() if name != net.name), net])
+        self.require_together([*(each.written for name, each in self.exchange.nets.items() if name != net.name), net])
         return await self.load_beside(net, patience_s, (), nullcontext)
 
     async def load_beside(
@@ -655,5 +663,5 @@ def _outcome_of(function: ActionFunction, context: ActionContext) -> object:
     """Returns what a function returns, or the exception that it raises."""
     try:
         return function(context)
-    except Exception as error:  # it is foreign code: whatever it raises is its failure
-        return error
+    except FOREIGN as error:  # it is foreign code: whatever it raises is its failure
+        return as_exception(error)
