@@ -27,8 +27,9 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 _STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _SHOWN = 60
+#: Texts that a reader of YAML takes for something else unless they are quoted: ours, one of YAML 1.1, that of rcl.
+_TAKEN = re.compile(r"[-+.\d].*|~|null|true|false|yes|no|on|off|y|n|inf|infinity|nan(\(.*\))?", re.IGNORECASE)
 
 Location = tuple[int | str, ...]
 """Keys and indices that lead from the root of a file to a value."""
@@ -254,9 +255,22 @@ def read_yaml(text: str, file: str) -> Value:
 
 
 def write_yaml(data: object) -> str:
-    """Writes plain data as YAML, keys in their order."""
-    text: str = yaml.dump(data, Dumper=_DUMPER, sort_keys=False)
+    """Writes plain data as YAML, keys in their order; a text is read as a text, whoever reads it."""
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
     return text
+
+
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # there is no C on every computer
+    """Quotes what may be taken for something else."""
+
+    def represent_text(self, text: str) -> yaml.ScalarNode:
+        """A text, quoted where it must be."""
+        style = "'" if _TAKEN.fullmatch(text) else None
+        node: yaml.ScalarNode = self.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+        return node
+
+
+_Dumper.add_representer(str, _Dumper.represent_text)
 
 
 class _Composer:

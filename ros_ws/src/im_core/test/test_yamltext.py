@@ -4,13 +4,13 @@ import math
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import Field
 
 from im_core.config import Model, fault_in, parse_model
 from im_core.errors import ConfigError
-from im_core.yamltext import Kind, RepeatedKeyError, YamlError, as_data, find, read_yaml
+from im_core.yamltext import Kind, RepeatedKeyError, YamlError, as_data, find, read_yaml, write_yaml
 
 BOMB = "b0: &b0 [1]\n" + "".join(f"b{i + 1}: &b{i + 1} [{f'*b{i}, ' * 9}]\n" for i in range(9))
 
@@ -53,6 +53,21 @@ def test_what_another_library_writes_is_read_as_it_was(data):
 
     text = yaml.safe_dump(data, sort_keys=False)
     assert same(as_data(read_yaml(text, "f")), data), text
+
+
+@given(st.text() | st.text("0123456789.eE+-_:yYnNoOaAfFiI~", max_size=6))
+@example("1e3")
+@example("-.5e1")
+@example("NaN")
+def test_a_text_that_is_written_is_a_text_for_every_reader(text):
+    written = write_yaml({"a": text, "b": [text]})
+    for data in (as_data(read_yaml(written, "f")), yaml.safe_load(written)):
+        assert (data["a"], data["b"]) == (text, [text])
+
+
+@pytest.mark.parametrize("text", ["y", "1e3", "nan", "-inf", "0x1F", "012", "1_000", "Infinity", "on", "12:30", "~"])
+def test_a_text_that_may_be_taken_for_something_else_is_quoted(text):
+    assert write_yaml([text]) == f"- '{text}'\n"
 
 
 def test_a_key_twice_says_where_it_was_first():
