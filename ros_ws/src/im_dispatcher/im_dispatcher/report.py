@@ -49,27 +49,42 @@ class StepTime:
     simulated_s: float = 0.0
 
 
+#: Transitions under way that are remembered: anybody may tell of some that never end.
+MOST_STARTED = 1000
+
+
 @dataclass
 class StepTimes:
-    """Adds up firings by transition; transitions that contain others count their whole duration."""
+    """Adds up the firings of one command by transition; those that contain others count their whole duration.
+
+    Attributes:
+        steps: By transition.
+        command: Number of the command; those of others, which may run beside it, are not counted.
+    """
 
     steps: dict[str, StepTime] = field(default_factory=lambda: defaultdict(StepTime))
-    _started: dict[str, float] = field(default_factory=dict)
+    command: int = 0
+    _started: dict[tuple[str, int], float] = field(default_factory=dict)
 
-    def restart(self) -> None:
-        """Forgets all times; what runs counts from when it began."""
+    def restart(self, command: int) -> None:
+        """Counts those of another command from now on; what runs counts from when it began."""
+        self.command = command
         self.steps.clear()
 
-    def note_start(self, transition: str, stamp_s: float) -> None:
-        """A transition began at a testbed time [s]."""
-        self._started[transition] = stamp_s
+    def note_start(self, transition: str, command: int, stamp_s: float) -> None:
+        """A transition began for a command at a testbed time [s]."""
+        self._started[transition, command] = stamp_s
+        if len(self._started) > MOST_STARTED:
+            del self._started[next(iter(self._started))]
 
-    def note_end(self, transition: str, stamp_s: float, wall_s: float) -> None:
+    def note_end(self, transition: str, command: int, stamp_s: float, wall_s: float) -> None:
         """It ended or failed at a testbed time [s], after ``wall_s`` of wall time."""
-        step = self.steps[transition]
-        step.count += 1
-        step.wall_s += wall_s
-        step.simulated_s += stamp_s - self._started.pop(transition, stamp_s)
+        began_s = self._started.pop((transition, command), stamp_s)
+        if command == self.command:
+            step = self.steps[transition]
+            step.count += 1
+            step.wall_s += wall_s
+            step.simulated_s += stamp_s - began_s
 
     def to_dict(self) -> dict[str, list[float]]:
         """The times as JSON data; what runs is not in them."""

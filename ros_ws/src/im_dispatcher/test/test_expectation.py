@@ -30,8 +30,8 @@ def test_the_expectation_grows_with_the_poses(poses: int) -> None:
 def test_the_measured_run_stands_beside_it() -> None:
     times = StepTimes()
     for begin in (0.0, 3.0):
-        times.note_start("calibrate_camera.move", begin)
-        times.note_end("calibrate_camera.move", begin + 2.5, 0.1)
+        times.note_start("calibrate_camera.move", 0, begin)
+        times.note_end("calibrate_camera.move", 0, begin + 2.5, 0.1)
     told = beside(expectation([parse_net(LOOP)], "calibrate_camera", 2), times.steps, 5.5)
     assert told["measured_s"] == 5.5
     assert told["bottleneck"] in ("move", "calibrate_camera.move")

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from im_dispatcher.report import (
+    MOST_STARTED,
     SkippedPose,
     SolverReport,
     StepTimes,
@@ -34,10 +35,10 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> N
 def test_times_add_up_by_step() -> None:
     times = StepTimes()
     for start in (1.0, 5.0):
-        times.note_start("net.move", start)
-        times.note_end("net.move", start + 2.0, 0.5)
-    times.note_start("net.instant", 9.0)
-    times.note_end("net.instant", 9.0, 0.0)
+        times.note_start("net.move", 0, start)
+        times.note_end("net.move", 0, start + 2.0, 0.5)
+    times.note_start("net.instant", 0, 9.0)
+    times.note_end("net.instant", 0, 9.0, 0.0)
     summary = times.summary(wall_s=2.0, simulated_s=10.0)
     assert summary["simulated_over_wall"] == 5.0
     assert summary["steps"] == {"net.move": {"count": 2, "wall_s": 1.0, "simulated_s": 4.0}}
@@ -46,8 +47,8 @@ def test_times_add_up_by_step() -> None:
 def test_times_go_on_where_a_former_life_ended() -> None:
     former, present = StepTimes(), StepTimes()
     for times, wall_s in ((former, 0.5), (present, 0.25)):
-        times.note_start("net.move", 1.0)
-        times.note_end("net.move", 3.0, wall_s)
+        times.note_start("net.move", 0, 1.0)
+        times.note_end("net.move", 0, 3.0, wall_s)
     present.add_times(json.loads(json.dumps(former.to_dict())))
     summary = present.summary(wall_s=2.0, simulated_s=10.0)
     assert summary["steps"] == {"net.move": {"count": 2, "wall_s": 0.75, "simulated_s": 4.0}}
@@ -55,11 +56,26 @@ def test_times_go_on_where_a_former_life_ended() -> None:
 
 def test_times_of_a_command_begin_with_it() -> None:
     times = StepTimes()
-    times.note_start("net.move", 1.0)
-    times.note_end("net.move", 2.0, 0.5)
-    times.restart()
+    times.note_start("net.move", 0, 1.0)
+    times.note_end("net.move", 0, 2.0, 0.5)
+    times.restart(7)
     times.add_times(None)
     assert times.to_dict() == {}
+
+
+def test_times_of_a_command_are_not_those_of_one_beside_it() -> None:
+    times = StepTimes()
+    times.note_start("net.begin", 7, 0.5)  # told before its first function has run
+    times.restart(7)
+    times.note_start("net.move", 7, 1.0)
+    times.note_start("net.move", 8, 2.0)
+    times.note_end("net.move", 7, 4.0, 0.5)
+    times.note_end("net.move", 8, 9.0, 0.25)
+    times.note_end("net.begin", 7, 2.5, 0.125)
+    assert times.to_dict() == {"net.move": [1, 0.5, 3.0], "net.begin": [1, 0.125, 2.0]}
+    for number in range(3 * MOST_STARTED):
+        times.note_start("net.move", 100 + number, 1.0)
+    assert len(times._started) == MOST_STARTED
 
 
 def test_skipped_poses_stand_behind_those_that_the_solver_rejected() -> None:

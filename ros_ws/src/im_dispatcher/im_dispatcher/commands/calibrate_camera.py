@@ -94,7 +94,7 @@ class CalibrateCamera:
 
     async def init_calib(self, ctx: ActionContext) -> None:
         """Reads the poses and sets the loop variable."""
-        self._times.restart()
+        self._times.restart(ctx.command.id)
         self._timed = ctx.command.id
         ctx.memory["begun_ms"] = ctx.memory["seen_ms"] = self._clocks_ms()
         text = await self._host.noted_apart("poses", _poses_text, str(ctx.command.arguments.get("poses_file", "")))
@@ -298,7 +298,7 @@ class CalibrateCamera:
     def _times_of(self, ctx: ActionContext) -> StepTimes:
         """The times of a command; a dispatcher that came back takes up those of its former life."""
         if self._timed != ctx.command.id:
-            self._timed = ctx.command.id
+            self._timed = self._times.command = ctx.command.id
             self._times.add_times(ctx.memory.get("times"))
         return self._times
 

@@ -79,9 +79,9 @@ class DispatcherHost:
             if name not in times.steps and not self._is_step(net, message):
                 continue
             if message.phase == Firing.START:
-                times.note_start(name, stamp)
+                times.note_start(name, message.command_id, stamp)
             elif message.phase in (Firing.END, Firing.FAILED):
-                times.note_end(name, stamp, message.duration)
+                times.note_end(name, message.command_id, stamp, message.duration)
 
     def _is_step(self, net: str, message: Firing) -> bool:
         """Whether a transition is one of a net, or of those that it needs: anybody may tell of firings."""
