@@ -1,11 +1,16 @@
 """The loader of what configuration names as ``module:Class``: control laws, drivers, vision services, commands."""
 
+import os
 from importlib import import_module
+from types import ModuleType
 from typing import TypeVar, overload
 
 from im_core.errors import FOREIGN, ConfigError
 
 ClassT = TypeVar("ClassT")
+
+#: What the files of modules were when these were imported: time of the last change [ns] and size.
+_imported: dict[str, tuple[int, int] | None] = {}
 
 
 @overload
@@ -30,12 +35,46 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
     try:
         if not (module and colon and name):
             raise ValueError("module or class is missing")
-        found: object = getattr(import_module(module), name)
+        imported = import_module(module)
+        _imported.setdefault(module, _stamp(imported))
+        found: object = getattr(imported, name)
     except FOREIGN as error:  # a module of the user's may raise anything
         known = isinstance(error, ImportError | AttributeError | ValueError)
         why = str(error) if known else f"{type(error).__name__}: {error}"
+        if isinstance(error, ModuleNotFoundError):
+            why += " (its folder belongs into PYTHONPATH)"
         sentence = f"{what} '{reference}' cannot be loaded: {why}; it is written module:Class"
         raise ConfigError(sentence, what=what, reference=reference) from error
     if contract is not None and not (isinstance(found, type) and issubclass(found, contract)):
         raise ConfigError(f"{what} '{reference}' is no {contract.__name__}", what=what, reference=reference)
     return found
+
+
+def require_current(reference: str, what: str) -> None:
+    """Make sure that the file of a module that was loaded is still what it was: Python imports each module once.
+
+    Args:
+        reference: As of :func:`load`; of a module that was not loaded nothing is said.
+        what: As of :func:`load`.
+
+    Raises:
+        ConfigError: It was changed.
+    """
+    module = reference.partition(":")[0]
+    before = _imported.get(module)
+    if before is not None and _stamp(import_module(module)) != before:
+        raise ConfigError(
+            f"{what} '{reference}': the file of module {module} was changed since this process has imported it; "
+            "what it is now is used after a restart",
+            what=what,
+            reference=reference,
+        )
+
+
+def _stamp(module: ModuleType) -> tuple[int, int] | None:
+    """What the file of a module is; None: it has none."""
+    try:
+        told = os.stat(getattr(module, "__file__", None) or "")
+    except OSError:
+        return None
+    return told.st_mtime_ns, told.st_size

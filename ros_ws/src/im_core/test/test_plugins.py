@@ -14,7 +14,7 @@ def test_classes_and_functions_are_found():
 @pytest.mark.parametrize(
     ("reference", "message"),
     [
-        ("nowhere:Law", "law 'nowhere:Law' cannot be loaded: No module named 'nowhere'; it is written module:Class"),
+        ("nowhere:Law", "law 'nowhere:Law' cannot be loaded: No module named 'nowhere' .its folder belongs into PYTHONPATH.; it is"),
         ("im_core.errors:Nothing", "'im_core.errors:Nothing' cannot be loaded: .* no attribute 'Nothing'"),
         ("im_core.errors", "'im_core.errors' cannot be loaded: module or class is missing; it is written module:Class"),
         (":Law", "module or class is missing"),
@@ -26,6 +26,19 @@ def test_classes_and_functions_are_found():
 def test_what_cannot_be_loaded_is_named(reference, message):
     with pytest.raises(ConfigError, match=message):
         plugins.load(reference, ImError, "law")
+
+
+def test_a_module_that_was_changed_after_it_was_imported_is_told_apart(tmp_path, monkeypatch):
+    file = tmp_path / "im_changing.py"
+    file.write_text("law = dict\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    plugins.require_current("im_changing:law", "law")
+    assert plugins.load("im_changing:law", None, "law") is dict
+    plugins.require_current("im_changing:law", "law")
+    plugins.require_current("sys:exit", "law")
+    file.write_text("law = list  # another one\n")
+    with pytest.raises(ConfigError, match="im_changing was changed since this process has imported it; what it is now"):
+        plugins.require_current("im_changing:law", "law")
 
 
 @pytest.mark.parametrize("error", ["RuntimeError", "SystemExit"])

@@ -420,13 +420,14 @@ def _find(
     net: Net, transition: Transition, kind: str, name: str, known: MutableMapping[str, Callable[..., Any]]
 ) -> None:
     """Sees to it that a function is among those that are known."""
-    if name in known:
+    if name in known and ":" not in name:
         return
     if ":" not in name:
         sentence = f"no {kind} function '{name}' is registered{nearest(name, known)}"
         raise NetFileError(net.source, transition.line, f"transitions.{transition.name}: {sentence}")
     try:
-        found = plugins.load(name, None, f"{kind} function")
+        plugins.require_current(name, f"{kind} function")
+        found = known.get(name) or plugins.load(name, None, f"{kind} function")
         if not callable(found):
             raise ConfigError(f"{kind} function '{name}' is a {type(found).__name__}, which cannot be called")
     except ConfigError as error:
