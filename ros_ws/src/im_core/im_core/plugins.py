@@ -41,7 +41,7 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
     except FOREIGN as error:  # a module of the user's may raise anything
         known = isinstance(error, ImportError | AttributeError | ValueError)
         why = str(error) if known else f"{type(error).__name__}: {error}"
-        if isinstance(error, ModuleNotFoundError):
+        if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
             why += " (its folder belongs into PYTHONPATH)"
         sentence = f"{what} '{reference}' cannot be loaded: {why}; it is written module:Class"
         raise ConfigError(sentence, what=what, reference=reference) from error

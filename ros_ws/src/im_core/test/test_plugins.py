@@ -14,7 +14,7 @@ def test_classes_and_functions_are_found():
 @pytest.mark.parametrize(
     ("reference", "message"),
     [
-        ("nowhere:Law", "law 'nowhere:Law' cannot be loaded: No module named 'nowhere' .its folder belongs into PYTHONPATH.; it is"),
+        ("nowhere:Law", "law 'nowhere:Law' cannot be loaded: No module named 'nowhere' .its folder belongs into PY"),
         ("im_core.errors:Nothing", "'im_core.errors:Nothing' cannot be loaded: .* no attribute 'Nothing'"),
         ("im_core.errors", "'im_core.errors' cannot be loaded: module or class is missing; it is written module:Class"),
         (":Law", "module or class is missing"),
