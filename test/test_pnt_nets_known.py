@@ -10,6 +10,7 @@ from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import NetDescription
 from im_pnt.errors import NetError
+from im_pnt.netfile import parse_net
 from im_pnt.ros.library import Library
 from im_pnt.ros.node import PntNode
 from im_pnt.verification import accept
@@ -33,6 +34,10 @@ places: {wanted: , given: , none_left: }
 services: {feed: {entry: wanted, done: given, failed: none_left}}
 transitions: {give: {in: wanted, out: given, action: give, on_failure: none_left}}
 """
+
+
+IDLE = "{net: NAME, places: {a: 1}, transitions: {t: {in: a, out: a, delay: 9}}}"
+MANY = 120  # more than what is latched elsewhere
 
 
 class Teller(ManagedNode):
@@ -94,6 +99,30 @@ def test_so_many_nets_of_others_are_known_and_those_stay(tmp_path, ros, wait_unt
     known = [in_loop(asker, asker._transport.node_of, net) for net in ("marker", "feeder")]
     assert known == ["teller", "feeder"]
     assert "who runs net feeder is not learned: it is known of 2 others" in asker.failures.last
+
+
+def test_who_comes_late_is_told_of_all_nets_and_of_none_that_has_long_gone(tmp_path, ros, wait_until, monkeypatch):
+    monkeypatch.setattr("im_pnt.ros.reporting.publish.GONE_S", 0.2)
+    asker = ros(make_asker(tmp_path))
+    wait_until(lambda: asker.ready, "the node")
+    loaded = []
+
+    async def load(many):
+        for number in many:
+            await asker.load_net(parse_net(IDLE.replace("NAME", f"n{number}")))
+        for number in list(many)[:2]:
+            await asker.unload_net(f"n{number}")
+        loaded.append(True)
+
+    asker.spawn(load(range(MANY)))
+    wait_until(lambda: loaded, "the nets", 60.0)
+    ends = ("/pnt/nets", "/pnt/markings")
+    wait_until(lambda: [asker.count_publishers(topic) for topic in ends] == [MANY - 1] * 2, "publishers to go")
+    told, late = set(), ManagedNode("late", parameter_overrides=ALONE)
+    late.create_subscription(NetDescription, "/pnt/nets", lambda message: told.add(message.net), qos.LATCHED_NETS)
+    ros(late)
+    wait_until(lambda: len(told) == MANY - 1, "all nets")
+    assert not told & {"n0", "n1"}
 
 
 def test_two_files_with_a_net_of_one_name_are_refused_and_both_are_named(tmp_path):

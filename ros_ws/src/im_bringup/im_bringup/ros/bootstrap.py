@@ -61,7 +61,7 @@ class BootstrapNode(GuardedNode):
         self._phase_publisher = self.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
         self._tasks_publisher = self.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
-        self.create_subscription(NetDescription, "/pnt/nets", self._described, qos.LATCHED_MANY)
+        self.create_subscription(NetDescription, "/pnt/nets", self._described, qos.LATCHED_NETS)
         self.create_service(QueryTask, "/bootstrap/query_task", self._query)
         self._timeout_publisher = self.create_publisher(Float64, TIMEOUT_TOPIC, qos.LATCHED)
         self._timeout_publisher.publish(Float64(data=start_timeout_s()))

@@ -25,6 +25,12 @@ LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 #: The same for topics on which several things, or several keys, are latched.
 LATCHED_MANY = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)
 
+#: How many nets a node can know; each is told of by a publisher of its own.
+MOST_NETS = 1000
+
+#: For who listens to what is told of nets: of all of them, also if he comes late.
+LATCHED_NETS = _reliable(MOST_NETS, DurabilityPolicy.TRANSIENT_LOCAL)
+
 #: Events that must not be lost.
 EVENTS = _reliable(500)
 

@@ -14,6 +14,7 @@ from im_core.files import make_folder, write_whole
 from im_core.ros import qos
 from im_core.ros.calls import pause, run_in_thread
 from im_core.ros.node import ManagedNode
+from im_core.ros.qos import MOST_NETS
 from im_msgs.msg import NetDescription
 from im_pnt.description import read_net
 from im_pnt.errors import NetError, VerificationError
@@ -28,8 +29,7 @@ from im_pnt.verification import Verification, Verifier, accept
 
 REST_CHECK_S = 0.02
 
-#: How many nets of other nodes are known; how long it may take to read one [s].
-MOST_NETS = 1000
+#: How long it may take to read a net [s].
 READ_S = 60.0
 #: Files of nets that came later are kept so many: of those that run, and the newest; journals set aside may name them.
 MOST_KEPT = 100
@@ -62,7 +62,7 @@ class Library:
     def follow(self, node: ManagedNode) -> None:
         """Learns the nets of other nodes; to read one may take seconds, in which the loop goes on."""
         self._node = node
-        node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_MANY)
+        node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_NETS)
 
     def nets(self, found: Mapping[str, str]) -> list[Net]:
         """Loads the nets to begin with.

@@ -10,6 +10,7 @@ from im_core.errors import DataError, StateError
 from im_core.ros import qos
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
+from im_core.ros.qos import MOST_NETS
 from im_msgs.msg import NetDescription, TokenPacket
 from im_pnt.description import read_content
 from im_pnt.distributed.exchange import Exchange
@@ -19,7 +20,6 @@ from im_pnt.errors import NetError
 from im_pnt.execution.notification import Observer
 from im_pnt.ros.cdr import decode_packet, encode_packet
 from im_pnt.ros.execution.loop import NetLoop
-from im_pnt.ros.library import MOST_NETS
 
 TICK_PERIOD_S = 0.05
 
@@ -57,7 +57,7 @@ class DdsTransport:
         self._tick_timer = node.create_timer(TICK_PERIOD_S, self._tick, clock=node.steady_clock)
         self._tick_timer.cancel()
         self._ticking = False
-        node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_MANY)
+        node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_NETS)
 
     def listen(self, exchange: Exchange, loop: NetLoop) -> None:
         """Begins to take packets.

@@ -8,6 +8,7 @@ from rclpy.publisher import Publisher
 
 from im_core.clock import monotonic
 from im_core.ros import qos
+from im_core.ros.coroutines import Alarm
 from im_core.ros.node import ManagedNode
 from im_msgs.msg import Firing as FiringMessage
 from im_msgs.msg import Marking as MarkingMessage
@@ -21,6 +22,9 @@ from im_pnt.ros.cdr import encode_firing
 from im_pnt.verification import Counterexample
 
 MARKING_PERIOD_S = 0.02
+
+#: How long it is told that a net has gone [s]: who knew of it is reached by then, and who did not need not be.
+GONE_S = 60.0
 
 
 class PntPublisher:
@@ -42,6 +46,7 @@ class PntPublisher:
         self._refusals = node.create_publisher(NetRefusal, "/pnt/refusals", qos.LATCHED_MANY)
         self._markings: dict[str, Publisher] = {}
         self._descriptions: dict[str, Publisher] = {}
+        self._going: dict[str, Alarm] = {}
         self._fired: list[Sequence[Firing]] = []
         self._changed: dict[str, None] = {}
         self._marked_at = 0.0
@@ -122,6 +127,8 @@ class PntPublisher:
     def described(self, executor: Executor) -> None:
         """Publishes a net: whom it serves, and the text of its file."""
         net = executor.written
+        if (going := self._going.pop(net.name, None)) is not None:
+            self._node.alarms.cancel(going)
         content = {**_heading(net), "yaml": yaml_text(net), "journal": executor.record is not None}
         if net.name not in self._descriptions:
             self._descriptions[net.name] = self._node.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED)
@@ -130,8 +137,15 @@ class PntPublisher:
         )
 
     def withdrawn(self, net: str) -> None:
-        """Publishes that a net has gone, as a description without content, also for whoever comes later."""
+        """Publishes that a net has gone, as a description without content, also for whoever comes within a minute."""
         self._descriptions[net].publish(NetDescription(net=net, node=self._node.get_fully_qualified_name()))
+        self._going[net] = self._node.alarms.after(GONE_S, lambda: self._forget(net))
+
+    def _forget(self, net: str) -> None:
+        del self._going[net]
+        for publishers in (self._descriptions, self._markings):
+            if (publisher := publishers.pop(net, None)) is not None:
+                self._node.destroy_publisher(publisher)
 
     def refused(self, net: str, message: str, nets: Sequence[Net], refusals: Sequence[Counterexample]) -> None:
         """Publishes why a net was refused, with the firing sequence that shows it, if there is one.
