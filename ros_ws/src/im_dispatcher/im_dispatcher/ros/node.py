@@ -1,7 +1,6 @@
 """Node ``/dispatcher``."""
 
 import json
-import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -37,6 +36,9 @@ from im_pnt_analysis import verify_to_load
 
 #: How long it may take to read a net [s].
 READ_S = 60.0
+
+#: How long a net that comes or goes may wait for the rest of one [s]; others wait for it meanwhile.
+LONGEST_WAIT_S = 3600.0
 
 #: Commands that may wait in the line.
 MOST_WAITING = 100
@@ -273,8 +275,8 @@ def require_wait(seconds: float) -> None:
     Raises:
         ArgumentError: It is no time.
     """
-    if not 0.0 <= seconds < math.inf:
-        raise ArgumentError(f"wait is {seconds:g} s; a time of 0 or more is allowed")
+    if not 0.0 <= seconds <= LONGEST_WAIT_S:
+        raise ArgumentError(f"wait is {seconds:g} s; 0 to {LONGEST_WAIT_S:g} s are allowed")
 
 
 def dispatcher_functions(host: Host) -> Functions:
