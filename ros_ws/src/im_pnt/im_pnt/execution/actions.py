@@ -241,7 +241,7 @@ class Actions:
             return
         try:
             self._conflicts.book.outcome(activity.net, activity.transition, strategy, success)
-        except OSError as error:
+        except (OSError, ImError) as error:
             self._rule.notifier.troubled(f"what was learned about {activity.transition} cannot be saved: {error}")
 
     def _context(self, activity: Activity) -> ActionContext:

@@ -12,14 +12,17 @@ success; the entropy of that choice is the uncertainty of the decision in the se
 [nats].
 """
 
+import fcntl
 import json
 import math
+import os
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
-from im_core.errors import FOREIGN, ImError
+from im_core.errors import FOREIGN, ImError, StoreError
 from im_core.files import FileError, write_whole
 from im_core.jsontext import load_json
 from im_pnt.errors import NetError
@@ -37,6 +40,8 @@ from im_pnt.model.net import Strategy, Transition
 class StrategyBook:
     """What was learned about strategies, by net and transition; kept in a file from run to run.
 
+    Several machines may learn in one file: each adds its outcomes to what is there.
+
     Args:
         path: JSON file; read if it is there, and replaced at each outcome. None: kept in memory only.
 
@@ -47,6 +52,7 @@ class StrategyBook:
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._counts: dict[str, tuple[float, float]] = {}
+        self._unsaved: list[tuple[str, Strategy, bool]] = []
         if path is not None and path.exists():
             self._counts = _load(path)
 
@@ -63,21 +69,30 @@ class StrategyBook:
         """Counts an outcome, and saves the book.
 
         Raises:
-            OSError: It cannot be saved; the outcome is counted all the same.
+            OSError: It cannot be saved; the outcome is counted all the same, and saved with the next one.
+            NetError: Likewise, for the file is not one of these any more.
         """
-        successes, failures = (count * strategy.decay for count in self.counts(net, transition, strategy))
-        self._counts[f"{net}.{transition}"] = (successes + success, failures + (not success))
+        name = f"{net}.{transition}"
+        self._count(name, strategy, success)
         if self._path is not None:
-            self.save(self._path)
+            self._unsaved.append((name, strategy, success))
+            self._save(self._path)
 
-    def save(self, path: Path) -> None:
-        """Writes the book; the file is replaced whole or not at all.
+    def _count(self, name: str, strategy: Strategy, success: bool) -> None:
+        before = self._counts.get(name, (strategy.successes, strategy.failures))
+        successes, failures = (count * strategy.decay for count in before)
+        self._counts[name] = (successes + success, failures + (not success))
 
-        Raises:
-            StoreError: It cannot be written.
-        """
-        content = {name: {"successes": s, "failures": f} for name, (s, f) in sorted(self._counts.items())}
-        write_whole(path, json.dumps({"strategies": content}, indent=1) + "\n")
+    def _save(self, path: Path) -> None:
+        """Writes the book, with what others have learned meanwhile; the file is replaced whole or not at all."""
+        with _alone(path):
+            if path.exists():
+                self._counts = _load(path)
+                for outcome in self._unsaved:
+                    self._count(*outcome)
+            content = {name: {"successes": s, "failures": f} for name, (s, f) in sorted(self._counts.items())}
+            write_whole(path, json.dumps({"strategies": content}, indent=1) + "\n")
+        self._unsaved.clear()
 
 
 def probabilities(weights: Sequence[float]) -> list[float]:
@@ -93,6 +108,24 @@ def probabilities(weights: Sequence[float]) -> list[float]:
 def entropy(distribution: Sequence[float]) -> float:
     """Returns the entropy of a distribution [nats]."""
     return -math.fsum(p * math.log(p) for p in distribution if p > 0.0) + 0.0
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Keeps other machines from changing a file meanwhile.
+
+    Raises:
+        StoreError: One of them does.
+    """
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)  # given back with the folder
+        yield
+    except BlockingIOError as error:
+        reason = "another machine writes it; the next outcome brings this one along"
+        raise StoreError(f"{path}: {reason}", file=str(path), reason=reason) from error
+    finally:
+        os.close(folder)
 
 
 def _load(path: Path) -> dict[str, tuple[float, float]]:
