@@ -74,3 +74,34 @@ def test_a_folder_in_which_a_machine_of_another_domain_runs_is_refused(tmp_path,
         start.require_none_runs()  # that one has ended
     finally:
         other.unlink(missing_ok=True)
+
+
+def interrupted(*_):
+    """Stands for a function during which Ctrl-C comes."""
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("where", "stops"),
+    [
+        ("deployments.load", 0),
+        ("check_calibration", 0),
+        ("machine.read", 0),
+        ("preflight.check_host", 0),
+        ("clear_the_way", 1),
+        ("spawn_bootstrap", 1),
+        ("await_ready", 1),
+    ],
+)
+def test_an_interrupted_start_stops_only_what_it_began(where, stops, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    monkeypatch.setattr("sys.argv", ["start"])
+    monkeypatch.setattr(start, "interrupt_once", lambda: None)
+    for name in ("check_calibration", "preflight.check_host", "clear_the_way", "tidy", "spawn_bootstrap"):
+        monkeypatch.setattr(f"im_bringup.machine.start.{name}", lambda *_: None)
+    monkeypatch.setattr(f"im_bringup.machine.start.{where}", interrupted)
+    stopped = []
+    monkeypatch.setattr(start.stop, "stop", lambda say: stopped.append(say))
+    assert start.main() == 130
+    assert len(stopped) == stops
+    assert ("stopping what was started" in capsys.readouterr().err) == bool(stops)

@@ -28,6 +28,8 @@ from im_core.process import ChildProcess
 from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
 CALIBRATION = "${calibration}"
+#: Exit code of a start that Ctrl-C has ended.
+INTERRUPTED = 130
 _POLL_S = 0.05
 #: What the parts of a start are: this host's and what is left of a machine before, and those of the bootstrap.
 _PARTS = {
@@ -45,7 +47,8 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="start",
         description="Start the machine of this ROS domain; return when every task is ready.",
-        epilog="Exit codes: 0 ready, 1 not started (said why), 2 bad usage, deployment file or calibration.",
+        epilog="Exit codes: 0 ready, 1 not started (said why), 2 bad usage, deployment file or calibration, "
+        "130 interrupted.",
     )
     parser.add_argument("deployment", nargs="?", help="deployment file (default: the one of im_bringup)")
     parser.add_argument("--factor", type=float, help="simulated seconds a second; 0: as fast as it goes")
@@ -89,23 +92,20 @@ def main() -> int:
     arguments = parser().parse_args()
     interrupt_once()
     path = Path(arguments.deployment or deployments.default_path()).resolve()
+    failure = 2
     try:
         deployment = deployments.with_options(deployments.load(path), arguments)
         deployments.require_calibration_here(deployment, arguments.calibration)
         check_calibration(deployment, path)
-    except ImError as error:
-        complain(f"start: {error.message}")
-        return 2
-    try:
+        failure = 1
         with only_one():
             return start(deployment, path, arguments.timeout, arguments.fresh)
     except KeyboardInterrupt:
-        complain("\nstart: interrupted; stopping what was started")
-        stop.stop(say=lambda _: None)
-        return 130
+        complain("\nstart: interrupted")
+        return INTERRUPTED
     except ImError as error:
         complain(f"start: {error.message}")
-        return 1
+        return failure
 
 
 def say(sentence: str) -> None:
@@ -189,28 +189,34 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
         fresh: Begin a new mission even where commands of the one before have not ended.
 
     Returns:
-        0 if all tasks are ready, else 1; the machine is down again then.
+        0 if all tasks are ready, else 1, or 130 if it was interrupted; the machine is down again then.
 
     Raises:
         StateError: A machine of this ROS domain runs already.
         ImError: This host has not what the machine needs; nothing was started.
+        KeyboardInterrupt: It was interrupted before it began to clear the way; nothing was touched.
     """
     began = clock.monotonic()
     require_none_runs()
     preflight.check_host()
     several = len(deployment.hosts) > 1  # their journals would have to be of the same mission
-    goes_on = clear_the_way(fresh or several)
-    preflight.check_shared_memory(deployment)
-    tidy(deployment)
-    if said := reach(os.environ, deployment):
-        say(f"start: {said}")
-    took = {"preflight": clock.monotonic() - began}
-    process = spawn_bootstrap(deployment, path, timeout_s)
     try:
-        return await_ready(process, began, timeout_s, took, goes_on)
-    except ImError:
+        goes_on = clear_the_way(fresh or several)
+        preflight.check_shared_memory(deployment)
+        tidy(deployment)
+        if said := reach(os.environ, deployment):
+            say(f"start: {said}")
+        took = {"preflight": clock.monotonic() - began}
+        process = spawn_bootstrap(deployment, path, timeout_s)
+        try:
+            return await_ready(process, began, timeout_s, took, goes_on)
+        except ImError:
+            stop.stop(say=lambda _: None)
+            raise
+    except KeyboardInterrupt:
+        complain("\nstart: interrupted; stopping what was started")
         stop.stop(say=lambda _: None)
-        raise
+        return INTERRUPTED
 
 
 def await_ready(process: ChildProcess, began: float, timeout_s: float, took: dict[str, float], goes_on: bool) -> int:
