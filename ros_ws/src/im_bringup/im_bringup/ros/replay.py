@@ -3,6 +3,8 @@
 import argparse
 import contextlib
 import operator
+import os
+import re
 import select
 import signal
 import sys
@@ -44,6 +46,9 @@ MISSION_TOPICS = ("/pnt/events", "/pnt/nets", "/pnt/firings", "/pnt/markings")
 #: Options of what is published, which --extract does not go with.
 _PUBLISHING = ("rate", "start", "loop", "paused", "clock", "remap")
 _ARROWS = {"\x1b[D": "left", "\x1b[C": "right"}
+#: A key as a terminal tells it: several characters where it is none of a text, or Esc alone.
+_KEY = re.compile(r"\x1b\[[0-9;]*[^0-9;\x1b]|.", re.DOTALL)
+_MOST_TYPED = 1024
 
 
 class Replay:
@@ -164,9 +169,11 @@ def keys_pressed(controls: Controls) -> Iterator[None]:
     def read() -> None:
         while not done.is_set():
             if select.select([sys.stdin], [], [], _LONGEST_SLEEP_S)[0]:
-                key = sys.stdin.read(1)
-                key += sys.stdin.read(2) if key == "\x1b" else ""
-                controls.press(_ARROWS.get(key, key))
+                typed = os.read(sys.stdin.fileno(), _MOST_TYPED)  # not sys.stdin, which would wait for more
+                if not typed:
+                    return  # the terminal is gone
+                for key in _KEY.findall(typed.decode("ascii", "replace")):
+                    controls.press(_ARROWS.get(key, key))
 
     tty.setcbreak(sys.stdin)
     reader = threading.Thread(target=read, name="keys", daemon=True)
