@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from im_core.errors import NotFoundError, nearest
-from im_core.options import finite_number, whole
+from im_core.options import NumberParser, finite_number, whole
 
 Schema = Mapping[str, Any]
 """JSON schema of an argument, or of all arguments of a command."""
 
 
-class CommandParser(argparse.ArgumentParser):
+class CommandParser(NumberParser):
     """The options of one command.
 
     Args:

@@ -52,6 +52,11 @@ def test_options_are_values_of_the_types_of_the_schema():
     assert options.priority == -2
 
 
+def test_small_negative_numbers_are_values():
+    words = "--poses-file a --joints -1e-3 0.5 -2."
+    assert CommandParser(MOVE).read(words.split())[0]["joints"] == [-0.001, 0.5, -2.0]
+
+
 def test_what_is_not_given_is_left_to_the_net():
     assert CommandParser(MOVE).read(["--poses_file", "a"])[0] == {"poses_file": "a"}
 

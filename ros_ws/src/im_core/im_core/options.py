@@ -1,13 +1,27 @@
-"""Numbers on a command line, for the ``type`` of argparse: whoever gives another reads it, and what is allowed."""
+"""Numbers on a command line: what takes them, and the ``type`` of argparse that says what was given and is allowed."""
 
 import argparse
 import math
 import re
 from collections.abc import Callable
+from typing import Any
 
 #: Longest time that a command may be told to wait [s].
 LONGEST_S = 86_400.0
 _SHOWN = 60
+_NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re.ASCII | re.IGNORECASE)
+
+
+class NumberParser(argparse.ArgumentParser):
+    """A parser to which every negative number is a value; argparse takes ``-1e-3``, as Python prints it, for an option.
+
+    Args:
+        options: Those of :class:`argparse.ArgumentParser`.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._negative_number_matcher = _NEGATIVE
 
 
 def finite_number(text: str) -> float:

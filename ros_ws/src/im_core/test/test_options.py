@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from im_core.options import at_least, computing_seconds, finite_number, seconds, whole
+from im_core.options import NumberParser, at_least, computing_seconds, finite_number, seconds, whole
 
 
 @pytest.mark.parametrize(
@@ -41,3 +41,32 @@ def test_what_is_no_such_number_is_refused(read, text, message):
     with pytest.raises(argparse.ArgumentTypeError) as refused:
         read(text)
     assert str(refused.value) == message
+
+
+@pytest.mark.parametrize("text", [repr(-1e-5), repr(-1e22), "-1.", "-.5E3", "-3", "-0.25"])
+def test_a_negative_number_is_a_value_however_it_is_written(text):
+    parser = NumberParser()
+    parser.add_argument("--corner", nargs=3, type=finite_number)
+    assert parser.parse_args(["--corner", "1", text, "2"]).corner == [1.0, float(text), 2.0]
+    inner = parser.add_subparsers().add_parser("inner")
+    inner.add_argument("place", type=finite_number)
+    assert parser.parse_args(["inner", text]).place == float(text)
+
+
+@pytest.mark.parametrize("text", ["-inf", "-nan"])
+def test_a_negative_value_that_is_not_finite_is_refused_by_its_reader(text, capsys):
+    parser = NumberParser()
+    parser.add_argument("--x", type=finite_number)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--x", text])
+    assert f"{text} is not a finite number" in capsys.readouterr().err
+
+
+def test_what_only_begins_as_a_negative_number_is_an_option():
+    parser = NumberParser()
+    parser.add_argument("-o")
+    parser.add_argument("--x", nargs="*")
+    for words in (["-o", "-2"], ["-oa"], ["-o-1"]):
+        assert parser.parse_args(["--x", "-1e3", *words]).x == ["-1e3"]
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--x", "-1e"])

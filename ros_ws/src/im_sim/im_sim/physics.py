@@ -1,6 +1,5 @@
 """The physics process: ``python -m im_sim.physics --instance NAME --factor 1.0 --seed 0 [--config cell.yaml]``."""
 
-import argparse
 import signal
 import sys
 from collections.abc import Sequence
@@ -10,6 +9,7 @@ from im_cell.link import HostEnd
 from im_cell.robot import load_cell
 from im_core import scheduling
 from im_core.errors import ImError
+from im_core.options import NumberParser
 from im_sim.laser import Laser
 from im_sim.loop import TickLoop
 from im_sim.plant import Plant
@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit code: 0 after an orderly end, 1 after an error, whose sentence is the last line written.
     """
-    parser = argparse.ArgumentParser(prog="im_sim.physics", description="Physics of the simulated testbed.")
+    parser = NumberParser(prog="im_sim.physics", description="Physics of the simulated testbed.")
     parser.add_argument("--instance", required=True, help="name of the machine on this host")
     parser.add_argument("--config", type=Path, help="parameters of the cell (default: the shipped ones)")
     parser.add_argument("--period", type=float, default=0.0, help="of a tick [s]; 0: the cell's")

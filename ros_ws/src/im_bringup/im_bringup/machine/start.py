@@ -23,7 +23,7 @@ from im_bringup.tasks.middleware import reach
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError, StateError
 from im_core.files import read_text
-from im_core.options import seconds
+from im_core.options import NumberParser, seconds
 from im_core.process import ChildProcess
 from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
@@ -44,7 +44,7 @@ _PARTS = {
 
 def parser() -> argparse.ArgumentParser:
     """The arguments of the command."""
-    parser = argparse.ArgumentParser(
+    parser = NumberParser(
         prog="start",
         description="Start the machine of this ROS domain; return when every task is ready.",
         epilog="Exit codes: 0 ready, 1 not started (said why), 2 bad usage, deployment file or calibration, "

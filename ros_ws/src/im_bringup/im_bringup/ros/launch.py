@@ -4,7 +4,6 @@ The processes begin as copies of this one, which has loaded what all of them nee
 along, and with them no process may be copied.
 """
 
-import argparse
 import os
 import sys
 from contextlib import suppress
@@ -21,6 +20,7 @@ from im_bringup.tasks.middleware import middleware
 from im_cell.robot import load_cell
 from im_core import clock, names, scheduling
 from im_core.errors import ConfigError, ImError
+from im_core.options import NumberParser
 from im_core.process import prepare
 from im_core.procfs import ProcessId
 
@@ -35,7 +35,7 @@ COMMON = (
 
 def main() -> int:
     """Run ``/bootstrap`` until SIGINT or SIGTERM."""
-    parser = argparse.ArgumentParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
+    parser = NumberParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
     parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
     parser.add_argument("--factor", type=float)
     parser.add_argument("--period", type=float)

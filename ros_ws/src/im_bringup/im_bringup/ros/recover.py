@@ -5,7 +5,6 @@ standard interfaces of ``/mcs``: configure it, reset its emergency stop, and if 
 Nothing moves, and no power is switched on.
 """
 
-import argparse
 import sys
 from collections.abc import Callable
 
@@ -19,7 +18,7 @@ from im_bringup.machine.recovery import McsCondition, Step, next_step
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, InterruptibleNode, spun
 from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
-from im_core.options import seconds
+from im_core.options import NumberParser, seconds
 from im_core.ros import qos
 from im_core.ros.latest import Latest
 from im_msgs.msg import McsState, TaskRegistry
@@ -161,7 +160,7 @@ class RecoverClient(InterruptibleNode):
 
 def main() -> int:
     """Run the command."""
-    parser = argparse.ArgumentParser(
+    parser = NumberParser(
         prog="im recover",
         description="Bring the running machine back after the death of its servo, its testbed or /mcs. Tasks that died "
         "are started again by the machine; this waits for them, configures /mcs, resets an emergency stop (and says "

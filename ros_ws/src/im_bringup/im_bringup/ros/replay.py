@@ -29,6 +29,7 @@ from im_bringup.ros.record import check_topic_name, to_profile
 from im_core import clock
 from im_core.bag.command_line import parsed
 from im_core.errors import DataError, ImError, NotFoundError
+from im_core.options import NumberParser
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
@@ -239,7 +240,7 @@ def _renamed(texts: Sequence[str], parser: argparse.ArgumentParser) -> dict[str,
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = NumberParser(
         prog="replay", description="Publish the messages of a bag on their topics.", epilog=f"Keys: {KEYS}."
     )
     parser.add_argument("bag", type=Path, help="folder of the bag, or a file of it")

@@ -5,13 +5,14 @@ import sys
 from collections.abc import Callable
 
 from im_core.errors import ImError
+from im_core.options import NumberParser
 
 OK, BAD_INPUT, INTERRUPTED = 0, 1, 130
 
 
 def parser(name: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """A parser of arguments whose help shows `epilog` as it is written."""
-    return argparse.ArgumentParser(
+    return NumberParser(
         prog=name, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
 
