@@ -19,7 +19,7 @@ _im() {
         if (part[1] == before && n > 1) { for (j = 2; j <= n; j++) print part[j]; chosen = 1 }
         else options = options " " part[1]
       }
-      if (!chosen) print options " --priority --json --help"
+      if (!chosen) print options
     }' "$list")"
   fi
   mapfile -t COMPREPLY < <(compgen -W "$words" -- "$word")

@@ -136,11 +136,11 @@ def test_who_was_interrupted_while_the_dispatcher_was_away_cancels_when_it_is_ba
             self.numbers.append(self.numbers[-1] + (not handle.request.attach))
             return await Future()
 
-    node, client = ros(Dying()), ros(CommandClient(io.StringIO()))
+    node, client = ros(Dying()), ros(CommandClient())
 
     def run():
         with pytest.raises(KeyboardInterrupt):
-            client.run(ExecuteCommand.Goal(symbol="move"))
+            client.run(ExecuteCommand.Goal(symbol="move"), io.StringIO())
         return "left alone"
 
     done = ended(run)
@@ -164,8 +164,8 @@ def test_a_goal_whose_acceptance_was_lost_is_carried_out_once(ros, stopped, wait
         await execute(self, taken)
 
     monkeypatch.setattr(GuardedActionClient, "execute", lossy)
-    client = ros(CommandClient(io.StringIO()))
-    done = ended(lambda: client.run(ExecuteCommand.Goal(symbol="move")))
+    client = ros(CommandClient())
+    done = ended(lambda: client.run(ExecuteCommand.Goal(symbol="move"), io.StringIO()))
     (result,) = wait_until(lambda: done, "the result")
     assert (result.success, len(stopped.begun), len(lost)) == (True, 1, 1)
 

@@ -3,7 +3,7 @@
 import argparse
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from im_core.errors import NotFoundError, nearest
@@ -25,14 +25,21 @@ class CommandParser(NumberParser):
         needs = ", ".join(re.sub(r"\$\{arguments\.(\w+)\}", r"<\1>", need) for need in told.get("needs", ()))
         holds = f"Needs {needs}; where others hold that, it {_BUSY[told['busy']]}." if needs else None
         super().__init__(
-            prog=f"im run {told['symbol']}", description=told.get("description"), epilog=holds, allow_abbrev=False
+            prog=f"im run {told['symbol']}",
+            description=told.get("description"),
+            epilog=holds,
+            allow_abbrev=False,
+            add_help=False,
         )
+        properties: Mapping[str, Schema] = self._schema.get("properties", {})
+        priority, as_json, self._help = _own_options(properties)
+        self.add_argument("-h", self._help, action="help", help="show this help message and exit")
         self._names: dict[str, str] = {}
-        for name, schema in self._schema.get("properties", {}).items():
+        for name, schema in properties.items():
             self._add(name, schema, name in self._schema.get("required", ()))
         add = self.add_argument_group("of every command").add_argument
-        add("--priority", type=whole, default=0, metavar="N", help="-10 to 10, added to the command's own")
-        add("--json", action="store_true", help="print the results as JSON; progress goes to stderr")
+        add(priority, dest="priority", type=whole, default=0, metavar="N", help="-10 to 10, added to the command's own")
+        add(as_json, dest="json", action="store_true", help="print the results as JSON; progress goes to stderr")
         if "arguments" not in told:
             self.add_argument("--arguments", type=json_object, default={}, metavar="JSON", help="a JSON object")
 
@@ -47,10 +54,10 @@ class CommandParser(NumberParser):
 
     def error(self, message: str) -> NoReturn:
         """Says what is wrong in one sentence."""
-        self.exit(2, f"{self.prog}: {message}; {self.prog} --help tells more\n")
+        self.exit(2, f"{self.prog}: {message}; {self.prog} {self._help} tells more\n")
 
     def _add(self, name: str, schema: Schema, required: bool) -> None:
-        options = list(dict.fromkeys(["--" + name.replace("_", "-"), f"--{name}"]))
+        options = _options(name)
         key = f"argument_{name}"
         self._names[key] = name
         is_list = schema.get("type") == "array"
@@ -82,11 +89,12 @@ def completions(commands: Sequence[Mapping[str, Any]]) -> str:
     """Returns the names for a shell to complete: a line for each command, its options and their choices behind it."""
     lines = []
     for told in commands:
-        words = [str(told["symbol"])]
-        for name, schema in told.get("arguments", {}).get("properties", {}).items():
+        words, properties = [str(told["symbol"])], told.get("arguments", {}).get("properties", {})
+        for name, schema in properties.items():
             one = schema.get("items", schema)
             choices = one.get("enum", ["true", "false"] if one.get("type") == "boolean" else [])
-            words.append("--" + name.replace("_", "-") + "".join(f"={choice}" for choice in choices))
+            words.append(_options(name)[0] + "".join(f"={choice}" for choice in choices))
+        words.extend(_own_options(properties))
         lines.append(" ".join(words))
     return "".join(f"{line}\n" for line in lines)
 
@@ -128,7 +136,24 @@ _READERS: Mapping[str, Callable[[str], object]] = {
     "number": finite_number,
     "string": str,
 }
+_OWN = ("--priority", "--json", "--help")
 _BUSY = {"wait": "waits", "refuse": "is refused"}
+
+
+def _options(name: str) -> list[str]:
+    """How an argument can be written, the usual way first."""
+    return list(dict.fromkeys(["--" + name.replace("_", "-"), f"--{name}"]))
+
+
+def _own_options(arguments: Iterable[str]) -> list[str]:
+    """The options of every command; one whose name the command has for an argument is behind ``--run-``."""
+    taken = {option for name in arguments for option in _options(name)}
+    own = []
+    for option in _OWN:
+        while option in taken:
+            option = f"--run-{option.removeprefix('--')}"
+        own.append(option)
+    return own
 
 
 def _metavar(schema: Schema) -> str:

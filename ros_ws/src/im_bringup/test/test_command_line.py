@@ -94,6 +94,34 @@ def test_help_tells_what_the_schema_tells(capsys):
         assert text in told
 
 
+@pytest.fixture
+def awkward():
+    """A command with arguments of the names that ``im run`` has itself."""
+    names = ["priority", "json", "help", "run_json", "arguments", "attach", "name", "h"]
+    properties = {name: {"type": "integer"} for name in names}
+    return {"symbol": "store", "net": "store", "description": "", "arguments": {"properties": properties}}
+
+
+def test_a_command_can_be_run_whatever_its_arguments_are_called(awkward):
+    names = awkward["arguments"]["properties"]
+    words = [word for number, name in enumerate(names) for word in (f"--{name}", str(number))]
+    arguments, options = CommandParser(awkward).read([*words, "--run-priority", "3", "--run-run-json"])
+    assert arguments == {name: number for number, name in enumerate(names)}
+    assert (options.priority, options.json) == (3, True)
+    assert CommandParser(awkward).read(["--json", "1"])[1].json is False
+
+
+@pytest.mark.parametrize("word", ["-h", "--run-help"])
+def test_help_tells_what_the_options_of_every_command_are_called_then(word, awkward, capsys):
+    with pytest.raises(SystemExit) as ended:
+        CommandParser(awkward).read([word])
+    assert ended.value.code == 0
+    told = " ".join(capsys.readouterr().out.split())
+    for text in ("-h, --run-help show", "--run-priority N -10 to 10", "--run-run-json print the results"):
+        assert text in told
+    assert completions([awkward]).split()[-3:] == ["--run-priority", "--run-run-json", "--run-help"]
+
+
 def test_a_command_that_there_is_not_is_refused_with_the_nearest():
     with pytest.raises(NotFoundError, match="did you mean 'move'"):
         command_told([MOVE, GRIP], "mve")
@@ -124,5 +152,6 @@ def test_a_shell_completes_commands_options_and_choices(words, found, tmp_path):
 
 def test_names_for_a_shell_to_complete():
     assert completions([MOVE, GRIP]) == (
-        "move --group=left=right --poses-file --joints --count --slow=true=false\ngrip\n"
+        "move --group=left=right --poses-file --joints --count --slow=true=false --priority --json --help\n"
+        "grip --priority --json --help\n"
     )

@@ -44,15 +44,11 @@ MOST_NUMBER = 2**32 - 1
 
 
 class CommandClient(DispatcherClient):
-    """Runs commands and tells their progress.
+    """Runs commands and tells their progress."""
 
-    Args:
-        progress: Where it is told.
-    """
-
-    def __init__(self, progress: TextIO) -> None:
+    def __init__(self) -> None:
         super().__init__("run")
-        self._progress = progress
+        self._progress: TextIO = sys.stdout
         self._told: list[dict[str, Any]] | None = None
         self._number = 0
         self._cancelling = False
@@ -93,15 +89,19 @@ class CommandClient(DispatcherClient):
             raise StateError(str(answer.message))
         return str(answer.message)
 
-    def run(self, goal: ExecuteCommand.Goal) -> Any:
+    def run(self, goal: ExecuteCommand.Goal, progress: TextIO) -> Any:
         """Runs a command, or attaches to one, and waits for its end; an interruption cancels it.
+
+        Args:
+            goal: The command.
+            progress: Where its progress is told.
 
         Raises:
             KeyboardInterrupt: It was interrupted for the second time, or before the command was written down.
             LinkError: The dispatcher fell silent.
             StateError: It died before it had written the command down, or which one it is is not known.
         """
-        self._number = int(goal.command_id)
+        self._number, self._progress = int(goal.command_id), progress
         before = None if self._number else self.moment()
         handle = self._sent(goal)
         while True:
@@ -196,11 +196,7 @@ def main() -> int:
         parser.error(f"the command comes first: im run {options.name} ...; a number stands for one that was begun")
     if options.json and options.attach is None:
         parser.error("--json goes with --attach, or behind the name of a command")
-
-    def make() -> CommandClient:
-        return CommandClient(sys.stderr if "--json" in texts else sys.stdout)
-
-    return talk(make, lambda client: _do(client, options, texts[1:]), "im run", GOES_ON)
+    return talk(CommandClient, lambda client: _do(client, options, texts[1:]), "im run", GOES_ON)
 
 
 def _command_number(text: str) -> int:
@@ -215,7 +211,8 @@ def _do(client: CommandClient, options: argparse.Namespace, texts: Sequence[str]
             print(client.control(number, request))
             return DONE
     if options.attach is not None:
-        result = client.run(ExecuteCommand.Goal(attach=True, command_id=options.attach))
+        goal = ExecuteCommand.Goal(attach=True, command_id=options.attach)
+        result = client.run(goal, _progress(options))
         return show(result, "im run", options.json, client.begun)
     if options.name is None:
         print_list(client.commands(), client.under_way())
@@ -231,7 +228,11 @@ def _do(client: CommandClient, options: argparse.Namespace, texts: Sequence[str]
         print(f"im run: {error}", file=sys.stderr)
         return USAGE
     goal = ExecuteCommand.Goal(symbol=options.name, arguments=text, priority=max(-128, min(127, given.priority)))
-    return show(client.run(goal), f"im run {options.name}", given.json, client.begun)
+    return show(client.run(goal, _progress(given)), f"im run {options.name}", given.json, client.begun)
+
+
+def _progress(options: argparse.Namespace) -> TextIO:
+    return sys.stderr if options.json else sys.stdout
 
 
 def show(result: ExecuteCommand.Result, who: str, as_json: bool, begun: bool) -> int:
