@@ -164,6 +164,24 @@ def test_a_net_that_was_unloaded_leaves_the_page_until_it_is_loaded_again(machin
     wait_until(lambda: names() == ["other", "shown"], "the net on the page again")
 
 
+def test_a_net_that_two_nodes_describe_stays_on_the_page_when_one_of_them_runs_it_no_more(machine, wait_until):
+    display, walker = machine
+    nets = walker.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED_MANY)
+
+    def shown():
+        (net,) = display.server.state.snapshot()["nets"]
+        nodes = sorted(node["name"] for node in net["drawing"]["nodes"])
+        return net["node"], nodes, in_loop(display, display._operator, "shown").srv_name
+
+    own = shown()
+    assert own[::2] == ("/walker", "/walker/control_net")
+    text = json.dumps({"yaml": "net: shown\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a}}\n"})
+    nets.publish(NetDescription(net="shown", node="/nobody", json=text))
+    wait_until(lambda: shown() == ("/nobody", ["a", "t"], "/nobody/control_net"), "the newest description")
+    nets.publish(NetDescription(net="shown", node="/nobody"))
+    wait_until(lambda: shown() == own, "that of the node that runs the net")
+
+
 def test_what_motion_control_said_last_is_stale_when_it_has_fallen_silent(machine, wait_until):
     display, walker = machine
     shown = display.server.state.snapshot

@@ -21,6 +21,7 @@ from im_core.ros.run import main as run_main
 from im_msgs.msg import Firing, Marking, McsState, NetDescription, NetRefusal
 from im_msgs.srv import ControlNet
 from im_pnt_display.page import messages
+from im_pnt_display.page.descriptions import NetDescriptions
 from im_pnt_display.page.server import DisplayServer
 
 ANSWER_S = 5.0
@@ -42,7 +43,7 @@ class DisplayNode(ManagedNode):
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
         self._undrawn: dict[tuple[str, ...], Callable[[], None]] = {}
         self._undrawn_lock = threading.Lock()
-        self._nodes: dict[str, str] = {}
+        self._descriptions = NetDescriptions()
         self._operators: dict[str, Client] = {}
 
     def phase_configure(self) -> None:
@@ -99,13 +100,18 @@ class DisplayNode(ManagedNode):
     def _draw_net(self, message: NetDescription) -> None:
         with self._warning(f"the description of net {message.net}"):
             content = messages.described_net(message.net, message.json, message.node)
-            self._nodes[message.net] = message.node
+            self._descriptions.add(message.net, message.node, content)
             self.server.show(self.server.state.net(message.net, message.node, content))
 
     def _forget_net(self, message: NetDescription) -> None:
-        if self._nodes.get(message.net) == message.node:  # another node may have taken it over
-            del self._nodes[message.net]
+        if not self._descriptions.withdraw(message.net, message.node):
+            return
+        try:
+            node, content = self._descriptions.newest(message.net)
+        except NotFoundError:
             self.server.show(self.server.state.gone(message.net))
+        else:  # another node runs it
+            self.server.show(self.server.state.net(message.net, node, content))
 
     def _draw_refusal(self, message: NetRefusal) -> None:
         with self._warning(f"the refusal of net {message.net}"):
@@ -161,9 +167,7 @@ class DisplayNode(ManagedNode):
         Raises:
             NotFoundError: There is no such net.
         """
-        if net not in self._nodes:
-            raise NotFoundError(kind="net", name=net, known=self._nodes)
-        node = self._nodes[net]
+        node, _ = self._descriptions.newest(net)
         if node not in self._operators:
             self._operators[node] = self.create_client(ControlNet, f"{node}/control_net")
         return self._operators[node]

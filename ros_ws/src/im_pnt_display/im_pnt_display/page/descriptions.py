@@ -1,0 +1,41 @@
+"""Who says of which net that it runs it, and what the net is."""
+
+from collections.abc import Mapping
+
+from im_core.errors import NotFoundError
+
+
+class NetDescriptions:
+    """Descriptions of nets by the nodes that run them; of one net that several nodes describe, the newest counts."""
+
+    def __init__(self) -> None:
+        self._by_net: dict[str, dict[str, Mapping[str, object]]] = {}
+
+    def add(self, net: str, node: str, content: Mapping[str, object]) -> None:
+        """Enters what a node says of a net, in the place of what it has said before."""
+        self._by_net[net] = {**self._others(net, node), node: content}
+
+    def withdraw(self, net: str, node: str) -> bool:
+        """Passes over what a node has said of a net; returns whether that was the newest."""
+        if node not in (described := self._by_net.get(net, {})):
+            return False
+        others = self._others(net, node)
+        if others:
+            self._by_net[net] = others
+        else:
+            del self._by_net[net]
+        return node == list(described)[-1]
+
+    def newest(self, net: str) -> tuple[str, Mapping[str, object]]:
+        """Returns the node that counts as running a net, and its description.
+
+        Raises:
+            NotFoundError: No node describes such a net.
+        """
+        described = self._by_net.get(net)
+        if described is None:
+            raise NotFoundError(kind="net", name=net, known=list(self._by_net))
+        return list(described.items())[-1]
+
+    def _others(self, net: str, node: str) -> dict[str, Mapping[str, object]]:
+        return {other: content for other, content in self._by_net.get(net, {}).items() if other != node}
