@@ -10,6 +10,7 @@ import subprocess
 import aiohttp
 import pytest
 
+from im_core.errors import LinkError
 from im_pnt_display.page import site as module
 from im_pnt_display.page.server import DisplayServer
 from im_pnt_display.page.site import LONGEST_REQUEST, MOST_VIEWERS, READ_ONLY
@@ -253,3 +254,10 @@ def test_a_refusal_goes_with_the_next_net_of_its_name_and_the_last_ones_are_kept
 )
 def test_the_address_is_one_that_a_browser_takes(host, url):
     assert DisplayServer(host=host).url == url
+
+
+def test_behind_the_last_port_there_is_none_to_try():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 65535))
+        with pytest.raises(LinkError, match="ports 65535 to 65535 are all in use"):
+            DisplayServer(port=65535).start()

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
 
 PORTS_TRIED = 20
+_PORTS = 65536
 _WAITING = 128
 """Most connections that wait to be taken."""
 
@@ -100,7 +101,7 @@ class DisplayServer:
 
     def _listen(self) -> None:
         first = self._port
-        for port in range(first, first + PORTS_TRIED if first else 1):
+        for port in range(first, min(first + PORTS_TRIED, _PORTS) if first else 1):
             try:
                 self._sockets = _listening(self._host, port)
             except OSError as error:
