@@ -150,6 +150,36 @@ def test_a_loop_begins_again_and_ends_when_asked(bag, time):
     assert played(bag, time, loop=True) == []
 
 
+@pytest.fixture
+def early_bag(tmp_path):
+    """One message at 0 s, another one of another topic at 10 s."""
+    writer = BagWriter(tmp_path / "early")
+    for topic, second in (("/a", 0), ("/latched", 10)):
+        writer.add_topic(topic, STRING, Delivery(True, False, 5))
+        writer.write(topic, (1000 + second) * 10**9, bytes([second]))
+    writer.close()
+    with BagReader(tmp_path / "early") as reader:
+        yield reader
+
+
+def test_a_round_of_a_loop_lasts_as_long_as_the_bag(early_bag, time):
+    assert played(early_bag, time, loop=True, rate=2.0, most=3) == [(0, 0.0), (0, 5.0), (0, 10.0)]
+
+
+def test_a_loop_over_a_moment_is_no_flood(early_bag, time):
+    assert played(early_bag, time, ("/latched",), loop=True, start_s=10.0, rate=2.0, most=3) == [
+        ("latched 10", 0.0),
+        ("latched 10", 0.1),
+        ("latched 10", 0.2),
+    ]
+
+
+def test_pause_step_and_seek_reach_the_silence_at_the_end_of_a_loop(early_bag, time):
+    time.script = [(102.0, " "), (104.0, "."), (105.0, "."), (106.0, " "), (108.0, "left")]
+    found = played(early_bag, time, loop=True, most=5)
+    assert found == [(0, 0.0), (0, 4.0), (0, 5.0), (0, 8.0), (0, 18.0)]
+
+
 def test_a_start_beyond_the_end_is_refused(bag, time):
     with pytest.raises(DataError, match=r"the bag lasts 19.000 s: there is no 30 s in it"):
         played(bag, time, start_s=30.0)

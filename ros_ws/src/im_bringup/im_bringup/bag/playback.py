@@ -4,6 +4,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 from im_bringup.bag.reader import BagReader
 from im_core import clock
@@ -15,6 +16,8 @@ JUMP_S = 5.0
 LATCHED = 100
 #: An event waits no longer than 292 years, a message may be due later [s].
 _LONGEST_WAIT_S = 3600.0
+#: A loop begins again no sooner, however short the bag is [s].
+_SHORTEST_ROUND_S = 0.1
 KEYS = "space: pause, .: step, left and right: 5 s back and on, q: end"
 
 Message = tuple[str, int, bytes]
@@ -44,6 +47,11 @@ class Controls:
             case "q":
                 self.ended = True
         self.changed.set()
+
+    def take_step(self) -> None:
+        """Count a message that is let through as one of the steps that are wanted, if it is paused."""
+        if self.paused and self.steps:
+            self.steps -= 1
 
     def end(self) -> None:
         """End the replay soon."""
@@ -116,20 +124,26 @@ class Playback:
         return self._bag.messages(topics, end_ns=end_ns) if end_ns > self._bag.begin_ns else iter(())
 
     def _from(self, begin_ns: int) -> Generator[Message, None, float | None]:
-        """Messages from a time on; returns where to go on, if the user wants to be elsewhere [s]."""
+        """Messages from a time on, up to the bag's end if it begins again there.
+
+        Returns:
+            Where to go on, if the user wants to be elsewhere [s].
+        """
         place_s = (begin_ns - self._bag.begin_ns) * 1e-9
         began = clock.monotonic()
-        for message in self._bag.messages(self._topics, begin_ns):
-            due = began + (message[1] - begin_ns) * 1e-9 / self._rate
-            paused_s = self._wait(due)
-            began += paused_s
+        round_s = max(self._bag.duration_s - place_s, _SHORTEST_ROUND_S * self._rate)
+        for message in chain(self._bag.messages(self._topics, begin_ns), [None] if self._loop else []):
+            after_s = round_s if message is None else (message[1] - begin_ns) * 1e-9
+            began += self._wait(began + after_s / self._rate)
             if self._controls.ended:
                 return None
             if self._controls.jump_s:
                 jump_s, self._controls.jump_s = self._controls.jump_s, 0.0
                 passed_s = (clock.monotonic() - began) * self._rate
-                return place_s + min(passed_s, (message[1] - begin_ns) * 1e-9) + jump_s
-            yield message
+                return place_s + min(passed_s, after_s) + jump_s
+            if message is not None:
+                self._controls.take_step()
+                yield message
         return None
 
     def _wait(self, due: float) -> float:
@@ -141,7 +155,6 @@ class Playback:
                 break
             if controls.paused:
                 if controls.steps:
-                    controls.steps -= 1
                     return clock.monotonic() - due
                 stopped = clock.monotonic()
                 controls.changed.wait()
