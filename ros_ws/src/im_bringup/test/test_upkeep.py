@@ -121,6 +121,22 @@ def test_a_log_is_rotated_while_its_process_writes_into_it(tmp_path):
     assert log.read_bytes() == b""
 
 
+def test_what_is_written_while_a_log_is_rotated_is_kept(tmp_path, monkeypatch):
+    log = tmp_path / "task.log"
+    log.write_text("first\n")
+    replace = Path.replace
+
+    def slow(path, target):
+        with log.open("a") as output:
+            output.write("meanwhile\n" * 300_000)
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", slow)
+    assert rotate(log, 1.0)
+    assert (tmp_path / "task.log.1").read_text() == "first\n" + "meanwhile\n" * 300_000
+    assert log.read_bytes() == b""
+
+
 def test_where_there_is_no_room_for_the_old_log_it_stays(tmp_path, monkeypatch):
     log = tmp_path / "task.log"
     log.write_text("x" * 100)

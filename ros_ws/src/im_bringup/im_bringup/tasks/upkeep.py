@@ -16,6 +16,9 @@ LOOK_S = 10.0
 PRUNE_EVERY = 360
 TOOL_LOGS = 100
 _DAY_S = 86_400.0
+#: What is read of a log at once of what comes while it is rotated, and how often: a writer may be as fast as this.
+_PIECE_BYTES = 2**20
+_MOST_PIECES = 100
 
 _RESULT = re.compile(r"(\d{8}-\d{6})(?:-(\d+))?")
 _CALIBRATION = re.compile(r"(?:.*-)?(\d{8}-\d{6})(?:-(\d+))?")
@@ -45,6 +48,10 @@ class Keep(Model):
 def rotate(log: Path, most_bytes: float) -> bool:
     """Move the content of a log that has grown too long to ``<log>.1``; who writes into it goes on at its beginning.
 
+    What comes meanwhile is moved, too, up to the end that was seen last. What is written between that look and the cut
+    is lost, since no lock keeps writers away: mostly nothing, and up to some milliseconds of a process that writes as
+    fast as it can.
+
     Args:
         log: The log; its writers append (O_APPEND).
         most_bytes: Longest log [bytes].
@@ -53,18 +60,23 @@ def rotate(log: Path, most_bytes: float) -> bool:
         Whether it was too long.
 
     Raises:
-        OSError: There is no room for the copy; the log is as it was, and so is the one before.
+        OSError: There is no room for the copy; the log is as it was, and so is the one before, unless it was what came
+            meanwhile that had no room.
     """
     if log.stat().st_size <= most_bytes:
         return False
     copy = log.with_name(f"{log.name}.1.new")
     try:
-        with log.open("rb") as source, copy.open("wb") as target:
+        with log.open("r+b", buffering=0) as source, copy.open("wb") as target:
             shutil.copyfileobj(source, target)
             target.flush()  # no room for the last of it is known now
             copy.replace(log.with_name(f"{log.name}.1"))
-            with log.open("r+b") as writable:
-                writable.truncate(0)
+            for _ in range(_MOST_PIECES):
+                if not (piece := source.read(_PIECE_BYTES)):
+                    break
+                target.write(piece)
+                target.flush()
+            source.truncate(0)
     except OSError:
         copy.unlink(missing_ok=True)
         raise
