@@ -94,6 +94,14 @@ def test_references_become_values_and_keep_their_type():
     assert changed.parameters_of(placed.task) == {"use_sim_time": True, "introspection": "contents", **given}
 
 
+def test_references_in_lists_become_values_too():
+    text = machine({"localhost": {"a": {"one": '{seeds: ["${seed}", 5], names: ["run ${seed}", "$5"]}'}}})
+    value = parsed(text)
+    (placed,) = value.tasks()
+    given = value.parameters_of(placed.task)
+    assert (given["seeds"], given["names"]) == ([3, 5], ["run 3", "$5"])
+
+
 def test_a_task_may_refuse_simulated_time_and_telling_what_it_carries():
     value = parsed(machine({"localhost": {"a": {"one": "{use_sim_time: false, introspection: metadata}"}}}))
     assert value.parameters_of(next(value.tasks()).task) == {"use_sim_time": False, "introspection": "metadata"}
@@ -113,6 +121,14 @@ def test_a_task_may_refuse_simulated_time_and_telling_what_it_carries():
             {"localhost": {"a": {"one": '{x: "${sed}"}'}}},
             "refers to '${sed}'; known are calibration, clock_factor, commands, control, period, port, seed",
         ),
+        ({"localhost": {"a": {"one": '{x: ["${seed}", "${nix}"]}'}}}, "parameter 'x' of task 'one' refers to '${nix}'"),
+        ({"localhost": {"a": {"one": '{x: "${ period }"}'}}}, "refers to '${ period }'; known are"),
+        ({"localhost": {"a": {"one": '{x: "${clock-factor}"}'}}}, "refers to '${clock-factor}'; known are"),
+        ({"localhost": {"a": {"one": '{x: "run ${seed"}'}}}, "refers to '${seed'; known are"),
+        ({"localhost": {"a": {"one": '{x: "${}"}'}}}, "refers to '${}'; known are"),
+        ({"localhost": {"verification": {"one": "{}"}}}, "process 'verification' of host 'localhost' has the name of"),
+        ({"localhost": {"bootstrap": {"one": "{}"}}}, "process 'bootstrap' of host 'localhost' has the name of one of"),
+        ({"localhost": {"a": {"bootstrap": "{}"}}}, "task 'bootstrap' has the node /bootstrap, which is the machine's"),
     ],
 )
 def test_contradictions_are_refused(hosts, sentence):
@@ -146,6 +162,17 @@ def test_commands_are_names_and_files_relative_to_the_deployment(tmp_path):
     (placed,) = loaded.tasks()
     files = [str(tmp_path / "nets"), str(tmp_path.parent / "mine.yaml")]
     assert loaded.parameters_of(placed.task)["commands"] == ",".join(["move", *files])
+
+
+def test_a_comma_in_a_command_or_in_the_folder_of_its_file_is_refused_in_words(tmp_path):
+    path = tmp_path / "a,b" / "d.yaml"
+    path.parent.mkdir()
+    path.write_text("commands:\n  - move\n  - nets/\n" + machine({"localhost": {"a": {"one": "{}"}}}))
+    with pytest.raises(ConfigError, match=r"d\.yaml:3: commands\[1\]: .*/a,b/nets: it has a comma, at which the Disp"):
+        deployment.load(path)
+    path.write_text(path.read_text().replace("nets/", "open,close"))
+    with pytest.raises(ConfigError, match=r"d\.yaml:3: commands\[1\]: 'open,close': it has a comma, at which the Disp"):
+        deployment.load(path)
 
 
 def test_every_command_that_is_shipped_is_in_the_default_deployment():
@@ -184,5 +211,7 @@ def test_a_folder_of_calibrations_of_this_host_is_not_for_a_task_of_another():
     deployment.require_calibration_here(parsed(machine({"localhost": {"a": reads}})), "/kept")
     there = parsed(machine({"localhost": {"b": {"one": "{}"}}, "far": {"a": reads}}))
     deployment.require_calibration_here(there, None)
+    in_list = {"vss": '{folders: ["${calibration}"]}'}
+    assert parsed(machine({"far": {"a": in_list}})).hosts["far"]["a"]["vss"].takes("calibration")
     with pytest.raises(ConfigError, match=r"--calibration /kept is a folder of this host, .* 'vss'.*on host 'far'"):
         deployment.require_calibration_here(there, "/kept")

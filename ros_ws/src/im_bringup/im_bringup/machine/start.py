@@ -27,7 +27,6 @@ from im_core.options import NumberParser, seconds
 from im_core.process import ChildProcess
 from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
-CALIBRATION = "${calibration}"
 #: Exit code of a start that Ctrl-C has ended.
 INTERRUPTED = 130
 _POLL_S = 0.05
@@ -164,9 +163,9 @@ def check_calibration(deployment: Deployment, path: Path) -> None:
     from im_cell.calibration_files import read_calibration
     from im_cell.robot import load_cell
 
-    takers = [placed for placed in deployment.tasks() if CALIBRATION in placed.task.parameters.values()]
+    takers = [placed for placed in deployment.tasks() if placed.task.takes("calibration")]
     if not takers:
-        raise ConfigError(f"calibration: {deployment.calibration}: no task has '{CALIBRATION}' among its parameters")
+        raise ConfigError(f"calibration: {deployment.calibration}: no task has '${{calibration}}' among its parameters")
     for taker in takers:
         if taker.host == deployment.local_host():
             cell = load_cell(str(taker.task.parameters.get("cell", "")) or None)

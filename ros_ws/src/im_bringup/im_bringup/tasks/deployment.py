@@ -29,6 +29,18 @@ MOST_TASKS = 100
 
 _VALUES = ("clock_factor", "period", "seed", "port", "control", "calibration", "commands")
 _REFERENCE = re.compile(r"\$\{(\w+)\}")
+#: What stands where a reference could: to its brace, or to the end.
+_WRITTEN = re.compile(r"\$\{[^}]*\}?")
+#: Processes of the machine itself, by the names of their logs, and its node.
+_OWN_PROCESSES = ("bootstrap", "verification")
+_OWN_NODE = "/bootstrap"
+_NO_COMMA = "it has a comma, at which the Dispatcher, who is told all commands in one text, would cut it"
+
+
+def _without_comma(command: str) -> str:
+    if "," in command:
+        raise ValueError(_NO_COMMA)
+    return command
 
 
 class Task(Model):
@@ -39,13 +51,24 @@ class Task(Model):
         executable: Its console script.
         node: Fully qualified name of the node.
         parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}``, ``${control}``,
-            ``${calibration}`` and ``${commands}`` stand for those of the deployment.
+            ``${calibration}`` and ``${commands}`` stand for those of the deployment, in lists, too.
     """
 
     package: Name
     executable: Name
     node: NodeName
     parameters: dict[str, ParameterValue] = pydantic.Field(default_factory=dict)
+
+    def texts(self) -> Iterator[tuple[str, str]]:
+        """The texts among its parameters, those in lists included, each with the parameter's name."""
+        for parameter, value in self.parameters.items():
+            for one in value if isinstance(value, list) else [value]:
+                if isinstance(one, str):
+                    yield parameter, one
+
+    def takes(self, variable: str) -> bool:
+        """Whether a parameter refers to a value of the deployment."""
+        return any(variable in _REFERENCE.findall(text) for _, text in self.texts())
 
 
 @dataclass(frozen=True)
@@ -84,7 +107,12 @@ class Deployment(Model):
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
     control: bool = False
     calibration: str = ""
-    commands: tuple[Annotated[str, pydantic.StringConstraints(pattern=r"^[^,]+$", max_length=4096)], ...] = ()
+    commands: tuple[
+        Annotated[
+            str, pydantic.StringConstraints(min_length=1, max_length=4096), pydantic.AfterValidator(_without_comma)
+        ],
+        ...,
+    ] = ()
     unproved: bool = False
     keep: Keep = Keep()
     hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
@@ -100,10 +128,14 @@ class Deployment(Model):
             for process, tasks in processes.items():
                 if not tasks:
                     raise ValueError(f"process '{process}' of host '{host}' has no task")
+                if process in _OWN_PROCESSES:
+                    raise ValueError(f"process '{process}' of host '{host}' has the name of one of the machine itself")
                 for name, task in tasks.items():
                     place = f"process '{process}' of host '{host}'"
                     if name in names:
                         raise ValueError(f"task '{name}' is in {names[name]} and in {place}")
+                    if task.node == _OWN_NODE:
+                        raise ValueError(f"task '{name}' has the node {task.node}, which is the machine's own")
                     if task.node in nodes:
                         raise ValueError(f"node {task.node} belongs to task '{nodes[task.node]}' and to '{name}'")
                     if task.node.rpartition("/")[2] != name:
@@ -113,13 +145,13 @@ class Deployment(Model):
         return self
 
     def _check_references(self, name: str, task: Task) -> None:
-        known = self._variables()
-        for parameter, value in task.parameters.items():
-            for reference in _REFERENCE.findall(value) if isinstance(value, str) else ():
-                if reference not in known:
+        known = sorted(self._variables())
+        for parameter, text in task.texts():
+            for written in _WRITTEN.findall(text):
+                if written[2:-1] not in known or not written.endswith("}"):
                     raise ValueError(
-                        f"parameter '{parameter}' of task '{name}' refers to '${{{reference}}}'; "
-                        f"known are {', '.join(sorted(known))}"
+                        f"parameter '{parameter}' of task '{name}' refers to '{written[:60]}'; "
+                        f"known are {', '.join(known)}"
                     )
 
     def _variables(self) -> dict[str, Scalar]:
@@ -158,15 +190,17 @@ class Deployment(Model):
         """ROS parameters of a task: references replaced, what the file does not say is as below."""
         values: dict[str, ParameterValue] = {"use_sim_time": True, "introspection": "contents"}
         for name, value in task.parameters.items():
-            values[name] = self._resolved(value) if isinstance(value, str) else value
+            values[name] = [self._resolved(one) for one in value] if isinstance(value, list) else self._resolved(value)
         return values
 
-    def _resolved(self, text: str) -> Scalar:
+    def _resolved(self, value: Scalar) -> Scalar:
+        if not isinstance(value, str):
+            return value
         variables = self._variables()
-        whole = _REFERENCE.fullmatch(text)
+        whole = _REFERENCE.fullmatch(value)
         if whole is not None:
             return variables[whole.group(1)]
-        return _REFERENCE.sub(lambda match: str(variables[match.group(1)]), text)
+        return _REFERENCE.sub(lambda match: str(variables[match.group(1)]), value)
 
     def with_values(
         self,
@@ -240,8 +274,7 @@ def require_calibration_here(deployment: Deployment, folder: str | None) -> None
     """
     here = deployment.local_host()
     for placed in deployment.tasks() if folder is not None else ():
-        said = (value for value in placed.task.parameters.values() if isinstance(value, str))
-        if placed.host != here and any("calibration" in _REFERENCE.findall(value) for value in said):
+        if placed.host != here and placed.task.takes("calibration"):
             raise ConfigError(
                 f"--calibration {folder} is a folder of this host, and task '{placed.name}', which reads it, is on "
                 f"host '{placed.host}': name one of that host as `calibration` in its deployment file",
@@ -263,6 +296,9 @@ def load(path: str | Path) -> Deployment:
     deployment = config.load_model(path, Deployment)
     here = Path(path).resolve().parent
     named = [str((here / name).resolve()) if "/" in name or "." in name else name for name in deployment.commands]
+    for rank, name in enumerate(named):
+        if "," in name:
+            raise config.fault_in(Path(path), ("commands", rank), f"{name}: {_NO_COMMA}")
     deployment = deployment.model_copy(update={"commands": tuple(named)})
     if not deployment.calibration:
         return deployment
