@@ -39,7 +39,9 @@ def add_display(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser = commands.add_parser("display", help="show the nets over a recording", description=_DISPLAY)
     parser.set_defaults(run=run_display)
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or a file of it")
-    parser.add_argument("--host", default="127.0.0.1", help="address that the page is served on (default: %(default)s)")
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="address that the page is served on, 0.0.0.0: all (default: %(default)s)"
+    )
     parser.add_argument(
         "--port", type=_port, default=8080, help="TCP port, the next free one if in use; 0: any (default: %(default)s)"
     )

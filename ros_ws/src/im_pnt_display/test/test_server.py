@@ -1,6 +1,7 @@
 """The server of the page: whom it answers, what it tells browsers, and what it takes from viewers."""
 
 import asyncio
+import http.client
 import json
 import re
 import shutil
@@ -74,6 +75,30 @@ def test_the_configured_name_is_served(serve):
     server = serve(host="127.0.0.2")
     assert asked(server, Host=f"127.0.0.2:{port_of(server)}")[0] == 200
     assert asked(server, Host="127.0.0.3")[0] == 403
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("127.0.0.2", 200),
+        ("lab-pc", 200),
+        ("LAB-PC.example.org", 200),
+        ("localhost", 200),
+        ("127.0.0.3", 403),
+        ("0.0.0.0", 403),
+        ("evil.example", 403),
+        ("lab-pc.evil.example", 403),
+        ("127.0.0.2.evil.example", 403),
+    ],
+)
+def test_on_all_addresses_it_answers_to_the_names_and_addresses_of_this_computer(serve, monkeypatch, host, status):
+    monkeypatch.setattr("socket.gethostname", lambda: "Lab-PC")
+    monkeypatch.setattr("socket.getfqdn", lambda: "lab-pc.example.org")
+    port = port_of(serve(host="0.0.0.0"))
+    there = http.client.HTTPConnection("127.0.0.2", port, timeout=60.0)
+    there.request("GET", "/", headers={"Host": f"{host}:{port}", "Origin": f"http://{host}:{port}"})
+    assert there.getresponse().status == status
+    there.close()
 
 
 @pytest.mark.parametrize(
@@ -250,7 +275,13 @@ def test_a_refusal_goes_with_the_next_net_of_its_name_and_the_last_ones_are_kept
 
 
 @pytest.mark.parametrize(
-    ("host", "url"), [("0.0.0.0", "http://localhost:8080/"), ("::1", "http://[::1]:8080/"), ("lab", "http://lab:8080/")]
+    ("host", "url"),
+    [
+        ("0.0.0.0", "http://localhost:8080/"),
+        ("::", "http://localhost:8080/"),
+        ("::1", "http://[::1]:8080/"),
+        ("lab", "http://lab:8080/"),
+    ],
 )
 def test_the_address_is_one_that_a_browser_takes(host, url):
     assert DisplayServer(host=host).url == url

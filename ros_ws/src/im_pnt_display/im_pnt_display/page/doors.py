@@ -1,15 +1,18 @@
 """Who may look at the page: requests that name this server, from pages of this server, which nobody may frame.
 
 A page of elsewhere whose name was made to point here (DNS rebinding) sends its own name as ``Host``; one that opens a
-socket to here sends it as ``Origin``. Who is on this computer can look all the same.
+socket to here sends it as ``Origin``. An address points nowhere else: the one that a request came to
+is served, whatever interface has it. Who is on this computer can look all the same.
 """
 
+from collections.abc import Collection
 from urllib.parse import urlsplit
 
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
-HERE = ("localhost", "127.0.0.1", "::1")
+from im_pnt_display.page.hosts import address_of, served_names
+
 REQUEST_S = 10.0
 """A connection that has not sent a whole request after this time is closed [s]."""
 
@@ -23,24 +26,25 @@ _HEADERS = {
 }
 
 
-def guarded_application(name: str) -> web.Application:
+def guarded_application(host: str) -> web.Application:
     """Returns an application that answers only who may ask, and tells browsers what its pages may do.
 
     Args:
-        name: Name or address that it is served under, besides those of this computer for itself.
+        host: Name or address that it listens on.
     """
-    app = web.Application(middlewares=[_only_for((*HERE, name.lower().strip("[]")))])
+    app = web.Application(middlewares=[_only_for(served_names(host))])
     app.on_response_prepare.append(_tell_browser)
     return app
 
 
-def _only_for(names: tuple[str, ...]) -> Middleware:
-    served = sorted(set(names))
+def _only_for(names: Collection[str]) -> Middleware:
+    served = sorted(names)
 
     @web.middleware
     async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
         host = request.headers.get("Host", "")
-        if _host_name(host) not in served:
+        name = _host_name(host)
+        if name not in served and not _came_to(request, name):
             raise web.HTTPForbidden(text=f"host {host[:100]!r} is not served here; served are {', '.join(served)}")
         origin = request.headers.get("Origin")
         if origin is not None and origin.lower() != f"{request.scheme}://{host}".lower():
@@ -55,6 +59,12 @@ def _host_name(host: str) -> str | None:
         return urlsplit(f"//{host}").hostname
     except ValueError:
         return None
+
+
+def _came_to(request: web.Request, name: str | None) -> bool:
+    """Whether that is the address of this computer at which a request came in."""
+    own = request.transport.get_extra_info("sockname") if request.transport is not None else None
+    return own is not None and name is not None and address_of(name) == address_of(own[0])
 
 
 async def _tell_browser(request: web.Request, response: web.StreamResponse) -> None:

@@ -7,6 +7,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from im_core.errors import LinkError
+from im_pnt_display.page.hosts import is_everywhere
 from im_pnt_display.page.state import Change, DisplayState
 from im_pnt_display.page.viewers import Operate, Viewers
 
@@ -25,7 +26,8 @@ class DisplayServer:
     It listens at once, and loads the libraries of a web server when somebody comes first: mostly nobody does.
 
     Args:
-        host: Address to listen on; it answers to that name, and to those of this computer for itself.
+        host: Address to listen on, 0.0.0.0 and :: are all; it answers to that name, to those of this computer for
+            itself, and on all addresses to those of this computer for others.
         port: Port; the next free one is taken where it is in use, any free one for 0.
         operate: Takes what viewers want done with nets; None: they only look.
         recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
@@ -51,7 +53,7 @@ class DisplayServer:
     @property
     def url(self) -> str:
         """Address of the page."""
-        host = "localhost" if self._host in ("", "0.0.0.0", "::") else self._host
+        host = "localhost" if is_everywhere(self._host) else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self._port}/"
 
     def start(self) -> None:

@@ -35,7 +35,9 @@ class DisplayNode(ManagedNode):
     def __init__(self, *, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__("pnt_display", parameter_overrides=parameter_overrides)
         declare = self.declared.declare
-        host = declare("host", "127.0.0.1", "address that the page is served on, and answers to besides localhost")
+        host = declare(
+            "host", "127.0.0.1", "address that the page is served on, and answers to besides localhost; 0.0.0.0: all"
+        )
         port = declare("port", 8080, "TCP port of the page, the next free one if in use; 0: any", span=(0, 65535))
         control = declare("control", False, "whether viewers may operate nets; if not, they only look")
         self.server = DisplayServer(host, port, self._wanted if control else None)
