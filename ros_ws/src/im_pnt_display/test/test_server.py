@@ -242,6 +242,53 @@ def test_the_controls_of_a_net_stay_while_it_fires(tmp_path):
     assert json.loads(done.stdout) == [False, True, False, False, False, False, False, True, 0]
 
 
+PLAYS = """
+import { Recording } from "./recording.mjs";
+let now = 0, frames = [], answers = [];
+const anything = () => new Proxy(() => {}, { get: (_, name) => (name === Symbol.toPrimitive ? () => 1 : anything()),
+                                             set: () => true, apply: () => anything() });
+globalThis.document = { getElementById: (id) => (id === "rate" ? { value: "1" } : anything()), body: anything() };
+globalThis.addEventListener = () => {};
+globalThis.devicePixelRatio = 1;
+Object.defineProperty(globalThis, "performance", { value: { now: () => now } });
+globalThis.requestAnimationFrame = (draw) => frames.push(draw);
+globalThis.fetch = () => new Promise((done) => answers.push(() => done({
+  ok: true, json: async () => ({ at: 0, firing: 0, steps: [], more: false }) })));
+const settle = () => new Promise((done) => setTimeout(done));
+const answered = async () => { for (const answer of answers.splice(0)) answer(); await settle(); };
+const passed = (seconds) => {  // how far it has come after so many seconds of frames
+  const before = recording.at;
+  for (const end = now + 1000 * seconds; now < end;) { now += 20; for (const draw of frames.splice(0)) draw(now); }
+  return Math.round(100 * (recording.at - before)) / 100;
+};
+const recording = new Recording(() => {}, () => {}, () => {}, () => {}), found = [];
+recording.overview = { end: 100, firings: 0, rows: [] };
+recording.at = 100;
+recording.play(!recording.playing); recording.play(!recording.playing);  // a double click at the end
+await answered();
+found.push(passed(1));
+recording.play(false); recording.play(true);  // within a frame
+found.push(passed(1));
+recording.play(false);
+found.push(passed(1));
+recording.at = 100;
+recording.play(true); recording.seek({ firing: 0 });  // who goes to the beginning, meanwhile, does not want to play
+await answered();
+found.push(passed(1));
+recording.play(true);
+found.push(passed(1));
+console.log(JSON.stringify(found));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node, which runs the scripts of the page")
+def test_a_recording_plays_at_its_pace_however_often_play_is_clicked(tmp_path):
+    (tmp_path / "recording.mjs").write_text((module.STATIC / "recording.js").read_text())
+    (tmp_path / "plays.mjs").write_text(PLAYS)
+    done = subprocess.run(["node", tmp_path / "plays.mjs"], check=True, capture_output=True, text=True)
+    assert json.loads(done.stdout) == [1.0, 1.0, 0.0, 0.0, 1.0]
+
+
 def test_who_comes_while_nets_fire_is_told_each_firing_once():
     """What one thread has told of, and the thread of the server has not yet shown, is in no snapshot."""
     state = DisplayState()

@@ -14,6 +14,7 @@ export class Recording {
     this.more = false;    // whether something comes after them
     this.playing = false;
     this.sought = 0;
+    this.played = 0;
     byId("begin").addEventListener("click", () => this.seek({ firing: 0 }));
     byId("back").addEventListener("click", () => this.back());
     byId("play").addEventListener("click", () => this.play(!this.playing));
@@ -110,16 +111,20 @@ export class Recording {
     this.onRest();
   }
 
+  // Plays or pauses; of several that are asked for quickly the last one counts.
   async play(yes) {
-    if (yes === this.playing) return;
-    if (yes && this.at >= this.overview.end) await this.seek({ firing: 0 });
+    if (yes && this.playing) return;
+    const rewound = yes && this.at >= this.overview.end ? this.seek({ firing: 0 }) : null;
+    const played = ++this.played;  // after the seek, which pauses
+    if (rewound) await rewound;
+    if (played !== this.played || yes === this.playing) return;
     this.playing = yes;
     byId("play").textContent = yes ? "❚❚" : "▶";
     byId("play").title = yes ? "pause (space)" : "play (space)";
     if (!yes) { this.onRest(); return; }
     let last = performance.now();
     const tick = (now) => {
-      if (!this.playing) return;
+      if (played !== this.played) return;
       const until = this.within(this.at + (now - last) / 1000 * Number(byId("rate").value));
       last = now;
       while (this.steps.length && this.steps[0].at <= until) this.take();
