@@ -1,9 +1,11 @@
-"""What the docs name exists: each file and test of the paper's table, each path and link of the other pages."""
+"""What the docs name exists: files and tests of the paper's table, paths and links, and what services take."""
 
 import re
 from pathlib import Path
 
 import pytest
+
+from im_pnt.netfile import load_net
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
@@ -30,6 +32,22 @@ def test_each_row_of_the_paper_has_its_file_and_its_test():
         named = [name for cell in row[2:4] for name in re.findall(r"`([^`]+)`", cell)]
         missing = [name for name in named if re.search(r"\.(py|yaml)$|/$", name) and not is_there(name)]
         assert not missing, f"in the row of {row[1]}"
+
+
+def test_each_service_of_a_coordinator_has_its_row_with_all_its_arguments():
+    text = (ROOT / "docs" / "nets.md").read_text()
+    told = {}
+    for line in re.findall(r"^\| (`\w+_coordinator\..+)$", text, re.MULTILINE):
+        services, arguments, *_ = line.split("|")
+        coordinator, *names = re.findall(r"\w+", services)
+        told.update({(coordinator, name): set(re.findall(r"`(\w+)`", arguments)) for name in names})
+    taken = {
+        (net.name, name): set(service.arguments.arguments)
+        for net in map(load_net, (ROOT / "ros_ws/src/im_coordinators/im_coordinators/nets").glob("*.yaml"))
+        for name, service in net.services.items()
+    }
+    assert told.keys() == taken.keys()
+    assert not {service: missing for service in taken if (missing := taken[service] - told[service])}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
