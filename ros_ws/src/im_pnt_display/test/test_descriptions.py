@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_core.errors import NotFoundError
-from im_pnt_display.page.descriptions import NetDescriptions
+from im_pnt_display.page.descriptions import MOST_NODES, NetDescriptions
 
 SAID = st.tuples(st.sampled_from("mn"), st.sampled_from("abc"), st.one_of(st.none(), st.integers(0, 9)))
 
@@ -30,3 +30,18 @@ def test_the_newest_counts_of_what_is_not_withdrawn(said):
         else:
             with pytest.raises(NotFoundError, match=f"there is no net '{net}'"):
                 descriptions.newest(net)
+
+
+def test_of_nodes_that_describe_one_net_the_newest_are_kept():
+    descriptions = NetDescriptions()
+    for number in range(MOST_NODES + 5):
+        descriptions.add("m", f"node{number}", {})
+    left = []
+    while True:
+        try:
+            node, _ = descriptions.newest("m")
+        except NotFoundError:
+            break
+        left.append(node)
+        descriptions.withdraw("m", node)
+    assert left == [f"node{number}" for number in reversed(range(5, MOST_NODES + 5))]

@@ -11,7 +11,7 @@ import pinocchio as pin
 from im_cell.robot import load_cell
 from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.files import write_whole
-from im_core.options import at_least, finite_number
+from im_core.options import NumberParser, at_least, finite_number
 from im_mcs.collision import CollisionChecker
 from im_mcs.limits.configuration import Group, McsConfig, load_config
 from im_mcs.limits.limits import JointLimits
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = NumberParser(
         prog="poses",
         description="Write a file of wrist poses that fill the common view of cameras with the wrist light.",
         epilog=_EPILOG,

@@ -8,6 +8,7 @@ from importlib import import_module
 
 from im_core.bag.command_line import parsed
 from im_core.errors import ImError
+from im_core.options import NumberParser
 from im_pnt_analysis.cli.extensions import extensions
 from im_pnt_analysis.cli.terminal import BAD_INPUT, INTERRUPTED, OK, REFUSED
 
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else arguments
     raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("im pnt", formatter_class=raw)
+    parser = NumberParser(prog="im pnt", formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     if words[:1] and words[0] in _OF_NODES:
         return int(import_module(_OF_NODES[words[0]]).main(words[1:], f"im pnt {words[0]}"))

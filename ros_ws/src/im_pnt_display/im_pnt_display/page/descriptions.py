@@ -4,6 +4,9 @@ from collections.abc import Mapping
 
 from im_core.errors import NotFoundError
 
+#: Nodes whose descriptions of one net are kept: anybody may describe it.
+MOST_NODES = 10
+
 
 class NetDescriptions:
     """Descriptions of nets by the nodes that run them; of one net that several nodes describe, the newest counts."""
@@ -13,7 +16,8 @@ class NetDescriptions:
 
     def add(self, net: str, node: str, content: Mapping[str, object]) -> None:
         """Enters what a node says of a net, in the place of what it has said before."""
-        self._by_net[net] = {**self._others(net, node), node: content}
+        others = list(self._others(net, node).items())[-(MOST_NODES - 1) :]
+        self._by_net[net] = {**dict(others), node: content}
 
     def withdraw(self, net: str, node: str) -> bool:
         """Passes over what a node has said of a net; returns whether that was the newest."""

@@ -56,8 +56,8 @@ class DisplayNode(ManagedNode):
         """
         self.server.start()
         write_whole(display_file(), self.server.url + "\n")
-        self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_MANY)
-        self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_MANY)
+        self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_NETS)
+        self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_NETS)
         self.create_subscription(Firing, "/pnt/firings", self._fire, qos.EVENTS)
         self.create_subscription(NetRefusal, "/pnt/refusals", self._refuse, qos.LATCHED_MANY)
         self._mcs = Latest(self, McsState, "/mcs/state", qos.LATCHED, MCS_SILENCE_S, self._show_mcs)
