@@ -198,7 +198,8 @@ def test_exposure_is_demand_and_is_answered(host, camera):
 
 
 def test_exposure_that_nobody_serves_times_out_and_is_replaced(host, camera):
-    with pytest.raises(WaitTimeoutError, match="an exposure of 2 ticks"):
+    who = rf"by the testbed's physics \(process {os.getpid()}\)"
+    with pytest.raises(WaitTimeoutError, match=f"an exposure of 2 ticks {who}"):
         camera.expose(2, blank_light=False, timeout_s=0.02)
     with pytest.raises(WaitTimeoutError, match="an exposure of 3 ticks"):
         camera.expose(3, blank_light=False, timeout_s=0.02)

@@ -44,7 +44,8 @@ class CameraEnd(LinkEnd):
         while int(view["exposure_done"]) != request:
             left = deadline - clock.monotonic()
             if left <= 0.0:
-                raise WaitTimeoutError(what=f"an exposure of {ticks} ticks", seconds=timeout_s)
+                what = f"an exposure of {ticks} ticks by the testbed's physics (process {self.physics_pid})"
+                raise WaitTimeoutError(what=what, seconds=timeout_s)
             if not shared.exposed.wait(min(left, _SLICE_S)) and not shared.block.owner_alive():
                 raise LinkError("the testbed's physics process is gone")
         start, end = int(view["exposure_start"]), int(view["exposure_end"])
