@@ -96,7 +96,8 @@ def test_what_is_called_is_of_the_type_that_the_net_says_now(ringer, ros, wait_u
 
 def test_a_second_type_of_a_name_is_refused_by_both_names(ringer):
     node = ringer(ring("service", "Trigger"))
-    refused = node.load(ring("service", "SetBool").replace("net: ring", "net: chime"))
+    chime = ring("service", "SetBool").replace("net: ring", "net: chime").replace("symbol: ring", "symbol: chime")
+    refused = node.load(chime.replace("ring_", "chime_"))
     assert "chime.ring says that /bell is of type std_srvs/srv/SetBool, and ring.ring that it is of type" in refused
     assert list(node.exchange.nets) == ["ring"]
 

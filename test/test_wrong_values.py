@@ -24,7 +24,7 @@ from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL
 from im_dispatcher.job import order_of
 from im_dispatcher.poses_file import load_poses
 from im_mcs.limits.configuration import load_config
-from im_pnt.execution.conflicts import StrategyBook
+from im_pnt.execution.strategies import StrategyBook
 from im_pnt.netfile import load_net
 from im_pnt_analysis.simulation.replay import read_firing_sequence
 from im_pnt_analysis.timed.measurement import read_measurement
@@ -269,7 +269,7 @@ def test_all_readers_of_files_are_here():
     }
     known = {"deployment", "poses_file", "design", "cell", "configuration", "settings", "catalogue", "truth", "record"}
     known |= {"covariance", "extrinsics", "laser", "intrinsics", "folder"}  # test_calibration_files.py
-    known |= {"dataset", "conflicts", "config", "jsontext"}
+    known |= {"dataset", "strategies", "config", "jsontext"}
     known |= {"proofs"}  # im_pnt_analysis/test/test_proofs.py
     assert callers == known
 

@@ -6,7 +6,6 @@ from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
 from im_pnt.distributed.exchange import Exchange, Transport
 from im_pnt.execution.actions import ActionOwner, FunctionRunner, Perform, Spawn
-from im_pnt.execution.conflicts import StrategyBook
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
@@ -14,6 +13,7 @@ from im_pnt.execution.jobs import Activity, Command, CommandResult, Job
 from im_pnt.execution.notification import Firing, Observer, Phase
 from im_pnt.execution.operator import Mode
 from im_pnt.execution.record import Record
+from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.values import Objects
 from im_pnt.model.action import Action, FunctionAction
 from im_pnt.model.net import Net

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from im_core.errors import ImError, StoreError
 from im_pnt.errors import NetError
-from im_pnt.execution.conflicts import StrategyBook, entropy, probabilities
+from im_pnt.execution.conflicts import entropy, probabilities
 from im_pnt.execution.events import CommandCancelled
+from im_pnt.execution.strategies import StrategyBook
 from im_pnt.model.net import Strategy
 from im_pnt.netfile import parse_net
 from support.process import Process, hold
@@ -127,7 +128,7 @@ def test_machines_that_learn_in_one_file_lose_nothing_of_each_other(tmp_path, mo
         one.outcome("n", "t", strategy, True)
     other.outcome("n", "u", strategy, False)
     with monkeypatch.context() as full:
-        full.setattr("im_pnt.execution.conflicts.write_whole", lambda *_: (_ for _ in ()).throw(OSError("full")))
+        full.setattr("im_pnt.execution.strategies.write_whole", lambda *_: (_ for _ in ()).throw(OSError("full")))
         with pytest.raises(OSError, match="full"):
             other.outcome("n", "t", strategy, False)
     one.outcome("n", "t", strategy, True)

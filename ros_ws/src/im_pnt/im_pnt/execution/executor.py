@@ -13,7 +13,7 @@ from im_core.clock import monotonic
 from im_core.errors import ImError, nearest
 from im_pnt.errors import NetError
 from im_pnt.execution.actions import Actions, CheckObjects, Runner
-from im_pnt.execution.conflicts import ConflictResolution, StrategyBook
+from im_pnt.execution.conflicts import ConflictResolution
 from im_pnt.execution.event_loop import EventLoop
 from im_pnt.execution.events import (
     ActionEnded,
@@ -30,6 +30,7 @@ from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, 
 from im_pnt.execution.notification import Nowhere, Observer, Outlet
 from im_pnt.execution.operator import Mode, Operator
 from im_pnt.execution.record import NetEntry, Record, plain
+from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.timers import Timers
 from im_pnt.execution.values import Objects
 from im_pnt.model.net import Net

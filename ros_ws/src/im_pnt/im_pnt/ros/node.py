@@ -26,11 +26,11 @@ from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.packets import began_at, new_epoch
 from im_pnt.errors import JournalError, NetError
 from im_pnt.execution.actions import Ask, FunctionRunner
-from im_pnt.execution.conflicts import StrategyBook
 from im_pnt.execution.events import CommandCancelled, CommandHeld
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
 from im_pnt.execution.jobs import Activity
+from im_pnt.execution.strategies import StrategyBook
 from im_pnt.expression.scope import check_net
 from im_pnt.journal.journal import Journal
 from im_pnt.journal.log import Sync
