@@ -47,7 +47,6 @@ class CalibrateCamera:
         self._host = host
         self._cameras = list(load_cell().cameras)
         self._times = StepTimes()
-        self._timed: int | None = None
         self._expected: CommandDuration | None = None
         self._file: tuple[int, PosesFile] | None = None
         host.time_steps(SYMBOL, self._times)
@@ -95,7 +94,6 @@ class CalibrateCamera:
     async def init_calib(self, ctx: ActionContext) -> None:
         """Reads the poses and sets the loop variable."""
         self._times.restart(ctx.command.id)
-        self._timed = ctx.command.id
         ctx.memory["begun_ms"] = ctx.memory["seen_ms"] = self._clocks_ms()
         text = await self._host.noted_apart("poses", _poses_text, str(ctx.command.arguments.get("poses_file", "")))
         file = read_json(PosesFile, text, "the poses")
@@ -297,8 +295,8 @@ class CalibrateCamera:
 
     def _times_of(self, ctx: ActionContext) -> StepTimes:
         """The times of a command; a dispatcher that came back takes up those of its former life."""
-        if self._timed != ctx.command.id:
-            self._timed = self._times.command = ctx.command.id
+        if self._times.command != ctx.command.id:
+            self._times.command = ctx.command.id
             self._times.add_times(ctx.memory.get("times"))
         return self._times
 

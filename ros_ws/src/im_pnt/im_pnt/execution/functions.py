@@ -420,9 +420,9 @@ def _find(
     net: Net, transition: Transition, kind: str, name: str, known: MutableMapping[str, Callable[..., Any]]
 ) -> None:
     """Sees to it that a function is among those that are known."""
-    if name in known and ":" not in name:
-        return
     if ":" not in name:
+        if name in known:
+            return
         sentence = f"no {kind} function '{name}' is registered{nearest(name, known)}"
         raise NetFileError(net.source, transition.line, f"transitions.{transition.name}: {sentence}")
     try:
