@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from im_core.errors import ImError, LimitError, StateError
 from im_mcs.limits.limits import JointLimits
 from im_mcs.planning.goals import Goal
+from im_mcs.planning.motions.stream import LAPSED, StreamLease
 from im_mcs.protocol.requests import StreamRequest
 from im_mcs.safety.stopping_position import stopping_position
 from im_mcs.servo.group import ControlledGroup
-
-_LAPSED = "lease"
 
 Ended = tuple[ControlledGroup, Goal, ImError]
 
@@ -22,10 +21,8 @@ Ended = tuple[ControlledGroup, Goal, ImError]
 class _TorqueStream:
     group: ControlledGroup
     goal: Goal
-    owner: str
-    lease_s: float
+    lease: StreamLease
     tau: NDArray[np.float64]
-    silent_ticks: int = 0
 
 
 class TorqueStreams:
@@ -75,7 +72,8 @@ class TorqueStreams:
             StateError: The group follows a motion.
             DataError: A wrong size, or a value that is not finite.
         """
-        tau, lease_s = self._limits.check_finite(group.index, request.torques, "stream", "torque"), request.lease_s
+        tau = self._limits.check_finite(group.index, request.torques, "stream", "torque")
+        lease = StreamLease(request.owner, request.lease_s, self._period_s, "torques")
         stream = self._streams.get(group.name)
         if stream is None:
             if group.goals:
@@ -83,9 +81,9 @@ class TorqueStreams:
                     f"group '{group.name}' is moving (goal {group.goals[0].id}); wait for its end or cancel it",
                     group=group.name,
                 )
-            self._streams[group.name] = _TorqueStream(group, goal, request.owner, lease_s, tau)
+            self._streams[group.name] = _TorqueStream(group, goal, lease, tau)
             return True
-        stream.tau, stream.lease_s, stream.silent_ticks = tau, lease_s, 0
+        stream.tau, stream.lease = tau, lease
         return False
 
     def cancel(self, goal_id: int) -> str | None:
@@ -100,8 +98,8 @@ class TorqueStreams:
         names = list(self._streams) if groups is None else [name for name in groups if name in self._streams]
         streams = [self._streams.pop(name) for name in names]
         for stream in streams:
-            if fault.code != _LAPSED:
-                stream.group.gate.close(stream.owner, stream.lease_s, fault)
+            if fault.code != LAPSED:
+                stream.group.gate.close(stream.lease.owner, stream.lease.seconds, fault)
         return [(stream.group, stream.goal, fault) for stream in streams]
 
     def tick(self, q: NDArray[np.float64], v: NDArray[np.float64], tick: int) -> list[Ended]:
@@ -114,19 +112,11 @@ class TorqueStreams:
         """
         ended = []
         for name, stream in list(self._streams.items()):
-            stream.silent_ticks += 1
-            fault = self._lapsed(stream) or self._beyond(stream.group.index, q, v, tick)
+            stream.lease.tick()
+            fault = stream.lease.lapsed() or self._beyond(stream.group.index, q, v, tick)
             if fault is not None:
                 ended += self.end_streams(fault, (name,))
         return ended
-
-    def _lapsed(self, stream: _TorqueStream) -> ImError | None:
-        if stream.silent_ticks * self._period_s <= stream.lease_s:
-            return None
-        who = f"'{stream.owner}'" if stream.owner else "the sender"
-        return ImError(
-            f"{who} has sent no torques for {stream.lease_s:g} s, its lease", code=_LAPSED, owner=stream.owner
-        )
 
     def _beyond(
         self, index: NDArray[np.intp], q: NDArray[np.float64], v: NDArray[np.float64], tick: int

@@ -12,6 +12,10 @@ from im_mcs.planning.trajectories.trajectory import Setpoint
 _MEETINGS = 5
 
 
+LAPSED = "lease"
+"""Code of the fault of a lease that has lapsed."""
+
+
 class StreamLease:
     """Time until which a sender must be heard of again, in testbed time from receipt.
 
@@ -23,10 +27,11 @@ class StreamLease:
         owner: As the attribute.
         seconds: As the attribute.
         tick_s: Servo period [s].
+        what: What is sent, for the message.
     """
 
-    def __init__(self, owner: str, seconds: float, tick_s: float) -> None:
-        self.owner, self.seconds, self._tick_s = owner, seconds, tick_s
+    def __init__(self, owner: str, seconds: float, tick_s: float, what: str = "setpoint") -> None:
+        self.owner, self.seconds, self._tick_s, self._what = owner, seconds, tick_s, what
         self._silent = 0
 
     def tick(self) -> None:
@@ -39,8 +44,8 @@ class StreamLease:
             return None
         who = f"'{self.owner}'" if self.owner else "the sender"
         return ImError(
-            f"{who} has sent no setpoint for {self.seconds:g} s, its lease",
-            code="lease",
+            f"{who} has sent no {self._what} for {self.seconds:g} s, its lease",
+            code=LAPSED,
             owner=self.owner,
             lease_s=self.seconds,
         )
