@@ -245,3 +245,11 @@ def test_a_command_whose_reason_could_not_be_noted_ends_with_what_failed_last(pl
     play.job.last_failure = JournalError("the journal cannot be written: No space left on device", file="journal")
     play("report_failure")
     assert play.job.results == {"message": "the journal cannot be written: No space left on device"}
+
+
+def test_a_light_that_stays_on_and_an_arm_that_stays_powered_are_both_told(play: Play) -> None:
+    play("note_left", StateError("light left_led does not go out"))
+    play.restart()
+    play("note_left", StateError("left is held by pendant"))
+    said = "the cell is not left as it was found: light left_led does not go out; left is held by pendant"
+    assert play.job.results == {"message": said}

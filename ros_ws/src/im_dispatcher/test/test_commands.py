@@ -18,7 +18,7 @@ from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import Functions
-from im_pnt.model.action import GoalAction, RequestAction, ServiceAction, TopicAction
+from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis import verify_to_load
@@ -253,3 +253,30 @@ def test_what_fails_as_power_or_light_went_with_a_life_of_the_machine_can_establ
                     reached |= set(each.outputs)
         assert entries & reached, f"{name}: {begins} fails for good when the machine has begun anew"
         assert any(guard and "begun_anew" in guard.name and not guard.negated for guard in guards)
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_cell_that_is_not_left_as_it_was_found_is_told(name: str) -> None:
+    """Where light or power cannot be switched off, a command fails; a calibration, which stands, says so."""
+    net = load_net(package_file("im_dispatcher", f"nets/{name}.yaml"))
+    ends = [
+        each
+        for each in net.transitions.values()
+        if isinstance(each.action, RequestAction) and each.action.service in {"light_off", "power_down"}
+    ]
+    assert ends
+    for end in ends:
+        next_ones = [each for each in net.transitions.values() if set(end.on_failure) & set(each.inputs)]
+        noted = all(each.action == FunctionAction("note_left") for each in next_ones)
+        assert noted or _ends_in(net, set(end.on_failure)) == {"failed"}, f"{name}: who says that {end.name} failed?"
+
+
+def _ends_in(net: Net, places: set[str]) -> set[str]:
+    """The last words of the symbols that are emitted first on the ways from places."""
+    symbols: set[str] = set()
+    for _ in net.transitions:
+        for each in net.transitions.values():
+            if places & set(each.inputs):
+                symbols |= set(each.emit)
+                places |= set() if each.emit else {*each.outputs, *each.on_failure}
+    return {symbol.rpartition("_")[2] for symbol in symbols}

@@ -237,7 +237,8 @@ class Dispatcher(PntNode):
                 response.report = await self.dom.get("calibration", CalibrationReport)
                 response.report.json = json.dumps(outcome.results["report"])
                 response.report.directory = str(outcome.results["directory"])
-                response.message = response.report.message
+                left = str(outcome.results.get("message", ""))
+                response.message = "; but ".join(filter(None, (response.report.message, left)))
         except ImError as error:
             response.success, response.message = False, error.message
         return response
