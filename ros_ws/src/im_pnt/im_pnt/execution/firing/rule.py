@@ -530,12 +530,13 @@ class FiringRule:
         """Fires a transition that ends an activity."""
         del self.activities[activity.number]
         job, index = activity.lineage.job, self.number[name]
-        if job is not None and error is not None and not self._has_another_try(activity, index):
-            job.last_failure = error
+        failure = None if error is None else self._passed_on(activity, index, error)
+        if job is not None and failure is not None and not self._has_another_try(activity, index):
+            job.last_failure = failure
         elif job is not None and (results or isinstance(activity.action, RequestAction)):
             job.replies[self.answering(activity)] = results
         self._leave_phase(activity)
-        lineage = Lineage(job, error)
+        lineage = Lineage(job, failure)
         self._give(index, lineage)
         transition = self.transitions[index]
         self.notifier.note(
@@ -547,6 +548,14 @@ class FiringRule:
             message=str(error) if error else "",
         )
         self.emit(transition, lineage)
+
+    def _passed_on(self, activity: Activity, failed: int, error: ImError) -> ImError:
+        """What tokens carry on: a failure that does not decide where they go does not hide the one they came with."""
+        before, ended = activity.lineage.failure, self.transitions[self.number[f"{activity.transition}.end"]]
+        if before is None or ended.outputs != self.transitions[failed].outputs:
+            return error
+        told = f"{before.message}; {activity.transition} failed, too: {error.message}"
+        return ImError.restored(before.code, told, before.facts)
 
     def _has_another_try(self, activity: Activity, failed: int) -> bool:
         """Whether what a failure gives goes to a further try: what that makes good is not why a command fails."""
