@@ -357,7 +357,7 @@ def test_what_the_store_does_when_nobody_waits_for_it_any_more_is_told_all_the_s
         return put(*arguments, **more)
 
     monkeypatch.setattr(dom.store, "put", slow)
-    with pytest.raises(ImError, match="the objects' store to answer"):
+    with pytest.raises(ImError, match="the objects' store of /dom to answer"):
         mine.do(mine.dom.put("a", String(data="two")))
     wait_until(lambda: ("a", 2, True) in mine.changes, "the change")
     assert mine.do(mine.dom.get("a", String)).data == "two"

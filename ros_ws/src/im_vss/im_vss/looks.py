@@ -78,6 +78,6 @@ class Looks(Generic[Found]):
                 return look.found.result(max(0.0, min(left_s, _SLICE_S)))
             except StillSearching:
                 if left_s <= _SLICE_S:
-                    what = f"the light to be found in the images of look {name}"
+                    what = f"/vss to find the light in the images of {', '.join(look.cameras)} (look {name})"
                     raise WaitTimeoutError(what=what, seconds=timeout_s) from None
             check()

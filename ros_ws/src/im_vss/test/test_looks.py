@@ -159,7 +159,7 @@ def test_a_look_that_is_not_known_or_by_other_cameras_is_refused():
     looks.keep("7", Look((CAMERA,)))
     with pytest.raises(DataError, match="look 7 was by ceiling_left, not by wall"):
         looks.found("7", ("wall",), 1.0, patient)
-    with pytest.raises(WaitTimeoutError, match="the light to be found in the images of look 7"):
+    with pytest.raises(WaitTimeoutError, match=r"/vss to find the light in the images of ceiling_left \(look 7\)"):
         looks.found("7", (CAMERA,), 0.01, patient)
 
 

@@ -60,7 +60,7 @@ class DomNode(ManagedNode):
         self._store = ObjectStore(run_dir() / "dom.sqlite")
         if self._store.aside:
             self._reminders.add("store", self._store.aside)
-        self._worker = Worker(self, "the objects' store", ANSWER_S, self._store.together)
+        self._worker = Worker(self, "the objects' store of /dom", ANSWER_S, self._store.together)
         self._changes = self.create_publisher(ObjectChange, "/dom/changes", qos.LATCHED_EVENTS)
         self.create_subscription(NetDescription, "/pnt/nets", self._described, qos.LATCHED_NETS)
         self.create_service(PutObject, "/dom/put", self._put, qos_profile=qos.QUEUED_SERVICE)

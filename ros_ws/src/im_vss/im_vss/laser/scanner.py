@@ -66,9 +66,8 @@ class LinkedScanner:
             if _near(link.laser(), beam):
                 return until * link.period_ns
             if clock.monotonic() > deadline:
-                raise WaitTimeoutError(
-                    what="the mirrors of the laser scanner to be where they shall", seconds=timeout_s
-                )
+                what = "the testbed to turn the mirrors of the laser scanner to where they shall be"
+                raise WaitTimeoutError(what=what, seconds=timeout_s)
             ticks = _SPARE_TICKS
 
     def reading(self) -> LaserBeam:
