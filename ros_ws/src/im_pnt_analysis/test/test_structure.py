@@ -10,7 +10,7 @@ from im_pnt_analysis.search.coverability import coverability
 from im_pnt_analysis.search.stubborn import find_deadlock, search
 from im_pnt_analysis.simulation.families import catching_philosophers, kanban
 from im_pnt_analysis.structure.reduction import reduce_for_deadlock
-from im_pnt_analysis.structure.siphons import emptied_siphon, siphon_trap_property, siphons, traps, unmarked_siphon
+from im_pnt_analysis.structure.siphons import emptied_siphon, siphons, traps
 from im_pnt_analysis.structure.state_equation import place_bounds, structurally_bounded
 
 Vector = tuple[int, ...]
@@ -107,6 +107,12 @@ def is_siphon(compiled: Compiled, places: set[int], forward: bool) -> bool:
     return True
 
 
+def all_siphons(compiled: Compiled) -> list[set[int]]:
+    everything = range(len(compiled.places))
+    sets = [set(c) for size in everything for c in combinations(everything, size + 1)]
+    return [places for places in sets if is_siphon(compiled, places, forward=True)]
+
+
 @settings(max_examples=80, deadline=None)
 @given(nets(), st.booleans())
 def test_siphons_and_traps_are_the_minimal_ones_of_all_sets(compiled, forward):
@@ -120,38 +126,17 @@ def test_siphons_and_traps_are_the_minimal_ones_of_all_sets(compiled, forward):
     assert len(found.sets) == len(smallest)
 
 
-@settings(max_examples=80, deadline=None)
-@given(nets())
-def test_the_siphon_trap_property_is_that_of_all_siphons_and_proves_what_it_says(compiled):
-    first = initial(compiled)
-    everything = range(len(compiled.places))
-    sets = [set(c) for size in everything for c in combinations(everything, size + 1)]
-    good_siphons = [s for s in sets if is_siphon(compiled, s, forward=True)]
-    good_traps = [s for s in sets if is_siphon(compiled, s, forward=False) and any(first[p] for p in s)]
-    found = siphon_trap_property(compiled, first)
-    assert found.holds == all(any(trap <= siphon for trap in good_traps) for siphon in good_siphons)
-    if not found.holds:
-        bad = {compiled.places.index(name) for name in found.siphon}
-        assert bad in good_siphons
-        assert not any(trap <= bad for trap in good_traps)
-    elif found.proves:
-        assert not any(is_dead(compiled, vector) for vector in listed(compiled)[0])
-
-
 @settings(max_examples=60, deadline=None)
 @given(nets(inhibited=False))
-def test_an_unmarked_siphon_is_empty_and_a_dead_ordinary_net_has_one(compiled):
+def test_a_siphon_that_was_emptied_was_marked_and_stays_empty(compiled):
+    first = initial(compiled)
     for vector in listed(compiled)[0]:
-        names = unmarked_siphon(compiled, vector)
-        places = {compiled.places.index(name) for name in names}
-        assert not any(vector[place] for place in places)
-        assert is_siphon(compiled, places, forward=True)
-        if is_dead(compiled, vector) and all(w == 1 for arcs in compiled.inputs for _, w in arcs):
-            assert names
-        emptied = {compiled.places.index(name) for name in emptied_siphon(compiled, initial(compiled), vector)}
+        emptied = {compiled.places.index(name) for name in emptied_siphon(compiled, first, vector)}
         assert is_siphon(compiled, emptied, forward=True)
         assert not any(vector[place] for place in emptied)
-        assert not emptied or any(initial(compiled)[place] for place in emptied)
+        lost = [s for s in all_siphons(compiled) if any(first[p] for p in s) and not any(vector[p] for p in s)]
+        assert bool(emptied) == bool(lost)
+        assert not emptied or emptied in lost
 
 
 def test_siphons_stop_at_their_limit_and_in_time():

@@ -1,8 +1,7 @@
 """Siphons and traps, and what they say about deadlocks.
 
 A siphon, once empty, stays empty; a trap, once marked, stays marked (Murata, 1989, section VI). The places that are
-empty in a dead marking of an ordinary net are a siphon, so a net whose siphons all contain a marked trap never dies
-(Commoner, 1972). Inhibitor arcs are left out: what holds of the sets holds with them too.
+empty in a dead marking of an ordinary net are a siphon. Inhibitor arcs are left out: what holds of the sets holds with them too.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -83,19 +82,6 @@ def names(compiled: Compiled, places: Iterable[int]) -> tuple[str, ...]:
     return tuple(compiled.places[place] for place in sorted(places))
 
 
-def unmarked_siphon(compiled: Compiled, marking: tuple[int, ...]) -> tuple[str, ...]:
-    """Returns a minimal siphon that is empty in a marking, and so for ever after; empty: there is none.
-
-    In a dead marking of a net with input weights of 1 it names what is missing.
-
-    Args:
-        compiled: The net.
-        marking: Tokens of each place.
-    """
-    sets = siphon_sets(compiled)
-    return names(compiled, sets.minimal(sets.largest(_unmarked(marking))))
-
-
 def emptied_siphon(compiled: Compiled, initial: tuple[int, ...], marking: tuple[int, ...]) -> tuple[str, ...]:
     """Returns a smallest possible siphon that was marked at first and is empty now; empty: there is none.
 
@@ -130,24 +116,6 @@ class Families:
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class SiphonTrap:
-    """Whether every siphon contains a trap that is marked initially.
-
-    Attributes:
-        holds: Whether they do; None: not decided.
-        proves: Whether that proves freedom from deadlock: there are transitions, their input arcs have weight 1, and
-            there is no inhibitor arc.
-        siphon: A minimal siphon without a marked trap, if there is one.
-        reason: Why it was not decided, empty if it was.
-    """
-
-    holds: bool | None
-    proves: bool
-    siphon: tuple[str, ...] = ()
-    reason: str = ""
-
-
 def siphons(compiled: Compiled, limit: int = 200, deadline: float | None = None) -> Families:
     """Finds minimal siphons: sets of places such that whoever gives to one takes from one.
 
@@ -168,27 +136,6 @@ def traps(compiled: Compiled, limit: int = 200, deadline: float | None = None) -
         deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
     """
     return _minimal_sets(compiled, trap_sets(compiled), limit, deadline)
-
-
-def siphon_trap_property(compiled: Compiled, initial: tuple[int, ...], deadline: float | None = None) -> SiphonTrap:
-    """Tests whether every siphon contains a trap that is marked.
-
-    Args:
-        compiled: The net.
-        initial: Initial marking, tokens of each place.
-        deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
-    """
-    ordinary = all(weight == 1 for arcs in compiled.inputs for _, weight in arcs)
-    proves = bool(compiled.transitions) and ordinary and not any(compiled.inhibitors)
-    inner, outer = trap_sets(compiled), siphon_sets(compiled)
-    search = _ClosedSetSearch(outer, len(compiled.places), deadline)
-    while (siphon := search.next()) is not None:
-        siphon = outer.minimal(siphon)
-        trap = inner.largest(siphon)
-        if not any(initial[place] for place in trap):
-            return SiphonTrap(False, proves, names(compiled, siphon))
-        search.exclude(inner.minimal(trap, keep=lambda part: any(initial[place] for place in part)))
-    return SiphonTrap(None if search.reason else True, proves, reason=search.reason)
 
 
 def _minimal_sets(compiled: Compiled, sets: ClosedSets, limit: int, deadline: float | None) -> Families:
