@@ -8,7 +8,9 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
+from mcap.data_stream import RecordBuilder
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Metadata
 from mcap.writer import IndexType, Writer
 
 from im_core.bag import files as bag_files
@@ -71,13 +73,77 @@ def test_garbage_after_the_last_chunk_is_cut_off(tmp_path):
     assert messages(tmp_path / "bag") == list(range(30))
 
 
-def test_a_spoilt_chunk_ends_what_is_taken(tmp_path):
+def spoil(path, at):
+    data = bytearray(path.read_bytes())
+    data[at] ^= 0xFF
+    path.write_bytes(data)
+
+
+def test_a_spoilt_chunk_is_left_out_and_what_follows_is_kept(tmp_path):
+    ends = record(tmp_path / "bag", end=False)
+    spoil(tmp_path / "bag" / "bag.mcap", ends[2] + 60)
+    assert messages(tmp_path / "bag") == [*range(15), *range(20, 30)]
+
+
+def test_a_spoilt_chunk_is_the_end_where_nothing_whole_follows(tmp_path):
     ends = record(tmp_path / "bag", end=False)
     path = tmp_path / "bag" / "bag.mcap"
-    data = bytearray(path.read_bytes())
-    data[ends[2] + 60] ^= 0xFF
+    spoil(path, ends[4] + 60)
+    assert messages(tmp_path / "bag") == list(range(25))
+    assert path.stat().st_size < ends[4] + 2000
+
+
+def test_chunks_whose_channels_were_in_a_spoilt_one_are_not_cut_away(tmp_path):
+    ends = record(tmp_path / "bag", end=False)
+    path = tmp_path / "bag" / "bag.mcap"
+    spoil(path, path.read_bytes().index(b"zstd") + 40)
+    data = path.read_bytes()
+    with pytest.raises(DataError, match="cannot be read"):
+        messages(tmp_path / "bag")
+    assert path.read_bytes()[: ends[-1]] == data
+
+
+def test_records_of_applications_are_passed_by(tmp_path):
+    (end, *_) = record(tmp_path / "bag", end=False)
+    path = tmp_path / "bag" / "bag.mcap"
+    data = path.read_bytes()
+    private = b"\x80" + (3).to_bytes(8, "little") + b"own"
+    path.write_bytes(data[:end] + private + data[end:] + private)
+    assert messages(tmp_path / "bag") == list(range(30))
+    assert path.read_bytes().count(private) == 2
+
+
+def test_what_follows_the_last_chunk_is_kept(tmp_path):
+    record(tmp_path / "bag", end=False)
+    path = tmp_path / "bag" / "bag.mcap"
+    with path.open("ab") as file:
+        builder = RecordBuilder()
+        Metadata("told", {"by": "another"}).write(builder)
+        file.write(builder.end())
+    assert messages(tmp_path / "bag") == list(range(30))
+    with path.open("rb") as file:
+        assert [each.name for each in NonSeekingReader(file).iter_metadata()] == ["told"]
+
+
+@pytest.mark.parametrize(
+    ("packed", "sentence"),
+    [
+        (b"\x04\0\0\0zstx", "its chunk at byte .* is compressed as 'zstx'; known are '', 'lz4', 'zstd'"),
+        (b"", "its chunk at byte .* unpacks to 300 MiB; at most 256 MiB are read"),
+    ],
+)
+def test_a_chunk_that_is_not_read_here_is_not_cut_away(tmp_path, packed, sentence):
+    record(tmp_path / "bag", end=False)
+    path = tmp_path / "bag" / "bag.mcap"
+    data = path.read_bytes()
+    at = data.index(b"\x04\0\0\0zstd")
+    size = at - 12  # times, size and checksum are before the name of the compression
+    told = data[size : size + 8] if packed else (300 * 2**20).to_bytes(8, "little")
+    data = data[:size] + told + data[size + 8 : at] + (packed or data[at : at + 8]) + data[at + 8 :]
     path.write_bytes(data)
-    assert messages(tmp_path / "bag") == list(range(15))
+    with pytest.raises(DataError, match=sentence):
+        complete_bag(tmp_path / "bag")
+    assert path.read_bytes() == data
 
 
 def test_a_complete_bag_is_not_touched(tmp_path):

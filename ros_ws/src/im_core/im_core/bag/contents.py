@@ -25,17 +25,17 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from rosbags.rosbag2.storage_mcap import decompress
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, decompress
 
 from im_core.bag import unpacking
-from im_core.files import FileError
+from im_core.files import MEBIBYTE, FileError
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 #: A footer but for its checksum, which is also of this.
 _FOOTER = struct.Struct("<BQQQ")
-#: Records of the data section; any other ends it, or is what a torn write has left.
+#: Records of the data section; any other below those of applications ends it, or is what a torn write has left.
 _DATA = {
     Opcode.HEADER,
     Opcode.SCHEMA,
@@ -46,6 +46,8 @@ _DATA = {
     Opcode.ATTACHMENT,
     Opcode.METADATA,
 }
+#: From here on records are of applications, and readers pass them by.
+_OF_APPLICATIONS = 0x80
 _LARGEST_RECORD = 2**30
 
 unpacking.install()
@@ -64,7 +66,8 @@ class Contents:
         chunks: In their order.
         begin_ns: Time of the first message; 0 where there is none [ns].
         end_ns: Time of the last message [ns].
-        last: Index of the messages of the last chunk, by channel: their times and offsets.
+        last: Index of the messages of the last chunk, by channel: their times and offsets; empty where the file has it,
+            since something else follows.
     """
 
     end: int = len(MAGIC)
@@ -116,29 +119,37 @@ class Contents:
 def scan(path: Path, file: BinaryIO) -> Contents:
     """Read an MCAP file record by record, as far as they are whole.
 
+    A chunk that is damaged is left out, with what belongs to it; where whole ones follow, the file goes on to these.
+
     Raises:
-        FileError: It is no MCAP file.
+        FileError: It is no MCAP file, or holds a chunk that is not read here, though it may be whole.
     """
     if file.read(len(MAGIC)) != MAGIC:
         raise FileError(path, "is no MCAP file")
-    contents = Contents()
+    contents, whole, indexed = Contents(), True, False
     for opcode, offset, length in _records(file, os.fstat(file.fileno()).st_size):
-        if opcode not in _DATA:
+        if opcode not in _DATA and opcode < _OF_APPLICATIONS:
             break
         body = file.read(length)
         if opcode == Opcode.CHUNK:
-            if not _add_chunk(contents, body, offset):
-                break
+            unpacked = _unpacked(path, body, offset)
+            whole = unpacked is not None
+            indexed = unpacked is not None and _add_chunk(contents, *unpacked, offset, length)
         elif opcode == Opcode.MESSAGE_INDEX:
-            _add_index(contents, body, offset)
+            if indexed:
+                _add_index(contents, body, offset)
         elif opcode == Opcode.MESSAGE:
             contents.add_message(body, offset)
         else:
             contents.add_definition(opcode, body)
-        contents.end = offset + _HEAD.size + length
-    if contents.chunks:  # its index is written again: nothing tells whether it is whole
+        if whole:
+            contents.end = offset + _HEAD.size + length
+            indexed = indexed and opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
+    if contents.chunks and indexed:  # its index is written again: nothing tells whether it is whole
         last = contents.chunks[-1]
         contents.end = last.chunk_start_offset + last.chunk_length
+    elif contents.chunks:
+        contents.last = {}
     return contents
 
 
@@ -154,26 +165,37 @@ def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
         offset += _HEAD.size + length
 
 
-def _add_chunk(contents: Contents, body: bytes, offset: int) -> bool:
-    """Add a chunk with what is in it; False if it is damaged."""
+def _unpacked(path: Path, body: bytes, offset: int) -> tuple[Chunk, bytes] | None:
+    """A chunk, and what is in it; None if it is damaged.
+
+    Raises:
+        FileError: It is compressed in a way that is not known here, or larger than what is unpacked.
+    """
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-        raw = decompress(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
+        _check_readable(path, chunk, offset)
+        return chunk, decompress(chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc)
+    except (FileError, MemoryError):
+        raise
     except Exception:  # what unpacks bytes that were cut or spoilt raises errors of any name
+        return None
+
+
+def _add_chunk(contents: Contents, chunk: Chunk, raw: bytes, offset: int, length: int) -> bool:
+    """Add a chunk with what is in it; False if its channels were defined in one that is damaged."""
+    held = list(_held(raw))
+    known = contents.channels.keys() | {_number(raw, start) for opcode, _, start, _ in held if opcode == Opcode.CHANNEL}
+    if any(opcode == Opcode.MESSAGE and _number(raw, start) not in known for opcode, _, start, _ in held):
         return False
     contents.last = {}
-    at = 0
-    while at + _HEAD.size <= len(raw):
-        opcode, length = _HEAD.unpack_from(raw, at)
-        start = at + _HEAD.size
+    for opcode, at, start, end in held:
         if opcode == Opcode.MESSAGE:
             contents.add_message(raw[start : start + _MESSAGE.size], at)
         else:
-            contents.add_definition(opcode, raw[start : start + length])
-        at = start + length
+            contents.add_definition(opcode, raw[start:end])
     contents.chunks.append(
         ChunkIndex(
-            chunk_length=_HEAD.size + len(body),
+            chunk_length=_HEAD.size + length,
             chunk_start_offset=offset,
             compression=chunk.compression,
             compressed_size=len(chunk.data),
@@ -187,6 +209,31 @@ def _add_chunk(contents: Contents, body: bytes, offset: int) -> bool:
     return True
 
 
+def _check_readable(path: Path, chunk: Chunk, offset: int) -> None:
+    where = f"cannot be read: its chunk at byte {offset}"
+    if chunk.compression not in DECOMPRESSORS:
+        known = ", ".join(repr(name) for name in DECOMPRESSORS)
+        raise FileError(path, f"{where} is compressed as {chunk.compression!r}; known are {known}")
+    if chunk.uncompressed_size > unpacking.LARGEST_PIECE:
+        size, most = (size / MEBIBYTE for size in (chunk.uncompressed_size, unpacking.LARGEST_PIECE))
+        raise FileError(path, f"{where} unpacks to {size:.0f} MiB; at most {most:g} MiB are read")
+
+
+def _held(raw: bytes) -> Iterator[tuple[int, int, int, int]]:
+    """Opcode and offset of each record of a chunk, and where its body begins and ends."""
+    at = 0
+    while at + _HEAD.size <= len(raw):
+        opcode, length = _HEAD.unpack_from(raw, at)
+        start = at + _HEAD.size
+        yield opcode, at, start, start + length
+        at = start + length
+
+
+def _number(raw: bytes, start: int) -> int:
+    """Number of the channel that a record defines or is of."""
+    return int.from_bytes(raw[start : start + 2], "little")
+
+
 def _add_index(contents: Contents, body: bytes, offset: int) -> None:
     if contents.chunks:
         chunk = contents.chunks[-1]
@@ -195,9 +242,9 @@ def _add_index(contents: Contents, body: bytes, offset: int) -> None:
 
 
 def last_index(contents: Contents) -> bytes:
-    """The index of the last chunk, as bytes; the chunk ends where the data do, and its index follows."""
+    """The index of the last chunk, as bytes, where it is missing; the chunk ends where the data do."""
     builder = RecordBuilder()
-    if contents.chunks:
+    if contents.chunks and contents.last:
         chunk = contents.chunks[-1]
         chunk.message_index_offsets = {}
         for channel, index in contents.last.items():
