@@ -92,6 +92,25 @@ def of_json(folder):
     return folder / "bag"
 
 
+def written(path, type_format, message_format):
+    """A file of ROS 2 by its profile, with a topic of another type definition or serialisation."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("std_msgs/msg/String", type_format, b"string data\n")
+        writer.add_message(writer.register_channel("/chatter", message_format, schema), 1, b'{"data": "x"}', 1)
+        writer.finish()
+    return path
+
+
+def file_of_json(folder):
+    return written(folder / "bag.mcap", "ros2msg", "json")
+
+
+def file_of_protobuf(folder):
+    return written(folder / "bag.mcap", "protobuf", "protobuf")
+
+
 @pytest.mark.parametrize("tool", TOOLS)
 @pytest.mark.parametrize(
     ("make", "sentence"),
@@ -102,6 +121,8 @@ def of_json(folder):
         (of_ros_1, "is a bag of ROS 1, of which rosbags-convert makes one of ROS 2"),
         (folder_of_ros_1, "old.bag is one of ROS 1, of which rosbags-convert makes one of ROS 2"),
         (of_json, "Serialization format {'json'} is not supported"),
+        (file_of_json, "Serialization format {'json'} is not supported"),
+        (file_of_protobuf, "Type definition format 'protobuf' is not supported: of ROS 2 are ros2msg and ros2idl"),
     ],
 )
 def test_what_is_no_bag_is_said_by_all(tmp_path, monkeypatch, capsys, tool, make, sentence):

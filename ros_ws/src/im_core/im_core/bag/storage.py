@@ -9,20 +9,34 @@ from io import BytesIO
 from typing import Any
 
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader, read_string
 
 #: Type of a channel whose definition is not in the summary.
 _UNDEFINED = "__schemaless__"
+#: How messages of ROS 2 are serialised.
+_SERIALIZED = "cdr"
 
 
 class WholeMcapReader(McapReader):
     """Reads every message of a file, whatever its index leaves out, and the hashes that its channels tell."""
 
     def open(self) -> None:
-        """Open it."""
-        super().open()
+        """Open it.
+
+        Raises:
+            ReaderError: It is damaged, or holds messages or definitions of types that are not those of ROS 2.
+        """
+        try:
+            super().open()
+        except KeyError as error:  # of a table of the ways to define a type
+            known = "of ROS 2 are ros2msg and ros2idl"
+            raise ReaderError(f"Type definition format {error} is not supported: {known}.") from error
+        foreign = {each.message_encoding for each in self.channels.values()} - {_SERIALIZED}
+        if foreign:
+            self.close()
+            raise ReaderError(f"Serialization format {foreign!r} is not supported.")  # as of a folder
         self.connections = [
             each._replace(digest=_hash(_told(self.channels[each.id].metadata).get("topic_type_hash", "")))
             for each in self.connections
