@@ -9,7 +9,7 @@ import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from shape_msgs.msg import SolidPrimitive
-from std_msgs.msg import Int32, String, UInt8MultiArray
+from std_msgs.msg import Byte, ByteMultiArray, Int32, String, UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core import clock
@@ -395,6 +395,12 @@ def test_json_is_taken_as_it_is_given_out(three):
     assert ask(mine, mine.dom._put, PutObject.Request(name="c", type=kind, json=fields)).success
     assert ask(mine, mine.dom._append, AppendObject.Request(name="c", type=kind, json=fields)).object.version == 2
     assert [list(point.positions) for point in mine.do(mine.dom.get("c", JointTrajectory)).points] == [[1, 2], [1, 2]]
+    for name, message in (("d", Byte(data=b"\x05")), ("e", ByteMultiArray(data=[b"\x01", b"\xff"]))):
+        mine.do(mine.dom.put(name, message))
+        found = ask(mine, mine.dom._get, GetObject.Request(name=name, as_json=True))
+        request = PutObject.Request(name=name, type=f"std_msgs/msg/{type(message).__name__}", json=found.json)
+        assert ask(mine, mine.dom._put, request).object.version == 2
+        assert mine.do(mine.dom.get(name, type(message))) == message
 
 
 @pytest.mark.parametrize(
@@ -404,6 +410,7 @@ def test_json_is_taken_as_it_is_given_out(three):
         ('{"data": 3}', "std_msgs/msg/String.data (string) cannot be 3"),
         ('{"data": ["x"]}', "std_msgs/msg/String.data (string) cannot be ['x']"),
         ('{"data": {"x": 1}}', "std_msgs/msg/String.data (string) cannot be {'x': 1}"),
+        ('{"data": "a\\u0000b"}', "std_msgs/msg/String.data (string) cannot be 'a\\x00b'"),
         ("[]", "the JSON of data object 'a'"),
     ],
 )
@@ -412,6 +419,16 @@ def test_json_that_is_no_message_of_the_type_is_refused(three, fields, sentence)
     answer = ask(mine, mine.dom._put, PutObject.Request(name="a", type="std_msgs/msg/String", json=fields))
     assert not answer.success
     assert sentence in answer.status.message
+
+
+def test_json_with_a_number_in_the_place_of_a_message_is_refused(three):
+    _, mine, _ = three
+    request = PutObject.Request(name="a", type="geometry_msgs/msg/PoseArray", json='{"poses": [{}, 3]}')
+    answer = ask(mine, mine.dom._put, request)
+    assert not answer.success
+    assert (
+        answer.status.message == "geometry_msgs/msg/PoseArray.poses[1] cannot be 3: the fields of a message are needed"
+    )
 
 
 def test_who_waits_for_an_object_gets_it_when_it_is_put_and_else_hears_why_not(three):

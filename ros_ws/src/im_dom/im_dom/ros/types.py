@@ -131,7 +131,9 @@ def from_json(name: str, kind: str, text: str) -> bytes:
     return data
 
 
-def _filled(message: Any, fields: Mapping[str, Any], where: str) -> Any:
+def _filled(message: Any, fields: Any, where: str) -> Any:
+    if not isinstance(fields, Mapping):
+        raise DataError(f"{where} cannot be {fields!r}: the fields of a message are needed", field=where)
     types = message.get_fields_and_field_types()
     message._check_fields = True  # a wrong type would else be met by the serialiser, which ends the process
     for field, value in fields.items():
@@ -158,7 +160,9 @@ def _fitting(present: Any, kind: str, value: Any, where: str) -> Any:
 
 
 def _number(kind: str, value: Any) -> Any:
-    """JSON writes 1 where a message wants 1.0, and has no number that is not finite."""
+    """JSON writes 1 where a message wants 1.0, and has no number that is not finite; texts of ROS end with a zero."""
+    if isinstance(value, str) and "\0" in value:
+        raise ValueError(value)
     if kind in ("float", "double") and not isinstance(value, bool):
         return float(value)
     return bytes([value]) if kind == "octet" else value
@@ -179,8 +183,8 @@ def _plain(value: Any) -> object:
         return [_plain(each) for each in value.tolist()]
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
-    if isinstance(value, bytes):
-        return list(value)
+    if isinstance(value, bytes):  # an octet
+        return value[0]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value
