@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from im_calibration.commands import command, make_dataset
+from im_calibration.problem.convert import read_opencv
 from im_calibration.problem.dataset import load_problems
 
 RNG = np.random.default_rng(1)
@@ -70,6 +71,20 @@ MATRIX = (
     "%YAML:1.0\n---\nimage_points: !!opencv-matrix\n   rows: 2\n   cols: 2\n   dt: d\n   data: [ 1., 2., 3., 4. ]\n"
 )
 POINTS = "object_points: !!opencv-matrix\n   rows: 2\n   cols: 3\n   dt: d\n   data: [ 1., 2., 3., 4., 5., {} ]\n"
+THREE = POINTS.format("6., 7., 8., 9.").replace("rows: 2", "rows: 3")
+HOMOGENEOUS = POINTS.format("6., 7., 1.").replace("cols: 3", "cols: 4")
+TRANSPOSED = MATRIX.replace("cols: 2", "cols: 3").replace("3., 4.", "3., 4., 5., 6.")
+
+
+@pytest.mark.parametrize("shape", [(10, 1), (1, 10), (2, 5)])
+def test_points_as_elements_of_two_and_three_numbers_are_read(shape, tmp_path):
+    storage = cv2.FileStorage(str(tmp_path / "a.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_points", SPOTS["left"][:10].reshape(*shape, 2))
+    storage.write("object_points", POSITIONS[:10].reshape(*shape, 3))
+    storage.release()
+    found = read_opencv(tmp_path / "a.yml")
+    np.testing.assert_array_equal(found.spots, SPOTS["left"][:10])
+    np.testing.assert_array_equal(found.positions, POSITIONS[:10])
 
 
 @pytest.mark.parametrize(
@@ -81,8 +96,20 @@ POINTS = "object_points: !!opencv-matrix\n   rows: 2\n   cols: 3\n   dt: d\n   d
         ("text", "# nothing\n", "a: holds no line u v x y z"),
         ("text", "1 2 3 4 5\n", "The image size of a is not known; give --image-size"),
         ("opencv", MATRIX, "a:3: object_points: "),
-        ("opencv", MATRIX + POINTS.format("6., 7."), "a:12: object_points.data: has 7 numbers, a multiple of 3"),
-        ("opencv", MATRIX + POINTS.format("6., 7., 8., 9."), "holds 3 points, image_points holds 2"),
+        (
+            "opencv",
+            MATRIX + POINTS.format("6., 7."),
+            "a:12: object_points.data: has 7 numbers, the 6 of 2 x 3 of dt d are needed",
+        ),
+        ("opencv", MATRIX + POINTS.format("6.").replace("rows: 2", "rows: 3"), "has 6 numbers, the 9 of 3 x 3"),
+        ("opencv", MATRIX + THREE, "holds 3 points, image_points holds 2"),
+        (
+            "opencv",
+            TRANSPOSED + THREE,
+            "a:5: image_points.cols: is 2 x 3 of dt d; n x 2, or elements of 2 (dt 2f), are",
+        ),
+        ("opencv", MATRIX + HOMOGENEOUS, "a:10: object_points.cols: is 2 x 4 of dt d; n x 3, or elements of 3 (dt 3f)"),
+        ("opencv", MATRIX.replace("dt: d", "dt: 2if") + THREE, "a:6: image_points.dt: "),
         ("opencv", MATRIX + POINTS.format("six"), "a:12: object_points.data[5]: "),
         ("opencv", "%YAML:1.0\n---\nimage_points: [", "a:3: not YAML"),
     ],

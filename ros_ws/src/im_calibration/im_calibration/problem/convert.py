@@ -67,15 +67,31 @@ def read_lines(path: Path) -> Sighting:
 
 
 class _Matrix(Model):
-    """A matrix as ``cv::FileStorage`` writes it."""
+    """A matrix as ``cv::FileStorage`` writes it, row by row; ``dt: 2f`` says that each element is two numbers."""
 
     rows: Annotated[int, Field(ge=1)]
     cols: Annotated[int, Field(ge=1)]
-    dt: str
+    dt: Annotated[str, Field(pattern=r"^[1-9]?[a-z]$")]
     data: list[float]
 
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        count = self.rows * self.cols * self._channels
+        if len(self.data) != count:
+            size = f"{self.rows} x {self.cols} of dt {self.dt}"
+            raise FieldError(("data",), f"has {len(self.data)} numbers, the {count} of {size} are needed")
+        return self
+
+    @property
+    def _channels(self) -> int:
+        return int(self.dt[:-1] or 1)
+
+    def holds(self, size: int) -> bool:
+        """Whether its rows, or its elements, are vectors of that size."""
+        return self._channels == size or (self._channels == 1 and self.cols == size)
+
     def vectors(self, size: int) -> Array:
-        """Its rows, as vectors of that size."""
+        """The vectors, shape (n, size)."""
         return np.array(self.data, dtype=float).reshape(-1, size)
 
 
@@ -92,8 +108,11 @@ class _OpenCvFile(Model):
     @model_validator(mode="after")
     def _fit(self) -> Self:
         for name, matrix, size in (("image_points", self.image_points, 2), ("object_points", self.object_points, 3)):
-            if not matrix.data or len(matrix.data) % size:
-                raise FieldError((name, "data"), f"has {len(matrix.data)} numbers, a multiple of {size} is needed")
+            if not matrix.holds(size):
+                shape = f"{matrix.rows} x {matrix.cols} of dt {matrix.dt}"
+                raise FieldError(
+                    (name, "cols"), f"is {shape}; n x {size}, or elements of {size} (dt {size}f), are needed"
+                )
         spots, points = len(self.image_points.data) // 2, len(self.object_points.data) // 3
         if spots != points:
             raise FieldError(("object_points", "data"), f"holds {points} points, image_points holds {spots}")
