@@ -12,6 +12,7 @@ from service_msgs.msg import ServiceEventInfo
 from tf2_msgs.msg import TFMessage
 
 from im_bringup.bag import BagWriter, Delivery
+from im_bringup.bag import writer as bag_writer
 from im_calibration import calibrate, report_of
 from im_cell.camera_model import CameraModel
 from im_cell.robot import load_cell
@@ -189,6 +190,29 @@ def test_spots_are_found_again_in_the_recorded_images(tmp_path, asked, report, c
         true = MODELS[camera["name"]].project(point + shift)
         np.testing.assert_allclose(found.project(point), true, atol=0.5)
         assert abs(MODELS[camera["name"]].project(point) - true).max() > 5.0, "that is not where the spots were"
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind", "text"),
+    [
+        (CALLS, "im_msgs/srv/Calibrate_Request", "sequence<im_msgs::msg::KnownLength> known_lengths;"),
+        (LOOKS, "im_msgs/srv/SpotFind_Response", "sequence<im_msgs::msg::SpotCandidates> candidates;"),
+    ],
+)
+def test_a_bag_of_another_version_is_told_by_the_field(tmp_path, asked, report, capsys, monkeypatch, topic, kind, text):
+    define, name = bag_writer.full_definition, text.split()[-1][:-1]
+
+    def other_definition(of):
+        definition = define(of)
+        assert text in definition.text or of != {CALLS: CALL, LOOKS: LOOK}[topic]
+        return definition._replace(text=definition.text.replace(text, ""))
+
+    monkeypatch.setattr(bag_writer, "full_definition", other_definition)
+    looks = [(LOOKS, LOOK, event) for event in events(SpotFind, [(None, SpotFind.Response())])]
+    looks += [size_of(name) for name in CAMERAS]
+    bag = write_bag(tmp_path / "bag", (asked, answer(report)), others=looks)
+    assert run(bag, tmp_path / "out", "--from", "images") == recalibrate.BAD_INPUT
+    assert f"{kind} is defined there without '{name}'" in capsys.readouterr().err
 
 
 def size_of(name):

@@ -18,6 +18,18 @@ from im_vss.spot import SearchDisc, find_spot
 CALLS, CALL = "/vss/calibrate/_service_event", "im_msgs/srv/Calibrate_Event"
 LOOKS, LOOK = "/vss/spot_find/_service_event", "im_msgs/srv/SpotFind_Event"
 IMAGE, CAMERA_INFO, TRANSFORMS = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
+#: What is read of the messages of this workspace.
+FIELDS = {
+    "im_msgs/srv/Calibrate_Request": ("cameras", "observations", "known_lengths", "directory", "apply"),
+    "im_msgs/srv/Calibrate_Response": ("success", "status", "report"),
+    "im_msgs/srv/SpotFind_Response": ("candidates",),
+    "im_msgs/msg/CalibrationReport": ("json",),
+    "im_msgs/msg/KnownLength": ("length", "sd", "first", "second"),
+    "im_msgs/msg/Observation": ("pose", "wrist", "position_covariance", "spots"),
+    "im_msgs/msg/Spot": ("camera", "stamp", "found", "u", "v", "covariance"),
+    "im_msgs/msg/SpotCandidates": ("camera", "stamp", "predicted", "u", "v", "radius"),
+    "im_msgs/msg/Status": ("message",),
+}
 _REQUEST_RECEIVED, _RESPONSE_SENT = 1, 2
 _PAIR_NS = 500_000_000
 """The exposure without light comes right before the one with it; an older image is of another look."""
@@ -69,7 +81,7 @@ def recorded_calibrations(bag: Path) -> list[RecordedCalibration]:
     if CALLS not in topics_of(bag):
         raise DataError(f"{bag}: it holds no calibration, there is no topic {CALLS} in it", topic=CALLS)
     asked: dict[tuple[bytes, int], RecordedCalibration] = {}
-    for message in messages_of(bag, {CALLS: (CALL,)}):
+    for message in messages_of(bag, {CALLS: (CALL,)}, FIELDS):
         info = message.content.info
         key = bytes(bytearray(info.client_gid)), int(info.sequence_number)
         if info.event_type == _REQUEST_RECEIVED and len(message.content.request):
@@ -192,7 +204,7 @@ def _search_discs(bag: Path) -> dict[tuple[str, int], SearchDisc]:
         return {}
     return {
         (str(each.camera), _stamp(each)): SearchDisc(each.u, each.v, each.radius)
-        for message in messages_of(bag, {LOOKS: (LOOK,)})
+        for message in messages_of(bag, {LOOKS: (LOOK,)}, FIELDS)
         for response in message.content.response
         for each in response.candidates
         if each.predicted
