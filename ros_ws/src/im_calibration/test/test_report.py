@@ -100,6 +100,24 @@ def test_a_failed_calibration_leaves_no_camera_files(failed, tmp_path):
     assert json.loads((tmp_path / "report.json").read_text())["success"] is False
 
 
+def test_camera_files_of_a_former_calibration_are_taken_away(solved, failed, tmp_path):
+    """And no others: whoever starts with the directory gets the cameras of its report."""
+    (tmp_path / "poses.yaml").write_text("mine: 1\n")
+    write_results(tmp_path, *solved)
+    assert {path.name for path in tmp_path.glob("camera_*.yaml")} == {"camera_0.yaml", "camera_1.yaml"}
+    one = make_scene(Design(cameras=1), 5).problem
+    write_results(tmp_path, calibrate(one), one)
+    assert sorted(path.name for path in tmp_path.glob("*.yaml")) == [
+        "camera_0.yaml",
+        "covariance.yaml",
+        "extrinsics.yaml",
+        "poses.yaml",
+    ]
+    write_results(tmp_path, *failed)
+    assert [path.name for path in tmp_path.glob("*.yaml")] == ["poses.yaml"]
+    assert json.loads((tmp_path / "report.json").read_text())["success"] is False
+
+
 def test_a_directory_that_cannot_be_written_is_named(solved, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("here")

@@ -14,13 +14,16 @@ from im_cell.calibration_files import (
     EXTRINSICS,
     CameraPose,
     Rectified,
+    camera_files,
     camera_info_yaml,
+    change_camera_files,
     covariance_yaml,
     extrinsics_yaml,
 )
 from im_cell.camera_covariance import CameraCovariance
 from im_core.errors import DataError
-from im_core.files import make_folder, write_whole
+from im_core.files import FileError, make_folder, write_whole
+from im_core.jsontext import load_json
 
 
 def write_results(
@@ -35,7 +38,7 @@ def write_results(
 
     ``observations.json`` is the data set, for ``calibrate_dataset`` and ``next_best_pose``. Each file appears whole or
     not at all. Camera files, poses and how well they are known, see :mod:`im_cell.calibration_files`, are written for a
-    successful calibration only.
+    successful calibration only; those that a former one left in the directory are taken away.
 
     Args:
         directory: Where; made if missing.
@@ -57,23 +60,40 @@ def write_results(
         "summary.txt": summary(report).encode(),
         "observations.json": (json.dumps(dataset_of(problem), allow_nan=False) + "\n").encode(),
     }
+    cameras: dict[str, str] = {}
     if calibration.success:
         for camera in calibration.cameras:
-            contents[f"{camera.name}.yaml"] = _camera_file(camera, rectified)
+            cameras[f"{camera.name}.yaml"] = _camera_file(camera, rectified)
         in_world = {camera.name: CameraPose.of("world", camera.model) for camera in calibration.cameras}
-        contents[EXTRINSICS] = extrinsics_yaml(poses or in_world).encode()
-        contents[COVARIANCE] = covariance_yaml(covariance or calibration.camera_covariance).encode()
+        cameras[EXTRINSICS] = extrinsics_yaml(poses or in_world)
+        cameras[COVARIANCE] = covariance_yaml(covariance or calibration.camera_covariance)
     contents |= _pictures(calibration, problem)
     target = Path(directory)
     try:
         make_folder(target)
-        return tuple(write_whole(target / name, content) for name, content in contents.items())
+        change_camera_files(target, {**dict.fromkeys(_former(target)), **cameras})
+        written = [write_whole(target / name, content) for name, content in contents.items()]
+        return (*written, *(target / name for name in cameras))
     except OSError as error:
         raise DataError(f"The results cannot be written to {target}: {error.strerror}.", file=str(target)) from error
 
 
-def _camera_file(camera: CameraEstimate, rectified: Mapping[str, Rectified] | None) -> bytes:
-    return camera_info_yaml(camera.name, camera.model, rectified[camera.name] if rectified else None).encode()
+def _camera_file(camera: CameraEstimate, rectified: Mapping[str, Rectified] | None) -> str:
+    return camera_info_yaml(camera.name, camera.model, rectified[camera.name] if rectified else None)
+
+
+def _former(directory: Path) -> set[str]:
+    """Files of cameras that a former calibration left there, by its report; others in the directory are somebody's."""
+    try:
+        report = load_json(directory / "report.json")
+    except FileError:
+        return set()
+    names = []
+    match report:
+        case {"cameras": [*cameras]}:
+            names = [camera["name"] for camera in cameras if isinstance(camera, dict) and "name" in camera]
+    written = {EXTRINSICS, COVARIANCE, *(f"{name}.yaml" for name in names)}
+    return written & {path.name for path in camera_files(directory)}
 
 
 def _pictures(calibration: Calibration, problem: CalibrationProblem) -> dict[str, bytes]:

@@ -10,7 +10,7 @@ from im_cell.calibration_files.extrinsics import EXTRINSICS, CameraPose, extrins
 from im_cell.calibration_files.folder import CalibrationFiles, read_calibration
 from im_cell.calibration_files.intrinsics import Rectified, camera_info_yaml, folded, implausible, monocular
 from im_cell.calibration_files.laser import LASER, LaserEstimate, laser_yaml
-from im_cell.calibration_files.together import change_camera_files
+from im_cell.calibration_files.together import camera_files, change_camera_files
 
 __all__ = [
     "COVARIANCE",
@@ -20,6 +20,7 @@ __all__ = [
     "CameraPose",
     "LaserEstimate",
     "Rectified",
+    "camera_files",
     "camera_info_yaml",
     "change_camera_files",
     "covariance_yaml",
