@@ -224,6 +224,24 @@ def test_all_messages_are_read_whatever_the_index_leaves_out(tmp_path, left_out,
     assert path.read_bytes() == before
 
 
+def test_messages_that_lie_one_by_one_in_another_order_are_read_in_that_of_their_times(tmp_path):
+    """As ``ros2 bag record --storage-preset-profile fastwrite`` has them."""
+    path = tmp_path / "fast.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start(profile="ros2", library="another")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        channels = [writer.register_channel(topic, "cdr", schema) for topic in ("/a", "/b")]
+        for number in (2, 0, 1, 5, 4, 3, 4):
+            writer.add_message(channels[number % 2], 1000 + number, bytes([0, 1, 0, 0, number]), 0)
+        writer.finish()
+    with closing(open_bag(path)) as reader:
+        assert [data[4] for _, _, data in reader.messages()] == [0, 1, 2, 3, 4, 4, 5]
+        second = [each for each in reader.connections if each.topic == "/b"]
+        found = [(each.topic, at, data[4]) for each, at, data in reader.messages(second, start=1001, stop=1005)]
+        assert found == [("/b", 1001, 1), ("/b", 1003, 3)]
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [(b"", "has no message"), (b"\x89PNG\r\n", "is no MCAP file"), (b"x" * 100, "is no MCAP file")],

@@ -4,17 +4,22 @@ It finds channels in the summary only, and passes by chunks whose messages have 
 that is whole (https://mcap.dev/spec, "Summary Section", "Message Index"). Hashes it takes from ``metadata.yaml``.
 """
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Collection, Container, Generator, Iterator, Mapping
 from io import BytesIO
 from typing import Any
 
+import numpy as np
+from mcap.opcode import Opcode
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import McapReader, read_string
+from rosbags.rosbag2.storage_mcap import MAXSIZE, McapReader, read_exact, read_string
 
 #: Type of a channel whose definition is not in the summary.
 _UNDEFINED = "__schemaless__"
+_HEAD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
+_PLACE = np.dtype([("channel", "u2"), ("logged_ns", "u8"), ("offset", "u8"), ("size", "u8")])
 #: How messages of ROS 2 are serialised.
 _SERIALIZED = "cdr"
 
@@ -54,6 +59,41 @@ class WholeMcapReader(McapReader):
         for chunk in self.chunks:
             if not chunk.message_index_offsets:
                 chunk.channel_count.update(dict.fromkeys(self.channels, 1))  # each may be in it
+
+    def messages(
+        self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
+    ) -> Generator[tuple[Connection, int, bytes], None, None]:
+        """Read messages in the order of their times, also where they lie one by one, without chunks, in another.
+
+        Args:
+            connections: Whose.
+            start: From when on [ns].
+            stop: Before when [ns].
+        """
+        if self.chunks or (self.statistics is not None and self.statistics.chunk_count):
+            yield from super().messages(connections, start, stop)
+            return
+        assert self.bio is not None
+        of = {each.id: each for each in connections}
+        places = np.fromiter(self._places(of, start, stop), dtype=_PLACE)
+        for channel, logged_ns, offset, size in places[np.argsort(places["logged_ns"], kind="stable")].tolist():
+            self.bio.seek(offset)
+            yield of[channel], logged_ns, read_exact(self.bio, size)
+
+    def _places(
+        self, wanted: Container[int], start: int | None, stop: int | None
+    ) -> Iterator[tuple[int, int, int, int]]:
+        """Channel, time, offset and size of the data of each message that is wanted; see ``messages``."""
+        assert self.bio is not None
+        at = self.data_start
+        while at < self.data_end:
+            self.bio.seek(at)
+            opcode, length = _HEAD.unpack(read_exact(self.bio, _HEAD.size))
+            if opcode == Opcode.MESSAGE:
+                channel, _, logged_ns, _ = _MESSAGE.unpack(read_exact(self.bio, _MESSAGE.size))
+                if channel in wanted and (start or 0) <= logged_ns < (MAXSIZE if stop is None else stop):
+                    yield channel, logged_ns, self.bio.tell(), length - _MESSAGE.size
+            at += _HEAD.size + length
 
     def _is_told(self) -> bool:
         """Whether the summary names the channel and the type of every message."""
