@@ -260,6 +260,15 @@ def test_a_report_that_is_none_is_passed_over(tmp_path, asked, report, cameras, 
     assert told in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("left_out", ["led_offset_m", "cameras", "expected_error"])
+def test_a_report_of_another_version_is_not_compared(tmp_path, asked, report, left_out, capsys):
+    recorded = {key: value for key, value in report.items() if key != left_out}
+    bag = write_bag(tmp_path / "bag", (asked, answer(recorded)), others=[size_of(name) for name in CAMERAS])
+    assert run(bag, tmp_path / "out", "--noise", "estimated") == recalibrate.OK
+    told = f"the recorded report cannot be compared, it is none of this version: KeyError('{left_out}')"
+    assert told in capsys.readouterr().out
+
+
 def test_observations_that_determine_no_estimate_are_no_wrong_arguments(tmp_path, asked, report, capsys):
     few = Calibrate.Request(cameras=asked.cameras, observations=asked.observations[:3])
     bag = write_bag(tmp_path / "bag", (few, answer(report)))
