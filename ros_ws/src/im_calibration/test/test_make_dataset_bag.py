@@ -47,10 +47,10 @@ def transform(stamp_ns, parent, child, xyz, turn):
     return TYPES["tf2_msgs/msg/TFMessage"]([each])
 
 
-def camera_info(width, height, model):
-    none = TYPES["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+def camera_info(width, height, model, binning=(0, 0), region=(0, 0)):
+    part = TYPES["sensor_msgs/msg/RegionOfInterest"](0, 0, *region, False)
     return TYPES["sensor_msgs/msg/CameraInfo"](
-        header(0), height, width, model, np.zeros(0), np.zeros(9), np.zeros(9), np.zeros(12), 0, 0, none
+        header(0), height, width, model, np.zeros(0), np.zeros(9), np.zeros(9), np.zeros(12), *binning, part
     )
 
 
@@ -107,6 +107,17 @@ def test_spots_go_with_the_poses_of_their_time(plugin, tmp_path, capsys):
     assert problem.image_sizes == ((640, 480), (800, 600))
     assert problem.lens_models == ("plumb_bob", "equidistant")
     assert problem.noise_to_estimate == ("robot",)
+
+
+def test_images_of_a_binned_camera_or_of_a_region_are_smaller_than_it_was_calibrated_with(tmp_path):
+    """The region is a height and a width, as its message has them."""
+    binned = camera_info(1280, 960, "plumb_bob", binning=(2, 3))
+    part = camera_info(1280, 960, "plumb_bob", binning=(2, 2), region=(480, 800))
+    told = [("/left/camera_info", binned), ("/right/camera_info", part)]
+    bag = write(tmp_path / "bag", poses() + spots() + told)
+    assert run(bag, tmp_path / "out.json", "--poses", "/tool") == command.OK
+    (problem,) = load_problems(tmp_path / "out.json")
+    assert problem.image_sizes == ((640, 320), (400, 240))
 
 
 def test_the_light_itself_may_be_told_and_transforms_be_followed(tmp_path):

@@ -275,8 +275,14 @@ def _camera_infos(bag: Path, topics: BagTopics) -> dict[str, tuple[tuple[int, in
             raise DataError(f"{bag}: topic '{topic}' says no image size.", topic=topic)
         if info is not None:
             model = info.distortion_model if info.distortion_model in LENSES else PLUMB_BOB.name
-            found[name] = ((int(info.width), int(info.height)), model)
+            found[name] = _image_size(info), model
     return found
+
+
+def _image_size(info: Any) -> tuple[int, int]:
+    """Width and height of images [px]: those of the calibration, made smaller by region and binning."""
+    width, height = info.roi.width or info.width, info.roi.height or info.height
+    return int(width) // max(1, int(info.binning_x)), int(height) // max(1, int(info.binning_y))
 
 
 def _infos(bag: Path, topic: str) -> Iterator[Any]:
