@@ -350,3 +350,11 @@ def test_new_names_that_ros_does_not_allow_are_refused(tmp_path, monkeypatch, ca
     with pytest.raises(SystemExit, match="2"):
         replayed(with_a_foreign_name(tmp_path), monkeypatch, "--remap", "/text:=/9x")
     assert "error: --remap /text:=/9x: /9x is no full name of a topic: " in capsys.readouterr().err
+
+
+def test_half_a_bag_is_not_extracted(tmp_path, monkeypatch, capsys):
+    bag = spoilt(tmp_path)
+    monkeypatch.setattr("sys.argv", ["replay", str(bag), "--extract", str(tmp_path / "small")])
+    assert replay.main() == 2
+    assert "cannot be read: Chunk checksum mismatch" in capsys.readouterr().err
+    assert not (tmp_path / "small").exists()

@@ -6,6 +6,7 @@ import operator
 import os
 import re
 import select
+import shutil
 import signal
 import sys
 import termios
@@ -188,7 +189,7 @@ def keys_pressed(controls: Controls) -> Iterator[None]:
 
 
 def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
-    """Write topics of a bag into a new one; returns the number of messages.
+    """Write topics of a bag into a new one, whole or not at all; returns the number of messages.
 
     Args:
         bag: The bag.
@@ -213,8 +214,12 @@ def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
         for topic, stamp_ns, data in bag.messages(chosen):
             counts[topic] += 1
             new.write(topic, stamp_ns, data, stamp_ns, counts[topic])
-    finally:
         new.close()
+    except BaseException:
+        with contextlib.suppress(ImError):
+            new.close()
+        shutil.rmtree(folder, ignore_errors=True)  # half a mission looks like a whole one
+        raise
     return sum(counts.values())
 
 
