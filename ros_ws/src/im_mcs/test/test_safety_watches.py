@@ -119,6 +119,20 @@ def test_an_estop_acts_in_the_tick_of_its_cause(moving, inject, words):
     assert record["tick"][-1] == mcs.measured.tick
 
 
+def test_a_joint_whose_reading_comes_back_is_watched_as_before(moving):
+    """One reading that is not a number does not leave its velocity without one."""
+    read(q=math.nan)(moving)
+    moving.mcs.tick([])
+    assert np.isnan(moving.mcs.v).tolist() == [rank == 4 for rank in range(18)]
+    moving.fault.read = lambda measured: measured
+    assert moving.ask("reset")["success"]
+    moving.to_motion("left")
+    np.testing.assert_allclose(moving.mcs.v, 0.0, atol=1e-3)
+    read(q=lambda q: q + 0.3)(moving)
+    moving.mcs.tick([])
+    assert "left_j2: velocity" in moving.mcs.manager.cause
+
+
 @pytest.mark.parametrize(
     ("inject", "clear", "code"),
     [

@@ -33,9 +33,15 @@ class VelocityEstimator:
         self._value = np.zeros_like(self._value)
 
     def update(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Take a reading, shape (n,), and return its derivative, shape (n,)."""
+        """Take a reading, shape (n,), and return its derivative, shape (n,).
+
+        That of a signal that is not a number is none either; the first reading after that is taken as standing still.
+        """
         if self._last is not None:
-            self._value = self._decay * self._value + self._gain * (x - self._last)
+            value = self._decay * self._value + self._gain * (x - self._last)
+            if not math.isfinite(value.dot(value)):  # quick, and else what is not a number would stay for good
+                value = np.where(np.isfinite(x) & ~np.isfinite(value), 0.0, value)
+            self._value = value
         self._last = x
         return self._value
 
