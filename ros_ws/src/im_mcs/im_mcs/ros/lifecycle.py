@@ -98,11 +98,12 @@ class Lifecycle:
         self._machine.trigger_transition_by_label(outcome.to_label(), True)
 
     def _id_of(self, transition: str) -> int:
-        known = {label: number for number, label, *_ in self._machine.available_transitions}
+        # while one is under way, those with which it can end are available; they are not a client's to ask for
+        known = {label: number for number, label, *_ in self._machine.available_transitions if label in self._work}
         if transition not in known:
             raise StateError(
                 f"the lifecycle transition '{transition}' is not possible in state {self.state}; "
-                f"possible: {', '.join(known) or 'none, a transition is under way'}",
+                f"possible: {', '.join(known) or 'none'}",
                 state=self.state,
                 request=transition,
             )
