@@ -1,5 +1,6 @@
 """Grippers over the simulated testbed: reach, grip, stop on the way."""
 
+import numpy as np
 import pytest
 
 from im_cell.link import JawObject
@@ -65,3 +66,36 @@ def test_an_estop_on_the_way_ends_it_by_name(jaws):
     jaws.send("estop", reason="hand")
     assert "hand" in jaws.reply(number)["error"]["message"]
     assert not jaws.mcs.grippers.moving
+
+
+def read_as(bench, openings):
+    """Let the testbed tell ``openings(true openings)``."""
+    read = bench.driver.read
+
+    def told():
+        measured = read()
+        return measured._replace(gripper=openings(measured.gripper))
+
+    bench.driver.read = told
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.04])
+def test_jaws_whose_reading_is_not_steady_come_to_stand(jaws, opening):
+    """By a tenth of a millimetre, as of a sensor that is not the simulated testbed's."""
+    random = np.random.default_rng(3)
+    jaws.driver.plant.put((SPONGE, None))
+    read_as(jaws, lambda true: true + random.uniform(-1e-4, 1e-4, 2))
+    reply = finish(jaws, jaws.send("set_gripper", gripper="left_gripper", opening=opening, force=20.0))
+    assert reply["success"]
+    assert not reply["results"]["reached"]
+    assert reply["results"]["opening"] == pytest.approx(0.048, abs=5e-4)
+    assert finish(jaws, jaws.send("set_gripper", gripper="left_gripper", opening=0.06))["results"]["reached"]
+
+
+def test_jaws_that_give_no_reading_end_their_motion_by_name(jaws):
+    read_as(jaws, lambda true: np.full(2, np.nan))
+    assert "left_gripper gave no reading of its opening" in finish(jaws, close(jaws))["error"]["message"]
+    number = close(jaws)
+    assert jaws.reply(jaws.send("cancel", goal=number))["success"]
+    assert finish(jaws, number)["error"]["code"] == "cancelled"
+    assert not jaws.mcs.wants_time

@@ -19,7 +19,10 @@ class Settle(Model):
         gt=0, description="the same for an arm that stands still after half of timeout_s, held by friction [rad or m]"
     )
     window_ticks: int = Field(ge=4, description="readings averaged to judge it [ticks]")
-    timeout_s: float = Field(gt=0, description="testbed time after which a motion counts as not settled [s]")
+    timeout_s: float = Field(
+        gt=0,
+        description="testbed time after which a motion counts as not settled, and jaws that come no further stand [s]",
+    )
 
 
 class Servo(Model):

@@ -96,7 +96,10 @@ class Mcs:
         self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations)
         gripper = model.cell.gripper
         names = tuple(slot.name for slot in config.gripper_slots)
-        self.grippers = Grippers(names, gripper.stroke, gripper.force, self.measured.gripper, self.answers)
+        patience_ticks = round(config.servo.settle.timeout_s / config.servo.period_s)
+        self.grippers = Grippers(
+            names, gripper.stroke, gripper.force, self.measured.gripper, self.answers, patience_ticks
+        )
         self._dispatch = Dispatch(self)
 
     @property

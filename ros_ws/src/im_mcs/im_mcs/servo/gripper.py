@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError, LimitError, NotFoundError, StateError
+from im_core.errors import ImError, LimitError, LinkError, NotFoundError, StateError
 from im_mcs.servo.answers import Answers
 from im_mcs.testbed import Measured
 
@@ -19,26 +19,36 @@ _REACHED_M = 1e-3
 class GripperMotion:
     """Jaws on their way, until they stand still: at the wanted opening, or against something.
 
+    Those whose reading is not steady, or that give none, stand when they have come no further for a long while.
+
     Attributes:
         id: Request that asked for it.
         slot: Which gripper.
         last: Opening of the last tick [m].
+        place: Opening to which they have come [m].
         still: For how many ticks the jaws have stood.
+        stayed: For how many ticks they have come no further than that.
         fault: Why they stop on the way, if they do.
     """
 
     id: int
     slot: int
     last: float
+    place: float
     still: int = 0
+    stayed: int = 0
     fault: ImError | None = None
 
-    def update(self, openings: NDArray[np.float64]) -> bool:
+    def update(self, openings: NDArray[np.float64], patience_ticks: int) -> bool:
         """Take the measured openings, shape (m,) [m]; whether the jaws have come to stand."""
         opening = float(openings[self.slot])
         self.still = self.still + 1 if abs(opening - self.last) < _STILL_M else 0
         self.last = opening
-        return self.still >= _STILL_TICKS
+        if math.isfinite(opening) and not abs(opening - self.place) <= _REACHED_M:
+            self.place, self.stayed = opening, 0
+        else:
+            self.stayed += 1
+        return self.still >= _STILL_TICKS or self.stayed >= patience_ticks
 
 
 class Grippers:
@@ -54,6 +64,7 @@ class Grippers:
         full_force: Largest force that can be asked for [N].
         measured: Where the jaws are, shape (m,) [m].
         answers: Told when jaws stand still.
+        patience_ticks: For how long jaws may come no further before they count as standing, if no reading says so.
     """
 
     def __init__(
@@ -63,10 +74,12 @@ class Grippers:
         full_force: float,
         measured: NDArray[np.float64],
         answers: Answers,
+        patience_ticks: int,
     ) -> None:
         self._names = names
         self._stroke, self._full_force = stroke, full_force
         self._answers = answers
+        self._patience_ticks = patience_ticks
         self._moving: dict[int, GripperMotion] = {}
         self.hold(measured)
 
@@ -115,7 +128,8 @@ class Grippers:
         self.opening, self.force = self.opening.copy(), self.force.copy()
         self.opening[slot] = opening
         self.force[slot] = force or np.inf
-        self._moving[slot] = GripperMotion(number, slot, float(measured[slot]))
+        there = float(measured[slot])
+        self._moving[slot] = GripperMotion(number, slot, last=there, place=there)
 
     def cancel(self, number: int, fault: ImError, measured: NDArray[np.float64]) -> bool:
         """Let jaws stop where they are; the request that moved them ends with ``fault`` once they stand.
@@ -140,8 +154,13 @@ class Grippers:
         """Tell of the jaws that have come to stand."""
         if not self._moving:
             return
-        for motion in [motion for motion in self._moving.values() if motion.update(m.gripper)]:
+        for motion in [each for each in self._moving.values() if each.update(m.gripper, self._patience_ticks)]:
             del self._moving[motion.slot]
+            if not math.isfinite(motion.last):
+                name = self._names[motion.slot]
+                silent = LinkError(f"{name} gave no reading of its opening at tick {m.tick}", gripper=name, tick=m.tick)
+                self._answers.reply(motion.id, motion.fault or silent)
+                continue
             results: dict[str, object] = {
                 "opening": motion.last,
                 "reached": abs(motion.last - float(self.opening[motion.slot])) <= _REACHED_M,
