@@ -56,6 +56,15 @@ def test_a_lease_runs_from_receipt_and_is_renewed():
         groups.require_driver("left", Sender(names=["bob"]))
 
 
+@pytest.mark.parametrize(("owner", "name"), [("/teleop", "teleop"), ("teleop", "/teleop")])
+def test_an_owner_is_the_same_with_and_without_the_slash_of_a_node(owner, name):
+    groups = Reservations({"left": ["a"]})
+    groups.reserve("left", owner, lease_s=1.0, now_ns=0)
+    groups.renew(name, 10**9)
+    assert groups.lapse(2 * 10**9) == []
+    groups.require_driver("left", Sender(names=[name]))
+
+
 def test_leases_of_two_owners_that_lapse_together_are_both_told():
     groups = Reservations({"left": ["a"], "right": ["b"], "third": ["c"]})
     for group, owner in (("left", "ann"), ("right", "bob"), ("third", "ann")):

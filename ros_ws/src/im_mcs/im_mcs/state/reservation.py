@@ -134,7 +134,7 @@ class Reservations:
         Raises:
             StateError: The owner has reserved nothing; those who have are named.
         """
-        mine = [r for r in self._held.values() if r.owner == owner]
+        mine = [r for r in self._held.values() if _plain(r.owner) == _plain(owner)]
         if not mine:
             owners = ", ".join(f"'{name}'" for name in sorted({r.owner for r in self._held.values() if r.owner}))
             raise StateError(f"owner '{owner}' has reserved no group (owners: {owners or 'none'})", owner=owner)
