@@ -1,5 +1,6 @@
 """Drivers that fail, and torques that a client drives itself."""
 
+import json
 import math
 
 import numpy as np
@@ -51,6 +52,25 @@ def test_a_driver_that_raises_is_a_link_error_and_an_estop_where_power_may_be(be
     if expected is State.ESTOPPED:
         assert bench.ask("reset")["success"]
         bench.to_motion("left")
+
+
+@pytest.mark.parametrize(
+    ("facts", "told"),
+    [
+        ({"reason": "overvoltage"}, {"reason": "overvoltage"}),
+        ({"channel": np.int64(3), "q": np.zeros(2), "bus": ["a", math.nan]}, {"channel": "3", "q": "[0. 0.]"}),
+        ({"joints": ["a"], "limit": 0.5, "value": math.inf}, {"joints": ["a"], "limit": 0.5, "value": "inf"}),
+    ],
+)
+def test_what_a_driver_says_of_its_failure_is_told_whatever_it_is(bench, cell, facts, told):
+    bench.to_motion("left")
+    path = {"kind": "joint", "points": [(cell.home[:9] - 0.1).tolist()]}
+    goal = bench.send("move", group="left", path=path)
+    bench.mcs.lose_testbed(LinkError("the bus is off", **facts))
+    assert bench.mcs.manager.state is State.ESTOPPED
+    given = bench.reply(goal)["error"]["facts"]
+    assert told.items() <= given.items()
+    json.dumps(bench.events, allow_nan=False)
 
 
 def drive(bench, torques, /, **more):

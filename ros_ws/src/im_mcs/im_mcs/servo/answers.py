@@ -60,8 +60,11 @@ class Answers:
 
 
 def _plain(facts: Mapping[str, object]) -> dict[str, object]:
-    """Facts as JSON data, which has no infinities."""
-    return {
-        name: str(value) if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in facts.items()
-    }
+    """Facts as JSON data, which has no infinities; those of drivers and laws may be anything, and are told as texts."""
+    return {name: value if _travels(value) else str(value) for name, value in facts.items()}
+
+
+def _travels(value: object) -> bool:
+    if isinstance(value, list | tuple):
+        return all(map(_travels, value))
+    return math.isfinite(value) if isinstance(value, float) else isinstance(value, str | int | None)

@@ -177,7 +177,7 @@ class Mcs:
 
     def estop(self, fault: ImError) -> None:
         """Stop at once, by the ways of the state manager."""
-        self.manager.estop(fault.message, **fault.facts)
+        self.manager.estop(fault.message, fault.facts)
 
     def lose_testbed(self, error: LinkError) -> None:
         """The testbed has stopped listening; whatever was powered is estopped, and what was measured is forgotten."""

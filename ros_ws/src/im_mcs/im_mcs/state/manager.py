@@ -24,6 +24,7 @@ Enter = Callable[[], None]
 """The groups of a transition come to the state that it leads to."""
 
 _FRESH_TICKS = 2
+_NO_FACTS: Mapping[str, object] = {}
 
 
 class Arms(Protocol):
@@ -369,14 +370,14 @@ class StateManager:
             self._running.remove(running)
         running.reply(error)
 
-    def estop(self, reason: str, **facts: object) -> None:
+    def estop(self, reason: str, facts: Mapping[str, object] = _NO_FACTS) -> None:
         """Stop at once: setpoints dropped, goals ended, brakes on, power off; latched.
 
         There is no state in which it is refused; after another one, the cause is that of the first.
 
         Args:
             reason: Why.
-            **facts: Named values the reason speaks of.
+            facts: Named values the reason speaks of.
         """
         self.check(Event.ESTOP)
         error = StateError(f"emergency stop: {reason}", reason=reason)
