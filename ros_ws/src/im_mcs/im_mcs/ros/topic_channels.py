@@ -11,6 +11,7 @@ from typing import Any
 from sensor_msgs.msg import JointState
 
 from im_core import clock
+from im_core.errors import LinkError
 from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.guard import GuardedNode
@@ -73,7 +74,10 @@ class TopicChannels(GuardedNode):
                         self.executor.shutdown()
                 continue
             self._link.bell.drain()
-            command = self._link.command.read()
+            try:
+                command = self._link.command.read()
+            except LinkError:
+                continue  # the driver stands still in the middle of a command; the next one may be whole
             driven, age_s = command["driven"], clock.monotonic() - float(command["at"])
             if driven.any() and age_s <= self._silence_s:
                 message = JointState()
