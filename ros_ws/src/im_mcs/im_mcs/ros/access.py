@@ -1,5 +1,6 @@
 """What the servers of the node work with: the configuration in force, its groups, and the way to the servo."""
 
+import re
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -32,6 +33,7 @@ Started = Callable[[int], None]
 """Told the number of a request that has been sent."""
 
 _EVIDENCE = "mcs"
+_NUMBER = re.compile(r"(?<![\w.])-?\d[\d.]*(?:e[-+]?\d+)?")
 _INTRODUCTIONS, _INTRODUCTION_S = 20, 0.05
 #: How long a testbed that was lost is waited for, and how often it is looked for [s] of wall time.
 _RECOVERY_S, _AGAIN_S = 20.0, 0.5  # less than the 30 s for which nets wait for an answer
@@ -40,7 +42,7 @@ _ANSWERED_S = 0.5
 
 
 class Refusals:
-    """Counts refused messages by topic, and says each sentence once; fit for several threads.
+    """Counts refused messages by topic, and says each sentence once, whatever its numbers; fit for several threads.
 
     Args:
         logger: Of the node.
@@ -54,10 +56,11 @@ class Refusals:
 
     def add(self, topic: str, error: ImError) -> None:
         """A message on ``topic`` was refused, or what it asked for ended badly."""
+        sentence = _NUMBER.sub("#", error.message)
         with self._lock:
             self._counts[topic] += 1
-            told = self._last.get(topic) == error.message
-            self._last[topic] = error.message
+            told = self._last.get(topic) == sentence
+            self._last[topic] = sentence
         if not told:
             self._logger.warning(f"{topic}: {error.message}")
 
