@@ -1,7 +1,8 @@
 """Siphons and traps, and what they say about deadlocks.
 
 A siphon, once empty, stays empty; a trap, once marked, stays marked (Murata, 1989, section VI). The places that are
-empty in a dead marking of an ordinary net are a siphon. Inhibitor arcs are left out: what holds of the sets holds with them too.
+empty in a dead marking of an ordinary net are a siphon. Inhibitor arcs are left out: what holds of the sets holds with
+them too.
 """
 
 from collections.abc import Callable, Iterable, Sequence
