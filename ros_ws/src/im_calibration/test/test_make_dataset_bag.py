@@ -207,6 +207,19 @@ def test_what_does_not_go_together_is_one_sentence(of, tmp_path, capsys):
     assert not (tmp_path / "out.json").exists()
 
 
+@pytest.mark.parametrize(("silent", "messages"), [("/left/spot", poses), ("/tool", spots)])
+def test_a_topic_on_which_nothing_came_is_one_sentence(silent, messages, tmp_path, capsys):
+    """A recorder announces what there is a publisher of."""
+    bag = tmp_path / "bag"
+    with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        kinds = {silent: "geometry_msgs/msg/PointStamped", **{topic: each.__msgtype__ for topic, each in messages()}}
+        connections = {topic: writer.add_connection(topic, kind, typestore=STORE) for topic, kind in kinds.items()}
+        for k, (topic, message) in enumerate(messages()):
+            writer.write(connections[topic], k, STORE.serialize_cdr(message, message.__msgtype__))
+    assert run(bag, tmp_path / "out.json", "--poses", "/tool") == command.BAD_INPUT
+    assert capsys.readouterr().err == f"make_dataset: {bag}: there is nothing on topic '{silent}' in it.\n"
+
+
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_spoilt_bag_is_one_sentence(plugin, tmp_path, capsys):
     bag = write(tmp_path / "bag", spots() + poses() + infos(), plugin)

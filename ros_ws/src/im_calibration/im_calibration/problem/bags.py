@@ -187,6 +187,8 @@ def _track(bag: Path, topic: str, types: tuple[str, ...]) -> _Track:
     Those that are not finite were not measured.
     """
     found = list(messages_of(bag, {topic: types}))
+    if not found:
+        raise DataError(f"{bag}: there is nothing on topic '{topic}' in it.", topic=topic)
     frames = {message.content.header.frame_id for message in found}
     if len(frames) > 1:
         raise DataError(f"{bag}: '{topic}' is in several frames: {', '.join(sorted(frames))}; one is needed.")
