@@ -116,7 +116,7 @@ def file_of_protobuf(folder):
     ("make", "sentence"),
     [
         (cut_copy, "lacks its end, as a copy that was broken off; copy it again, or remove metadata.yaml beside it"),
-        (without_a_message, "is no MCAP file"),
+        (without_a_message, "has no message: the recording ended before the first was written"),
         (without_its_file, "Some database files are missing"),
         (of_ros_1, "is a bag of ROS 1, of which rosbags-convert makes one of ROS 2"),
         (folder_of_ros_1, "old.bag is one of ROS 1, of which rosbags-convert makes one of ROS 2"),

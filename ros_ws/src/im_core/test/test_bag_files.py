@@ -14,6 +14,7 @@ from mcap.records import Metadata
 from mcap.writer import IndexType, Writer
 
 from im_core.bag import files as bag_files
+from im_core.bag.contents import MAGIC
 from im_core.bag.files import LIBRARY, complete_bag
 from im_core.bag.reading import open_bag
 from im_core.errors import DataError
@@ -64,6 +65,28 @@ def test_a_file_cut_anywhere_opens_with_all_that_was_whole(tmp_path):
         # the chunk that was being written counts when it is whole itself, and only its index was cut
         assert found in (list(range(5 * whole)), list(range(5 * (whole + 1)))), cut
         shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("content", [b"", MAGIC[:5], MAGIC, MAGIC + b"\x01\x09", bytes(100), bytes(5000)], ids=len)
+def test_a_part_of_which_nothing_came_to_the_disk_is_no_part(tmp_path, content):
+    record(tmp_path / "bag")
+    begun = tmp_path / "bag" / "bag_1.mcap"
+    begun.write_bytes(content)
+    os.utime(begun, (0, 0))
+    for _ in range(2):
+        with closing(open_bag(begun.parent)) as reader:
+            assert [data[4] for _, _, data in reader.messages()] == list(range(30))
+    assert begun.read_bytes() == content
+    with pytest.raises(DataError, match="has no message: the recording ended before the first was written"):
+        complete_bag(begun)
+
+
+def test_a_part_whose_beginning_is_lost_is_told(tmp_path):
+    record(tmp_path / "bag")
+    lost = tmp_path / "bag" / "bag_1.mcap"
+    lost.write_bytes(bytes(4096) + b"data")
+    with pytest.raises(DataError, match=r"bag_1\.mcap: is no MCAP file"):
+        complete_bag(lost.parent)
 
 
 def test_garbage_after_the_last_chunk_is_cut_off(tmp_path):
@@ -244,7 +267,12 @@ def test_messages_that_lie_one_by_one_in_another_order_are_read_in_that_of_their
 
 @pytest.mark.parametrize(
     ("content", "sentence"),
-    [(b"", "has no message"), (b"\x89PNG\r\n", "is no MCAP file"), (b"x" * 100, "is no MCAP file")],
+    [
+        (b"", "has no message"),
+        (MAGIC[:5], "has no message"),
+        (b"\x89PNG\r\n", "is no MCAP file"),
+        (b"x" * 100, "is no MCAP file"),
+    ],
 )
 def test_what_is_no_recording_is_said(tmp_path, content, sentence):
     (tmp_path / "bag").mkdir()

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import struct
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -28,6 +29,9 @@ _SETTLED_S = 5.0
 #: By how much parts of one bag may overlap: a recorder takes what waits in its queues, one after the other [ns].
 _OVERLAP_NS = 2 * 10**9
 _RECORDED = "is being recorded; end the recording first"
+_NOTHING = "has no message: the recording ended before the first was written"
+#: How a file begins: what marks it, and opcode and length of its header.
+_BEGIN = struct.Struct(f"<{len(MAGIC)}sBQ")
 
 
 def complete_bag(bag: Path) -> None:
@@ -77,10 +81,20 @@ def _contents(files: Iterable[Path]) -> dict[Path, Contents]:
     """What files hold, in the order of their first messages, whatever their names; empty ones are left out."""
     found = {}
     for path in files:
-        if path.stat().st_size:
+        if not _is_empty(path):
             with path.open("rb") as file:
                 found[path] = _summary(path) if _has_end(path) else scan(path, file)
     return dict(sorted(found.items(), key=lambda item: (not item[1].counts, item[1].begin_ns, item[0].name)))
+
+
+def _is_empty(path: Path) -> bool:
+    """Whether of a file that a recorder began not even its header came to the disk, or zeros in the place of that."""
+    with path.open("rb") as file:
+        begin = file.read(_BEGIN.size)
+        if begin.startswith(MAGIC):
+            return len(begin) < _BEGIN.size or _BEGIN.size + _BEGIN.unpack(begin)[-1] > path.stat().st_size
+        rest = iter(lambda: file.read(MEBIBYTE), b"")
+        return MAGIC.startswith(begin) or (not any(begin) and all(piece.count(0) == len(piece) for piece in rest))
 
 
 def _check_belonging(bag: Path, listed: Sequence[str], contents: Mapping[Path, Contents]) -> None:
@@ -139,6 +153,8 @@ def complete_file(path: Path) -> None:
             except BlockingIOError:
                 raise FileError(path, _RECORDED) from None
             size = os.fstat(file.fileno()).st_size
+            if _is_empty(path):
+                raise FileError(path, _NOTHING)
             contents = scan(path, file)
             if contents.library != LIBRARY:
                 _check_settled(path, os.fstat(file.fileno()), size)
@@ -176,7 +192,7 @@ def write_metadata(bag: Path, files: Sequence[Path]) -> None:
 def _describe(bag: Path, contents: Mapping[Path, Contents]) -> None:
     """Write ``metadata.yaml``; exceptions as of :func:`write_metadata`."""
     if not contents:
-        raise FileError(bag, "has no message: the recording ended before the first was written")
+        raise FileError(bag, _NOTHING)
     content = {"rosbag2_bagfile_information": _described(list(contents.items()))}
     write_whole(bag / METADATA, write_yaml(content))
 
