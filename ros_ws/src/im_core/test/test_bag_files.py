@@ -214,6 +214,19 @@ def test_a_file_of_another_recorder_is_left_alone_while_it_may_be_written(tmp_pa
     assert messages(tmp_path / "bag") == list(range(30))
 
 
+def test_a_record_that_is_too_large_to_be_read_is_not_cut_away(tmp_path):
+    """An attachment, say; the file has holes in its place."""
+    record(tmp_path / "bag", end=False)
+    path = tmp_path / "bag" / "bag.mcap"
+    size, length = path.stat().st_size, 2**30 + 2**20
+    with path.open("ab") as file:
+        file.write(b"\x09" + length.to_bytes(8, "little"))
+        file.truncate(size + 9 + length)
+    with pytest.raises(DataError, match=f"its record at byte {size} has 1025 MiB; at most 1024 are read"):
+        complete_bag(tmp_path / "bag")
+    assert path.stat().st_size == size + 9 + length
+
+
 @pytest.mark.parametrize("named", ["folder", "file"])
 @pytest.mark.parametrize(
     "left_out",

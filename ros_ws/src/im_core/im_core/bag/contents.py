@@ -122,12 +122,12 @@ def scan(path: Path, file: BinaryIO) -> Contents:
     A chunk that is damaged is left out, with what belongs to it; where whole ones follow, the file goes on to these.
 
     Raises:
-        FileError: It is no MCAP file, or holds a chunk that is not read here, though it may be whole.
+        FileError: It is no MCAP file, or holds what is not read here, though it may be whole.
     """
     if file.read(len(MAGIC)) != MAGIC:
         raise FileError(path, "is no MCAP file")
     contents, whole, indexed = Contents(), True, False
-    for opcode, offset, length in _records(file, os.fstat(file.fileno()).st_size):
+    for opcode, offset, length in _records(path, file, os.fstat(file.fileno()).st_size):
         if opcode not in _DATA and opcode < _OF_APPLICATIONS:
             break
         body = file.read(length)
@@ -153,14 +153,23 @@ def scan(path: Path, file: BinaryIO) -> Contents:
     return contents
 
 
-def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, offset and length of the body of each whole record; the file stands at the body."""
+def _records(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, offset and length of the body of each whole record; the file stands at the body.
+
+    Raises:
+        FileError: One is whole, and larger than what is read.
+    """
     offset = len(MAGIC)
     while offset + _HEAD.size <= size:
         file.seek(offset)
         opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-        if offset + _HEAD.size + length > size or length > _LARGEST_RECORD:
+        if offset + _HEAD.size + length > size:
             return
+        if length > _LARGEST_RECORD:
+            told, most = length // MEBIBYTE, _LARGEST_RECORD // MEBIBYTE
+            raise FileError(
+                path, f"cannot be read: its record at byte {offset} has {told} MiB; at most {most} are read"
+            )
         yield opcode, offset, length
         offset += _HEAD.size + length
 
