@@ -109,6 +109,20 @@ def test_spots_go_with_the_poses_of_their_time(plugin, tmp_path, capsys):
     assert problem.noise_to_estimate == ("robot",)
 
 
+def test_a_lens_model_that_is_not_known_is_told(tmp_path, capsys):
+    told = [
+        ("/left/camera_info", camera_info(640, 480, "double_sphere")),
+        ("/right/camera_info", camera_info(8, 8, "")),
+    ]
+    bag = write(tmp_path / "bag", poses() + spots() + told)
+    assert run(bag, tmp_path / "out.json", "--poses", "/tool") == command.OK
+    out = capsys.readouterr().out
+    assert "left has a lens of model 'double_sphere', of which nothing is known here; plumb_bob is taken for it" in out
+    assert "right has a lens" not in out
+    (problem,) = load_problems(tmp_path / "out.json")
+    assert problem.lens_models == ("plumb_bob", "plumb_bob")
+
+
 def test_images_of_a_binned_camera_or_of_a_region_are_smaller_than_it_was_calibrated_with(tmp_path):
     """The region is a height and a width, as its message has them."""
     binned = camera_info(1280, 960, "plumb_bob", binning=(2, 3))

@@ -155,7 +155,10 @@ def _from_bag(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     apart, left_out = 1e3 * made.pairing.apart_s, made.pairing.left_out
     moved = f"in which the light moved {1e3 * made.moved_m:.2g} mm"
     remark = f"\nspots and their poses are at most {apart:.3g} ms apart, {moved}"
-    return made.content, remark + (f"; {left_out} spots without a pose of their own are left out" if left_out else "")
+    remark += f"; {left_out} spots without a pose of their own are left out" if left_out else ""
+    for name, lens in made.lenses.items():
+        remark += f"\n{name} has a lens of model '{lens}', of which nothing is known here; plumb_bob is taken for it"
+    return made.content, remark
 
 
 def _once(named: list[tuple[str, str]]) -> dict[str, str]:

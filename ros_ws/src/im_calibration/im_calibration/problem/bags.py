@@ -60,11 +60,19 @@ class Pairing:
 
 @dataclass(frozen=True)
 class BagDataSet:
-    """A data set, how its spots were paired, and how far the light moved between a spot and its pose at most [m]."""
+    """A data set from a bag.
+
+    Attributes:
+        content: The data set.
+        pairing: How its spots were paired.
+        moved_m: How far the light moved between a spot and its pose at most [m].
+        lenses: Lens models that the bag tells and that are not known, by camera; `plumb_bob` is in their place.
+    """
 
     content: dict[str, Any]
     pairing: Pairing
     moved_m: float
+    lenses: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -119,8 +127,9 @@ def dataset_from_bag(
     infos = _camera_infos(bag, topics)
     sizes = {name: infos[name][0] if name in infos else image_size for name in seen}
     content = dataset_head(sizes, len(pairing.pose_of), sigma_px, sigma_m)
+    lenses = {name: infos[name][1] if name in infos else PLUMB_BOB.name for name in seen}
     if infos:
-        content["distortion_model"] = [infos[name][1] if name in infos else PLUMB_BOB.name for name in seen]
+        content["distortion_model"] = [lens if lens in LENSES else PLUMB_BOB.name for lens in lenses.values()]
     if tool.rotations is not None:
         content["wrist_R_base"] = tool.rotations[pairing.pose_of].tolist()
     if led_offset_sd is not None:
@@ -130,7 +139,8 @@ def dataset_from_bag(
         for track, of in zip(seen.values(), pairing.spot_of, strict=True)
     ]
     content["trials"] = [{"x_base_m": light[pairing.pose_of].tolist(), "u_px": spots}]
-    return BagDataSet(content, pairing, _moved(light, tool.stamps, pairing))
+    unknown = {name: lens for name, lens in lenses.items() if lens not in LENSES}
+    return BagDataSet(content, pairing, _moved(light, tool.stamps, pairing), unknown)
 
 
 def pair(spots: list[Stamps], poses: Stamps, tolerance_s: float) -> Pairing:
@@ -276,8 +286,7 @@ def _camera_infos(bag: Path, topics: BagTopics) -> dict[str, tuple[tuple[int, in
         if info is None and name in topics.infos:
             raise DataError(f"{bag}: topic '{topic}' says no image size.", topic=topic)
         if info is not None:
-            model = info.distortion_model if info.distortion_model in LENSES else PLUMB_BOB.name
-            found[name] = _image_size(info), model
+            found[name] = _image_size(info), str(info.distortion_model) or PLUMB_BOB.name
     return found
 
 
