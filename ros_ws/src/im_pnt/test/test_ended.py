@@ -117,6 +117,19 @@ def test_a_damaged_file_or_a_full_disk_ends_nothing(tmp_path, now):
     assert ended[1] == one(1)
 
 
+def test_a_damaged_line_takes_no_other_one_with_it(tmp_path, now):
+    file = tmp_path / "commands.jsonl"
+    ended = EndedCommands()
+    ended.keep_in(file, sync=False)
+    for number in (1, 2, 3):
+        ended.add(one(number))
+    first, second, third = file.read_bytes().splitlines(keepends=True)
+    file.write_bytes(first + second.replace(b"{", b"\xff") + third)
+    again = EndedCommands()
+    again.keep_in(file, sync=False)
+    assert [number in again for number in (1, 2, 3)] == [True, False, True]
+
+
 SHORT = """
 import resource, signal, sys
 from pathlib import Path

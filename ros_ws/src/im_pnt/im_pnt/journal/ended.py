@@ -16,7 +16,7 @@ import pydantic
 
 from im_core.clock import wall
 from im_core.errors import DataError, StoreError
-from im_core.files import make_folder, read_text, write_whole
+from im_core.files import make_folder, read_bytes, write_whole
 
 MOST = 100
 """Commands that are kept, the newest ones."""
@@ -80,8 +80,8 @@ class EndedCommands:
             sync: Whether the disk must have what is written, so that it outlives a loss of power.
         """
         self._file, self._sync = make_folder(file.parent) / file.name, sync
-        with contextlib.suppress(DataError, StoreError):  # there is none, or the disk has damaged it
-            for line in read_text(self._file).splitlines():
+        with contextlib.suppress(DataError, StoreError):  # there is none
+            for line in read_bytes(self._file).splitlines():
                 self._read(line)
         self._write_anew()
 
@@ -129,8 +129,8 @@ class EndedCommands:
     def _size(self) -> int:
         return sum(len(kept.line) for kept in self._known.values())
 
-    def _read(self, line: str) -> None:
-        with contextlib.suppress(pydantic.ValidationError):  # the last line may not be whole
+    def _read(self, line: bytes) -> None:
+        with contextlib.suppress(pydantic.ValidationError):  # it may not be whole, or damaged by the disk
             self._keep(EndedCommand.model_validate_json(line))
 
     def _keep(self, ended: EndedCommand) -> bytes:
