@@ -42,11 +42,11 @@ def joint_path(*points: NDArray[np.float64]) -> dict[str, Any]:
 class Bench:
     """MCS over a driver, with the requests and answers of a client."""
 
-    def __init__(self, config: McsConfig, model: CellModel, driver: Any) -> None:
+    def __init__(self, config: McsConfig, model: CellModel, driver: Any, **others: Any) -> None:
         self.events: list[dict[str, Any]] = []
-        self.driver = driver
+        self.driver, self.drivers = driver, (driver, *others.values())
         clock = config.testbed.clock
-        testbed = TestbedInterface({clock: driver}, config.slots, clock)
+        self.testbed = testbed = TestbedInterface({clock: driver, **others}, config.slots, clock)
         layout = record_layout(config)
         memory = np.zeros(layout.doubles)
         self.records = Records(layout, memory)
@@ -112,6 +112,28 @@ def make_bench(model: CellModel, cell: Cell) -> Callable[[McsConfig], Bench]:
 @pytest.fixture
 def bench(frictionless: McsConfig, make_bench: Callable[[McsConfig], Bench]) -> Bench:
     return make_bench(frictionless)
+
+
+@pytest.fixture
+def halves(frictionless: McsConfig, model: CellModel, cell: Cell) -> Bench:
+    """A bench with the left side on the driver that is the clock, and the right side on another one."""
+
+    def half(side: slice) -> LoopbackDriver:
+        def bias(q: NDArray[np.float64]) -> NDArray[np.float64]:
+            whole = cell.home.copy()
+            whole[side] = q
+            return CellModel(cell).gravity(whole)[side]
+
+        return LoopbackDriver(model.inertia_diagonal(cell.home)[side], cell.home[side], bias=bias)
+
+    places = [
+        slot.model_copy(update={"driver": "other", "channel": slot.channel - 9})
+        if slot.kind == "joint" and slot.channel >= 9
+        else slot
+        for slot in frictionless.slots
+    ]
+    config = frictionless.model_copy(update={"slots": tuple(places)})
+    return Bench(config, model, half(slice(0, 9)), other=half(slice(9, 18)))
 
 
 class LeftArm:

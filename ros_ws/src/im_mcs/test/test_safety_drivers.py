@@ -54,6 +54,33 @@ def test_a_driver_that_raises_is_a_link_error_and_an_estop_where_power_may_be(be
         bench.to_motion("left")
 
 
+@pytest.mark.parametrize("failing", [0, 1])
+@pytest.mark.parametrize("method", ["read", "write"])
+def test_hardware_whose_driver_works_stops_with_that_whose_driver_fails(halves, failing, method):
+    halves.to_motion("left", "right")
+    lost, other = halves.drivers[failing], halves.drivers[1 - failing]
+    assert other.drive.power
+    assert not other.drive.brakes.any()
+    setattr(lost, method, raising(LinkError("the cable is cut")))
+    with pytest.raises(LinkError, match="the cable is cut") as caught:
+        halves.mcs.tick([])
+    halves.mcs.lose_testbed(caught.value)
+    assert halves.mcs.manager.state is State.ESTOPPED
+    assert not other.drive.power
+    assert other.drive.brakes.all()
+    assert not other.drive.tau.any()
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_hardware_is_left_whatever_the_driver_of_other_hardware_does(halves, failing):
+    left = []
+    for rank, driver in enumerate(halves.drivers):
+        driver.close = raising(OSError("no device")) if rank == failing else lambda: left.append("left")
+    with pytest.raises(OSError, match="no device"):
+        halves.testbed.close()
+    assert left == ["left"]
+
+
 @pytest.mark.parametrize(
     ("facts", "told"),
     [

@@ -1,6 +1,7 @@
 """MCS in one tick: read the slots, obey requests, watch, plan, control, limit, write the slots, look around."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -188,6 +189,9 @@ class Mcs:
         self.manager.lost = self.manager.lost or self.manager.state is not before
         self.recorder.keep()
         self.wants_time = self.held = False
+        if self._testbed.several:  # the other hardware stops now, not when all answer again
+            with suppress(LinkError):
+                self._write()
         self._velocity.reset()
         for group in self.groups.values():
             group.monitor.restart()

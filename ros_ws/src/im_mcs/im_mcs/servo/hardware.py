@@ -16,6 +16,7 @@ class GuardedTestbed:
     Attributes:
         period_s: Time between ticks [s].
         wall_period_s: Wall time between ticks that the loop shall keep [s]; 0 if the clock sets the pace.
+        several: Whether there are several drivers, of which some may listen when another has failed.
 
     Args:
         testbed: The slots and their drivers.
@@ -25,6 +26,7 @@ class GuardedTestbed:
         self._testbed = testbed
         self.period_s = testbed.period_s
         self.wall_period_s = testbed.wall_period_s
+        self.several = testbed.several
 
     def connect(self) -> None:
         """Reach all hardware.
@@ -68,7 +70,7 @@ class GuardedTestbed:
         """Answer the tick.
 
         Raises:
-            LinkError: The hardware no longer listens.
+            LinkError: Some hardware no longer listens; all other has heard it.
         """
         _guard("write", self._testbed.write, drive)
 

@@ -1,6 +1,6 @@
 """The slots: a hardware-independent view of the channels (paper, section 4)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -116,17 +116,21 @@ class TestbedInterface:
                 tick, stamp_ns = reading.tick, reading.stamp_ns
         return Measured(tick, stamp_ns, q, power, brakes, gripper, age_s, wrench, gripper_force)
 
+    @property
+    def several(self) -> bool:
+        """Whether there are several drivers, of which some may listen when another has failed."""
+        return len(self._parts) > 1
+
     def write(self, drive: Drive) -> None:
         """Answer the tick.
 
         Raises:
-            LinkError: Some hardware no longer listens.
+            LinkError: Some hardware no longer listens; all other has heard it.
         """
         if self._single:
             self._clock.write(drive)
             return
-        for part in self._parts:
-            part.driver.write(part.drive(drive))
+        self._each(lambda part: part.driver.write(part.drive(drive)))
 
     def faults(self) -> list[str]:
         """What hardware itself reports to be broken, e.g. ``brake_open of left_j2``.
@@ -143,8 +147,18 @@ class TestbedInterface:
 
     def close(self) -> None:
         """Leave all hardware with power off and brakes on."""
+        self._each(lambda part: part.driver.close())
+
+    def _each(self, act: Callable[["_Part"], None]) -> None:
+        """Act on every driver, whatever another one does; the first failure is raised then."""
+        failed: list[Exception] = []
         for part in self._parts:
-            part.driver.close()
+            try:
+                act(part)
+            except Exception as error:
+                failed.append(error)
+        if failed:
+            raise failed[0]
 
 
 class _Part:
