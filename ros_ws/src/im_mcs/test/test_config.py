@@ -90,6 +90,7 @@ def test_another_period_keeps_the_durations(config, cell):
     for name in ("rest_window_ticks", "brake_lead_ticks", "planning_divisor"):
         assert getattr(fast.servo, name) * 0.001 == pytest.approx(getattr(servo, name) * servo.period_s, abs=5e-4)
     assert fast.servo.settle.window_ticks == 72
+    assert fast.collision.reaction_ticks == 18  # two evaluations of a trajectory, as before
     assert config.at_period(servo.period_s) == config
     assert (cell.at_period(0.001).period, cell.at_period(0.001).substeps) == (0.001, 1)
     assert cell.at_period(cell.period) == cell

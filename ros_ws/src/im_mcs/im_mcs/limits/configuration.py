@@ -229,8 +229,10 @@ class McsConfig(Model):
         servo |= {"period_s": period_s, "settle": {**settle, "window_ticks": round(settle["window_ticks"] * ratio)}}
         for name in ("planning_divisor", "brake_lead_ticks", "rest_window_ticks"):
             servo[name] = max(1, round(servo[name] * ratio))
+        reaction_ticks = round(self.collision.reaction_ticks * ratio)
+        collision = self.collision.model_copy(update={"reaction_ticks": reaction_ticks})
         try:
-            return self.model_copy(update={"servo": Servo.model_validate(servo)})
+            return self.model_copy(update={"servo": Servo.model_validate(servo), "collision": collision})
         except ValidationError as error:
             fault = faults(error, Servo)[0]
             sentence = f"with a servo period of {period_s:g} s, servo.{fault.field}: {fault.words}"
