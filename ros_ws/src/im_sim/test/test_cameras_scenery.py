@@ -1,5 +1,7 @@
 """What makes images hard: vignetting, reflections, lamps that blink, plates that are hidden; and the light's centre."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -11,6 +13,7 @@ from im_cell.camera_model import CameraModel
 from im_cell.link import Exposure
 from im_cell.robot import Lamp, Mirror, load_cell
 from im_cell.sensor import SensorControls
+from im_sim.cameras import process
 from im_sim.cameras.bank import CameraBank
 from im_sim.cameras.lens import vignette
 from im_sim.cameras.light import reflect
@@ -113,6 +116,19 @@ def test_a_lamp_blinks_in_testbed_time(scene, make_truth):
     assert flash.max() > 50.0
     np.testing.assert_allclose(light["half"] - light["dark"], 0.5 * flash, atol=0.01)
     assert lamp.lit(0.0, 9.0) == pytest.approx(0.5)
+
+
+def test_the_cameras_have_the_period_of_the_testbed_that_is_there(monkeypatch):
+    """By it they know when an exposure was, and whether a lamp was lit then."""
+    made = []
+    monkeypatch.setattr(process, "CameraBank", lambda cell, *_: made.append(cell.period))
+    monkeypatch.setattr(process, "_await_truth", lambda *_: None)
+    cameras = process.CameraProcess.__new__(process.CameraProcess)
+    cameras._cell, cameras._truth, cameras._settings, cameras._scene = CELL, None, None, None
+    for period_ns in (1_000_000, 4_500_000):
+        cameras._link = SimpleNamespace(period_s=period_ns * 1e-9, seed=1)
+        cameras._new_bank()
+    assert made == [0.001, CELL.period]
 
 
 def test_an_arm_hides_a_plate(scene, make_truth):

@@ -124,8 +124,10 @@ class CameraProcess:
         self._bank = self._new_bank()
 
     def _new_bank(self) -> CameraBank:
+        """Of the testbed that is there: its truth, and its period, which need not be the cell's own."""
         truth = _await_truth(self._truth, self._link.seed)
-        return CameraBank(self._cell, truth, self._settings, self._scene, self._link.seed)
+        cell = self._cell.at_period(round(self._link.period_s, 9))  # whole nanoseconds in the link
+        return CameraBank(cell, truth, self._settings, self._scene, self._link.seed)
 
     def _send(self, reply: CameraReply) -> None:
         self._replies.send(reply.to_json())
