@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action.server import GoalResponse
+from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -219,6 +220,25 @@ def test_a_result_whose_answer_was_lost_is_asked_for_again(ros, asker, monkeypat
     ended.set()
     assert wait_until(lambda: result.done() and result.result(), "the result").result.success
     assert len(lost) == 1
+    client.destroy()
+
+
+def test_a_goal_that_cannot_be_told_is_carried_out_all_the_same(ros, asker, monkeypatch, wait_until):
+    """Its events are for who listens; what happens does not hang on them."""
+
+    def work(goal):
+        goal.succeed()
+        return ExecuteCommand.Result(success=True)
+
+    server = ros(ManagedNode("teller", parameter_overrides=[Parameter("introspection", value="contents")]))
+    actions = GuardedActionServer(server, ExecuteCommand, "/teller/do", work)
+    monkeypatch.setattr(actions, "request_for", lambda handle: {}[FAULT])
+    client = GuardedActionClient(asker, ExecuteCommand, "/teller/do")
+    assert client.wait_for_server(60.0)
+    sent = client.send_goal_async(ExecuteCommand.Goal())
+    result = wait_until(lambda: sent.done() and sent.result(), "the server to take a goal").get_result_async()
+    assert wait_until(lambda: result.done() and result.result(), "the result").result.success
+    assert server.failures.counts == {"action /teller/do (its event)": 1}
     client.destroy()
 
 

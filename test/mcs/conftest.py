@@ -195,7 +195,8 @@ def without_testbed():
 def _machine(*node_types, parameters):
     """Nodes of which the last is MCS, and a client."""
     settings = [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
-    rclpy.init(args=["--ros-args", "-p", "standalone:=true", *settings])
+    told = ["-p", "standalone:=true", "-p", "introspection:=contents"]  # as a deployment has it
+    rclpy.init(args=["--ros-args", *told, *settings])
     try:
         with contextlib.ExitStack() as stack:
             mcs = [stack.enter_context(_running(node_type())) for node_type in node_types][-1]

@@ -14,9 +14,10 @@ from rclpy.parameter import Parameter
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
 
 from im_core import clock
+from im_core.ros import qos
 from im_mcs.client.wire import read_trajectory
 from im_mcs.protocol.points import share_points
-from im_mcs.ros.actions import trajectory_server
+from im_mcs.ros.actions import goal_bytes, trajectory_server
 from im_msgs.msg import GroupSetpoints
 from test.mcs.conftest import MOST_POINTS
 
@@ -84,6 +85,21 @@ def test_joints_in_any_order_with_velocities_and_feedback(ready):
         np.testing.assert_allclose(feedback.error.positions, error, atol=1e-12)
         assert np.abs(error).max() < 0.01
     assert max(abs(f.desired.velocities[3]) for f in told) > 0.05
+
+
+def test_a_goal_is_told_as_the_message_that_it_was(ready, monkeypatch):
+    """To whoever records; one that is too long for that is carried out all the same."""
+    name = "/left/follow_joint_trajectory/_action/send_goal/_service_event"
+    events = ready.listen(FollowJointTrajectory.Impl.SendGoalService.Event, name, qos.SERVICE_EVENTS)
+    for few, share in ((1, 0.25), (2, 0.5)):
+        monkeypatch.setattr(goal_bytes, "_FEW", few)
+        request = goal(ready, (1.0, ready.home + share * STEP / 2), (1.5, ready.home + share * STEP))
+        handle, result = ready.follow(request)
+        assert result().status == SUCCEEDED
+    ready.until(lambda: events)
+    (told,) = [sent for event in events for sent in event.request]
+    assert told.goal == request
+    assert bytes(told.goal_id.uuid) == bytes(handle.goal_id.uuid)
 
 
 def test_a_start_to_come_is_waited_for(ready):

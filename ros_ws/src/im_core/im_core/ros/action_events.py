@@ -26,12 +26,11 @@ class ActionEvents:
         self._results = self._publisher(self._result_type, f"{action_name}/_action/get_result")
         self._sequence = 0
 
-    def tell_goal(self, handle: ServerGoalHandle) -> None:
-        """A goal that is carried out from now on."""
-        request = self._goal_type.Request(goal_id=handle.goal_id, goal=handle.request)
-        self._goals.publish(
-            self._goal_type.Event(info=self._info(ServiceEventInfo.REQUEST_RECEIVED), request=[request])
-        )
+    def tell_goal(self, request: Any) -> None:
+        """The request for a goal that is carried out from now on; of None nothing is told."""
+        if request is not None:
+            info = self._info(ServiceEventInfo.REQUEST_RECEIVED)
+            self._goals.publish(self._goal_type.Event(info=info, request=[request]))
 
     def tell_result(self, handle: ServerGoalHandle, result: Any) -> None:
         """The result of a goal that has ended."""

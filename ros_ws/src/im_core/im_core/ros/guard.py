@@ -293,8 +293,7 @@ class GuardedActionServer(ActionServer):
         """As in rclpy; a goal whose callback raises is aborted, and its result says why."""
 
         async def execute(handle: ServerGoalHandle) -> Any:
-            if self._events is not None:
-                self._events.tell_goal(handle)
+            self._tell(lambda events: events.tell_goal(self.request_for(handle)))
             try:
                 result = execute_callback(handle)
                 result = await result if inspect.iscoroutine(result) else result
@@ -304,8 +303,7 @@ class GuardedActionServer(ActionServer):
                 if handle.is_active:
                     handle.abort()
                 result = with_fault(self._action_type.Result(), self._what, error)
-            if self._events is not None:
-                self._events.tell_result(handle, result)
+            self._tell(lambda events: events.tell_result(handle, result))
             handle._goal_request = None  # rclpy keeps it with the result
             return result
 
@@ -320,6 +318,18 @@ class GuardedActionServer(ActionServer):
             words = "the answer to a cancellation is lost: DDS does not reach its client"
             error = LinkError(words) if unreached(error) else error  # what else is answered waits for that
             self._guard.note_failure(self._what, error, self._told)
+
+    def request_for(self, handle: ServerGoalHandle) -> Any:
+        """The request for a goal, as a message, for who listens to what the action carries; None: it is not told."""
+        return self._action_type.Impl.SendGoalService.Request(goal_id=handle.goal_id, goal=handle.request)
+
+    def _tell(self, tell: Callable[[ActionEvents], None]) -> None:
+        """Publish an event of the action, if it has any; a goal that cannot be told is carried out all the same."""
+        if self._events is not None:
+            try:
+                tell(self._events)
+            except Exception as error:
+                self._guard.note_failure(f"{self._what} (its event)", error, self._told)
 
     def _or(self, callback: Callable[[Any], Any], otherwise: Any) -> Callable[[Any], Any]:
         guarded = self._guard.guarded(self._what, callback, self._told)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.serialization import deserialize_message
 from rclpy.type_support import check_for_type_support
 from unique_identifier_msgs.msg import UUID
 
@@ -25,10 +26,20 @@ class GoalBytes:
     Attributes:
         data: The request for the goal, in CDR; empty if it is too long.
         points: How many points its trajectory has.
+        kind: Generated class of that request.
     """
 
     data: bytes
     points: int
+    kind: Any
+
+    def request(self) -> Any:
+        """The request as a message; None if that would take long, or it is not there."""
+        return deserialize_message(self.data, self.kind) if self.data and self.points <= _FEW else None
+
+
+_FEW = 1000
+"""Of so many points objects are made in some ten milliseconds."""
 
 
 class _Head(ctypes.Structure):
@@ -72,7 +83,7 @@ def with_goals_as_bytes(action: Any, most_points: Callable[[], int]) -> Any:
         head = ctypes.cast(address, ctypes.POINTER(_Head)).contents
         points = int(head.points.size)
         data = encode(address) if points <= most_points() else b""
-        return _Request(UUID(uuid=list(head.goal_id)), GoalBytes(data, points))
+        return _Request(UUID(uuid=list(head.goal_id)), GoalBytes(data, points, action.Impl.SendGoalService.Request))
 
     request = converted_by(action.Impl.SendGoalService.Request, convert)
     service = type("SendGoalService", (action.Impl.SendGoalService,), {"Request": request})

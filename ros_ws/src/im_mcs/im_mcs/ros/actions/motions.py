@@ -18,6 +18,7 @@ from im_mcs.client.servo_client import OnProgress
 from im_mcs.protocol.requests import Policy
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess, Started
+from im_mcs.ros.actions.goal_bytes import GoalBytes
 from im_mcs.state import Event
 from im_msgs.msg import GroupPath
 
@@ -160,6 +161,11 @@ class CalledActionServer(GuardedActionServer):
         if goal not in self._goal_handles:  # one that has that number keeps its sender
             self.clients[goal] = client_of(header)
         await super()._execute_goal_request(request_header_and_message)
+
+    def request_for(self, handle: ServerGoalHandle) -> Any:
+        """As in the base class; of a long trajectory none is told, for that would hold the node up."""
+        goal = handle.request
+        return goal.request() if isinstance(goal, GoalBytes) else super().request_for(handle)
 
 
 class Goals:
