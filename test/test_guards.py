@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action.server import GoalResponse
 from rclpy.parameter import Parameter
@@ -221,6 +222,12 @@ def test_a_result_whose_answer_was_lost_is_asked_for_again(ros, asker, monkeypat
     assert wait_until(lambda: result.done() and result.result(), "the result").result.success
     assert len(lost) == 1
     client.destroy()
+
+
+def test_a_trajectory_whose_callback_raises_has_not_succeeded():
+    result = guard.with_fault(FollowJointTrajectory.Result(), "action /left/follow_joint_trajectory", ValueError(FAULT))
+    assert result.error_code == FollowJointTrajectory.Result.INVALID_GOAL
+    assert result.error_string == f"fault in action /left/follow_joint_trajectory: ValueError: {FAULT}"
 
 
 def test_a_goal_that_cannot_be_told_is_carried_out_all_the_same(ros, asker, monkeypatch, wait_until):

@@ -49,6 +49,9 @@ RESULT_AGAIN_S = 10.0
 #: How long the result of a goal that has ended can be asked for [s].
 RESULT_KEPT_S = 60
 
+#: An ``error_code`` of control_msgs; those have 0 for success, and are negative else.
+_FAULT = -1
+
 #: The services of an action, as other services.
 _ACTION_SERVICES = dict.fromkeys((f"{name}_service_qos_profile" for name in ("goal", "result", "cancel")), qos.SERVICES)
 
@@ -529,6 +532,8 @@ def with_fault(answer: Any, what: str, error: Exception) -> Any:
     for field in ("message", "status_message", "error_string", "reason"):
         if types.get(field) == "string":
             setattr(answer, field, words)
+    if types.get("error_code") == "int32":
+        answer.error_code = _FAULT
     return answer
 
 
