@@ -235,6 +235,47 @@ def test_poses_out_of_reach_or_out_of_sight_are_skipped_and_reported(machine, fe
     assert "no camera sees the light" in rejected["down"]
 
 
+def test_a_trajectory_of_a_foreign_client_is_carried_out(machine):
+    """Of one that reserves, powers and moves an arm as it would any other, while a command moves the other arm."""
+    from action_msgs.msg import GoalStatus
+    from builtin_interfaces.msg import Duration
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action import ActionClient
+    from sensor_msgs.msg import JointState
+    from trajectory_msgs.msg import JointTrajectoryPoint
+
+    from im_msgs.srv import GroupCommand, ReserveGroup
+
+    other, owner = machine.execute("home", group="left"), {"group": "right", "owner": "stranger"}
+    before = machine.message(JointState, "/joint_states")
+    arm = {name: at for name, at in zip(before.name, before.position, strict=True) if name.startswith("right_")}
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = list(arm)
+    for share in (0.5, 1.0):
+        there = [at + (0.1 * share if name == "right_j4" else 0.0) for name, at in arm.items()]
+        seconds = Duration(sec=round(2 * share))
+        goal.trajectory.points.append(JointTrajectoryPoint(positions=there, time_from_start=seconds))
+    for word in ("reserve", "group/power_on", "group/enable_motion"):
+        answer = machine.call(ReserveGroup if word == "reserve" else GroupCommand, f"/mcs/{word}", **owner)
+        assert answer.success, answer.message
+    client = ActionClient(machine.node, FollowJointTrajectory, "/right/follow_joint_trajectory")
+    try:
+        sent = client.send_goal_async(goal)
+        machine.wait_for(sent.done, "the goal to be accepted")
+        ended = sent.result().get_result_async()
+        machine.wait_for(ended.done, "the trajectory to end")
+    finally:
+        for word in ("group/disable_motion", "group/power_off"):
+            assert machine.call(GroupCommand, f"/mcs/{word}", **owner).success
+        assert machine.call(ReserveGroup, "/mcs/release", **owner).success
+        client.destroy()
+    answer, after = ended.result(), machine.message(JointState, "/joint_states")
+    assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0), answer.result.error_string
+    moved = dict(zip(after.name, after.position, strict=True))
+    assert moved["right_j4"] - arm["right_j4"] == near(0.1, 2e-3)
+    assert other().success
+
+
 def wrist(machine, group):
     """Position [m] and rotation of a wrist."""
     import numpy as np
