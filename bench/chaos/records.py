@@ -118,7 +118,8 @@ def summary(results: Sequence[Result]) -> str:
         return f"{told}; no recovery"
     within = sum(seconds <= SOON_S for seconds in times) / len(results)
     middle = statistics.median(times)
-    return f"{told}; recovery: median {middle:.1f} s, most {times[-1]:.1f} s, {within:.0%} within {SOON_S:g} s"
+    share = f"{within:.1%} within {SOON_S:g} s (bar {SHARE:.0%})"
+    return f"{told}; recovery: median {middle:.1f} s, most {times[-1]:.1f} s, {share}"
 
 
 def document(results: Sequence[Result], page: Path) -> None:

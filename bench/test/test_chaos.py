@@ -67,7 +67,7 @@ def test_the_table_tells_every_fault_and_the_slowest_recovery():
     assert stopped.split()[:4] == ["SIGSTOP", "15", "s", "dom"]
     assert killed.split()[-1] == "4.0"
     assert summary.startswith("3 injections (3 at factor 0), 1 failures")
-    assert summary.endswith("most 4.0 s, 67% within 15 s")
+    assert summary.endswith("most 4.0 s, 66.7% within 15 s (bar 95%)")
 
 
 def test_runs_accumulate_in_a_file_from_which_the_documentation_is_written(tmp_path):
