@@ -274,6 +274,7 @@ def test_a_trajectory_of_a_foreign_client_is_carried_out(machine):
     moved = dict(zip(after.name, after.position, strict=True))
     assert moved["right_j4"] - arm["right_j4"] == near(0.1, 2e-3)
     assert other().success
+    assert machine.execute("home", group="right")().success
 
 
 def wrist(machine, group):
