@@ -271,6 +271,7 @@ def test_all_readers_of_files_are_here():
     known |= {"covariance", "extrinsics", "laser", "intrinsics", "folder"}  # test_calibration_files.py
     known |= {"dataset", "strategies", "config", "jsontext"}
     known |= {"proofs"}  # im_pnt_analysis/test/test_proofs.py
+    known |= {"results"}  # im_calibration/test/test_report.py
     assert callers == known
 
 
