@@ -201,8 +201,9 @@ class CalibrateCamera:
 
     async def note_left(self, ctx: ActionContext) -> None:
         """The calibration stands, but the cell is not as the command found it: its result says so."""
-        ctx.memory["left"] = [*_left(ctx), _reason(ctx)]
-        ctx.result["message"] = f"the cell is not left as it was found: {'; '.join(_left(ctx))}"
+        told = ctx.result.get("message")
+        before = f"{told};" if told else "the cell is not left as it was found:"
+        ctx.result["message"] = f"{before} {_reason(ctx)}"
 
     async def note_failure(self, ctx: ActionContext) -> None:
         """Keeps the reason for which the command ends, before what is done to end it can fail too."""
@@ -345,12 +346,6 @@ def _begun_anew(ctx: ActionContext) -> bool:
 
 def _take_ups(ctx: ActionContext) -> int:
     return int(str(ctx.memory.get("taken_up", 0)))
-
-
-def _left(ctx: ActionContext) -> list[str]:
-    """Why the light, or the power, could not be switched off."""
-    left = ctx.memory.get("left", [])
-    return [str(each) for each in left] if isinstance(left, list) else []
 
 
 def _reason(ctx: ActionContext) -> str:
