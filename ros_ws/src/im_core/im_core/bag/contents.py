@@ -31,8 +31,10 @@ from im_core.bag import unpacking
 from im_core.files import MEBIBYTE, FileError
 
 MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
+#: How a record begins: opcode and length of its body.
+HEAD = struct.Struct("<BQ")
+#: How the body of a message begins: channel, number, and times of log and publication.
+MESSAGE = struct.Struct("<HIQQ")
 #: A footer but for its checksum, which is also of this.
 _FOOTER = struct.Struct("<BQQQ")
 #: Records of the data section; any other below those of applications ends it, or is what a torn write has left.
@@ -82,7 +84,7 @@ class Contents:
 
     def add_message(self, head: bytes, offset: int) -> int:
         """Count a message, from its first bytes and its place in its chunk; its time [ns]."""
-        channel, _, logged_ns, _ = _MESSAGE.unpack_from(head)
+        channel, _, logged_ns, _ = MESSAGE.unpack_from(head)
         self.begin_ns = logged_ns if not self.counts else min(self.begin_ns, logged_ns)
         self.end_ns = max(self.end_ns, logged_ns)
         self.counts[channel] += 1
@@ -143,7 +145,7 @@ def scan(path: Path, file: BinaryIO) -> Contents:
         else:
             contents.add_definition(opcode, body)
         if whole:
-            contents.end = offset + _HEAD.size + length
+            contents.end = offset + HEAD.size + length
             indexed = indexed and opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
     if contents.chunks and indexed:  # its index is written again: nothing tells whether it is whole
         last = contents.chunks[-1]
@@ -160,10 +162,10 @@ def _records(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[int, int, 
         FileError: One is whole, and larger than what is read.
     """
     offset = len(MAGIC)
-    while offset + _HEAD.size <= size:
+    while offset + HEAD.size <= size:
         file.seek(offset)
-        opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-        if offset + _HEAD.size + length > size:
+        opcode, length = HEAD.unpack(file.read(HEAD.size))
+        if offset + HEAD.size + length > size:
             return
         if length > _LARGEST_RECORD:
             told, most = length // MEBIBYTE, _LARGEST_RECORD // MEBIBYTE
@@ -171,7 +173,7 @@ def _records(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[int, int, 
                 path, f"cannot be read: its record at byte {offset} has {told} MiB; at most {most} are read"
             )
         yield opcode, offset, length
-        offset += _HEAD.size + length
+        offset += HEAD.size + length
 
 
 def _unpacked(path: Path, body: bytes, offset: int) -> tuple[Chunk, bytes] | None:
@@ -199,12 +201,12 @@ def _add_chunk(contents: Contents, chunk: Chunk, raw: bytes, offset: int, length
     contents.last = {}
     for opcode, at, start, end in held:
         if opcode == Opcode.MESSAGE:
-            contents.add_message(raw[start : start + _MESSAGE.size], at)
+            contents.add_message(raw[start : start + MESSAGE.size], at)
         else:
             contents.add_definition(opcode, raw[start:end])
     contents.chunks.append(
         ChunkIndex(
-            chunk_length=_HEAD.size + length,
+            chunk_length=HEAD.size + length,
             chunk_start_offset=offset,
             compression=chunk.compression,
             compressed_size=len(chunk.data),
@@ -231,9 +233,9 @@ def _check_readable(path: Path, chunk: Chunk, offset: int) -> None:
 def _held(raw: bytes) -> Iterator[tuple[int, int, int, int]]:
     """Opcode and offset of each record of a chunk, and where its body begins and ends."""
     at = 0
-    while at + _HEAD.size <= len(raw):
-        opcode, length = _HEAD.unpack_from(raw, at)
-        start = at + _HEAD.size
+    while at + HEAD.size <= len(raw):
+        opcode, length = HEAD.unpack_from(raw, at)
+        start = at + HEAD.size
         yield opcode, at, start, start + length
         at = start + length
 
@@ -247,7 +249,7 @@ def _add_index(contents: Contents, body: bytes, offset: int) -> None:
     if contents.chunks:
         chunk = contents.chunks[-1]
         chunk.message_index_offsets[int.from_bytes(body[:2], "little")] = offset
-        chunk.message_index_length += _HEAD.size + len(body)
+        chunk.message_index_length += HEAD.size + len(body)
 
 
 def last_index(contents: Contents) -> bytes:
@@ -291,6 +293,6 @@ def end_of(contents: Contents, at: int) -> bytes:
         if summary_offset.group_length:
             summary_offset.write(builder)
     summary = bytes(builder.end())
-    crc = zlib.crc32(summary + _FOOTER.pack(Opcode.FOOTER, _FOOTER.size + 4 - _HEAD.size, start, offset_start))
+    crc = zlib.crc32(summary + _FOOTER.pack(Opcode.FOOTER, _FOOTER.size + 4 - HEAD.size, start, offset_start))
     Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc).write(builder)
     return data_end + summary + bytes(builder.end()) + MAGIC

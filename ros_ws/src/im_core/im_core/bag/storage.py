@@ -4,7 +4,6 @@ It finds channels in the summary only, and passes by chunks whose messages have 
 that is whole (https://mcap.dev/spec, "Summary Section", "Message Index"). Hashes it takes from ``metadata.yaml``.
 """
 
-import struct
 from collections.abc import Collection, Container, Generator, Iterator, Mapping
 from io import BytesIO
 from typing import Any
@@ -16,9 +15,10 @@ from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import MAXSIZE, McapReader, read_exact, read_string
 
+from im_core.bag.contents import HEAD, MESSAGE
+
 #: Type of a channel whose definition is not in the summary.
 _UNDEFINED = "__schemaless__"
-_HEAD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _PLACE = np.dtype([("channel", "u2"), ("logged_ns", "u8"), ("offset", "u8"), ("size", "u8")])
 #: How messages of ROS 2 are serialised.
 _SERIALIZED = "cdr"
@@ -88,12 +88,12 @@ class WholeMcapReader(McapReader):
         at = self.data_start
         while at < self.data_end:
             self.bio.seek(at)
-            opcode, length = _HEAD.unpack(read_exact(self.bio, _HEAD.size))
+            opcode, length = HEAD.unpack(read_exact(self.bio, HEAD.size))
             if opcode == Opcode.MESSAGE:
-                channel, _, logged_ns, _ = _MESSAGE.unpack(read_exact(self.bio, _MESSAGE.size))
+                channel, _, logged_ns, _ = MESSAGE.unpack(read_exact(self.bio, MESSAGE.size))
                 if channel in wanted and (start or 0) <= logged_ns < (MAXSIZE if stop is None else stop):
-                    yield channel, logged_ns, self.bio.tell(), length - _MESSAGE.size
-            at += _HEAD.size + length
+                    yield channel, logged_ns, self.bio.tell(), length - MESSAGE.size
+            at += HEAD.size + length
 
     def _is_told(self) -> bool:
         """Whether the summary names the channel and the type of every message."""
