@@ -90,3 +90,16 @@ def test_jaws_of_a_cancelled_goal_stop_where_they_are(hand):
     assert answer.status == CANCELED
     assert 0.001 < answer.result.position < 0.079
     assert grip(hand, 0.08).result.reached_goal
+
+
+def test_a_new_goal_takes_the_place_of_the_one_under_way(hand):
+    """Who sends goals while a slider is moved gets the last of them; jaws that are fast may have ended the first."""
+    for _ in range(60):
+        first = start(hand, 0.0)[1]
+        assert grip(hand, 0.08).result.reached_goal
+        answer = first()
+        if answer.status == ABORTED:
+            break
+        assert answer.status == SUCCEEDED
+    assert answer.status == ABORTED
+    assert not answer.result.reached_goal

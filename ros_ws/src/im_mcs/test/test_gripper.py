@@ -60,6 +60,22 @@ def test_jaws_that_are_cancelled_stop_where_they_are(jaws):
     assert finish(jaws, close(jaws))["results"]["reached"]
 
 
+def test_jaws_on_their_way_turn_back_for_who_says_so(jaws):
+    first = close(jaws)
+    for _ in range(15):
+        jaws.mcs.tick([])
+    there = float(jaws.mcs.measured.gripper[0])
+    assert 0.01 < there < 0.079
+    assert "left_gripper is moving" in jaws.reply(close(jaws))["error"]["message"]
+    wrong = jaws.send("set_gripper", gripper="left_gripper", opening=0.5, replaces=True)
+    assert jaws.reply(wrong)["error"]["code"] == "limit"
+    assert jaws.reply(first) is None
+    second = jaws.send("set_gripper", gripper="left_gripper", opening=0.08, replaces=True)
+    assert finish(jaws, second)["results"]["reached"]
+    fault = jaws.reply(first)["error"]
+    assert (fault["code"], fault["message"]) == ("replaced", f"left_gripper: replaced by goal {second}")
+
+
 def test_an_estop_on_the_way_ends_it_by_name(jaws):
     number = close(jaws)
     jaws.mcs.tick([])

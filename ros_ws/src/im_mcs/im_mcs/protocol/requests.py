@@ -359,11 +359,12 @@ class SetSpeedRequest(ServoRequest):
 
 
 class SetGripperRequest(ServoRequest):
-    """Let jaws go to an opening [m], with a force [N]; 0: all that the gripper can give."""
+    """Let jaws go to an opening [m], with a force [N], 0: all that the gripper can give; in place of what they do."""
 
     gripper: Text
     opening: Annotated[float, Field(description="a number [m]")]
     force: Amount = 0.0
+    replaces: bool = False
 
 
 class SetControllerRequest(ServoRequest):

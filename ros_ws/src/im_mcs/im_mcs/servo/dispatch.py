@@ -138,8 +138,7 @@ class Dispatch:
             case StreamRequest():
                 return self._stream(number, request)
             case SetGripperRequest():
-                opening, force = request.opening, request.force
-                mcs.grippers.move(number, request.gripper, opening, force, mcs.measured.gripper)
+                mcs.grippers.move(number, request, mcs.measured.gripper)
                 return True
             case CancelRequest():
                 self._cancel(request.goal)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, LimitError, LinkError, NotFoundError, StateError
+from im_mcs.protocol.requests import SetGripperRequest
 from im_mcs.servo.answers import Answers
 from im_mcs.testbed import Measured
 
@@ -99,21 +100,20 @@ class Grippers:
         self.opening = np.where(elsewhere, measured, self.opening)
         self.force = np.where(elsewhere, np.inf, self.force)
 
-    def move(self, number: int, name: str, opening: float, force: float, measured: NDArray[np.float64]) -> None:
+    def move(self, number: int, request: SetGripperRequest, measured: NDArray[np.float64]) -> None:
         """Let jaws go to an opening.
 
         Args:
             number: Of the request; answered at the end.
-            name: Of the gripper.
-            opening: [m].
-            force: Largest force [N]; 0: all that the gripper can give.
+            request: Which jaws, how wide, how hard.
             measured: Where the jaws are, shape (m,) [m].
 
         Raises:
             NotFoundError: There is no such gripper.
             LimitError: Opening or force are out of range.
-            StateError: The jaws are on their way.
+            StateError: The jaws are on their way, and the request does not replace what they do.
         """
+        name, opening, force = request.gripper, request.opening, request.force
         if name not in self._names:
             raise NotFoundError(kind="gripper", name=name, known=self._names)
         for value, limit, unit, what in (
@@ -123,8 +123,11 @@ class Grippers:
             if not 0.0 <= value <= limit:
                 raise LimitError(joint=name, value=value, limit=limit if value > 0.0 else 0.0, unit=unit, what=what)
         slot = self._names.index(name)
-        if slot in self._moving:
-            raise StateError(f"{name} is moving; wait for its end", gripper=name)
+        if (before := self._moving.get(slot)) is not None:
+            if not request.replaces:
+                raise StateError(f"{name} is moving; wait for its end", gripper=name)
+            replaced = ImError(f"{name}: replaced by goal {number}", code="replaced", gripper=name, goal=number)
+            self._answers.reply(before.id, before.fault or replaced)
         self.opening, self.force = self.opening.copy(), self.force.copy()
         self.opening[slot] = opening
         self.force[slot] = force or np.inf

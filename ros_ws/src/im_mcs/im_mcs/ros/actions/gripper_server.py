@@ -18,8 +18,9 @@ class GripperServer:
     """An action for every gripper slot.
 
     Jaws that are held up on the way have gripped something: the goal succeeds, with ``stalled`` set. Those of a
-    cancelled goal stop where they are. The result of the action has no room for a sentence; why a goal was refused is
-    in the log and counted in ``/diagnostics``.
+    cancelled goal stop where they are; a new goal takes the place of the one under way, which is aborted, as with a
+    trajectory. The result of the action has no room for a sentence; why a goal was refused is in the log and counted in
+    ``/diagnostics``.
 
     Args:
         access: MCS.
@@ -28,14 +29,14 @@ class GripperServer:
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
         self._names = [slot.name for slot in access.config.gripper_slots]
-        self._moving: dict[str, ServerGoalHandle] = {}
+        self._moving: list[tuple[str, ServerGoalHandle]] = []
         self._goals = Goals(access)
         for gripper in self._names:
             self._goals.serve(GripperCommand, f"/{gripper}/gripper_cmd", partial(self._execute, gripper))
 
     def publish_feedback(self, snapshot: NDArray[np.void]) -> None:
         """Tell where the jaws are that are on their way."""
-        for gripper, handle in self._moving.items():
+        for gripper, handle in self._moving:
             opening, force = self._measured(gripper, snapshot)
             handle.publish_feedback(GripperCommand.Feedback(position=opening, effort=force))
 
@@ -45,11 +46,12 @@ class GripperServer:
         try:
             self._mcs.client()
             self._mcs.check(command)
-            arguments = {"gripper": gripper, "opening": command.position, "force": command.max_effort}
+            wanted = {"opening": command.position, "force": command.max_effort}
+            arguments = {"gripper": gripper, **wanted, "replaces": True}
             require_wanted(handle)
             results = await self._mcs.request(Event.SET_GRIPPER, arguments, partial(self._begin, gripper, handle))
         except ImError as error:
-            if error.code != "cancelled":
+            if error.code not in ("cancelled", "replaced"):
                 self._mcs.refusals.add(f"/{gripper}/gripper_cmd", error)
             self._fill(gripper, result)
             fail(handle, error)
@@ -60,12 +62,11 @@ class GripperServer:
             handle.succeed()
         finally:
             self._goals.end_goal(handle)
-            if self._moving.get(gripper) is handle:
-                del self._moving[gripper]
+            self._moving = [(name, other) for name, other in self._moving if other is not handle]
         return result
 
     def _begin(self, gripper: str, handle: ServerGoalHandle, number: int) -> None:
-        self._moving.setdefault(gripper, handle)
+        self._moving.append((gripper, handle))
         self._goals.begin_goal(handle, number)
 
     def _fill(self, gripper: str, result: GripperCommand.Result) -> None:
