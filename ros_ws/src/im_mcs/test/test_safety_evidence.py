@@ -81,6 +81,18 @@ def test_evidence_is_written_whole_as_arrays_and_as_a_table(layout, tmp_path):
     assert sorted(file.suffix for file in path.parent.iterdir()) == [".csv", ".npz"]
 
 
+def test_evidence_of_a_servo_that_was_started_again_takes_the_place_of_none(layout, tmp_path, monkeypatch):
+    for began in ("20260101-000000", "20260101-000007"):
+        monkeypatch.setattr("im_mcs.client.evidence.clock.stamp_name", lambda began=began: began)
+        memory = np.zeros(layout.doubles)
+        recorder = Recorder(layout, memory)
+        number = recorder.freeze()
+        fill(recorder, [7])
+        write_evidence(tmp_path, Records(layout, memory).read(number), ImError("x", code="joint"))
+    stems = sorted(path.stem for path in tmp_path.glob("*.npz"))
+    assert stems == ["20260101-000000_000000007_joint", "20260101-000007_000000007_joint"]
+
+
 def test_a_folder_that_cannot_be_is_a_sentence(layout, tmp_path):
     (tmp_path / "file").write_text("")
     memory = np.zeros(layout.doubles)

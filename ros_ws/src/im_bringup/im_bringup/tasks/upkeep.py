@@ -22,7 +22,7 @@ _MOST_PIECES = 100
 
 _RESULT = re.compile(r"(\d{8}-\d{6})(?:-(\d+))?")
 _CALIBRATION = re.compile(r"(?:.*-)?(\d{8}-\d{6})(?:-(\d+))?")
-_EVIDENCE = re.compile(r"\d{9,}_\w+\.(?:npz|csv)")
+_EVIDENCE = re.compile(r"(?:\d{8}-\d{6}_)?\d{9,}_\w+\.(?:npz|csv)")
 _REMOVED = re.compile(r"\..+\.removed")
 
 

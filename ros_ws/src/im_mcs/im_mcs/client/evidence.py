@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from im_core import clock
 from im_core.errors import ImError
 from im_core.files import write_whole
 from im_mcs.protocol.evidence import PER_JOINT
@@ -16,7 +17,9 @@ _AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 def write_evidence(folder: Path, record: Mapping[str, Any], fault: ImError, joints: tuple[str, ...] = ()) -> Path:
-    """Write ``<tick>_<code>.npz`` and ``.csv`` into ``folder``; each file appears whole or not at all.
+    """Write ``<date>-<time>_<tick>_<code>.npz`` and ``.csv`` into ``folder``; each appears whole or not at all.
+
+    The ticks of a servo that was started again begin at 0: without the time a file would replace an older one.
 
     Args:
         folder: Where to; made if it is not there.
@@ -31,7 +34,7 @@ def write_evidence(folder: Path, record: Mapping[str, Any], fault: ImError, join
         ImError: The folder cannot be written to (code ``file``).
     """
     ticks = record["tick"]
-    stem = f"{int(ticks[-1]) if len(ticks) else 0:09d}_{fault.code}"
+    stem = f"{clock.stamp_name()}_{int(ticks[-1]) if len(ticks) else 0:09d}_{fault.code}"
     told = json.dumps({"code": fault.code, "message": fault.message, "facts": fault.facts}, default=str)
     arrays = io.BytesIO()
     np.savez_compressed(arrays, fault=np.array(told), joints=np.array(joints), **dict(record))
