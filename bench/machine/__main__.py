@@ -7,11 +7,13 @@ from pathlib import Path
 from bench.machine.command import accuracy_lines, machine_lines
 from bench.machine.deadlines import deadline_lines
 from bench.machine.pairs import pair_lines
+from bench.machine.rest import rest_lines
 from bench.machine.vision import vision_lines
 from bench.part import Part, Work, positive
 
 GROUPS = {
     "command": "start, commands as fast as they go against the least they could cost, memory, stop",
+    "rest": "what a start costs, and the machine at rest; how often topics are told during a command",
     "real-time": "the same with one command in real time, for the servo's period and missed deadlines",
     "accuracy": "true errors over expected ones, of one command for each of some seeds",
     "pairs": "two moves at once against the longer one alone, in simulated time",
@@ -19,7 +21,7 @@ GROUPS = {
     "frames": "frames a second of /vss/snap, and where the time goes",
     "services": "answers a second of each vision Service, and where the time goes",
 }
-USUAL = ("command",)
+USUAL = ("command", "rest")
 
 _ABOUT = """Starts the whole machine and measures it. The limit of the command is bare physics, bare rendering and the
 solver of the same poses, one after the other, measured in the same run."""
@@ -42,6 +44,7 @@ def _work(options: argparse.Namespace, _: Path) -> Work:
     seed, port = options.seed, options.port
     return {
         "command": lambda: machine_lines(0.0, seed, port, options.runs),
+        "rest": lambda: rest_lines(seed, port),
         "real-time": lambda: machine_lines(1.0, seed, port, 1),
         "accuracy": lambda: accuracy_lines(options.seeds, port),
         "pairs": lambda: pair_lines(options.seeds, 0.0, port),

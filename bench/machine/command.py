@@ -67,15 +67,15 @@ class Bench(CalibrateCameraClient):
         Raises:
             StateError: The command failed.
         """
-        before = _cpu_by_process()
+        before = cpu_by_process()
         answer = self.calibrate([], str(poses or ""))
         if not answer.success:
             raise StateError(f"calibrate_camera failed: {answer.message}")
-        used = sum(spent - before.get(pid, 0.0) for pid, spent in _cpu_by_process().items())
+        used = sum(spent - before.get(pid, 0.0) for pid, spent in cpu_by_process().items())
         return Command(json.loads(answer.report.json), Path(answer.report.directory), used)
 
 
-def _cpu_by_process() -> dict[int, float]:
+def cpu_by_process() -> dict[int, float]:
     """CPU time that each process of the machine has used [s]."""
     return {process.pid: cpu_s(process.pid) for process in leftovers.processes()}
 

@@ -50,7 +50,7 @@ QUICK = (
 """About ten minutes on two cores that do nothing else."""
 
 FULL = (
-    Step("machine", ("command", "real-time", "pairs", "--seeds", "5"), 7200.0),
+    Step("machine", ("command", "rest", "real-time", "pairs", "--seeds", "5"), 7200.0),
     Step("sizes", (), 7200.0),
     Step("mcs", (), 7200.0),
     Step("nets", (), 7200.0),

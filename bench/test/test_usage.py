@@ -1,11 +1,13 @@
 import mmap
 import os
+import subprocess
+import sys
 import threading
 import time
 
 import pytest
 
-from bench.usage import cpu_s, memory_mib, own_memory_mib
+from bench.usage import cpu_s, ended_children_s, memory_mib, own_memory_mib
 
 
 def test_memory_of_this_process_is_between_one_and_a_thousand_mib():
@@ -46,3 +48,12 @@ def test_cpu_time_of_a_process_has_that_of_threads_that_ended():
 def test_a_process_that_has_ended_is_told():
     with pytest.raises(ProcessLookupError, match="no process"):
         cpu_s(2**22 + 1)
+
+
+def test_cpu_time_of_children_that_ended_is_that_of_those_that_were_waited_for():
+    code = "import time\nwhile time.process_time() < 0.3: pass"
+    before = ended_children_s(os.getpid())
+    child = subprocess.Popen([sys.executable, "-c", code])
+    child.wait()
+    assert 0.25 < ended_children_s(os.getpid()) - before < 5.0
+    assert ended_children_s(child.pid) == pytest.approx(0.0)
