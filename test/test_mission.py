@@ -10,7 +10,7 @@ from bench.chaos.everything import DEVIATIONS, distance
 from bench.chaos.machine import die_starting
 from im_bringup.machine import leftovers, stop
 from im_core import names, open_commands
-from im_msgs.srv import ControlCommand
+from im_msgs.srv import ControlCommand, LoadNet
 from support.whole_machine import COMMAND_S, SEED, Machine, free_port, run_script, write_few_poses
 
 pytestmark = pytest.mark.end_to_end
@@ -23,6 +23,12 @@ LINE = {
     "move": {"group": "right", "joints": [1.55, 0.0, 0.0, 0.3, 1.57, -3.7, 0.0, 0.3, 0.0]},
     "close_gripper": {"group": "left", "width": 0.02},
 }
+GREET = """
+net: greet
+commands: {greet: {}}
+places: {idle: {tokens: 1, resource: true}, greeted: }
+transitions: {go: {symbol: greet, in: idle, out: greeted}, tell: {in: greeted, out: idle, emit: greet_done}}
+"""
 
 
 @pytest.fixture
@@ -112,6 +118,22 @@ def test_what_waits_and_what_is_paused_goes_on_with_what_ran(machines, end):
     printed, complaint = ended.communicate(timeout=COMMAND_S)
     assert ended.returncode == 0, complaint
     assert json.loads(printed)["width"] == pytest.approx(0.02, abs=1e-3)
+
+
+def test_what_a_machine_was_given_outlives_its_death_while_it_rests(machines):
+    machines("--fresh")
+    machine = Machine()
+    try:
+        assert machine.call(LoadNet, "/dispatcher/load_net", net_yaml=GREET).success
+    finally:
+        machine.close()
+    put = client("data_objects", "put", "mark", "std_msgs/msg/String", '{"data": "here"}')
+    assert put.wait(COMMAND_S) == 0
+    leftovers.end_all()
+    assert "was not stopped but died: its loaded nets and data objects are there again" in machines()
+    greeted = client("run_command", "greet").communicate(timeout=COMMAND_S)
+    assert "done" in greeted[0], greeted
+    assert '"here"' in client("data_objects", "get", "mark").communicate(timeout=COMMAND_S)[0]
 
 
 def test_a_new_mission_takes_nothing_of_the_one_before(machines):

@@ -90,6 +90,29 @@ def test_a_finished_mission_is_kept_without_a_word_and_only_the_newest_are(tmp_p
     assert said == []
 
 
+def test_what_a_machine_knew_that_died_is_there_again_and_not_that_of_one_that_was_stopped(tmp_path):
+    said = []
+    leave(tmp_path, b"one")
+    mission.begin(tmp_path)
+    assert mission.prepare(tmp_path, False, said.append)
+    assert mission.prepare(tmp_path, False, said.append)  # that start was killed before the machine was ready
+    assert (tmp_path / "dom.sqlite").read_bytes() == b"one"
+    assert said[0].startswith("the machine before was not stopped but died: its loaded nets and data objects are there")
+    mission.begin(tmp_path)
+    mission.end(tmp_path)
+    del said[:]
+    assert not mission.prepare(tmp_path, False, said.append)
+    assert said == []
+    leave(tmp_path, b"two")
+    mission.begin(tmp_path)
+    assert not mission.prepare(tmp_path, True, said.append)
+    aside = max((tmp_path / "missions").iterdir(), key=lambda path: int(path.name.rpartition("-")[2]))
+    assert said == [f"the machine before was not stopped but died; what it has left is kept in {aside}"]
+    assert (aside / "dom.sqlite").read_bytes() == b"two"
+    mission.end(tmp_path)  # there is nothing to end
+    assert not mission.prepare(tmp_path, False, said.append)
+
+
 def test_a_note_that_is_none_says_nothing(tmp_path):
     open_commands.note(tmp_path, "dispatcher", [])
     assert open_commands.noted(tmp_path) == []

@@ -6,13 +6,16 @@ They belong together: where the nets begin anew, what the objects of the former 
 import re
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from im_core import names, open_commands
 from im_core.clock import stamp_name
-from im_core.files import make_folder, move
+from im_core.files import make_folder, move, write_whole
 
-PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm", names.CALIBRATION)
+_ALIVE = "alive"
+"""Is there from when a machine was ready until it was stopped."""
+PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm", names.CALIBRATION, _ALIVE)
 KEPT = 5
 """Missions that were not gone on with, the newest ones."""
 #: Folder of a mission that is being set aside; only then it gets its name.
@@ -21,14 +24,17 @@ _NUMBERED = re.compile(r"\d{8}-\d{6}-\d{1,9}")
 
 
 def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
-    """Have the machine go on with the mission before, if commands of it had not ended, or begin a new one.
+    """Have the machine go on with the mission before, or begin a new one.
+
+    It goes on if commands of it had not ended, or if its machine was not stopped but died: what others had it keep,
+    loaded nets and data objects, is there again.
 
     What a mission has left that is not gone on with is kept beside; of such the newest few are.
 
     Args:
         run_dir: Folder of the machine's logs and data bases.
         fresh: Begin a new one in any case.
-        say: Takes a sentence about commands that had not ended.
+        say: Takes a sentence about what had not ended.
 
     Returns:
         Whether it goes on.
@@ -40,14 +46,38 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
     if any((moving / part).exists() and (run_dir / part).exists() for part in PARTS):
         _give_name(moving)  # it was whole when the mission that is here began
     unfinished = open_commands.noted(run_dir) or open_commands.noted(moving)
+    died = (run_dir / _ALIVE).exists() or (moving / _ALIVE).exists()
     known = ", ".join(f"{command.symbol} (number {command.number} of {command.task})" for command in unfinished)
-    if unfinished and not fresh and (run_dir / "journal").is_dir() and not moving.exists():
-        say(f"commands had not ended when the machine was, and go on: {known}; start.sh --fresh sets them aside")
+    if (unfinished or died) and not fresh and (run_dir / "journal").is_dir() and not moving.exists():
+        if unfinished:
+            say(f"commands had not ended when the machine was, and go on: {known}; start.sh --fresh sets them aside")
+        else:
+            say(
+                "the machine before was not stopped but died: its loaded nets and data objects are there again; "
+                "start.sh --fresh sets them aside"
+            )
         return True
     aside = _set_aside(run_dir)
-    if unfinished and aside is not None:
+    if aside is not None and unfinished:
         say(f"commands had not ended when the machine was: {known}; what they have left is kept in {aside}")
+    elif aside is not None and died:
+        say(f"the machine before was not stopped but died; what it has left is kept in {aside}")
     return False
+
+
+def begin(run_dir: Path) -> None:
+    """The machine of a run folder is ready: from now on its end is a death, unless :func:`end` is called.
+
+    Raises:
+        StoreError: It cannot be written down.
+    """
+    write_whole(run_dir / _ALIVE, "")
+
+
+def end(run_dir: Path) -> None:
+    """The machine of a run folder is stopped: without commands that have not ended, the next one begins anew."""
+    with suppress(OSError):  # then it goes on, and says so
+        (run_dir / _ALIVE).unlink()
 
 
 def _set_aside(run_dir: Path) -> Path | None:

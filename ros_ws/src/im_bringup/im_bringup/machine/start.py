@@ -73,8 +73,8 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--fresh",
         action="store_true",
-        help="begin a new mission even where commands of the one before have not ended; that is kept in "
-        ".run/im<domain>/missions",
+        help="begin a new mission even where commands of the one before have not ended, or its machine died; that is "
+        "kept in .run/im<domain>/missions",
     )
     parser.add_argument(
         "--timeout",
@@ -185,7 +185,7 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
         deployment: What to start.
         path: The file it came from.
         timeout_s: Longest wait for all tasks to be ready [s].
-        fresh: Begin a new mission even where commands of the one before have not ended.
+        fresh: Begin a new mission whatever became of the one before.
 
     Returns:
         0 if all tasks are ready, else 1, or 130 if it was interrupted; the machine is down again then.
@@ -282,7 +282,7 @@ def clear_the_way(fresh: bool) -> bool:
     """Remove what is left of a machine of this ROS domain, but for a mission that goes on.
 
     Args:
-        fresh: Begin a new mission even where commands of the one before have not ended.
+        fresh: Begin a new mission whatever became of the one before.
 
     Returns:
         Whether one goes on.

@@ -4,8 +4,9 @@ import argparse
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
-from im_bringup.machine import leftovers
+from im_bringup.machine import leftovers, mission
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import ignore_interrupts
 from im_bringup.machine.members import is_member, signal_member
@@ -53,6 +54,8 @@ def stop(say: Callable[[str], None]) -> int:
         return 1
     elif record is not None and record.alive:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
+    if ran and record is not None and record.state == machine.READY:
+        mission.end(Path(record.run_dir))
     found, remaining = leftovers.end_all()
     removed = leftovers.remove_shared_memory()
     if others := leftovers.of_others():

@@ -1,5 +1,6 @@
 """Node ``/bootstrap``: starts the tasks of the deployment phase by phase, knows them by name, stops them in order."""
 
+import threading
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -7,6 +8,7 @@ from rclpy.duration import Duration
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import Float64, String, UInt8
 
+from im_bringup.machine import mission
 from im_bringup.machine import record as machine
 from im_bringup.machine.bootstrap import Bootstrap
 from im_bringup.machine.nets import MachineNets
@@ -85,8 +87,10 @@ class BootstrapNode(GuardedNode):
         machine.remove()
 
     def _poll(self) -> None:
-        before = self._bootstrap.phase
+        before, state = self._bootstrap.phase, self._bootstrap.state
         events = self._bootstrap.poll(clock.monotonic())
+        if self._bootstrap.state == machine.READY != state:
+            threading.Thread(target=self._note_alive, name="alive", daemon=True).start()  # the disk may hang
         for event in events:
             if isinstance(event, Died):
                 self.log.error(str(event))
@@ -101,6 +105,12 @@ class BootstrapNode(GuardedNode):
             if self._bootstrap.state == machine.READY:
                 self._poll_timer.timer_period_ns = round(POLL_PERIOD_S * 1e9)
                 dismiss_prepared()
+
+    def _note_alive(self) -> None:
+        try:
+            mission.begin(self._run_dir)
+        except StoreError as error:  # what runs goes on
+            self.log.error(error.message)
 
     def _described(self, message: NetDescription) -> None:
         self._nets.described(message.node, message.net, message.json)

@@ -16,9 +16,9 @@ _DESCRIPTION = """Looks into the journals of nodes that run nets, and moves them
 
 A node writes each event and each firing into its journal before anything follows from it; after kill -9 it comes back
 with what is there. A journal belongs to one mission of the machine: scripts/start.sh goes on with one whose commands
-had not ended, or begins with new journals and keeps those of the last five missions, with their data objects, in
-.run/im<domain>/missions. A journal that is damaged its node sets aside by itself, in a folder damaged-TIME beside it,
-and begins anew.
+had not ended, or whose machine died, or begins with new journals and keeps those of the last five missions, with their
+data objects, in .run/im<domain>/missions. A journal that is damaged its node sets aside by itself, in a folder
+damaged-TIME beside it, and begins anew.
 
   scripts/im pnt journal show                      the journals of this machine
   scripts/im pnt journal show dispatcher           what is marked, what runs, and the last ten entries
