@@ -56,6 +56,9 @@ transitions:
 """
 
 
+SPIN = "net: spin\nplaces: {a: 1, b: }\ntransitions: {to: {in: a, out: b}, fro: {in: b, out: a}}\n"
+
+
 class Operator(ManagedNode):
     """Asks for what an operator wants, and sees what the page shows."""
 
@@ -168,6 +171,22 @@ def test_a_paused_net_starts_nothing_until_it_is_resumed(machine):
     operator.ask("resume")
     operator.until(lambda: outcomes, "the end of the command")
     assert outcomes[0].success
+
+
+def test_a_net_that_never_comes_to_rest_is_paused_and_leaves_the_others_their_time(machine):
+    operator, walker = machine
+    assert walker.load(SPIN) == ""
+    operator.until(lambda: "spin" in operator.markings and operator.markings["spin"].paused, "the pause", 30.0)
+    outcomes = walker.go()
+    operator.until(lambda: outcomes, "the end of the command of another net")
+    assert outcomes[0].success
+
+
+def test_a_net_that_never_comes_to_rest_is_replaced_before_it_is_paused(machine):
+    operator, walker = machine
+    assert walker.load(SPIN) == ""
+    assert walker.load(SPIN.replace("fro:", "back:")) == ""
+    operator.until(lambda: operator.markings["spin"].paused, "the pause", 30.0)
 
 
 def test_step_by_step_each_request_fires_one_transition(machine):

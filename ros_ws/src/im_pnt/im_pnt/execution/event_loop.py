@@ -100,6 +100,7 @@ class EventLoop:
         conflicts: As given.
         actions: As given.
         operator: How the net is operated.
+        stretch: Firings since the net came to rest last.
     """
 
     def __init__(
@@ -120,6 +121,7 @@ class EventLoop:
         self._steps = [self._step(index) for index in range(len(rule.transitions))]
         self._asked = [conflicts.context(index, NO_LINEAGE) for index in range(len(rule.transitions))]
         self._contexts = [actions.fresh_context(index) for index in range(len(rule.transitions))]
+        self.stretch = 0
         self._pumping = False
         self._guard_clocks: set[str] = set()
         self._watched: set[int] = set()
@@ -216,8 +218,10 @@ class EventLoop:
             index = enabling.next_candidate() if enabling.agenda else None
             if index is None:
                 self._come_to_rest()
+                self.stretch = 0
                 return bool(inbox)
             fired += self._decide(index)
+        self.stretch += fired
         return True
 
     def _take_event(self) -> None:

@@ -269,6 +269,11 @@ class Executor:
         """Whether an event or a decision waits for :meth:`pump`."""
         return self._loop.due
 
+    @property
+    def stretch(self) -> int:
+        """Firings since the net came to rest last, in calls of :meth:`pump` that had reached their limit."""
+        return self._loop.stretch
+
     def busy(self) -> bool:
         """Whether an action runs or a job is open."""
         return bool(self.activities or len(self.rule.ledger))

@@ -399,7 +399,7 @@ class PntNode(ManagedNode):
                 that can be written.
         """
         present = self.exchange.nets[net.name]
-        while present.pump():
+        while self._loop.pump(present):
             pass
         state = taken_over(present, net)
         self._take_in(self._library.kept(net), report, state, self.exchange.succeed)

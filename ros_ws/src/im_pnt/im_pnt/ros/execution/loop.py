@@ -10,9 +10,12 @@ from im_core.clock import monotonic
 from im_core.ros.coroutines import SOON_S, Alarm
 from im_core.ros.node import ManagedNode
 from im_pnt.errors import JournalError
+from im_pnt.execution.events import PauseSet
 from im_pnt.execution.executor import Executor
 
 RETRY_AFTER_S = 1.0
+MOST_AT_A_STRETCH = 100_000
+"""Firings after which a net that does not come to rest is paused: it would leave no time for anybody else."""
 
 
 class NetLoop:
@@ -51,6 +54,21 @@ class NetLoop:
             with contextlib.suppress(InvalidHandle):  # an action may end when its node is gone
                 self._wake_timer.reset()
 
+    def pump(self, executor: Executor) -> bool:
+        """Pumps a net, and pauses it if it fires on and on without coming to rest; in the loop.
+
+        Returns:
+            Whether there is more to do at once.
+        """
+        more = executor.pump()
+        if more and not executor.paused and executor.stretch >= MOST_AT_A_STRETCH:
+            executor.post(PauseSet(True))
+            self._node.get_logger().error(
+                f"net {executor.net.name} has fired {executor.stretch} times without coming to rest, waits for nothing "
+                "and is paused; 'resume' of its control_net lets it go on as far again"
+            )
+        return more
+
     def turn(self) -> None:
         """Takes what has arrived and fires until nothing is enabled; in the loop."""
         self._turn(everyone=False)
@@ -82,7 +100,7 @@ class NetLoop:
         try:
             for executor in tuple(self._nets.values()):
                 if everyone or executor.due:
-                    executor.pump()
+                    self.pump(executor)
             self._commit()
         except Exception as error:
             self._set_alarm(monotonic() + RETRY_AFTER_S)
