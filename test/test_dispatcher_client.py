@@ -200,6 +200,32 @@ def test_what_libraries_print_is_not_among_the_output_of_a_program():
     assert "RTPS_TRANSPORT_SHM Error" in said.stderr
 
 
+SAYS = """
+import sys
+from im_bringup.ros import interruptible
+interruptible.machine.read_running = lambda: None
+def use(node):
+    print("one", flush=True)
+    print("two")
+    print("waited to the end", file=sys.stderr)
+    return interruptible.DONE
+sys.exit(interruptible.talk(lambda: interruptible.InterruptibleNode("talker"), use, "talker"))
+"""
+NO_ROOM = "talker: standard output cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    ("where", "code", "said"),
+    [("| true", 0, ""), (">&-", 0, ""), ("> /dev/full", 1, NO_ROOM)],
+    ids=["no reader", "closed", "full disk"],
+)
+def test_a_program_whose_output_goes_nowhere_waits_all_the_same(where, code, said):
+    """And says in a sentence where something was lost that somebody wanted."""
+    run = ["bash", "-c", f'set -o pipefail; "$0" -c "$1" {where}', sys.executable, SAYS]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (code, f"waited to the end\n{said}")
+
+
 def test_who_waits_for_a_service_ends_when_interrupted(ros):
     """Neither for a service that is not there, nor for one that is silent, a program waits after Ctrl-C."""
     asking, silent = InterruptibleNode("asking"), GuardedNode("silent")

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 
@@ -49,14 +50,17 @@ BOOTSTRAP = textwrap.dedent(
 
 @pytest.fixture
 def supervise(tmp_path, monkeypatch):
-    """``supervise(state, deed of each life...)``: the process of a supervisor, and a function that gives its lives."""
+    """``supervise(state, deed of each life...)``: the process of a supervisor, and a function that gives its lives.
+
+    ``said`` is where its log goes.
+    """
     monkeypatch.setenv("ROS_DOMAIN_ID", str(1000 + os.getpid() % 100_000))  # of no machine
     program, lives, started = tmp_path / "bootstrap.py", tmp_path / "lives", []
     program.write_text(BOOTSTRAP)
 
-    def start(*arguments):
+    def start(*arguments, said=tmp_path / "said"):
         argv = [sys.executable, "-m", "im_bringup.machine.supervisor", sys.executable, program, lives, *arguments]
-        started.append(subprocess.Popen([str(part) for part in argv], stdout=(tmp_path / "said").open("wb")))
+        started.append(subprocess.Popen([str(part) for part in argv], stdout=said.open("wb")))
         return started[-1], lambda: lives.read_text().split() if lives.exists() else []
 
     yield start
@@ -83,6 +87,11 @@ def test_a_bootstrap_that_is_killed_when_the_machine_was_ready_gets_another_life
     process.send_signal(signal.SIGINT)  # is passed on
     assert process.wait(60.0) == 0
     assert len(lives()) == 2
+
+
+def test_a_full_disk_keeps_no_machine_from_being_started_again(supervise):
+    _, lives = supervise(machine.READY, "die", "live", said=Path("/dev/full"))
+    until(lambda: len(lives()) == 2)
 
 
 @pytest.mark.parametrize(("state", "deed", "code"), [(machine.STARTING, "die", 1), (machine.READY, "end", 7)])

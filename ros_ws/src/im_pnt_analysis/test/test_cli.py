@@ -149,6 +149,9 @@ def test_what_cannot_be_said_is_no_refusal_of_the_net(tmp_path):
     with open("/dev/full", "w") as full:
         done = subprocess.run(run, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr) == (BAD_INPUT, "pnt: [Errno 28] No space left on device\n")
+    closed = ["bash", "-c", '"$@" >&-', "-", *run]
+    done = subprocess.run(closed, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (OK, "")
 
 
 def test_an_interrupt_is_a_word(monkeypatch, capsys):

@@ -6,13 +6,13 @@ import shutil
 import socket
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
 
 from im_bringup.machine import leftovers, mission, preflight, stop
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import interrupt_once
+from im_bringup.machine.output import complain, say
 from im_bringup.machine.record import MachineRecord
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks import upkeep
@@ -105,26 +105,6 @@ def main() -> int:
     except ImError as error:
         complain(f"start: {error.message}")
         return failure
-
-
-def say(sentence: str) -> None:
-    """Say something, to whoever listens: ``start | head -1`` starts the machine all the same."""
-    _write(sys.stdout, sentence)
-
-
-def complain(sentence: str) -> None:
-    """Say what is wrong; likewise."""
-    _write(sys.stderr, sentence)
-
-
-def _write(stream: TextIO, sentence: str) -> None:
-    if stream.closed:
-        return
-    try:
-        print(sentence, file=stream, flush=True)
-    except BrokenPipeError:
-        with suppress(BrokenPipeError):
-            stream.close()
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from im_bringup.machine import leftovers, mission
+from im_bringup.machine import leftovers, mission, output
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import ignore_interrupts
 from im_bringup.machine.members import is_member, signal_member
@@ -28,7 +28,7 @@ def main() -> int:
     )
     parser.parse_args()
     ignore_interrupts()
-    return stop(say=print)
+    return stop(output.say)
 
 
 def stop(say: Callable[[str], None]) -> int:
@@ -50,7 +50,7 @@ def stop(say: Callable[[str], None]) -> int:
         signal_member(record.process, signal.SIGINT)
         leftovers.await_end(_ORDERLY_S)
     elif record is not None and record.alive and not leftovers.is_mine(machine.record_path()):  # root could remove it
-        print(f"stop: {leftovers.foreign_sentence([machine.record_path()])}", file=sys.stderr)
+        output.complain(f"stop: {leftovers.foreign_sentence([machine.record_path()])}")
         return 1
     elif record is not None and record.alive:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
@@ -59,11 +59,11 @@ def stop(say: Callable[[str], None]) -> int:
     found, remaining = leftovers.end_all()
     removed = leftovers.remove_shared_memory()
     if others := leftovers.of_others():
-        print(f"stop: {leftovers.foreign_sentence(others)}", file=sys.stderr)
+        output.complain(f"stop: {leftovers.foreign_sentence(others)}")
         return 1
     if remaining:
         pids = ", ".join(str(process.pid) for process in remaining)
-        print(f"stop: processes {pids} could not be ended", file=sys.stderr)
+        output.complain(f"stop: processes {pids} could not be ended")
         return 1
     say(_summary(ran, len(found), len(removed), clock.monotonic() - began))
     return 0

@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -192,7 +193,8 @@ def _how(code: int) -> str:
 
 
 def _say(sentence: str) -> None:
-    print(f"[supervisor]: {sentence}", flush=True)
+    with suppress(OSError):  # its log is full; what was not written comes with the next sentence
+        print(f"[supervisor]: {sentence}", flush=True)
 
 
 class Hang:

@@ -14,7 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.machine import record as machine
 from im_core import clock
-from im_core.errors import ImError, WaitTimeoutError
+from im_core.errors import ImError, StoreError, WaitTimeoutError
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
 
@@ -97,12 +97,15 @@ NodeT = TypeVar("NodeT", bound=InterruptibleNode)
 class OwnOutput:
     """Standard output of a program, without what rclpy says there: 7.1 prints a warning for each timer beyond eight.
 
+    What cannot be written (a full disk, a reader that has gone) ends nothing: the machine is being waited for.
+
     Args:
-        stream: Where the rest goes.
+        stream: Where the rest goes; None: nowhere, it was closed when the program began.
     """
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO | None) -> None:
         self._stream, self._dropped = stream, False
+        self._failure: OSError | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -110,7 +113,30 @@ class OwnOutput:
     def write(self, text: str) -> int:
         """Write, unless it is a warning of rclpy, or the end of its line, which comes by itself."""
         ends, self._dropped = self._dropped and text == "\n", text in _OF_RCLPY
-        return len(text) if ends or self._dropped else self._stream.write(text)
+        if not (ends or self._dropped):
+            self._try(lambda stream: stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Have what was written leave the process."""
+        self._try(lambda stream: stream.flush())
+
+    def check(self) -> None:
+        """Make sure that all has been written, but for a reader who wanted no more.
+
+        Raises:
+            StoreError: It has not.
+        """
+        if self._failure is not None and not isinstance(self._failure, BrokenPipeError):
+            raise StoreError.of("written", "standard output", self._failure)
+
+    def _try(self, use: Callable[[TextIO], object]) -> None:
+        if self._stream is None or self._failure is not None:
+            return
+        try:
+            use(self._stream)
+        except OSError as error:
+            self._failure = error
 
 
 @contextlib.contextmanager
@@ -118,18 +144,31 @@ def own_output() -> Iterator[None]:
     """Within it standard output is the program's own: what libraries print there goes to standard error.
 
     Fast DDS prints its errors, at any time and without being asked.
+
+    Raises:
+        StoreError: What the program said could not be written.
     """
     with contextlib.ExitStack() as stack:
-        out: TextIO = sys.stdout
-        if out is sys.__stdout__:  # and nobody has put something else in its place
-            out.flush()
-            number = out.fileno()
-            out = stack.enter_context(os.fdopen(os.dup(number), "w", encoding=out.encoding, errors=out.errors))
+        out, given = cast("TextIO | None", sys.stdout), sys.__stdout__
+        if given is not None and out is given:  # nobody has put something else in its place
+            given.flush()
+            number = given.fileno()
+            out = os.fdopen(os.dup(number), "w", encoding=given.encoding, errors=given.errors)
+            stack.callback(_close, out)
             stack.callback(os.dup2, out.fileno(), number)
-            stack.callback(out.flush)
-            os.dup2(sys.stderr.fileno(), number)
-        stack.enter_context(contextlib.redirect_stdout(cast(TextIO, OwnOutput(out))))
+            if sys.stderr is not None:
+                os.dup2(sys.stderr.fileno(), number)
+        own = OwnOutput(out)
+        stack.callback(own.flush)
+        stack.enter_context(contextlib.redirect_stdout(cast(TextIO, own)))
         yield
+        own.flush()
+        own.check()
+
+
+def _close(stream: TextIO) -> None:
+    with contextlib.suppress(OSError):  # it was told already
+        stream.close()
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ from rclpy.subscription import Subscription
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from im_bringup.bag import BagWriter, Delivery, default_folder
+from im_bringup.machine.output import say
 from im_core import clock
 from im_core.errors import DataError, ImError, StoreError
 from im_core.ros.graph import GraphWatch
@@ -297,7 +298,7 @@ def main() -> int:
     recorder = BagRecorder(nodes[0], nodes[1], bag, arguments.topics)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: recorder.request_stop())
-    print(f"record: into {path}; Ctrl-C ends it", flush=True)
+    say(f"record: into {path}; Ctrl-C ends it")
     trouble: ImError | None = None
     try:
         recorder.record()
@@ -313,7 +314,7 @@ def main() -> int:
     if (trouble := trouble or unfinished) is not None:
         print(f"record: {trouble.message}", file=sys.stderr)
         return 1
-    print(f"record: {sum(bag.counts.values())} messages of {len(bag.counts)} topics in {path}")
+    say(f"record: {sum(bag.counts.values())} messages of {len(bag.counts)} topics in {path}")
     return 0
 
 

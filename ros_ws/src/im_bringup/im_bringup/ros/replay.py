@@ -26,6 +26,7 @@ from rosgraph_msgs.msg import Clock
 from im_bringup.bag import BagReader, BagWriter, chosen_topics
 from im_bringup.bag.playback import KEYS, Controls, Playback
 from im_bringup.bag.reader import changed_type
+from im_bringup.machine.output import say
 from im_bringup.ros.record import check_topic_name, to_profile
 from im_core import clock
 from im_core.bag.command_line import parsed
@@ -274,7 +275,7 @@ def _extracted(path: Path, topics: Sequence[str], folder: Path) -> int:
     except ImError as error:
         print(f"replay: {error.message}", file=sys.stderr)
         return 2
-    print(f"replay: {count} messages in {folder}")
+    say(f"replay: {count} messages in {folder}")
     return 0
 
 
@@ -311,7 +312,7 @@ def main() -> int:
             for number in (signal.SIGINT, signal.SIGTERM):
                 signal.signal(number, lambda *_: controls.end())
             seconds = (bag.duration_s - arguments.start) / arguments.rate
-            print(f"replay: {len(topics)} topics, {seconds:.1f} s", flush=True)
+            say(f"replay: {len(topics)} topics, {seconds:.1f} s")
             with keys_pressed(controls):
                 count = replay.play(playback)
     except ImError as error:
@@ -319,7 +320,7 @@ def main() -> int:
         return 2
     finally:
         rclpy.try_shutdown()
-    print(f"replay: {count} messages published")
+    say(f"replay: {count} messages published")
     return 0
 
 

@@ -85,7 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parsed(parser, words)
     try:
         code = int(options.run(options))
-        sys.stdout.flush()  # whether all could be said is known now
+        if sys.stdout is not None:  # it was not closed when the program began
+            sys.stdout.flush()  # whether all could be said is known now
     except ImError as error:
         print(f"pnt: {error}", file=sys.stderr)
         return REFUSED if error.code == "net_refused" else BAD_INPUT
