@@ -119,7 +119,7 @@ def json_value(text: str) -> object:
     """
     try:
         value: object = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise argparse.ArgumentTypeError(f"{text[:60]} is no JSON: {error}") from error
     return value
 

@@ -85,6 +85,15 @@ def test_a_mistake_is_told_in_one_line_and_is_bad_usage(words, message, capsys):
     assert told.count("\n") == 1
 
 
+@pytest.mark.parametrize("text", ["[" * 50_000, "9" * 5_000], ids=["deep", "long"])
+def test_json_that_cannot_be_read_is_told_in_one_line(text, capsys):
+    with pytest.raises(SystemExit):
+        CommandParser(GRIP).read(["--arguments", text])
+    told = capsys.readouterr().err
+    assert "is no JSON" in told
+    assert told.count("\n") == 1
+
+
 def test_help_tells_what_the_schema_tells(capsys):
     with pytest.raises(SystemExit):
         CommandParser(MOVE).read(["--help"])

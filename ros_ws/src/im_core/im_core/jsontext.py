@@ -78,7 +78,7 @@ def check_keys(text: str) -> None:
         JsonError: One is.
     """
     with suppress(json.JSONDecodeError, RecursionError):
-        json.loads(text, object_pairs_hook=_object)
+        json.loads(text, parse_int=len, object_pairs_hook=_object)  # int() refuses numbers of thousands of digits
 
 
 def _integer(text: str) -> int | float:

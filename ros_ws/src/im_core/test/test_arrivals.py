@@ -38,6 +38,7 @@ def test_what_fits_is_read():
         ('{"\ud800": true}', "unable to parse raw data as a unicode string"),
         (" " * (LARGEST + 1), f"{LARGEST + 1} characters; {LARGEST} are read"),
         ("NaN", "makes no sense"),
+        ('{"left_led": ' + "9" * 5000 + "}", "number out of range"),
         ('{"left_led": true, "left_led": false}', "the lights makes no sense: the key 'left_led' is there twice"),
     ],
 )
