@@ -69,6 +69,17 @@ def test_a_full_disk(monkeypatch):
         preflight.check_host()
 
 
+@pytest.mark.parametrize("full", ["run", "results", "ros", "shm"])
+def test_a_file_system_that_takes_no_more_files(monkeypatch, full):
+    told = namedtuple("Told", "f_files f_favail")
+    with_free(monkeypatch)
+    monkeypatch.setattr(os, "statvfs", lambda path: told(1000, 5 if full in path.parts else 500))
+    with pytest.raises(ImError, match=rf"{full} takes 5 files more, and 128 are needed; nothing was started$"):
+        preflight.check_host()
+    monkeypatch.setattr(os, "statvfs", lambda path: told(0, 0))  # btrfs has as many as it likes
+    preflight.check_host()
+
+
 @pytest.mark.parametrize("variable", ["IM_RUN_DIR", "IM_RESULTS_DIR", "ROS_LOG_DIR"])
 def test_a_folder_that_cannot_be_made(monkeypatch, tmp_path, variable):
     (tmp_path / "file").touch()
@@ -119,7 +130,9 @@ def test_what_cannot_be_written_is_one_sentence_of_start_whatever_is_left_there(
 def limits(monkeypatch):
     """Limits of open files that are only played."""
     now = {}
-    monkeypatch.setattr(resource, "getrlimit", lambda _: now["limits"])
+    real = resource.getrlimit
+    opened = resource.RLIMIT_NOFILE
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: now["limits"] if kind == opened else real(kind))
     monkeypatch.setattr(resource, "setrlimit", lambda _, limits: now.update(limits=limits))
     return now
 
@@ -127,6 +140,12 @@ def limits(monkeypatch):
 def test_too_few_open_files(limits):
     limits["limits"] = (64, 64)
     with pytest.raises(ImError, match=r"may open 64 files here \(ulimit -n\), and up to 128 are needed; nothing"):
+        preflight.check_host()
+
+
+def test_a_limit_of_the_size_of_files(monkeypatch):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (102_400, resource.RLIM_INFINITY))
+    with pytest.raises(ImError, match=r"^a file may have 0.098 MiB here \(ulimit -f\), and 32 MiB are needed; nothing"):
         preflight.check_host()
 
 

@@ -22,6 +22,10 @@ _SEGMENT_SHARE, _PORT_BYTES = 1.05, 600_000
 BLOCKS_BYTES = 16 * 2**20
 #: Logs, parameters, journals and data objects are 2.1 MB after a command, its results 0.7 MB.
 DISK_BYTES = 16 * 2**20
+#: A machine has 65 files in shared memory, and 73 in its folders after a command.
+FILES = 128
+#: Segments of Fast DDS are 17.6 MB, logs as large before they are rotated.
+FILE_BYTES = 32 * 2**20
 
 _SHM = Path("/dev/shm")
 _MIB = 2**20
@@ -34,11 +38,13 @@ def check_host() -> None:
         ImError: Something is missing; one sentence that says what, how much is there and how much is needed.
     """
     _check_open_files()
+    _check_file_size()
     for find in (names.run_dir, names.results_dir, _ros_logs):
         folder = _check_writable(find, ".preflight")
         _check_room(folder)
+        _check_files(folder)
     _check_writable(_temporary, ".preflight")
-    _check_writable(lambda: _SHM, f"{names.instance()}_preflight")
+    _check_files(_check_writable(lambda: _SHM, f"{names.instance()}_preflight"))
 
 
 def check_folder(folder: Path) -> None:
@@ -91,6 +97,18 @@ def _check_open_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, most))
 
 
+def _check_file_size() -> None:
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    if most != resource.RLIM_INFINITY and most < FILE_BYTES:
+        raise ImError(
+            f"a file may have {most / _MIB:.2g} MiB here (ulimit -f), and {FILE_BYTES / _MIB:.0f} MiB are needed; "
+            "nothing was started",
+            code="resources",
+            limit=most,
+            needed=FILE_BYTES,
+        )
+
+
 def _ros_logs() -> Path:
     """Folder into which ROS writes a log of each process, or none of them begins."""
     home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
@@ -128,6 +146,17 @@ def _check_room(folder: Path) -> None:
             code="resources",
             free=free,
             needed=DISK_BYTES,
+        )
+
+
+def _check_files(folder: Path) -> None:
+    told = os.statvfs(folder)
+    if told.f_files and told.f_favail < FILES:  # not all file systems count them
+        raise ImError(
+            f"the disk of {folder} takes {told.f_favail} files more, and {FILES} are needed; nothing was started",
+            code="resources",
+            free=told.f_favail,
+            needed=FILES,
         )
 
 
