@@ -345,11 +345,25 @@ def looking(host):
     return Functions({"look": look})
 
 
-@pytest.fixture
-def walker(ros, tmp_path, wait_until):
+def keeping(host):
+    """Its function, which keeps what it has seen first."""
+    kept = []
+
+    async def look(ctx):
+        if not kept or host.recorded:
+            kept[:] = [host.noted("kept", lambda: 7)]
+        while not host.noted("there", looking.there.is_set):
+            await host.pause(0.02)
+        ctx.memory.setdefault("seen", []).extend(kept)
+
+    return Functions({"look": look})
+
+
+@pytest.fixture(params=[looking])
+def walker(ros, tmp_path, wait_until, request):
     """A node whose walks look twice; until ``there`` is set they see nothing."""
     looking.there, looking.counts = threading.Event(), itertools.count(1)
-    node = ros(walker_of(tmp_path, TWO_LOOKS, looking))
+    node = ros(walker_of(tmp_path, TWO_LOOKS, request.param))
     wait_until(lambda: node.ready, "the node")
     return node
 
@@ -364,6 +378,18 @@ def test_a_recording_may_begin_while_an_action_runs(walker, ros, wait_until):
     looking.there.set()
     wait_until(lambda: '"rest"' in texts[-1], "the last events")
     assert "".join(texts).count('["count"]') == 2
+    assert run_again(texts).firings == 4
+
+
+@pytest.mark.parametrize("walker", [keeping], indirect=True)
+def test_what_a_function_had_read_and_kept_before_the_recording_is_in_it(walker, ros, wait_until):
+    texts: list[str] = []
+    walker.spawn(walker.command("walk"))
+    wait_until(lambda: in_loop(walker, walker.exchange.nets["walker"].busy), "the action")
+    ros(listening(texts))
+    wait_until(lambda: texts, "the state of the net")
+    looking.there.set()
+    wait_until(lambda: '"rest"' in texts[-1], "the last events")
     assert run_again(texts).firings == 4
 
 

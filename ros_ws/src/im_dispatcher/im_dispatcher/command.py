@@ -19,6 +19,10 @@ class CommandHost(Protocol):
 
     seed: int
 
+    @property
+    def recorded(self) -> bool:
+        """Whether the mission is being recorded: who keeps what it has read reads it all the same then."""
+
     async def put_object(self, name: str, value: object, place: str = "") -> None:
         """Stores a data object.
 

@@ -22,6 +22,7 @@ class Host:
     """Keeps data objects in memory, and counts who asks for them."""
 
     seed = 3
+    recorded = False
 
     def __init__(self) -> None:
         self.objects: dict[str, object] = {}
@@ -119,6 +120,15 @@ def test_a_pose_costs_one_call_and_no_more_memory_than_the_one_before(play: Play
     assert COMMAND.standing[SYMBOL](play.job) == "pose 40 of 40"
     with pytest.raises(DataError, match="all poses have been visited"):
         play.pose()
+
+
+def test_the_poses_are_read_again_while_the_mission_is_recorded_for_it_may_have_begun_before(play: Play) -> None:
+    play.pose()
+    play.host.calls.clear()
+    play.host.recorded = True
+    play.pose()
+    play("next_destination")
+    assert play.host.calls.count(f"{SYMBOL}/1/calibration_poses") == 2
 
 
 def test_the_arm_takes_the_path_that_was_planned_while_it_was_at_the_pose_before(play: Play) -> None:

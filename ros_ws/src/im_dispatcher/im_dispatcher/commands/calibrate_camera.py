@@ -241,8 +241,8 @@ class CalibrateCamera:
         ctx.progress(f"pose {pose} skipped: {reason}", progress)
 
     async def _poses(self, ctx: ActionContext) -> PosesFile:
-        """The poses of a command; a dispatcher that came back reads them again."""
-        if self._file is None or self._file[0] != ctx.command.id:
+        """The poses of a command; a dispatcher that came back reads them again, and one that is recorded."""
+        if self._file is None or self._file[0] != ctx.command.id or self._host.recorded:
             self._file = ctx.command.id, await self._host.get_object(ctx.object(POSES), PosesFile)
         return self._file[1]
 

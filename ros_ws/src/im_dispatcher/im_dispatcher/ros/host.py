@@ -36,6 +36,11 @@ class DispatcherHost:
         self._node, self.seed = node, node.seed
         node.create_subscription(Firing, "/pnt/firings", self._note_firing, qos.EVENTS)
 
+    @property
+    def recorded(self) -> bool:
+        """Whether the mission is being recorded."""
+        return self._host.recorded
+
     async def put_object(self, name: str, value: object, place: str = "") -> None:
         """Stores a data object of a type that :data:`MESSAGES` knows."""
         await self._host.dom.put(name, MESSAGES[type(value)](value), place)

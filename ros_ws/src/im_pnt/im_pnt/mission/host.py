@@ -42,6 +42,13 @@ class Host(Protocol):
     name: str
     dom: HostObjects
 
+    @property
+    def recorded(self) -> bool:
+        """Whether the mission is being recorded: what a function keeps of what it read may be from before that.
+
+        Who keeps something reads it all the same then, so that the recording has it wherever it begins.
+        """
+
     def last(self, topic: str) -> Any:
         """Returns the last message of a topic that the node follows, None before the first."""
 

@@ -31,10 +31,12 @@ class MissionLog:
 
     Attributes:
         items: Not told yet, as JSON texts.
+        recorded: Whether somebody listens.
     """
 
     def __init__(self) -> None:
         self.items: list[str] = []
+        self.recorded = False
 
     def add(self, *item: object) -> None:
         """Takes an item."""

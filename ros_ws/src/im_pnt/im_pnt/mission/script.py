@@ -222,7 +222,10 @@ class ScriptHost:
 
     Attributes:
         heard: The last message of each topic, with its type, as recorded so far.
+        recorded: Nobody records what is run again.
     """
+
+    recorded = False
 
     def __init__(
         self, name: str, script: Script, messages: Messages, executors: dict[str, Executor], nets: dict[str, Net]

@@ -28,6 +28,11 @@ class NodeHost:
         self.dom: HostObjects = node.objects
         self._clients: dict[str, Client] = {}
 
+    @property
+    def recorded(self) -> bool:
+        """Whether somebody records what the node tells."""
+        return self._log.recorded
+
     def prepare(self, service_type: type, service: str) -> None:
         """Makes the client of a service before it is needed: discovery takes time."""
         self._clients[service] = self._node.create_client(service_type, service)

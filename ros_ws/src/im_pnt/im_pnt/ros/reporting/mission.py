@@ -69,7 +69,8 @@ class MissionPublisher:
     def publish(self) -> None:
         """Publishes what was collected; nothing of before the nets may fire, as the states tell it."""
         listened_to = self._begun and self._publisher.get_subscription_count() > 0
-        if not listened_to or any(each.record is None for each in self._nets()):
+        self._log.recorded = listened_to and all(each.record is not None for each in self._nets())
+        if not self._log.recorded:
             self._log.items.clear()
             self._anew = True
             return
