@@ -352,6 +352,44 @@ def test_new_names_that_ros_does_not_allow_are_refused(tmp_path, monkeypatch, ca
     assert "error: --remap /text:=/9x: /9x is no full name of a topic: " in capsys.readouterr().err
 
 
+def of_texts(folder, *topics, kind="std_msgs/msg/String"):
+    """A bag of another recorder with a message on each topic."""
+    with (folder / "bag.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(kind, "ros2msg", b"string data\n")
+        for topic in topics:
+            writer.add_message(writer.register_channel(topic, "cdr", schema), 5, b"\0\1\0\0\2\0\0\0x\0", 5)
+        writer.finish()
+    return str(folder / "bag.mcap")
+
+
+def test_a_name_at_which_another_type_is_published_is_said(tmp_path, monkeypatch, capsys):
+    bag = of_texts(tmp_path, "/rosout")  # each node has one
+    assert replayed(bag, monkeypatch) == 2
+    sentence = "cannot be of std_msgs/msg/String: this replay publishes another type there; --remap"
+    assert f"replay: /rosout {sentence} /rosout:=/NEW gives it another name\n" in capsys.readouterr().err
+    assert replayed(bag, monkeypatch, "--remap", "/rosout:=/said") == 0
+    capsys.readouterr()
+    assert replayed(str(of_two_types(tmp_path)), monkeypatch, "--remap", "/chatter:=/parameter_events") == 2
+    assert f"replay: /chatter as /parameter_events {sentence} /chatter:=/NEW" in capsys.readouterr().err
+
+
+def test_a_topic_of_a_type_of_no_messages_is_left_out(tmp_path, monkeypatch, capsys):
+    assert replayed(of_texts(tmp_path, "/chat", kind="std_srvs/srv/Trigger"), monkeypatch) == 2
+    assert "/chat is left out: std_srvs/srv/Trigger is no type of messages, but that of" in capsys.readouterr().err
+
+
+def test_a_new_name_that_has_no_effect_is_refused(tmp_path, monkeypatch, capsys):
+    bag = of_texts(tmp_path, "/chat", "/say/_service_event")
+    for topic, options in (("/say/_service_event", []), ("/chat", ["--topics", "/say/_service_event"])):
+        assert replayed(bag, monkeypatch, "--remap", f"{topic}:=/new", *options) == 2
+        assert f"--remap {topic}: that is not replayed; --topics names what is" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        replayed(bag, monkeypatch, "--remap", "/chat:=/one", "/chat:=/two")
+    assert "--remap gives /chat two names, /one and /two" in capsys.readouterr().err
+
+
 def test_half_a_bag_is_not_extracted(tmp_path, monkeypatch, capsys):
     bag = spoilt(tmp_path)
     monkeypatch.setattr("sys.argv", ["replay", str(bag), "--extract", str(tmp_path / "small")])

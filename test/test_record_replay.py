@@ -27,9 +27,10 @@ from im_bringup.bag import BagReader, BagWriter, Delivery
 from im_bringup.ros.record import BagRecorder, RecordedTopic
 from im_core import clock
 from im_core.bag.reading import messages_of, topics_of
+from im_core.errors import DataError, NotFoundError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
-from im_core.ros.interfaces import interface_class
+from im_core.ros.interfaces import interface_class, message_class
 from im_core.ros.node import ManagedNode
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import Firing
@@ -324,7 +325,14 @@ def test_replay_refuses_what_it_cannot_play(script, arguments):
 
 
 def test_message_classes_are_found_by_name():
-    assert interface_class("std_msgs/msg/String") is String
+    assert interface_class("std_msgs/msg/String") is message_class("std_msgs/msg/String") is String
+    assert message_class("std_srvs/srv/SetBool_Event") is SetBool.Event
+    for name in ("std_srvs/srv/SetBool", "im_msgs/action/ExecuteCommand"):
+        with pytest.raises(DataError, match=f"{name} is no type of messages, but that of a service or an action"):
+            message_class(name)
+    for name in ("std_msgs/String", "std_msgs/msg/String/", ""):
+        with pytest.raises(NotFoundError, match=f"there is no type of the form package/msg/Type '{name}'"):
+            interface_class(name)
 
 
 class Teller(ManagedNode):

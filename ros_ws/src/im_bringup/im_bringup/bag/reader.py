@@ -150,7 +150,7 @@ def chosen_topics(known: Iterable[str], asked: Iterable[str]) -> list[str]:
     Raises:
         DataError: One that was asked for is not in the bag.
     """
-    have, wanted = sorted(known), list(asked)
+    have, wanted = sorted(known), list(dict.fromkeys(asked))
     for topic in wanted:
         if topic not in have:
             raise DataError(f"the bag has no topic {topic}; it has {', '.join(have)}", topic=topic)

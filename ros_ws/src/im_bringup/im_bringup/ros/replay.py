@@ -17,6 +17,7 @@ from pathlib import Path
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
@@ -34,7 +35,7 @@ from im_core.errors import DataError, ImError, NotFoundError
 from im_core.options import NumberParser
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
-from im_core.ros.interfaces import interface_class
+from im_core.ros.interfaces import message_class
 
 #: Time for subscribers to find the publishers before the first message: at least, and while none has [s].
 DISCOVERY_S = 1.0
@@ -64,7 +65,7 @@ class Replay:
         names: Other names for some of them.
 
     Raises:
-        DataError: A type has another definition here than when it was recorded.
+        DataError: A type has another definition here than when it was recorded, or a name is of another type.
     """
 
     def __init__(self, node: Node, bag: BagReader, topics: Sequence[str], names: Mapping[str, str]) -> None:
@@ -72,8 +73,14 @@ class Replay:
         self.controls = Controls()
         self._publishers: dict[str, Publisher] = {}
         for topic in topics:
-            message_class, name = interface_class(bag.types[topic]), names.get(topic, topic)
-            self._publishers[topic] = node.create_publisher(message_class, name, to_profile(bag.deliveries[topic]))
+            kind, name = bag.types[topic], names.get(topic, topic)
+            try:
+                publisher = node.create_publisher(message_class(kind), name, to_profile(bag.deliveries[topic]))
+            except rclpy_implementation.RCLError as error:  # another topic has got that name, or it is one of each node
+                what = topic if topic == name else f"{topic} as {name}"
+                text = f"{what} cannot be of {kind}: this replay publishes another type there"
+                raise DataError(f"{text}; --remap {topic}:=/NEW gives it another name", topic=topic) from error
+            self._publishers[topic] = publisher
             self._check_definition(bag, topic, name)
         self._clock: Publisher | None = None
         self._told_ns: int | None = None
@@ -143,14 +150,14 @@ def known_topics(bag: BagReader, topics: Sequence[str], names: Mapping[str, str]
         named: Whether the user named them.
 
     Raises:
-        DataError: A topic that the user named has several types, or a name that ROS does not allow.
+        DataError: A topic that the user named has several types, one of no messages, or a name that ROS does not allow.
         NotFoundError: It has a type that is not known here.
     """
     known = []
     for topic in topics:
         try:
             bag.check_type(topic)
-            interface_class(bag.types[topic])
+            message_class(bag.types[topic])
             _check_name(topic, names)
         except (NotFoundError, DataError) as error:
             if named:
@@ -232,7 +239,7 @@ def _check_name(topic: str, names: Mapping[str, str]) -> None:
 
 
 def _renamed(texts: Sequence[str], parser: argparse.ArgumentParser) -> dict[str, str]:
-    names = {}
+    names: dict[str, str] = {}
     for text in texts:
         old, sign, new = text.partition(":=")
         if not (old.startswith("/") and sign and new.startswith("/")):
@@ -241,7 +248,8 @@ def _renamed(texts: Sequence[str], parser: argparse.ArgumentParser) -> dict[str,
             check_topic_name(new)
         except DataError as error:
             parser.error(f"--remap {text}: {error.message}")
-        names[old] = new
+        if names.setdefault(old, new) != new:
+            parser.error(f"--remap gives {old} two names, {names[old]} and {new}")
     return names
 
 
@@ -295,8 +303,14 @@ def main() -> int:
     try:
         with BagReader(arguments.bag) as bag, contextlib.ExitStack() as undo:
             chosen_topics(bag.types, names)
-            chosen = known_topics(bag, chosen_topics(bag.types, arguments.topics), names, bool(arguments.topics))
-            topics = [topic for topic in chosen if not (arguments.clock and topic == _CLOCK)]
+            wanted = [
+                topic
+                for topic in chosen_topics(bag.types, arguments.topics)
+                if not (arguments.clock and topic == _CLOCK)
+            ]
+            if unused := sorted(names.keys() - set(wanted)):
+                raise DataError(f"--remap {unused[0]}: that is not replayed; --topics names what is", topic=unused[0])
+            topics = known_topics(bag, wanted, names, bool(arguments.topics))
             if not any(bag.counts[topic] for topic in topics):
                 raise DataError(f"there is nothing in {arguments.bag} that could be replayed")
             node = GuardedNode("replay")

@@ -22,7 +22,9 @@ def interface_class(name: str) -> Any:
     Raises:
         NotFoundError: No such package or type is installed.
     """
-    package, kind, type_name = (*name.split("/"), "", "")[:3]
+    if name.count("/") != 2:
+        raise NotFoundError(kind="type of the form package/msg/Type", name=name)
+    package, kind, type_name = name.split("/")
     try:
         if kind not in KINDS or not has_resource("rosidl_interfaces", package):
             raise ImportError(package)
@@ -33,6 +35,19 @@ def interface_class(name: str) -> Any:
     if type_name not in known and not (type_name.endswith("_Event") and hasattr(module, type_name)):
         raise NotFoundError(kind=f"{kind} type of {package}", name=type_name, known=known)
     return getattr(module, type_name)
+
+
+def message_class(name: str) -> Any:
+    """The class of a type whose messages can be on a topic: ``package/msg/Type``, or that of a service's events.
+
+    Raises:
+        NotFoundError: No such package or type is installed.
+        DataError: It is the type of a service or an action.
+    """
+    found = interface_class(name)
+    if not hasattr(found, "get_fields_and_field_types"):
+        raise DataError(f"{name} is no type of messages, but that of a service or an action", type=name)
+    return found
 
 
 def decoded(data: bytes, interface: type) -> Any:
