@@ -202,6 +202,17 @@ def test_a_type_that_is_not_installed_is_refused(three):
         assert sentence in answer.status.message
 
 
+@pytest.mark.parametrize("kind", ["std_srvs/srv/SetBool", "im_msgs/action/ExecuteCommand"])
+@pytest.mark.parametrize("told", [{"data": b"\0\1\0\0\0"}, {"json": "{}"}])
+def test_a_type_of_a_service_or_an_action_is_refused(three, kind, told):
+    _, mine, _ = three
+    mine.do(mine.dom.put("a", String()))
+    for client, request in ((mine.dom._put, PutObject.Request), (mine.dom._append, AppendObject.Request)):
+        answer = ask(mine, client, request(name="a", type=kind, **told))
+        assert (answer.success, answer.status.code) == (False, "data")
+        assert f"{kind} is no type of messages, but that of a service or an action" in answer.status.message
+
+
 def test_an_object_tells_its_type_where_it_comes_from_and_what_it_holds(three):
     _, mine, other = three
     name = "boss/20260131-142501-7/goal"
@@ -284,6 +295,14 @@ def test_an_object_for_a_place_that_does_not_exist_is_refused(three, monkeypatch
     monkeypatch.setattr("im_dom.ros.node.DESCRIBED_S", 0.2)
     with pytest.raises(ImError, match="there is no place of net cell 'ther'; did you mean 'there'"):
         mine.do(mine.dom.put("a", String(), place="cell.ther"))
+
+
+def test_what_no_place_can_be_called_is_refused_without_waiting_for_its_net(three, monkeypatch):
+    _, mine, _ = three
+    monkeypatch.setattr("im_dom.ros.node.DESCRIBED_S", 3600.0)
+    for place in ("cell", "cell.", "the cell.there"):
+        with pytest.raises(ImError, match=f"the place of a data object '{place}' is not allowed: net.place"):
+            mine.do(mine.dom.put("a", String(), place=place))
 
 
 def test_an_object_whose_place_goes_while_the_disk_is_full_loses_its_validity_later(three, monkeypatch, wait_until):

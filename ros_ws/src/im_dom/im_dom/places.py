@@ -1,12 +1,26 @@
 """Which places of nets there are: an object for one that does not exist would never lose its validity with a token."""
 
+import re
+
 import pydantic
 
 from im_core.arrivals import read_json
-from im_core.errors import NotFoundError, StateError
+from im_core.errors import DataError, NotFoundError, StateError
+
+_PLACE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\.[A-Za-z][A-Za-z0-9_.]*")
 
 #: How many nets are known.
 MOST_NETS = 1000
+
+
+def check_form(place: str) -> None:
+    """Refuse what no place can be called.
+
+    Raises:
+        DataError: It is not of the form ``net.place``.
+    """
+    if not _PLACE.fullmatch(place):
+        raise DataError(f"the place of a data object '{place}' is not allowed: net.place", value=place)
 
 
 class _Told(pydantic.BaseModel):
@@ -57,8 +71,10 @@ class Places:
             place: ``net.place``.
 
         Raises:
+            DataError: It is not of that form.
             NotFoundError: It does not; the message names the nearest that does.
         """
+        check_form(place)
         net, _, name = place.partition(".")
         if net not in self._of_net:
             raise NotFoundError(kind="net", name=net, known=self._of_net)

@@ -13,11 +13,11 @@ from im_core.errors import DataError, ImError, NotFoundError, StateError, StoreE
 from im_core.files import MEBIBYTE
 from im_dom.cache import ObjectCache, Version
 from im_dom.file import open_file
+from im_dom.places import check_form
 from im_dom.record import ObjectRecord
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_./-]{0,127}(?<!/)")
 TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
-PLACE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\.[A-Za-z][A-Za-z0-9_.]*")
 
 LARGEST = 64 * MEBIBYTE
 """Largest object [bytes]."""
@@ -198,7 +198,7 @@ class ObjectStore:
         _match(NAME, "name of a data object", name, letters)
         _match(TYPE, "type of a data object", kind, "package/msg/Name")
         if place:
-            _match(PLACE, "place of a data object", place, "net.place")
+            check_form(place)
         if len(data) > LARGEST:
             text = f"data object '{name}' has {len(data)} bytes; at most {LARGEST} ({LARGEST // MEBIBYTE} MiB) are kept"
             raise DataError(text, object=name, size=len(data), allowed=LARGEST)
@@ -339,8 +339,9 @@ class ObjectStore:
         """What is known of an object that :meth:`get` would give; raises as that."""
         record = self.record(name, version)
         if not version and not record.valid:
+            who = record.source or "somebody"
             raise StateError(
-                f"data object '{name}' (version {record.version}) is not valid; {record.source} invalidated it",
+                f"data object '{name}' (version {record.version}) is not valid; {who} invalidated it",
                 object=name,
                 version=record.version,
             )

@@ -125,6 +125,7 @@ class DomNode(ManagedNode):
         """Make sure that a place exists; one whose net was not described yet is waited for.
 
         Raises:
+            DataError: It is none by its form.
             NotFoundError: It does not.
         """
         deadline = clock.monotonic() + DESCRIBED_S

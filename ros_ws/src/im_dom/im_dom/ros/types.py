@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from im_core.arrivals import read_json
 from im_core.errors import DataError, NotFoundError
 from im_core.files import MEBIBYTE, read_text
-from im_core.ros.interfaces import decoded, interface_class
+from im_core.ros.interfaces import decoded, message_class
 
 #: CDR ends with at most so many bytes that mean nothing.
 PADDING = 3
@@ -43,7 +43,7 @@ def check_message(name: str, kind: str, data: bytes) -> str:
         The hash of the type's definition (REP 2016).
 
     Raises:
-        DataError: They are not.
+        DataError: They are not, or it is the type of no messages.
         NotFoundError: No such type is installed.
     """
     message = _decoded(name, kind, data)
@@ -120,14 +120,14 @@ def from_json(name: str, kind: str, text: str) -> bytes:
     """The message (CDR) whose fields are told as :func:`as_json` tells them; those that are not keep their defaults.
 
     Raises:
-        DataError: It is no JSON, or a field does not fit.
+        DataError: It is no JSON, a field does not fit, or it is the type of no messages.
         NotFoundError: No such type is installed, or it has no such field.
     """
     if len(text) > LARGEST_AS_TEXT:
         said = f"data object '{name}' is told in {len(text)} characters; at most {LARGEST_AS_TEXT} are read"
         raise DataError(said, object=name, size=len(text), allowed=LARGEST_AS_TEXT)
     fields = read_json(dict[str, Any], text, f"the JSON of data object '{name}'")
-    data: bytes = serialize_message(_filled(interface_class(kind)(), fields, kind))
+    data: bytes = serialize_message(_filled(message_class(kind)(), fields, kind))
     return data
 
 
@@ -154,7 +154,7 @@ def _fitting(present: Any, kind: str, value: Any, where: str) -> Any:
         element = (found["sequence"] or found["array"]) if found else ""
         if "/" not in element:
             return [_number(element, each) for each in value]
-        make = interface_class(element.replace("/", "/msg/"))
+        make = message_class(element.replace("/", "/msg/"))
         return [_filled(make(), each, f"{where}[{number}]") for number, each in enumerate(value)]
     return _number(kind, value)
 
@@ -169,8 +169,9 @@ def _number(kind: str, value: Any) -> Any:
 
 
 def _decoded(name: str, kind: str, data: bytes) -> Any:
+    interface = message_class(kind)
     try:
-        return decoded(data, interface_class(kind))
+        return decoded(data, interface)
     except DataError as error:
         text = f"data object '{name}' is no {kind}: its {len(data)} bytes do not decode"
         raise DataError(text, object=name, type=kind) from error
