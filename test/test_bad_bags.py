@@ -187,6 +187,10 @@ def undefined(topic, kind, told_hash, definition):
     return kind, told_hash, definition._replace(text="") if topic == "/pnt/firings" else definition
 
 
+def garbled(topic, kind, told_hash, definition):
+    return kind, told_hash, definition._replace(text="float64 n t\n%%\n") if topic == "/pnt/firings" else definition
+
+
 def of_others(topic, kind, told_hash, definition):
     return "their_msgs/msg/Firing" if topic == "/pnt/firings" else kind, told_hash, definition
 
@@ -197,6 +201,7 @@ def of_others(topic, kind, told_hash, definition):
     [
         (changed, "im_msgs/msg/Firing is defined there without 'duration': it was recorded with another version of"),
         (undefined, "there is no definition of im_msgs/msg/Firing in it, by which /pnt/firings could be read"),
+        (garbled, "its definition of im_msgs/msg/Firing, by which /pnt/firings is read, makes no sense"),
         (of_others, "topic '/pnt/firings' is their_msgs/msg/Firing, not im_msgs/msg/Firing"),
     ],
 )

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.interfaces.typing import Typesdict
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from im_core.bag import unpacking
@@ -164,7 +164,7 @@ def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
     """Types of Jazzy, and others as the bag defines them.
 
     Raises:
-        DataError: It does not define one, or defines it in several ways.
+        DataError: It does not define one, or defines it in several ways, or in one that makes no sense.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     hashes: dict[str, str] = {}
@@ -175,8 +175,12 @@ def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
         if connection.digest and hashes.setdefault(connection.msgtype, connection.digest) != connection.digest:
             text = f"there are several definitions of {connection.msgtype} in it, as of versions of a workspace"
             raise DataError(f"{bag}: {text}", type=connection.msgtype)
-        defined = defined_types(connection.msgtype, connection.msgdef)
-        store.register({name: spec for name, spec in defined.items() if name not in store.types})
+        try:
+            defined = defined_types(connection.msgtype, connection.msgdef)
+            store.register({name: spec for name, spec in defined.items() if name not in store.types})
+        except TypesysError as error:
+            text = f"its definition of {connection.msgtype}, by which {connection.topic} is read, makes no sense"
+            raise DataError(f"{bag}: {text}", type=connection.msgtype) from error
     return store
 
 
