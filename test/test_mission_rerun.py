@@ -186,6 +186,13 @@ def test_a_bag_without_events_or_a_net_that_is_not_in_it_is_a_sentence(capsys, t
     assert "net stranger is not in the bag" in refused(capsys, BAGS / "undisturbed", "--nets", net)
 
 
+def test_of_two_nets_of_one_name_none_is_run(capsys, changed, tmp_path):
+    other = tmp_path / "other.yaml"
+    other.write_text(SHIPPED, encoding="utf-8")
+    told = refused(capsys, BAGS / "undisturbed", "--nets", changed("guard: goes_on", "guard: cancelled"), other)
+    assert f"there are two nets named calibrate_camera: {tmp_path / 'changed.yaml'} and {other}" in told
+
+
 def test_where_data_differ_first():
     assert first_difference({"a": [1, 2]}, {"a": [1, 3]}) == "a[1]: 2, now 3"
     assert first_difference({"a": 1}, {}) == "a: there, now missing"

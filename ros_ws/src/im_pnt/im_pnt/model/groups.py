@@ -36,6 +36,21 @@ def group_of(net: Net, others: Sequence[Net]) -> list[Net]:
     return groups([net, *(other for other in others if other.name != net.name)])[0]
 
 
+def nets_by_name(nets: Iterable[Net]) -> dict[str, Net]:
+    """Returns nets by their names.
+
+    Raises:
+        NetError: Two have the same.
+    """
+    found: dict[str, Net] = {}
+    for net in nets:
+        if net.name in found:
+            both = f"{found[net.name].source} and {net.source}"
+            raise NetError(f"there are two nets named {net.name}: {both}", net=net.name)
+        found[net.name] = net
+    return found
+
+
 def require_one_reader(nets: Iterable[Net]) -> None:
     """Makes sure that each symbol begins a command of one net only: else nobody could tell which does it.
 

@@ -21,7 +21,7 @@ from im_pnt.errors import NetError, VerificationError
 from im_pnt.execution.executor import Executor
 from im_pnt.journal.journal import fingerprint
 from im_pnt.journal.state import net_state
-from im_pnt.model.groups import group_of
+from im_pnt.model.groups import group_of, nets_by_name
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, yaml_text
 from im_pnt.ros.reporting.publish import PntPublisher
@@ -75,12 +75,7 @@ class Library:
             NetError: Two files have nets of the same name.
         """
         files = [Path(source) for source in found.values()] if found else self._files
-        nets = [load_net(file) for file in files]
-        by_name: dict[str, Net] = {}
-        for net in nets:
-            if (other := by_name.setdefault(net.name, net)) is not net:
-                raise NetError(f"there are two nets named {net.name}: {other.source} and {net.source}", net=net.name)
-        return nets
+        return list(nets_by_name(map(load_net, files)).values())
 
     def kept(self, net: Net) -> Net:
         """Writes a net down, if nets are kept; returns it with its new source."""

@@ -25,6 +25,7 @@ from im_pnt.mission.rerun import Compared, NodeRerun
 from im_pnt.mission.script import Script, ScriptHost
 from im_pnt.mission.stream import NodeStream, streams_of
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
+from im_pnt.model.groups import nets_by_name
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 from im_pnt.ros.execution.actions import answer_key, fields_of, handled, require_success, sent_key
@@ -235,10 +236,10 @@ def main(words: Sequence[str] | None = None, program: str = "mission") -> int:
     options = parsed(parser, words)
     try:
         nets = {} if options.bag_nets else installed_nets()
-        nets |= {net.name: net for net in map(load_net, options.nets)}
+        given = nets_by_name(map(load_net, options.nets))
+        nets |= given
         found = rerun(options.bag, nets, lambda text: print(f"{program}: {text}", file=sys.stderr))
-        unknown = [net.name for net in map(load_net, options.nets) if net.name not in found.nets]
-        if unknown:
+        if unknown := sorted(given.keys() - found.nets):
             raise DataError(f"net {unknown[0]} is not in the bag; it has {', '.join(sorted(found.nets))}")
     except Difference as difference:
         print(f"{program}: {difference}")

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from im_core.errors import nearest
 from im_pnt.errors import NetError
 from im_pnt.model.expand import INPUT_SEMAPHORE, expand, input_place
+from im_pnt.model.groups import nets_by_name
 from im_pnt.model.net import Net, Role, Transition
 from im_pnt_analysis.composition.arguments import check_arguments
 from im_pnt_analysis.composition.assumptions import Assumptions
@@ -79,11 +80,7 @@ def compose(nets: Sequence[Net]) -> Composition:
     """
     if not nets:
         raise NetError("there is no net to analyse")
-    by_name: dict[str, Net] = {}
-    for net in nets:
-        if net.name in by_name:
-            raise NetError(f"there are two nets named {net.name} ({by_name[net.name].source}, {net.source})")
-        by_name[net.name] = expand(net)
+    by_name = {name: expand(net) for name, net in nets_by_name(nets).items()}
     check_arguments(nets)
     flat = FlatNet(by_name)
     composer = _Composer(flat)
