@@ -1,6 +1,7 @@
 """``pnt fit``: what is estimated from made-up bags holds the parameters they were made with, and goes into files."""
 
 import json
+import shutil
 from math import comb
 from pathlib import Path
 
@@ -179,9 +180,12 @@ def test_a_net_gets_the_parameters_that_its_bags_were_made_with(bags, job, capsy
 
 
 def test_what_is_written_once_and_used_twice_is_left_to_its_author(bags, job, capsys):
-    text = JOB.replace("rate: 2", "rate: &two 2").replace("weight: 3", "weight: *two").replace(
-        "    delay:\n", "    delay: &takes\n"
-    ).replace("action: check,", "action: check, delay: *takes,")
+    text = (
+        JOB.replace("rate: 2", "rate: &two 2")
+        .replace("weight: 3", "weight: *two")
+        .replace("    delay:\n", "    delay: &takes\n")
+        .replace("action: check,", "action: check, delay: *takes,")
+    )
     job.write_text(text)
     assert load_net(job).transitions["check"].delay.kind == "exponential"
     assert main(["fit", *bags, "--nets", str(job), "--write"]) == OK
@@ -216,6 +220,18 @@ def test_what_cannot_be_fitted_is_one_sentence(bags, tmp_path, arguments, senten
     assert main(["fit", bags[0], *given]) == BAD_INPUT
     assert sentence in capsys.readouterr().err
     assert all((tmp_path / f"{name}.yaml").read_text() == text for name, text in files.items())
+
+
+def test_a_net_that_has_not_fired_stays_as_it_is_beside_those_that_have(tmp_path, capsys):
+    root = Path(__file__).resolve().parents[4]
+    nets = root / "ros_ws" / "src" / "im_coordinators" / "im_coordinators" / "nets"
+    files = {Path(shutil.copy(file, tmp_path)): file.read_text() for file in sorted(nets.glob("*.yaml"))}
+    bag = root / "test" / "data" / "bags" / "undisturbed"
+    assert main(["fit", str(bag), "--nets", *map(str, files), "--write"]) == OK
+    told = capsys.readouterr().out
+    stays = {path for path, text in files.items() if path.read_text() == text}
+    assert stays == {tmp_path / "gripper_coordinator.yaml"}
+    assert f"{tmp_path / 'gripper_coordinator.yaml'}: its net gripper_coordinator has not fired in the bags" in told
 
 
 def test_a_command_of_several_nets_that_ask_each_other_is_predicted(capsys):

@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     missions = {bag: mission_of(bag) for bag in options.bags}
     nets = {name: net for mission in missions.values() for name, net in mission.nets.items()}
     seen = [firing for mission in missions.values() for firing in measured(mission)]
-    _check(files, nets, seen)
+    files = _fitting(files, nets, seen)
     nets |= {net.name: net for net in files.values()}
     found = estimate(list(nets.values()), seen)
     print("\n".join(_table(found)))
@@ -120,11 +120,20 @@ def _change(path: Path, net: Net, found: Mapping[str, TransitionEstimate]) -> _C
     return _Change(path, before, after)
 
 
-def _check(files: Mapping[Path, Net], nets: Mapping[str, Net], seen: Sequence[MeasuredFiring]) -> None:
+def _fitting(files: Mapping[Path, Net], nets: Mapping[str, Net], seen: Sequence[MeasuredFiring]) -> dict[Path, Net]:
+    """Returns the files whose nets have fired; of those of other nets in the bags it says that they stay.
+
+    Raises:
+        DataError: One cannot be changed, or is of no net in the bags, or of another version of one.
+    """
+    fitting = {}
     for path, net in files.items():
         if path.suffix.lower() not in (".yaml", ".yml"):
             raise DataError(f"{path}: only net files in YAML can be changed", file=str(path))
         fired = {each.transition.removeprefix(f"{net.name}.") for each in seen if _net_of(each) == net.name}
+        if not fired and net.name in nets:
+            print(f"{path}: its net {net.name} has not fired in the bags: it stays as it is")
+            continue
         if not fired:
             known = ", ".join(sorted(nets)) or "none is described"
             raise DataError(f"{path}: its net {net.name} has not fired in the bags; nets there: {known}")
@@ -133,6 +142,8 @@ def _check(files: Mapping[Path, Net], nets: Mapping[str, Net], seen: Sequence[Me
         }  # others, such as accept.SERVICE, are made when a net is loaded
         if unknown := sorted(own - net.transitions.keys()):
             raise DataError(f"{path}: the bags are of another version of net {net.name}: it has no {unknown[0]}")
+        fitting[path] = net
+    return fitting
 
 
 def _net_of(firing: MeasuredFiring) -> str:
