@@ -9,11 +9,13 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from action_msgs.msg import GoalStatus
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
+from rclpy.action import CancelResponse
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
@@ -29,6 +31,7 @@ from im_core import clock
 from im_core.bag.reading import messages_of, topics_of
 from im_core.errors import DataError, NotFoundError
 from im_core.ros import qos
+from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.ros.interfaces import interface_class, message_class
 from im_core.ros.node import ManagedNode
@@ -341,14 +344,18 @@ class Teller(ManagedNode):
     def __init__(self):
         super().__init__("teller", parameter_overrides=[Parameter("introspection", value="contents")])
         self.create_service(SetBool, "/teller/set", self._set)
-        self._server = GuardedActionServer(self, ExecuteCommand, "/teller/execute", self._execute)
+        self._server = GuardedActionServer(
+            self, ExecuteCommand, "/teller/execute", self._execute, cancel_callback=lambda _: CancelResponse.ACCEPT
+        )
 
     async def _set(self, request, response):
         response.success, response.message = request.data, "as asked"
         return response
 
-    def _execute(self, handle):
-        handle.succeed()
+    async def _execute(self, handle):
+        while handle.request.symbol == "wait" and not handle.is_cancel_requested:
+            await pause(self, 0.01)
+        (handle.canceled if handle.is_cancel_requested else handle.succeed)()
         return ExecuteCommand.Result(success=True, results=handle.request.arguments)
 
 
@@ -356,7 +363,8 @@ def test_what_services_and_actions_carry_is_in_the_bag(recorder, ros, wait_until
     node, other = Teller(), GuardedNode("asker")
     ros(node, other)
     child = recorder()
-    events = ("/teller/set", "/teller/execute/_action/send_goal", "/teller/execute/_action/get_result")
+    action = "/teller/execute/_action"
+    events = ("/teller/set", f"{action}/send_goal", f"{action}/get_result", f"{action}/cancel_goal")
     topics = {f"{name}/_service_event" for name in events}
     for topic in topics:
         wait_until(lambda topic=topic: node.count_subscribers(topic), f"the recorder on {topic}")
@@ -371,12 +379,20 @@ def test_what_services_and_actions_carry_is_in_the_bag(recorder, ros, wait_until
     wait_until(goal.done, "the goal")
     result = goal.result().get_result_async()
     wait_until(result.done, "the result")
+    waiting = actions.send_goal_async(ExecuteCommand.Goal(symbol="wait"))
+    wait_until(waiting.done, "the second goal")
+    cancelled, result = waiting.result().cancel_goal_async(), waiting.result().get_result_async()
+    wait_until(lambda: cancelled.done() and result.done(), "its end")
     wait_until(lambda: all(each.wait_for_all_acked() for each in node.publishers), "the last event to arrive")
     end(child, signal.SIGINT, wait_until)
     types = {topic: kind for topic, kind in topics_of(tmp_path / "bag").items() if topic in topics}
     found = list(messages_of(tmp_path / "bag", {topic: (kind,) for topic, kind in types.items()}))
-    calls, goals, results = ([each.content for each in found if each.topic.startswith(name)] for name in events)
+    told = ([each.content for each in found if each.topic.startswith(name)] for name in events)
+    calls, goals, results, cancels = told
     assert [each.request[0].data for each in calls if each.request] == [True]
     assert [each.response[0].message for each in calls if each.response] == ["as asked"]
-    assert [each.request[0].goal.arguments for each in goals] == ['{"light": "left"}']
-    assert [each.response[0].result.results for each in results] == ['{"light": "left"}']
+    assert [each.request[0].goal.arguments for each in goals] == ['{"light": "left"}', ""]
+    assert [each.response[0].result.results for each in results] == ['{"light": "left"}', ""]
+    ids = [bytes(each.request[0].goal_info.goal_id.uuid) for each in cancels]
+    assert ids == [bytes(goals[1].request[0].goal_id.uuid)] == [bytes(results[1].request[0].goal_id.uuid)]
+    assert results[1].response[0].status == GoalStatus.STATUS_CANCELED

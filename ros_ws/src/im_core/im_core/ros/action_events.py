@@ -1,4 +1,4 @@
-"""Goals and results of actions as events on topics, as later ROS has it: rclpy of Jazzy knows it of services only."""
+"""What actions carry as events on topics, as later ROS has it: rclpy of Jazzy knows it of services only."""
 
 from typing import Any
 
@@ -11,7 +11,9 @@ from im_core.ros import qos
 
 
 class ActionEvents:
-    """Publishes what one action carries, on ``<action>/_action/send_goal/_service_event`` and ``.../get_result/...``.
+    """Publishes what one action carries: goals, results, and what is asked to be cancelled.
+
+    The topics are ``<action>/_action/send_goal/_service_event``, ``.../get_result/...`` and ``.../cancel_goal/...``.
 
     Args:
         node: Its node.
@@ -22,8 +24,10 @@ class ActionEvents:
     def __init__(self, node: Node, action_type: Any, action_name: str) -> None:
         self._node = node
         self._goal_type, self._result_type = action_type.Impl.SendGoalService, action_type.Impl.GetResultService
+        self._cancel_type = action_type.Impl.CancelGoalService
         self._goals = self._publisher(self._goal_type, f"{action_name}/_action/send_goal")
         self._results = self._publisher(self._result_type, f"{action_name}/_action/get_result")
+        self._cancels = self._publisher(self._cancel_type, f"{action_name}/_action/cancel_goal")
         self._sequence = 0
 
     def tell_goal(self, request: Any) -> None:
@@ -38,6 +42,11 @@ class ActionEvents:
         response = self._result_type.Response(status=handle.status, result=result)
         info = self._info(ServiceEventInfo.RESPONSE_SENT)
         self._results.publish(self._result_type.Event(info=info, request=[request], response=[response]))
+
+    def tell_cancel(self, request: Any) -> None:
+        """The request to cancel goals; what becomes of them, their results tell."""
+        info = self._info(ServiceEventInfo.REQUEST_RECEIVED)
+        self._cancels.publish(self._cancel_type.Event(info=info, request=[request]))
 
     def _info(self, kind: int) -> ServiceEventInfo:
         self._sequence += 1

@@ -361,6 +361,11 @@ class GuardedActionServer(ActionServer):
             self._handle.publish_status()
             goal.execute()
 
+    async def _execute_cancel_request(self, request_header_and_message: Any) -> None:
+        _, request = request_header_and_message
+        self._tell(lambda events: events.tell_cancel(request))
+        await ActionServer._execute_cancel_request(self, request_header_and_message)
+
     async def _execute_get_result_request(self, request_header_and_message: Any) -> None:
         header, _ = request_header_and_message
         try:

@@ -49,8 +49,8 @@ class ManagedNode(GuardedNode):
     The bootstrap announces the phases LOAD, CONFIGURE, START and SHUTDOWN on ``/im/phase``; the node follows,
     and tells where it is on ``/im/task_status``. With the parameter ``standalone:=true`` it passes through
     the phases alone; with ``introspection:=metadata`` or ``contents`` all its services publish what they are asked
-    and answer on ``<service>/_service_event``, and with ``contents`` its actions their goals and results. Subclasses
-    override :meth:`phase_configure`, :meth:`phase_start` and :meth:`phase_shutdown`.
+    and answer on ``<service>/_service_event``, and with ``contents`` its actions goals, results and cancellations.
+    Subclasses override :meth:`phase_configure`, :meth:`phase_start` and :meth:`phase_shutdown`.
 
     Attributes:
         declared: Declares parameters; with a wrong one the node fails to be configured.
