@@ -34,7 +34,7 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
     Args:
         run_dir: Folder of the machine's logs and data bases.
         fresh: Begin a new one in any case.
-        say: Takes a sentence about what had not ended.
+        say: Takes a sentence about what had not ended, and about what is not there any more.
 
     Returns:
         Whether it goes on.
@@ -46,7 +46,7 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
     if any((moving / part).exists() and (run_dir / part).exists() for part in PARTS):
         _give_name(moving)  # it was whole when the mission that is here began
     unfinished = open_commands.noted(run_dir) or open_commands.noted(moving)
-    died = (run_dir / _ALIVE).exists() or (moving / _ALIVE).exists()
+    died = (run_dir / _ALIVE).exists()
     known = ", ".join(f"{command.symbol} (number {command.number} of {command.task})" for command in unfinished)
     if (unfinished or died) and not fresh and (run_dir / "journal").is_dir() and not moving.exists():
         if unfinished:
@@ -60,8 +60,8 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
     aside = _set_aside(run_dir)
     if aside is not None and unfinished:
         say(f"commands had not ended when the machine was: {known}; what they have left is kept in {aside}")
-    elif aside is not None and died:
-        say(f"the machine before was not stopped but died; what it has left is kept in {aside}")
+    elif aside is not None:
+        say(f"a new mission begins; data objects and loaded nets of the one before are kept in {aside}")
     return False
 
 
