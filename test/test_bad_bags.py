@@ -72,6 +72,19 @@ def without_its_file(folder):
     return part.parent
 
 
+def without_metadata(folder):
+    store, kind = get_typestore(Stores.ROS2_JAZZY), "std_msgs/msg/String"
+    with RosbagsWriter(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        writer.add_connection("/chat", kind, typestore=store)
+    (folder / "bag" / METADATA).unlink()
+    return folder / "bag"
+
+
+def of_other_yaml(folder):
+    (folder / "net.yaml").write_text("net: a\n")
+    return folder
+
+
 def of_ros_1(folder):
     (folder / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(4096))
     return folder / "old.bag"
@@ -118,6 +131,8 @@ def file_of_protobuf(folder):
         (cut_copy, "lacks its end, as a copy that was broken off; copy it again, or remove metadata.yaml beside it"),
         (without_a_message, "has no message: the recording ended before the first was written"),
         (without_its_file, "Some database files are missing"),
+        (without_metadata, "lacks metadata.yaml; name one of its files: bag.db3"),
+        (of_other_yaml, "there is no bag in it"),
         (of_ros_1, "is a bag of ROS 1, of which rosbags-convert makes one of ROS 2"),
         (folder_of_ros_1, "old.bag is one of ROS 1, of which rosbags-convert makes one of ROS 2"),
         (of_json, "Serialization format {'json'} is not supported"),

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from im_core.bag import unpacking
-from im_core.bag.files import complete_bag
+from im_core.bag.files import METADATA, complete_bag
 from im_core.bag.storage import WholeReader
 from im_core.errors import DataError, printable
 from im_core.files import FileError, check_regular
@@ -70,6 +70,8 @@ def open_bag(bag: Path) -> Reader:
             if not path.is_dir():
                 check_regular(path, path.stat())
         complete_bag(bag)
+        if folder and not (folder / METADATA).exists():
+            raise FileError(bag, no_bag_in(folder))
         if folder:
             unpacking.check_files(bag, sorted(folder.glob(_PACKED)))
         reader = WholeReader(bag)
@@ -82,7 +84,11 @@ def open_bag(bag: Path) -> Reader:
 
 
 def no_bag_in(folder: Path) -> str:
-    """Says of a folder without files of a bag where one could be."""
+    """Says of a folder that is no bag where one could be."""
+    if single := sorted(path.name for path in folder.glob("*.db3")):
+        return f"lacks {METADATA}; name one of its files: {', '.join(single[:8])}"
+    if any(folder.glob(_PACKED)):
+        return f"lacks {METADATA}, without which packed files are not read"
     if old := sorted(path.name for path in folder.glob("*.bag")):
         return f"is no bag of ROS 2: {old[0]} is one of ROS 1, {_CONVERTED}"
     bags = sorted(path.name for path in folder.iterdir() if path.is_dir() and any(path.glob("*.mcap")))
