@@ -542,6 +542,18 @@ def test_messages_are_what_they_were_after_crossing():
     )  # fmt: skip
 
 
+def test_of_packets_that_make_no_sense_the_first_is_told_and_then_how_many_there_were():
+    _, b = pair()
+    for _ in range(500):
+        b.link.hear("no packet")
+    b.now = 6.0
+    b.link.hear("[1]")
+    assert b.observer.texts == [
+        "a packet was dropped: it is not JSON: Expecting value: line 1 column 1 (char 0)",
+        "500 packets were dropped, the last: it makes no sense: [1]",
+    ]
+
+
 def test_a_payload_that_is_not_json_is_refused_before_it_is_numbered():
     a, _ = pair()
     with pytest.raises(NetError, match="request r to net n is not JSON data: Object of type object"):

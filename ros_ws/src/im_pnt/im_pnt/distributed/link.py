@@ -153,8 +153,8 @@ class Link:
         self._express = Express()
         self._answers: dict[str, tuple[int, int]] = {}
         self._came_back = False
-        self._unproved = 0
-        self._overtake_at = self._report_at = 0.0
+        self._unproved = self._senseless = 0
+        self._overtake_at = self._report_at = self._drop_at = 0.0
 
     # Sending, and retransmission.
 
@@ -276,7 +276,7 @@ class Link:
         packet = read_packet(text, self.name)
         if isinstance(packet, str):
             if packet:
-                self._observer.troubled("", f"a packet was dropped: {packet}")
+                self._drop(packet)
             return
         sender, epoch = packet.sender, packet.epoch
         peer = self.peers.get(sender)
@@ -289,7 +289,7 @@ class Link:
         elif epoch < remembered:  # a packet that was late; or its clock has gone back: let it believe, and then know
             self._answer(sender, epoch, later=remembered)
         elif sender == self.name:
-            self._observer.troubled("", f"a packet was dropped: it says that it comes from {sender}, which is here")
+            self._drop(f"it says that it comes from {sender}, which is here")
         elif peer is None and len(self.peers) >= MOST_PEERS:
             text = f"a packet of {sender} was dropped: {MOST_PEERS} processes are known already"
             self._observer.troubled("", text)
@@ -350,6 +350,17 @@ class Link:
             f"the last says that it comes from {packet.sender}{later}",
         )
         self._unproved = 0
+
+    def _drop(self, why: str) -> None:
+        """Tells of packets that make no sense: of the first at once, then now and then how many there were."""
+        self._senseless += 1
+        now = self._clock()
+        if now < self._drop_at:
+            return
+        self._drop_at = now + REPORT_EVERY_S
+        what = "a packet was dropped" if self._senseless == 1 else f"{self._senseless} packets were dropped, the last"
+        self._observer.troubled("", f"{what}: {why}")
+        self._senseless = 0
 
     def _new_peer(self, node: str) -> Peer:
         peer = self.peers[node] = Peer(node)
