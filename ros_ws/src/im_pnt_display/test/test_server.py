@@ -334,6 +334,12 @@ def test_the_address_is_one_that_a_browser_takes(host, url):
     assert DisplayServer(host=host).url == url
 
 
+@pytest.mark.parametrize("host", ["x" * 300, "a..b", "a b", "a\0b", "\ud800"])
+def test_what_is_no_name_of_a_computer_is_refused_with_it(host):
+    with pytest.raises(LinkError, match="cannot serve the display on"):
+        DisplayServer(host, 0).start()
+
+
 def test_behind_the_last_port_there_is_none_to_try():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 65535))

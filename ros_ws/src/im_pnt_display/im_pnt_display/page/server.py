@@ -26,8 +26,8 @@ class DisplayServer:
     It listens at once, and loads the libraries of a web server when somebody comes first: mostly nobody does.
 
     Args:
-        host: Address to listen on, 0.0.0.0 and :: are all; it answers to that name, to those of this computer for
-            itself, and on all addresses to those of this computer for others.
+        host: Address to listen on, 0.0.0.0 are all of IPv4 and :: all of IPv6; it answers to that name, to those of
+            this computer for itself, and on all addresses to those of this computer for others.
         port: Port; the next free one is taken where it is in use, any free one for 0.
         operate: Takes what viewers want done with nets; None: they only look.
         recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
@@ -106,6 +106,8 @@ class DisplayServer:
         for port in range(first, min(first + PORTS_TRIED, _PORTS) if first else 1):
             try:
                 self._sockets = _listening(self._host, port)
+            except ValueError as error:  # as of a label that is too long
+                raise LinkError(f"cannot serve the display on {self._host[:100]!r}: no name of a computer") from error
             except OSError as error:
                 if error.errno != errno.EADDRINUSE:
                     raise LinkError(f"cannot serve the display on {self._host}:{port}: {error.strerror}") from error
