@@ -24,6 +24,10 @@ Work = Coroutine[object, object, None]
 #: A timer that strikes as soon as the loop is free [s]: who waits for it would lose a longer period each time.
 SOON_S = 1e-6
 
+#: An alarm waits for so long at least [s]. One that is set anew whenever it has struck, and is due again before the
+#: loop has looked at anything else, is struck once more at each reset of another timer, without end.
+_SHORTEST_S = 2e-4
+
 _FEW = 64
 
 
@@ -225,6 +229,6 @@ class Alarms:
 
     def _set(self) -> None:
         if self._heap:
-            left = max(SOON_S, self._heap[0][0] - clock.monotonic())
+            left = max(_SHORTEST_S, self._heap[0][0] - clock.monotonic())
             self._timer.timer_period_ns = round(1e9 * left)
             self._timer.reset()
