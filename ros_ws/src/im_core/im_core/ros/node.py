@@ -80,7 +80,8 @@ class ManagedNode(GuardedNode):
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._publish_status, clock=self.steady_clock)
         alone = "pass through the start-up phases without a bootstrap"
-        if self.declared.declare("standalone", False, alone):
+        self._alone = self.declared.declare("standalone", False, alone)
+        if self._alone:
             self.alarms.after(0.0, lambda: self._follow(StartupPhase.START))
         else:
             self.create_subscription(UInt8, PHASE_TOPIC, self._hear_phase, qos.LATCHED)
@@ -195,10 +196,14 @@ class ManagedNode(GuardedNode):
             self._run_phase(self.phase_start, TaskStatus.READY)
 
     def _configure(self) -> None:
-        for configure in (self.phase_configure, dismiss_prepared):
+        for configure in (self.phase_configure, self._check_given, dismiss_prepared):
             if self.declared.fault is not None:
                 raise self.declared.fault
             configure()
+
+    def _check_given(self) -> None:
+        if not self._alone:  # what is given to one that is started by hand may be for another in its process
+            self.declared.check_given()
 
     def _run_phase(self, phase: Callable[[], None], reached: int) -> None:
         usual, self.standstill_s = self.standstill_s, PHASE_STANDSTILL_S

@@ -69,6 +69,17 @@ class DeclaredParameters:
         self._node.declare_parameter(name, value, descriptor, ignore_override=True)
         return value
 
+    def check_given(self) -> None:
+        """Make sure that all that was given at the start is known, now that everything is declared.
+
+        Raises:
+            NotFoundError: A parameter is not; it would have no effect.
+        """
+        for name in self._node._parameter_overrides:
+            if not self._node.has_parameter(name):
+                kind = f"parameter of {self._node.get_fully_qualified_name()}"
+                raise NotFoundError(kind=kind, name=name, known=self._node.get_parameters_by_prefix(""))
+
     def _typed(self, name: str, value: object, default: ValueT) -> ValueT:
         """The value, if it is of the type of ``default``.
 
