@@ -28,7 +28,7 @@ def net_files(named: Iterable[str]) -> list[Path]:
 
     Raises:
         NotFoundError: There is no such command.
-        ConfigError: There is no such file or folder, or no net file in it.
+        ConfigError: There is no such file or folder, or no net file in it; or nothing is named.
     """
     files: list[Path] = []
     for name in filter(None, (each.strip() for each in named)):
@@ -46,6 +46,8 @@ def net_files(named: Iterable[str]) -> list[Path]:
         else:
             raise ConfigError(f"{path}: there is no such net file or folder", file=str(path))
         files += [file for file in found if file not in files]
+    if not files:
+        raise ConfigError(f"no command is named: give net files, folders of them, or names of {', '.join(shipped())}")
     return files
 
 
