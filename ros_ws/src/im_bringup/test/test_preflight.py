@@ -139,7 +139,7 @@ def limits(monkeypatch):
 
 def test_too_few_open_files(limits):
     limits["limits"] = (64, 64)
-    with pytest.raises(ImError, match=r"may open 64 files here \(ulimit -n\), and up to 128 are needed; nothing"):
+    with pytest.raises(ImError, match=r"may open 64 files here \(ulimit -n\), and up to 256 are needed; nothing"):
         preflight.check_host()
 
 
@@ -153,7 +153,7 @@ def test_a_soft_limit_of_open_files_is_raised(limits, monkeypatch):
     with_free(monkeypatch)
     limits["limits"] = (64, 4096)
     preflight.check_host()
-    assert limits["limits"] == (128, 4096)
+    assert limits["limits"] == (256, 4096)
     limits["limits"] = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
     preflight.check_host()
     assert limits["limits"][0] == resource.RLIM_INFINITY

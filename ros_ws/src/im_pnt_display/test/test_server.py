@@ -1,6 +1,7 @@
 """The server of the page: whom it answers, what it tells browsers, and what it takes from viewers."""
 
 import asyncio
+import contextlib
 import http.client
 import json
 import re
@@ -14,7 +15,7 @@ import pytest
 from im_core.errors import LinkError
 from im_pnt_display.page import site as module
 from im_pnt_display.page.server import DisplayServer
-from im_pnt_display.page.site import LONGEST_REQUEST, MOST_VIEWERS, READ_ONLY
+from im_pnt_display.page.site import LONGEST_REQUEST, MOST_CONNECTIONS, MOST_VIEWERS, READ_ONLY
 from im_pnt_display.page.state import REFUSALS_KEPT, DisplayState
 from im_pnt_display.page.viewers import Viewers
 
@@ -186,6 +187,28 @@ def test_a_request_that_is_not_finished_is_ended(serve, monkeypatch, sent):
     with socket.create_connection(("127.0.0.1", port_of(server)), timeout=60.0) as connection:
         connection.sendall(sent)
         assert connection.recv(1000) == b""
+
+
+def test_connections_that_are_too_many_are_closed_and_later_ones_served(serve, monkeypatch):
+    monkeypatch.setattr(module, "MOST_CONNECTIONS", 3)
+    assert MOST_VIEWERS < MOST_CONNECTIONS
+    server = serve()
+    kept, refused = [], []
+    for _ in range(6):
+        connection = socket.create_connection(("127.0.0.1", port_of(server)), timeout=60.0)
+        connection.sendall(b"GET /static/display.css HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        try:
+            (kept if connection.recv(1) else refused).append(connection)
+        except ConnectionResetError:
+            refused.append(connection)
+    assert (len(kept), len(refused)) == (3, 3)
+    for connection in (*kept, *refused):
+        connection.close()
+    for _ in range(100):
+        with contextlib.suppress(aiohttp.ClientError):  # it has not noticed yet
+            assert asked(server)[0] == 200
+            return
+    pytest.fail("nobody is served any more")
 
 
 def test_more_viewers_than_it_can_serve_are_told_so(serve, monkeypatch):

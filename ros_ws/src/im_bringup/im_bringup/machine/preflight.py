@@ -14,8 +14,8 @@ from im_core.errors import ImError, StoreError
 from im_core.files import FileError, write_whole
 
 # Counted on the machine of the default deployment, 11 participants, while it ran a command.
-#: Most that any process has open is 29; the page of the display has one more for each of its readers.
-OPEN_FILES = 128
+#: Most that any process has open is 29; the page of the display has up to 150 connections more, and as they come 32.
+OPEN_FILES = 256
 #: A participant of Fast DDS takes its segment, and 5 % and its port beside it.
 _SEGMENT_SHARE, _PORT_BYTES = 1.05, 600_000
 #: Blocks of servo, cameras and testbed are 9.7 MB.

@@ -20,6 +20,10 @@ STATIC = Path(__file__).parent / "static"
 READ_ONLY = "this page only shows; scripts/start.sh --control lets it operate nets"
 RECORDED = "this page shows a recording; what happened is not changed"
 MOST_VIEWERS = 100
+MOST_CONNECTIONS = 150
+"""Connections at a time, of viewers and others: each is an open file of a process that has more to do."""
+_AT_ONCE = 16
+"""Connections that are taken before the first of them is looked at."""
 LONGEST_REQUEST = 10_000
 """Bytes of what a viewer asks for."""
 
@@ -51,9 +55,17 @@ class Site:
         self._stop = stop
         runner = web.AppRunner(self._app, shutdown_timeout=1.0, keepalive_timeout=REQUEST_S)
         await runner.setup()
-        for listening in sockets:
-            await web.SockSite(runner, listening).start()
+        server = runner.server
+        assert server is not None, "it is set up"
+
+        def protocol() -> asyncio.BaseProtocol:
+            return server() if len(server.connections) < MOST_CONNECTIONS else _Refusal()
+
+        loop = asyncio.get_running_loop()
+        serving = [await loop.create_server(protocol, sock=each, backlog=_AT_ONCE) for each in sockets]
         await stop.wait()
+        for each in serving:
+            each.close()
         await runner.cleanup()
 
     async def _give_state(self, request: web.Request) -> web.Response:
@@ -96,6 +108,13 @@ class Site:
                 else:
                     why = READ_ONLY if self._recording is None else RECORDED
                     self._viewers.show(self._viewers.state.answer(wanted["net"], False, why))
+
+
+class _Refusal(asyncio.Protocol):
+    """One connection more than there may be: it is closed."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport.close()
 
 
 async def _page(request: web.Request) -> web.FileResponse:
