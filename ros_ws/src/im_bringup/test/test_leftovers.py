@@ -71,6 +71,17 @@ def test_who_takes_long_to_die_is_waited_for():
         assert {segment, f"{segment}_el"} <= set(leftovers.remove_shared_memory())
 
 
+def test_what_no_machine_has_left_is_not_said_to_be_another_users(instance):
+    folder = SHM / f"{instance}_machine.json"
+    folder.mkdir()
+    try:
+        leftovers.remove_shared_memory()
+        told = leftovers.foreign_sentence(leftovers.of_others())
+        assert told.startswith(f"{folder} cannot be removed; no machine has left it there")
+    finally:
+        folder.rmdir()
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
 def test_what_another_user_has_left_is_told_and_stops_no_sweep(instance):
     block = SHM / f"{instance}_testbed"

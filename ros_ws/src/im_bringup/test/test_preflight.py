@@ -169,6 +169,13 @@ def test_a_start_says_that_somebody_has_stopped_the_machine(monkeypatch, capsys)
     assert "emergency stop: arms get no power until scripts/im recover resets it" in capsys.readouterr().out
 
 
+def test_what_is_in_the_way_of_a_start_is_named(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1000 + os.getpid() % 100_000))  # of no machine
+    names.display_file().mkdir()
+    with pytest.raises(ImError, match=r"pnt_display\.url cannot be removed: Is a directory$"):
+        start.clear_the_way(fresh=True)
+
+
 def test_of_two_starts_at_once_the_second_is_refused():
     refused = pytest.raises(StateError, match=r"another start of ROS domain \d+ is under way")
     with start.only_one(), refused, start.only_one():

@@ -94,7 +94,9 @@ def of_others() -> list[Path]:
 
 
 def foreign_sentence(others: Sequence[Path]) -> str:
-    """What is said of files in shared memory that belong to somebody else."""
+    """What is said of files in shared memory that this user may not remove, or cannot, as a folder."""
+    if is_mine(others[0]):
+        return f"{others[0]} cannot be removed; no machine has left it there: remove it, or set another ROS_DOMAIN_ID"
     owners = sorted({_owner(path) for path in others})
     more = f" and {len(others) - 1} more files" if len(others) > 1 else ""
     return (

@@ -21,7 +21,7 @@ from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.middleware import reach
 from im_core import clock, names
-from im_core.errors import ConfigError, ImError, StateError
+from im_core.errors import ConfigError, ImError, StateError, StoreError
 from im_core.files import read_text
 from im_core.options import NumberParser, seconds
 from im_core.process import ChildProcess
@@ -277,7 +277,10 @@ def clear_the_way(fresh: bool) -> bool:
         raise StateError(leftovers.foreign_sentence(others))
     run_dir = names.run_dir()
     goes_on = mission.prepare(run_dir, fresh, lambda sentence: say(f"start: {sentence}"))
-    names.display_file().unlink(missing_ok=True)
+    try:
+        names.display_file().unlink(missing_ok=True)
+    except OSError as error:
+        raise StoreError.of("removed", names.display_file(), error) from error
     for folder in ("log", "parameters"):
         shutil.rmtree(run_dir / folder, ignore_errors=True)
         preflight.check_folder(run_dir / folder)  # another user's is still there
