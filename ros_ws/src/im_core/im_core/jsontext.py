@@ -78,7 +78,8 @@ def check_keys(text: str) -> None:
         JsonError: One is.
     """
     with suppress(json.JSONDecodeError, RecursionError):
-        json.loads(text, parse_int=len, object_pairs_hook=_object)  # int() refuses numbers of thousands of digits
+        # int() refuses numbers of thousands of digits
+        json.loads(text, parse_int=str, parse_float=str, object_pairs_hook=_object)
 
 
 def _integer(text: str) -> int | float:
