@@ -430,6 +430,7 @@ def test_json_is_taken_as_it_is_given_out(three):
         ('{"data": ["x"]}', "std_msgs/msg/String.data (string) cannot be ['x']"),
         ('{"data": {"x": 1}}', "std_msgs/msg/String.data (string) cannot be {'x': 1}"),
         ('{"data": "a\\u0000b"}', "std_msgs/msg/String.data (string) cannot be 'a\\x00b'"),
+        (f'{{"data": {[1] * 1000}}}', f"std_msgs/msg/String.data (string) cannot be {str([1] * 1000)[:80]}..."),
         ("[]", "the JSON of data object 'a'"),
     ],
 )
@@ -438,6 +439,7 @@ def test_json_that_is_no_message_of_the_type_is_refused(three, fields, sentence)
     answer = ask(mine, mine.dom._put, PutObject.Request(name="a", type="std_msgs/msg/String", json=fields))
     assert not answer.success
     assert sentence in answer.status.message
+    assert len(answer.status.message) < 200
 
 
 def test_json_with_a_number_in_the_place_of_a_message_is_refused(three):

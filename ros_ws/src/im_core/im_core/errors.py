@@ -3,7 +3,8 @@
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
 
-_LONGEST_NAME, _MOST_NAMES = 100, 30
+#: Of the names that exist: how long and how many may be to be compared with one that does not, and how many are listed.
+_LONGEST_NAME, _MOST_COMPARED, _MOST_NAMES = 100, 1000, 30
 
 
 class ImError(Exception):
@@ -139,7 +140,7 @@ class NotFoundError(ImError):
     Args:
         kind: Kind of thing, e.g. ``camera``.
         name: The name that was given.
-        known: The names that exist.
+        known: The names that exist, of which the first are listed.
     """
 
     default_code = "not_found"
@@ -148,8 +149,8 @@ class NotFoundError(ImError):
         names = sorted(known)
         near = _closest(name, names)
         hint = f"; did you mean '{near}'?" if near else ""
-        listed = f" (known: {', '.join(names)})" if names else ""
-        super().__init__(f"there is no {kind} {name!r}{hint}{listed}", kind=kind, name=name, known=names)
+        listed = _listed(names)
+        super().__init__(f"there is no {kind} {name!r}{hint}{listed}", kind=kind, name=name, known=names[:_MOST_NAMES])
 
 
 def printable(text: str) -> str:
@@ -201,11 +202,17 @@ def nearest(name: str, known: Iterable[str]) -> str:
     near = _closest(name, names)
     if near:
         return f" (did you mean '{near}'?)"
+    return _listed(names)
+
+
+def _listed(names: Sequence[str]) -> str:
     listed = names if len(names) <= _MOST_NAMES else [*names[:_MOST_NAMES], "..."]
     return f" (known: {', '.join(listed)})" if names else ""
 
 
 def _closest(name: str, names: Sequence[str]) -> str | None:
-    """The name that was meant; long ones are not compared, which takes time by their product."""
-    short = [each for each in names if len(each) <= _LONGEST_NAME] if len(name) <= _LONGEST_NAME else []
+    """The name that was meant; long ones, and of many, are not compared, which takes time by their product."""
+    if len(name) > _LONGEST_NAME or len(names) > _MOST_COMPARED:
+        return None
+    short = [each for each in names if len(each) <= _LONGEST_NAME]
     return next(iter(difflib.get_close_matches(name, short, n=1)), None)

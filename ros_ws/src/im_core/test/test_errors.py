@@ -32,6 +32,14 @@ def test_the_nearest_name_is_offered_only_if_it_is_near() -> None:
     assert "camera 'a\\nb'" in NotFoundError(kind="camera", name="a\nb").message
 
 
+def test_of_many_names_the_first_are_listed_and_none_is_compared() -> None:
+    known = [f"observation/{number:05}" for number in range(10_000)]
+    with patch("difflib.get_close_matches", side_effect=AssertionError):
+        error = NotFoundError(kind="data object", name="observation/x", known=known)
+    assert error.message == f"there is no data object 'observation/x' (known: {', '.join(known[:30])}, ...)"
+    assert error.facts["known"] == known[:30]
+
+
 def test_a_time_out_says_what_it_waited_for() -> None:
     assert WaitTimeoutError(what="a spot", seconds=20.0).message == "waited 20 s for a spot, in vain"
 

@@ -30,6 +30,9 @@ _ELEMENTS = re.compile(r"sequence<(?P<sequence>.*?)(?:, \d+)?>|(?P<array>[^<\[]+
 #: A larger object is given out as it is, not as text [bytes].
 LARGEST_AS_TEXT = MEBIBYTE
 
+#: So much is said of a value that does not fit.
+LONGEST_SHOWN = 80
+
 
 def check_message(name: str, kind: str, data: bytes) -> str:
     """Make sure that bytes are a message of a type.
@@ -133,7 +136,7 @@ def from_json(name: str, kind: str, text: str) -> bytes:
 
 def _filled(message: Any, fields: Any, where: str) -> Any:
     if not isinstance(fields, Mapping):
-        raise DataError(f"{where} cannot be {fields!r}: the fields of a message are needed", field=where)
+        raise DataError(f"{where} cannot be {_shown(fields)}: the fields of a message are needed", field=where)
     types = message.get_fields_and_field_types()
     message._check_fields = True  # a wrong type would else be met by the serialiser, which ends the process
     for field, value in fields.items():
@@ -142,8 +145,13 @@ def _filled(message: Any, fields: Any, where: str) -> Any:
         try:
             setattr(message, field, _fitting(getattr(message, field), types[field], value, f"{where}.{field}"))
         except (AssertionError, TypeError, ValueError, OverflowError) as error:
-            raise DataError(f"{where}.{field} ({types[field]}) cannot be {value!r}", field=field) from error
+            raise DataError(f"{where}.{field} ({types[field]}) cannot be {_shown(value)}", field=field) from error
     return message
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 def _fitting(present: Any, kind: str, value: Any, where: str) -> Any:
