@@ -14,7 +14,7 @@ import pytest
 import yaml
 from mcap.data_stream import ReadDataStream
 from mcap.reader import make_reader
-from mcap.records import Chunk, MessageIndex
+from mcap.records import Channel, Chunk, DataEnd, MessageIndex, Schema
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
@@ -241,6 +241,29 @@ def test_chunks_are_indexed_message_by_message_and_the_summary_counts_them(bag):
                 assert entries.channel_id == channel
                 indexed |= {(channel, time) for time, _ in entries.records}
         assert indexed == {(each.channel_id, each.log_time) for each in listed}
+
+
+@pytest.mark.parametrize("messages", [0, 3])
+def test_what_the_summary_names_is_in_the_data_before_it(tmp_path, messages):
+    """So that the tools that check MCAP files find nothing: also topics on which nothing came any more."""
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/said", *TOPICS["/said"], HASHES["/said"])
+    for number in range(messages):
+        writer.write("/said", 10**18 + number, message("/said", number))
+    writer.flush()
+    writer.add_topic("/tf", *TOPICS["/tf"], HASHES["/tf"])
+    writer.close()
+    found, ended = {Schema: ([], []), Channel: ([], [])}, False
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
+        for record in StreamReader(file, validate_crcs=True).records:  # those of chunks, too
+            ended = ended or isinstance(record, DataEnd)
+            if type(record) in found:
+                found[type(record)][ended].append(record)
+    for in_data, in_summary in found.values():
+        assert in_data == in_summary
+        assert len(in_data) == 2
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.counts == {"/said": messages, "/tf": 0}
 
 
 def _records(data, offset, count):

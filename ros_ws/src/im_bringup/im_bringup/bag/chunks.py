@@ -128,6 +128,7 @@ class ChunkWriter:
     def finish(self) -> None:
         """Write what was appended, and the end of the file."""
         self.end_chunk()
+        self._file.write(bytes(self._chunk))  # topics without a message since: what the summary has, the data have
         self._file.write(end_of(self._contents, self._file.tell()))
 
 
