@@ -180,7 +180,7 @@ def test_a_spoilt_bag_is_a_sentence(capsys, tmp_path, texts, sentence):
 
 def test_a_bag_without_events_or_a_net_that_is_not_in_it_is_a_sentence(capsys, tmp_path):
     assert "there is nothing on /pnt/events" in refused(capsys, events(tmp_path / "bag", "x", topic="/other"))
-    assert "cannot be read" in refused(capsys, tmp_path / "nowhere")
+    assert "nowhere: cannot be read: No such file or directory\n" in refused(capsys, tmp_path / "nowhere")
     net = tmp_path / "net.yaml"
     net.write_text("net: stranger\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a, symbol: s}}\n", encoding="utf-8")
     assert "net stranger is not in the bag" in refused(capsys, BAGS / "undisturbed", "--nets", net)

@@ -325,7 +325,7 @@ def test_an_unknown_type_is_named(tmp_path, workspace):
 
 
 def test_folders_that_are_there_or_are_no_bags_are_refused(tmp_path):
-    with pytest.raises(DataError, match="cannot be made"):
+    with pytest.raises(DataError, match=r"cannot be made: File exists$"):
         BagWriter(tmp_path)
     with pytest.raises(DataError, match="is not a bag that can be read"):
         BagReader(tmp_path)

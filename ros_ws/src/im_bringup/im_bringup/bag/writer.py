@@ -108,7 +108,7 @@ class BagWriter:
             path.mkdir(parents=True)
             self._begin_part()
         except OSError as error:
-            raise DataError(f"the bag {path} cannot be made: {error}", path=str(path)) from error
+            raise DataError(f"the bag {path} cannot be made: {error.strerror}", path=str(path)) from error
 
     def add_topic(self, topic: str, type_name: str, delivery: Delivery, type_hash: str = "") -> None:
         """Announce a topic.

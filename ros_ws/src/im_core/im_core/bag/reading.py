@@ -211,5 +211,6 @@ def defined_types(name: str, definition: MessageDefinition) -> Typesdict:
 
 def unreadable_bag(bag: Path, error: Exception) -> DataError:
     """What a bag's reader raised as one sentence, however many lines it used."""
-    reason = " ".join(str(error).split()) or type(error).__name__
+    told = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    reason = " ".join(told.split()) or type(error).__name__
     return FileError(bag, f"cannot be read: {printable(reason)[:200]}")
