@@ -20,8 +20,8 @@
 # --mission compares firing by firing, and tells the first difference with both sides; --mission --help has its options.
 # Keys: space pauses and goes on, . steps to the next message, left and right seek by 5 s, q ends it. What was latched
 # before the place where it begins is published first. A bag whose recorder was killed is completed before. Topics that
-# steer a machine (/im/phase, /im/task_status, tokens between nets) and the events of services are published only if
-# they are named.
+# steer a machine (/im/phase, /im/task_status, tokens between nets, /left/joint_trajectory, /left/command/setpoints) and
+# the events of services are published only if they are named.
 # Exit codes: 0 replayed (Ctrl-C ends it early), 2 bad usage, no such bag or topic, a type that has changed; with
 # --recalibrate also 1: not the same numbers though nothing was changed, or a verdict against the new ones; with
 # --mission: 0 equal, 1 it differs, 2 the bag cannot be run again.

@@ -334,7 +334,9 @@ def test_folders_that_are_there_or_are_no_bags_are_refused(tmp_path):
 
 
 def test_control_topics_are_replayed_only_by_name():
-    topics = ["/im/phase", "/tf", "/joint_states", "/dispatcher/tokens"]
+    moving = ["/left/command/setpoints", "/left/command/torques", "/right/joint_trajectory"]
+    topics = ["/im/phase", "/tf", "/joint_states", "/dispatcher/tokens", *moving]
+    assert chosen_topics(topics, moving) == moving
     assert chosen_topics(topics, []) == ["/joint_states", "/tf"]
     assert chosen_topics(topics, ["/im/phase"]) == ["/im/phase"]
     with pytest.raises(DataError, match="the bag has no topic /x; it has /dispatcher/tokens, /im/phase, "):

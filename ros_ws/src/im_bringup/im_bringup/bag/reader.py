@@ -13,9 +13,10 @@ from im_core.bag.files import METADATA
 from im_core.bag.reading import open_bag, unreadable_bag
 from im_core.errors import DataError
 
-#: Topics that start and end machines, and that carry tokens between nets: recorded, but replayed only by name.
+#: Topics that start and end machines, that carry tokens between nets, and that move arms: recorded, but replayed only
+#: by name.
 CONTROL_TOPICS = ("/im/phase", "/im/start_timeout", "/im/start_options", "/im/task_status")
-CONTROL_SUFFIXES = ("/tokens",)
+CONTROL_SUFFIXES = ("/tokens", "/command/setpoints", "/command/torques", "/joint_trajectory")
 
 
 class BagReader:
