@@ -388,6 +388,23 @@ def test_a_recording_may_begin_while_an_action_runs(walker, ros, wait_until):
     assert run_again(texts).firings == 4
 
 
+def test_a_recording_begins_with_the_state_also_where_others_are_told_before_it_is(walker, ros, wait_until):
+    first: list[str] = []
+    ros(listening(first))
+    wait_until(lambda: first, "the state of the net")
+    second: list[str] = []
+    walker.spawn(walker.command("walk"))
+    wait_until(lambda: in_loop(walker, walker.exchange.nets["walker"].busy), "the action")
+    ros(listening(second))
+    wait_until(lambda: any('["node"' in text for text in second), "the state of the net")
+    looking.there.set()
+    wait_until(lambda: '"rest"' in second[-1], "the last events")
+    between = next(text for text in first if '["node"' not in text)  # as where the listener was a little earlier
+    assert run_again([between, *second]).firings == 4
+    with pytest.raises(DataError, match="the recording of /walker does not begin with the state of its nets"):
+        streams_of([between])
+
+
 @pytest.mark.parametrize("walker", [keeping], indirect=True)
 def test_what_a_function_had_read_and_kept_before_the_recording_is_in_it(walker, ros, wait_until):
     texts: list[str] = []

@@ -65,31 +65,34 @@ def streams_of(texts: Iterable[str]) -> list[NodeStream]:
     """
     lives: dict[str, NodeStream] = {}
     numbers: dict[str, int] = {}
+    before: dict[str, str] = {}  # nodes, by their lives, that were told of: where others listen, the state comes later
     for text in texts:
         told = read_json(_Told, text, "a message of /pnt/events")
-        last = numbers.get(told.life)
-        if last is not None and told.number != last + 1:
-            raise DataError(
-                f"messages {last + 1} to {told.number - 1} of {told.node} on /pnt/events are not in the bag: without "
-                "them its nets cannot be run again",
-                node=told.node,
-            )
-        numbers[told.life] = told.number
         items, stream = told.items, lives.get(told.life)
         if stream is None:
             begins = next((rank for rank, item in enumerate(items) if item[:1] == ["node"]), None)
             if begins is None:
-                raise DataError(
-                    f"the recording of {told.node} does not begin with the state of its nets: its beginning is missing",
-                    node=told.node,
-                )
+                before[told.life] = told.node
+                continue
             match items[begins]:
                 case ["node", str(node), str(functions)]:
                     stream = lives[told.life] = NodeStream(node, functions)
                 case _:
                     raise DataError(f"{str(items[begins])[:100]} is not what a node tells of itself")
             items = items[begins:]
+        elif told.number != (last := numbers[told.life]) + 1:
+            raise DataError(
+                f"messages {last + 1} to {told.number - 1} of {told.node} on /pnt/events are not in the bag: without "
+                "them its nets cannot be run again",
+                node=told.node,
+            )
+        numbers[told.life] = told.number
         stream.turns.append(Turn(told.at, told.stamp, items))
+    if never := sorted(before[life] for life in before.keys() - lives.keys()):
+        raise DataError(
+            f"the recording of {never[0]} does not begin with the state of its nets: its beginning is missing",
+            node=never[0],
+        )
     return list(lives.values())
 
 
