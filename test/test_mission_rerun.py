@@ -304,6 +304,7 @@ def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_u
     entries = [item[2][0] for turn in stream.turns for item in turn.items if item[0] == "net"]
     firings = sum(entry in ("fire", "end") for entry in entries)
     assert compared.firings == firings > 10
+    assert [run_again(texts[:count]).firings for count in range(1, len(texts) + 1)][-1] == firings, "wherever it ends"
     assert entries.count("built") == 2, "what a message is made of is on file with what that left in memory"
     at = entries.index("ended", entries.index("ended") + 1)  # the first one ends the message
     (left,) = [item for turn in stream.turns for item in turn.items if item[0] == "net"][at][2][4:]
@@ -403,6 +404,19 @@ def test_a_recording_begins_with_the_state_also_where_others_are_told_before_it_
     assert run_again([between, *second]).firings == 4
     with pytest.raises(DataError, match="the recording of /walker does not begin with the state of its nets"):
         streams_of([between])
+
+
+def test_a_recording_may_end_anywhere(walker, ros, wait_until):
+    """What an action does that goes on there is compared as far as it is told."""
+    texts: list[str] = []
+    ros(listening(texts))
+    wait_until(lambda: texts, "the state of the net")
+    looking.there.set()
+    walker.spawn(walker.command("walk"))
+    wait_until(lambda: '"rest"' in texts[-1], "the last events")
+    cuts = [run_again(texts[:count]).firings for count in range(1, len(texts) + 1)]
+    assert cuts == sorted(cuts)
+    assert cuts[-1] == 6
 
 
 @pytest.mark.parametrize("walker", [keeping], indirect=True)

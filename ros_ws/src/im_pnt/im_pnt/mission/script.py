@@ -45,8 +45,14 @@ class Reading:
         return (yield self)
 
 
+class _NotRecorded(BaseException):
+    """An action goes on to what the recording, which ends before it does, may not have."""
+
+
 class Script:
     """Runs coroutines, each of which goes on when the recording has come to what it waits for.
+
+    One whose action has not ended where the recording does goes as far as that tells what it did.
 
     Args:
         stream: The recording.
@@ -70,12 +76,16 @@ class Script:
         self._spare: dict[str, deque[tuple[object, ImError | None]]] = {}
         self._noted: dict[str, deque[tuple[Place, object, ImError | None]]] = {}
         self._sent: dict[str, deque[tuple[Place, object]]] = {}
+        self._ended: set[tuple[str, int]] = set()
+        self._advancing = False
         for number, turn in enumerate(stream.turns):
             for rank, item in enumerate(turn.items):
                 match item:
                     case ["noted", list(key), value, error]:
                         told = (number, rank), value, error_of(error)
                         self._noted.setdefault(named(key), deque()).append(told)
+                    case ["net", str(net), ["ended", int(action), *_]]:
+                        self._ended.add((net, action))
                     case ["sent", list(key), content]:
                         self._sent.setdefault(named(key), deque()).append(((number, rank), content))
 
@@ -144,6 +154,7 @@ class Script:
         """
         known = self._noted.get(named(key))
         if not known:
+            self._require_ended()
             what = " ".join(map(str, key))
             raise self._differs(self.label, "nothing more of that", f"its function asks for {what}", "another function")
         _, value, error = known.popleft()
@@ -155,6 +166,7 @@ class Script:
         """Compares what is asked for with what was."""
         known, what = self._sent.get(named(key)), " ".join(map(str, key))
         if not known:
+            self._require_ended()
             now = f"{what}: {str(content)[:160]}"
             raise self._differs(self.label, "nothing of that kind", now, "another request")
         _, recorded = known.popleft()
@@ -162,8 +174,13 @@ class Script:
             then, _, now = where.rpartition(", now ")
             raise self._differs(self.label, f"{what}: {then}", now, "another request")
 
+    def _require_ended(self) -> None:
+        """Goes no further with an action that had not ended where the recording did; nobody knows what it did then."""
+        if self._advancing and self.label is not None and (self.label.net, self.label.number) not in self._ended:
+            raise _NotRecorded
+
     def _advance(self, work: Work, label: Activity | None, value: object, error: ImError | None) -> None:
-        before, self.label = self.label, label
+        before, self.label, self._advancing = (self.label, self._advancing), label, True
         try:
             while True:
                 reading = work.throw(error) if error is not None else work.send(value)
@@ -173,10 +190,10 @@ class Script:
                     self._waiting.setdefault(reading.key, deque()).append((work, label))
                     return
                 value, error = spare.popleft()
-        except StopIteration:
+        except (StopIteration, _NotRecorded):
             return
         finally:
-            self.label = before
+            self.label, self._advancing = before
 
 
 class ScriptObjects:
