@@ -154,9 +154,9 @@ def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:
     fast = np.maximum(np.abs(path.first), np.abs(path.last))
     cells = np.minimum(1.0, (_SHARE * limits.velocity / np.maximum(fast, _TINY)).min(axis=1)) ** 2
     for side, v in ((0, path.first), (1, path.last)):
-        along = path.slope[side] / np.maximum(path.speed[side], _TINY)
-        across = np.abs(path.turn[side] - v * along[:, None])
-        across[path.speed[side] == 0.0] = 0.0
+        moves, across = path.speed[side] > 0.0, np.zeros_like(v)
+        along = path.slope[side][moves] / np.maximum(path.speed[side][moves], _TINY)
+        across[moves] = np.abs(path.turn[side][moves] - v[moves] * along[:, None])
         cells = np.minimum(cells, (_SHARE * limits.acceleration / np.maximum(across, _TINY)).min(axis=1))
     square = np.minimum(np.append(cells, 1.0), np.append(1.0, cells))
     room = 2.0 * _CHANGE * (limits.acceleration / np.maximum(fast, _TINY)).min(axis=1) * np.diff(path.tau)
