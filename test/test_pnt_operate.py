@@ -189,9 +189,10 @@ def test_a_net_that_never_comes_to_rest_is_replaced_before_it_is_paused(machine)
     operator.until(lambda: operator.markings["spin"].paused, "the pause", 30.0)
 
 
-def test_a_net_whose_delays_are_next_to_nothing_leaves_the_others_their_time(machine):
+@pytest.mark.parametrize("has", ["delay: 0.000001", "action: press, on_failure: a"])
+def test_a_net_that_waits_for_next_to_nothing_leaves_the_others_their_time(machine, has):
     operator, walker = machine
-    assert walker.load("net: ticking\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a, delay: 0.000001}}\n") == ""
+    assert walker.load(f"net: ticking\nplaces: {{a: 1}}\ntransitions: {{t: {{in: a, out: a, {has}}}}}\n") == ""
     for _ in range(10):
         outcomes = walker.go()
         operator.until(lambda ended=outcomes: ended, "the end of the command of another net")

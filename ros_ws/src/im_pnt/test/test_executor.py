@@ -286,6 +286,11 @@ def test_a_net_without_actions_does_not_hold_the_loop():
     executor = Process([net]).exchange.nets["n"]
     assert executor.pump(limit=10)
     assert executor.sequence == 10
+    executor.pump(limit=10)
+    assert executor.stretch == 20
+    executor.post(GuardsChanged())
+    executor.pump(limit=10)
+    assert executor.stretch == 10, "what happens outside has been heard"
 
 
 def test_an_unregistered_function_is_named_with_file_and_line(data):

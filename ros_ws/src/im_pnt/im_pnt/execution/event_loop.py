@@ -100,7 +100,7 @@ class EventLoop:
         conflicts: As given.
         actions: As given.
         operator: How the net is operated.
-        stretch: Firings since the net came to rest last.
+        stretch: Firings since the net came to rest last, or took an event; 0 unless a pump has reached its limit.
     """
 
     def __init__(
@@ -225,6 +225,7 @@ class EventLoop:
         return True
 
     def _take_event(self) -> None:
+        self.stretch = 0
         self._dispatch(self._inbox.popleft())
         enabling = self.rule.enabling
         if enabling.stalled or enabling.crossed or not self.operator.free:
