@@ -112,9 +112,11 @@ class NetLoop:
             self._turning = False
         at: float | None = None
         for executor in self._nets.values():
-            if executor.due and not self._wakened:
-                self.wake()
             time = executor.next_wakeup()
+            if executor.due and executor.stretch:
+                time = monotonic()  # an alarm lets others have a turn before
+            elif executor.due and not self._wakened:
+                self.wake()
             if time is not None and (at is None or time < at):
                 at = time
         self._set_alarm(at)
