@@ -293,15 +293,6 @@ def test_a_net_without_actions_does_not_hold_the_loop():
     assert executor.stretch == 10, "what happens outside has been heard"
 
 
-@pytest.mark.parametrize("action", [lambda ctx: None, hold])
-def test_a_net_with_actions_is_not_said_to_fire_by_itself(action):
-    net = parse_net("net: n\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a, action: f, on_failure: a}}")
-    executor = Process([net], {"f": action}).exchange.nets["n"]
-    for _ in range(3):
-        executor.pump(limit=10)
-    assert executor.stretch <= 10
-
-
 def test_an_unregistered_function_is_named_with_file_and_line(data):
     with pytest.raises(NetFileError, match=r"coordinator\.yaml:9: transitions\.search: no action function 'search'"):
         Process([load_net(data / "coordinator.yaml")], {"serch": hold})

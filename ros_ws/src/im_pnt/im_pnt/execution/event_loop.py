@@ -100,8 +100,7 @@ class EventLoop:
         conflicts: As given.
         actions: As given.
         operator: How the net is operated.
-        stretch: Firings since the net came to rest last, began an action or took an event, as far as is known: those of
-            each pump that has reached its limit are added.
+        stretch: Firings since the net came to rest last, or took an event; 0 unless a pump has reached its limit.
     """
 
     def __init__(
@@ -181,7 +180,6 @@ class EventLoop:
             self.release()
         try:
             if activity is not None:
-                self.stretch = 0
                 self.actions.begin(index, activity)
         finally:
             if not enabling.unmet[index]:
@@ -432,7 +430,6 @@ class EventLoop:
             fired += 1
             fired_so_far(firing)
             if call is not None:
-                self.stretch = 0
                 active, end, ended, function = call
                 tokens[active] += 1
                 began = clock()

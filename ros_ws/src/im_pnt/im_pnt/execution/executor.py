@@ -271,7 +271,7 @@ class Executor:
 
     @property
     def stretch(self) -> int:
-        """Firings since the net came to rest last, began an action or took an event, at the end of a :meth:`pump`."""
+        """Firings since the net came to rest last, or took an event; 0 unless :meth:`pump` has reached its limit."""
         return self._loop.stretch
 
     def busy(self) -> bool:

@@ -14,7 +14,7 @@ from im_pnt.execution.events import PauseSet
 from im_pnt.execution.executor import Executor
 
 RETRY_AFTER_S = 1.0
-MOST_AT_A_STRETCH = 100_000
+MOST_AT_A_STRETCH = 120_000
 """Firings after which a net that does not come to rest is paused: it would leave no time for anybody else."""
 
 
