@@ -1,7 +1,8 @@
 """What a start costs, and what the machine uses while nobody wants anything; how often it tells of a command."""
 
-import resource
+import os
 import subprocess
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
 from bench.figures import Line
-from bench.machine.command import START_S, Bench, cpu_by_process, seconds
+from bench.machine.command import Bench, cpu_by_process
 from bench.usage import ended_children_s, memory_mib
 from im_bringup.machine import leftovers, stop
 from im_core import clock
@@ -59,10 +60,11 @@ def rest_lines(seed: int, port: int) -> list[Line]:
 def _started(factor: float, seed: int, port: int, more: Callable[[], list[Line]]) -> list[Line]:
     """The figures of one start and of the rest behind it, then more; the machine is stopped in the end."""
     words = [str(_START), "--factor", f"{factor:g}", "--seed", str(seed), "--port", str(port)]
-    before = _of_children_s()
     try:
-        ready_s = seconds(lambda: _run(words))
-        used = sum(cpu_by_process().values()) + _of_children_s() - before
+        began = clock.monotonic()
+        used = _run(words)
+        ready_s = clock.monotonic() - began
+        used += sum(cpu_by_process().values())
         used += sum(ended_children_s(process.pid) for process in leftovers.processes())
         clock.sleep(_SETTLED_S)
         resting = cpu_by_process()
@@ -81,15 +83,19 @@ def _started(factor: float, seed: int, port: int, more: Callable[[], list[Line]]
         stop.stop(say=lambda _: None)
 
 
-def _run(words: list[str]) -> None:
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=START_S, check=False)
-    if ended.returncode != 0:
-        raise StateError(f"{' '.join(words)} ended with {ended.returncode}: {ended.stderr.strip()[-300:]}")
+def _run(words: list[str]) -> float:
+    """CPU time of a program, and of what it has begun and waited for [s].
 
-
-def _of_children_s() -> float:
-    """CPU time of the processes that this one has begun and that have ended [s]."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    Raises:
+        StateError: It fails.
+    """
+    with tempfile.TemporaryFile("w+") as told:
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=told)
+        _, status, used = os.wait4(process.pid, 0)  # it gives up by itself
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode != 0:
+            told.seek(0)
+            raise StateError(f"{' '.join(words)} ended with {process.returncode}: {told.read().strip()[-300:]}")
     return used.ru_utime + used.ru_stime
 
 
