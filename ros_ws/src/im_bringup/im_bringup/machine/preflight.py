@@ -68,13 +68,9 @@ def check_shared_memory(deployment: Deployment) -> None:
     needed = shared_memory_bytes(len(deployment.on_host(deployment.local_host())))
     free = shutil.disk_usage(_SHM).free
     if free < needed:
-        raise ImError(
-            f"{_SHM} has {free / _MIB:.0f} MiB free, and the machine needs {needed / _MIB:.0f} MiB there "
-            "(in a container: --shm-size); nothing was started",
-            code="resources",
-            free=free,
-            needed=needed,
-        )
+        there, least = f"{free / _MIB:.0f} MiB", f"{needed / _MIB:.0f} MiB"
+        sentence = f"{_SHM} has {there} free, and the machine needs {least} there (in a container: --shm-size)"
+        raise _refused(sentence, free=free, needed=needed)
 
 
 def shared_memory_bytes(processes: int) -> int:
@@ -87,26 +83,17 @@ def _check_open_files() -> None:
     allowed, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     if allowed != resource.RLIM_INFINITY and allowed < OPEN_FILES:
         if most != resource.RLIM_INFINITY and most < OPEN_FILES:
-            raise ImError(
-                f"a process may open {most} files here (ulimit -n), and up to {OPEN_FILES} are needed; "
-                "nothing was started",
-                code="resources",
-                limit=most,
-                needed=OPEN_FILES,
-            )
+            sentence = f"a process may open {most} files here (ulimit -n), and up to {OPEN_FILES} are needed"
+            raise _refused(sentence, limit=most, needed=OPEN_FILES)
         resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, most))
 
 
 def _check_file_size() -> None:
     most = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
     if most != resource.RLIM_INFINITY and most < FILE_BYTES:
-        raise ImError(
-            f"a file may have {most / _MIB:.2g} MiB here (ulimit -f), and {FILE_BYTES / _MIB:.0f} MiB are needed; "
-            "nothing was started",
-            code="resources",
-            limit=most,
-            needed=FILE_BYTES,
-        )
+        there, needed = f"{most / _MIB:.2g} MiB", f"{FILE_BYTES / _MIB:.0f} MiB"
+        sentence = f"a file may have {there} here (ulimit -f), and {needed} are needed"
+        raise _refused(sentence, limit=most, needed=FILE_BYTES)
 
 
 def _ros_logs() -> Path:
@@ -133,31 +120,27 @@ def _check_writable(find: Callable[[], Path], name: str) -> Path:
         folder = find()  # which makes it
         write_whole(folder / name, bytes(4096)).unlink(missing_ok=True)
     except StoreError as error:
-        raise ImError(f"{error.message}; nothing was started", code="resources", **error.facts) from error
+        raise _refused(error.message, **error.facts) from error
     return folder
 
 
 def _check_room(folder: Path) -> None:
     free = shutil.disk_usage(folder).free
     if free < DISK_BYTES:
-        raise ImError(
-            f"the disk of {folder} has {free / _MIB:.0f} MiB free, and {DISK_BYTES / _MIB:.0f} MiB are needed; "
-            "nothing was started",
-            code="resources",
-            free=free,
-            needed=DISK_BYTES,
-        )
+        there, needed = f"{free / _MIB:.0f} MiB", f"{DISK_BYTES / _MIB:.0f} MiB"
+        sentence = f"the disk of {folder} has {there} free, and {needed} are needed"
+        raise _refused(sentence, free=free, needed=DISK_BYTES)
 
 
 def _check_files(folder: Path) -> None:
     told = os.statvfs(folder)
     if told.f_files and told.f_favail < FILES:  # not all file systems count them
-        raise ImError(
-            f"the disk of {folder} takes {told.f_favail} files more, and {FILES} are needed; nothing was started",
-            code="resources",
-            free=told.f_favail,
-            needed=FILES,
-        )
+        sentence = f"the disk of {folder} takes {told.f_favail} files more, and {FILES} are needed"
+        raise _refused(sentence, free=told.f_favail, needed=FILES)
+
+
+def _refused(sentence: str, **facts: object) -> ImError:
+    return ImError(f"{sentence}; nothing was started", code="resources", **facts)
 
 
 def _segment_bytes() -> int:
