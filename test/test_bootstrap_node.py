@@ -91,6 +91,10 @@ def test_up_known_mended_down(small_machine, observer, wait_until, script):
         False,
         "there is no task 'dm'; did you mean 'dom'? (known: dom, gripper_coordinator)",
     )
+    told = []
+    events = "/bootstrap/query_task/_service_event"
+    observer.create_subscription(QueryTask.Event, events, told.append, qos.SERVICE_EVENTS)
+    wait_until(lambda: call_blocking(query, QueryTask.Request(name="dom"), 60.0, "dom") and told, "what a bag is told")
 
     # A task that is killed comes back, with another incarnation, and becomes ready alone.
     os.kill(answer.task.pid, signal.SIGKILL)

@@ -6,6 +6,7 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.service_introspection import ServiceIntrospectionState
 from std_msgs.msg import Float64, String, UInt8
 
 from im_bringup.machine import mission
@@ -64,7 +65,8 @@ class BootstrapNode(GuardedNode):
         self._tasks_publisher = self.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
         self.create_subscription(NetDescription, "/pnt/nets", self._described, qos.LATCHED_NETS)
-        self.create_service(QueryTask, "/bootstrap/query_task", self._query)
+        service = self.create_service(QueryTask, "/bootstrap/query_task", self._query)
+        service.configure_introspection(self.get_clock(), qos.SERVICE_EVENTS, ServiceIntrospectionState.CONTENTS)
         self._timeout_publisher = self.create_publisher(Float64, TIMEOUT_TOPIC, qos.LATCHED)
         self._timeout_publisher.publish(Float64(data=start_timeout_s()))
         self._options_publisher = self.create_publisher(String, OPTIONS_TOPIC, qos.LATCHED)

@@ -227,7 +227,7 @@ class GuardedNode(Node):
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
         )
-        self.guard_service(service)
+        _Answers(self, service)
         return service
 
     def create_client(
@@ -240,10 +240,6 @@ class GuardedNode(Node):
     ) -> Client:
         """As in rclpy, with a queue for many answers: every client is sent those to all others, too."""
         return super().create_client(srv_type, srv_name, qos_profile=qos_profile, callback_group=callback_group)
-
-    def guard_service(self, service: Service) -> None:
-        """Guard a service that was not made by :meth:`create_service`; it may do what one made there may."""
-        _Answers(self, service)
 
 
 class GuardedActionServer(ActionServer):

@@ -3,16 +3,14 @@
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from lifecycle_msgs.msg import State, Transition, TransitionDescription
+from lifecycle_msgs.msg import State, Transition, TransitionDescription, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.qos import QoSProfile
-from rclpy.service import Service
-from rclpy.type_support import check_is_valid_srv_type
 
 from im_core.errors import ImError, StateError
-from im_core.ros.guard import GuardedNode
+from im_core.ros import qos
+from im_core.ros.node import ManagedNode
 from im_mcs.ros.bounds import check_bounds
 
 Work = Callable[[str], Awaitable[None]]
@@ -20,10 +18,10 @@ Work = Callable[[str], Awaitable[None]]
 
 
 class Lifecycle:
-    """The state machine of rcl with its five services and ``transition_event``, driven by coroutines.
+    """The state machine of rcl, its five services and ``transition_event``, driven by coroutines.
 
     ``rclpy.lifecycle.LifecycleNode`` runs transitions as blocking callbacks; here a transition awaits its work, so that
-    the node goes on meanwhile.
+    the node goes on meanwhile. Its services are made by rcl and cannot tell what they are asked; these are the node's.
 
     Args:
         node: The node whose lifecycle this is.
@@ -34,19 +32,18 @@ class Lifecycle:
         failure: Why the transition that was tried last failed; empty if it succeeded.
     """
 
-    def __init__(self, node: GuardedNode, work: Mapping[str, Work]) -> None:
+    def __init__(self, node: ManagedNode, work: Mapping[str, Work]) -> None:
         self._node = node
         self._work = work
         self.failure = ""
-        for service_type in (ChangeState, GetState, GetAvailableStates, GetAvailableTransitions):
-            check_is_valid_srv_type(service_type)  # loads the type support that the machine needs
         with node.handle:
-            self._machine = _rclpy.LifecycleStateMachine(node.handle, True)
-        self._serve(self._machine.service_change_state, ChangeState, self._change_state)
-        self._serve(self._machine.service_get_state, GetState, self._get_state)
-        self._serve(self._machine.service_get_available_states, GetAvailableStates, self._get_states)
-        self._serve(self._machine.service_get_available_transitions, GetAvailableTransitions, self._get_transitions)
-        self._serve(self._machine.service_get_transition_graph, GetAvailableTransitions, self._get_graph)
+            self._machine = _rclpy.LifecycleStateMachine(node.handle, False)
+        self._events = node.create_publisher(TransitionEvent, "~/transition_event", qos.EVENTS)
+        node.create_service(ChangeState, "~/change_state", self._change_state)
+        node.create_service(GetState, "~/get_state", self._get_state)
+        node.create_service(GetAvailableStates, "~/get_available_states", self._get_states)
+        node.create_service(GetAvailableTransitions, "~/get_available_transitions", self._get_transitions)
+        node.create_service(GetAvailableTransitions, "~/get_transition_graph", self._get_graph)
 
     @property
     def state(self) -> str:
@@ -92,10 +89,24 @@ class Lifecycle:
         self._end(TransitionCallbackReturn.SUCCESS)
 
     def _begin(self, transition_id: int) -> None:
-        self._machine.trigger_transition_by_id(transition_id, True)
+        self._go(self._machine.trigger_transition_by_id, transition_id)
 
     def _end(self, outcome: TransitionCallbackReturn) -> None:
-        self._machine.trigger_transition_by_label(outcome.to_label(), True)
+        self._go(self._machine.trigger_transition_by_label, outcome.to_label())
+
+    def _go(self, trigger: Callable[[Any, bool], None], which: int | str) -> None:
+        """Go from one state to another, and tell of it."""
+        taken = next(each for each in self._machine.available_transitions if which in each[:2])
+        trigger(which, False)  # the machine itself tells nothing
+        way = _description(taken)
+        self._events.publish(
+            TransitionEvent(
+                timestamp=self._node.get_clock().now().nanoseconds,
+                transition=way.transition,
+                start_state=way.start_state,
+                goal_state=way.goal_state,
+            )
+        )
 
     def _id_of(self, transition: str) -> int:
         # while one is under way, those with which it can end are available; they are not a client's to ask for
@@ -108,13 +119,6 @@ class Lifecycle:
                 request=transition,
             )
         return int(known[transition])
-
-    def _serve(self, implementation: Any, service_type: type, callback: Callable[[Any, Any], object]) -> None:
-        group, profile = self._node.default_callback_group, QoSProfile(**implementation.qos)
-        service = Service(implementation, service_type, implementation.name, callback, group, profile)
-        self._node.guard_service(service)
-        group.add_entity(service)
-        self._node._services.append(service)  # as rclpy's own lifecycle node does: the executor finds it there
 
     def _change_state(
         self, request: ChangeState.Request, response: ChangeState.Response
