@@ -5,7 +5,8 @@ from typing import Protocol
 
 from im_core.errors import DataError, StateError
 
-#: States of a group in which it has its slots, and power (paper, section 4).
+#: States of MCS and of each group (paper, Figure 7); those of a group in which it has its slots, and power.
+STATES = frozenset({"unconfigured", "cold", "reserved", "active", "motion", "estopped"})
 HOLDING_STATES = frozenset({"reserved", "active", "motion"})
 POWERED_STATES = frozenset({"active", "motion"})
 
@@ -20,6 +21,22 @@ class ToldGroup(Protocol):
     state: str
     reserved: bool
     owner: str
+
+
+def check_told(state: str, groups: Iterable[ToldGroup]) -> None:
+    """Make sure that what came on ``/mcs/state`` can be a state of MCS: else it has not said it.
+
+    Args:
+        state: Of MCS.
+        groups: What is told of each group.
+
+    Raises:
+        DataError: It is no state, or one of a group is none.
+    """
+    for who, told in (("MCS", state), *((f"group '{group.group[:40]}'", group.state) for group in groups)):
+        if told not in STATES:
+            text = f"{who} cannot be '{told[:40]}'; its states are {', '.join(sorted(STATES))}"
+            raise DataError(text, state=told[:40])
 
 
 def state_for(groups: Iterable[ToldGroup], group: str, owner: str) -> str:

@@ -6,6 +6,7 @@ import pytest
 
 from im_coordinators.motion import (
     DESTINATIONS,
+    check_told,
     depends_on_here,
     planned_beforehand,
     require_rest,
@@ -79,3 +80,14 @@ def test_an_arm_is_in_a_state_for_him_alone_who_may_move_it() -> None:
     assert [state_for(groups, group, "/you") for group in ("left", "right", "third")] == ["cold", "active", "reserved"]
     assert state_for([Told("left", "cold", reserved=False)], "left", "/me") == "cold"
     assert state_for([], "left", "/me") == "cold"
+
+
+def test_what_can_be_no_state_of_mcs_was_not_said_by_it() -> None:
+    check_told("unconfigured", [])
+    check_told("motion", [Told("left", "motion"), Told("right", "cold", reserved=False)])
+    with pytest.raises(DataError, match="MCS cannot be '77'; its states are active, cold, "):
+        check_told("77", [])
+    with pytest.raises(DataError, match=r"group 'left' cannot be ''; its states are"):
+        check_told("motion", [Told("left", "")])
+    with pytest.raises(DataError, match=r"^MCS cannot be 'x{40}'; [^x]*$"):
+        check_told("x" * 10**6, [])

@@ -8,6 +8,7 @@ from im_coordinators.motion import (
     DESTINATIONS,
     HOLDING_STATES,
     POWERED_STATES,
+    check_told,
     depends_on_here,
     end_noted,
     note_end,
@@ -42,7 +43,7 @@ class MotionCoordinator(PntNode):
         name, made_by = "motion_coordinator", f"{__name__}:{motion_functions.__name__}"
         super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
         host.attach(self)
-        self.sources.follow(MCS_STATE, McsState, qos.LATCHED)
+        self.sources.follow(MCS_STATE, McsState, qos.LATCHED, check=lambda told: check_told(told.state, told.groups))
 
 
 def motion_functions(host: Host) -> Functions:
