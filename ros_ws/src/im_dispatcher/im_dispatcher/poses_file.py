@@ -12,6 +12,9 @@ from im_core.yamltext import control_character
 #: The cell's own poses, for the two ceiling cameras.
 OWN_POSES = ("im_dispatcher", "poses/ceiling_40.yaml")
 
+#: What of the length of a quaternion is rounding: dividing by it would change the last digits each time it is read.
+ROUNDING = 1e-12
+
 Coordinate = Annotated[float, pydantic.Field(ge=-100.0, le=100.0)]
 Quaternion = tuple[float, float, float, float]
 
@@ -42,6 +45,8 @@ class WristPose(Model):
         norm = math.hypot(*value)
         if abs(norm - 1.0) > 1e-3:
             raise ValueError(f"the quaternion has length {norm:.4f}; it must be 1")
+        if abs(norm - 1.0) <= ROUNDING:
+            return value
         x, y, z, w = (component / norm for component in value)
         return (x, y, z, w)
 

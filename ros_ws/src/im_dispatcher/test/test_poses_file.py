@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from im_core.errors import ConfigError
-from im_dispatcher.poses_file import load_poses
+from im_dispatcher.poses_file import PosesFile, WristPose, load_poses
 
 HEAD = "group: left\nframe: world\nposes:\n"
 POSE = "  - {{name: {name}, position_m: [0.1, 0.2, 1.0], orientation_xyzw: [0, 0, 0, 1]}}\n"
@@ -64,3 +65,21 @@ def test_faults_name_the_line(tmp_path: Path, text: str, message: str) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nowhere\.yaml: cannot be read"):
         load_poses(tmp_path / "nowhere.yaml")
+
+
+def test_poses_that_are_read_again_and_again_stay_the_same() -> None:
+    """They are stored with the command, and a mission that is run again reads them once more or less often."""
+    own = load_poses(None)
+    rng = np.random.default_rng(4)
+    drawn = [
+        WristPose(name=str(number), position_m=(0.0, 0.0, 1.0), orientation_xyzw=tuple(each / np.linalg.norm(each)))
+        for number, each in enumerate(rng.normal(size=(500, 4)) * [1.0, 1.0, 1.0, 1e-3])
+    ]
+    rounded = [
+        each.model_copy(update={"orientation_xyzw": tuple(np.round(each.orientation_xyzw, 4))}) for each in drawn
+    ]
+    for poses in (own.poses, drawn, [WristPose(**each.model_dump()) for each in rounded]):
+        file = own.model_copy(update={"poses": tuple(poses)})
+        again = PosesFile.model_validate_json(file.model_dump_json())
+        assert again == file
+        assert PosesFile.model_validate_json(again.model_dump_json()) == file
