@@ -11,7 +11,7 @@ from im_bringup.bag.definitions import is_defined_so
 from im_bringup.bag.delivery import Delivery
 from im_core.bag.files import METADATA
 from im_core.bag.reading import open_bag, unreadable_bag
-from im_core.errors import DataError
+from im_core.errors import DataError, nearest
 
 #: Topics that start and end machines, that carry tokens between nets, and that move arms: recorded, but replayed only
 #: by name.
@@ -154,7 +154,7 @@ def chosen_topics(known: Iterable[str], asked: Iterable[str]) -> list[str]:
     have, wanted = sorted(known), list(dict.fromkeys(asked))
     for topic in wanted:
         if topic not in have:
-            raise DataError(f"the bag has no topic {topic}; it has {', '.join(have)}", topic=topic)
+            raise DataError(f"the bag has no topic {topic}{nearest(topic, have)}", topic=topic)
     return wanted or [topic for topic in have if not _is_control(topic) and "/_" not in topic]
 
 
