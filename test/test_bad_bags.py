@@ -20,6 +20,8 @@ from im_pnt.ros import rerun
 from im_pnt_analysis.cli import main as pnt
 from im_vss.ros import recalibrate
 
+#: What is said of a byte that has changed; where it is, decides who meets it.
+SPOILT = "cannot be read: (Chunk checksum mismatch|Unable to decompress Zstandard data)"
 RECORDED = Path(__file__).parent / "data" / "bags" / "faults"
 
 
@@ -154,7 +156,7 @@ def test_what_is_no_bag_is_said_by_all(tmp_path, monkeypatch, capsys, tool, make
 def test_spoilt_bytes_are_met_with_a_sentence(tmp_path, monkeypatch, capsys, tool):
     bag = spoilt(tmp_path)
     assert TOOLS[tool](str(bag), monkeypatch) == 2
-    assert "cannot be read: Chunk checksum mismatch" in capsys.readouterr().err
+    assert re.search(SPOILT, capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -414,5 +416,5 @@ def test_half_a_bag_is_not_extracted(tmp_path, monkeypatch, capsys):
     bag = spoilt(tmp_path)
     monkeypatch.setattr("sys.argv", ["replay", str(bag), "--extract", str(tmp_path / "small")])
     assert replay.main() == 2
-    assert "cannot be read: Chunk checksum mismatch" in capsys.readouterr().err
+    assert re.search(SPOILT, capsys.readouterr().err)
     assert not (tmp_path / "small").exists()

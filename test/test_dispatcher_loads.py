@@ -15,7 +15,7 @@ from im_dispatcher.cell.needs import Needs
 from im_dispatcher.ros import node as dispatcher_node
 from im_dispatcher.ros.node import Dispatcher
 from im_msgs.srv import LoadNet
-from im_pnt.execution.events import PauseSet
+from im_pnt.execution.events import ObjectInvalidated, PauseSet
 from im_pnt.journal.journal import fingerprint
 from im_pnt.netfile import parse_net, yaml_text
 from im_pnt.ros.node import PntNode
@@ -271,6 +271,25 @@ def test_a_command_of_a_net_that_goes_when_it_is_at_rest_waits_for_what_it_needs
     assert [each.refused() for each in (awake, unload)] == [None, None]
     assert "going" not in dispatcher.exchange.nets
     assert "going" not in dispatcher.exchange.nets["cell"].written.transitions
+
+
+def test_what_has_come_to_a_net_and_waits_for_its_turn_does_not_keep_it_from_being_replaced(dispatcher, monkeypatch):
+    """Its command has ended, and what is told of the objects of that has just come."""
+    assert done(dispatcher, dispatcher.load_net(holder("changed"))) is None
+    before = dispatcher.exchange.nets["changed"]
+    looks, at_rest = [], before.at_rest
+
+    def looked_at():
+        if not looks:
+            for number in range(6):
+                before.post(ObjectInvalidated(f"object/{number}"))
+        looks.append(str(at_rest()))
+        return at_rest()
+
+    monkeypatch.setattr(before, "at_rest", looked_at, raising=True)
+    assert done(dispatcher, dispatcher.load_net(holder("changed"))) is None
+    assert looks[0] == "6 events wait to be taken"
+    assert dispatcher.exchange.nets["changed"] is not before
 
 
 def test_a_net_is_refused_whose_command_has_come_meanwhile_and_would_need_something_else(dispatcher, slow, wait_until):

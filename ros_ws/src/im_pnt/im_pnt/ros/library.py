@@ -28,6 +28,8 @@ from im_pnt.ros.reporting.publish import PntPublisher
 from im_pnt.verification import Verification, Verifier, accept
 
 REST_CHECK_S = 0.02
+#: What has come to a net is taken in its next turn; so long that is waited for, by who has no patience, too [s].
+TURN_S = 2.0
 
 #: How long it may take to read a net [s].
 READ_S = 60.0
@@ -278,9 +280,9 @@ class Loader:
         return report
 
     async def _until_rest(self, executor: Executor, patience_s: float) -> None:
-        deadline = monotonic() + patience_s
+        began = monotonic()
         while not (rest := executor.at_rest()):
-            if monotonic() > deadline:
+            if monotonic() - began > (max(patience_s, TURN_S) if executor.due else patience_s):
                 name = executor.net.name
                 text = f"net {name} is not at rest and cannot be replaced now: {rest}"
                 raise StateError(text, net=name, reasons=list(rest.reasons))
