@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import pytest
 from rclpy.action.server import CancelResponse, GoalResponse
@@ -17,7 +18,7 @@ from im_bringup.ros.calibrate_camera import CalibrateCameraClient
 from im_bringup.ros.interruptible import InterruptibleNode, spun
 from im_bringup.ros.run_command import CommandClient
 from im_core import clock
-from im_core.errors import StateError, WaitTimeoutError
+from im_core.errors import LinkError, StateError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.startup import STATUS_TOPIC
@@ -224,6 +225,18 @@ def test_a_program_whose_output_goes_nowhere_waits_all_the_same(where, code, sai
     run = ["bash", "-c", f'set -o pipefail; "$0" -c "$1" {where}', sys.executable, SAYS]
     done = subprocess.run(run, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (code, f"waited to the end\n{said}")
+
+
+def test_a_machine_that_has_ended_is_not_waited_for(ros, monkeypatch):
+    """Who had not found the dispatcher yet when the power went waited for a minute, and named nobody."""
+    monkeypatch.setattr(dispatcher, "ALONE_S", 0.3)
+    client, began = ros(CalibrateCameraClient(None)), clock.monotonic()
+    with pytest.raises(LinkError, match="calibrate_camera is not there: the machine has ended, its bootstrap is gone"):
+        client.calibrate([], "")
+    assert clock.monotonic() - began < 0.5 * dispatcher.DISCOVERY_S
+    monkeypatch.setattr(dispatcher.machine, "read", lambda: SimpleNamespace(alive=True, state="ready"))
+    with pytest.raises(WaitTimeoutError, match="for what does not come"):
+        client._until(lambda: False, "what does not come", 1.0)
 
 
 def test_who_waits_for_a_service_ends_when_interrupted(ros):

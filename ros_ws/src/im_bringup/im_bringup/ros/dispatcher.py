@@ -143,7 +143,20 @@ class DispatcherClient(InterruptibleNode):
         return future.result()
 
     def _until(self, ready: Callable[[], bool], what: str, seconds: float = DISCOVERY_S) -> None:
-        super()._until(ready, what, seconds)
+        there = clock.monotonic()
+
+        def ready_yet() -> bool:
+            nonlocal there
+            if ready():
+                return True
+            now = clock.monotonic()
+            if not (why := _why_lost(0.0)):
+                there = now
+            elif now - there > ALONE_S:
+                raise LinkError(f"{what} is not there{why}")
+            return False
+
+        super()._until(ready_yet, what, seconds)
 
     def _may_yet_come(self) -> bool:
         """What is late comes yet where the machine is being started."""
