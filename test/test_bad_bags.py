@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from mcap.opcode import Opcode
 from mcap.writer import Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
@@ -20,8 +21,6 @@ from im_pnt.ros import rerun
 from im_pnt_analysis.cli import main as pnt
 from im_vss.ros import recalibrate
 
-#: What is said of a byte that has changed; where it is, decides who meets it.
-SPOILT = "cannot be read: (Chunk checksum mismatch|Unable to decompress Zstandard data)"
 RECORDED = Path(__file__).parent / "data" / "bags" / "faults"
 
 
@@ -61,9 +60,13 @@ def without_a_message(folder):
 
 
 def spoilt(folder):
+    """The first chunk does not have the checksum that it tells: of a byte within, the decompression may say more."""
     part = copied(folder)
     data = bytearray(part.read_bytes())
-    data[len(data) // 3] ^= 0xFF
+    at = 8  # behind the magic bytes; a record is its kind, its length and that
+    while data[at] != Opcode.CHUNK:
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    data[at + 9 + 24] ^= 0xFF  # behind the times of its first and last message and its size
     part.write_bytes(data)
     return part.parent
 
@@ -156,7 +159,7 @@ def test_what_is_no_bag_is_said_by_all(tmp_path, monkeypatch, capsys, tool, make
 def test_spoilt_bytes_are_met_with_a_sentence(tmp_path, monkeypatch, capsys, tool):
     bag = spoilt(tmp_path)
     assert TOOLS[tool](str(bag), monkeypatch) == 2
-    assert re.search(SPOILT, capsys.readouterr().err)
+    assert "cannot be read: Chunk checksum mismatch" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -416,5 +419,5 @@ def test_half_a_bag_is_not_extracted(tmp_path, monkeypatch, capsys):
     bag = spoilt(tmp_path)
     monkeypatch.setattr("sys.argv", ["replay", str(bag), "--extract", str(tmp_path / "small")])
     assert replay.main() == 2
-    assert re.search(SPOILT, capsys.readouterr().err)
+    assert "cannot be read: Chunk checksum mismatch" in capsys.readouterr().err
     assert not (tmp_path / "small").exists()
