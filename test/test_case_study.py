@@ -240,10 +240,10 @@ def test_a_trajectory_of_a_foreign_client_is_carried_out(machine):
     from action_msgs.msg import GoalStatus
     from builtin_interfaces.msg import Duration
     from control_msgs.action import FollowJointTrajectory
-    from rclpy.action import ActionClient
     from sensor_msgs.msg import JointState
     from trajectory_msgs.msg import JointTrajectoryPoint
 
+    from im_core.ros.guard import GuardedActionClient
     from im_msgs.srv import GroupCommand, ReserveGroup
 
     other, owner = machine.execute("home", group="left"), {"group": "right", "owner": "stranger"}
@@ -258,7 +258,7 @@ def test_a_trajectory_of_a_foreign_client_is_carried_out(machine):
     for word in ("reserve", "group/power_on", "group/enable_motion"):
         answer = machine.call(ReserveGroup if word == "reserve" else GroupCommand, f"/mcs/{word}", **owner)
         assert answer.success, answer.message
-    client = ActionClient(machine.node, FollowJointTrajectory, "/right/follow_joint_trajectory")
+    client = GuardedActionClient(machine.node, FollowJointTrajectory, "/right/follow_joint_trajectory")
     try:
         sent = client.send_goal_async(goal)
         machine.wait_for(sent.done, "the goal to be accepted")

@@ -300,6 +300,20 @@ def test_every_node_of_the_product_is_guarded():
     assert wrong == []
 
 
+def test_no_thread_beside_the_executor_gives_a_goal_through_a_bare_client():
+    """One of rclpy drops an answer that comes before the asking thread has noted what it asked, and hangs then."""
+    bare = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for folder in ("bench", "test")
+        for path in sorted(ROOT.glob(f"{folder}/**/*.py"))
+        if path.name != "attack.py"  # which asks within the loop
+        and "ActionClient" in (text := path.read_text(encoding="utf-8"))
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] == "ActionClient"
+    ]
+    assert bare == []
+
+
 def test_every_publisher_names_a_profile():
     """A bare number hides how late a reader may be: ten messages of /clock are a tenth of a second."""
     bare = []

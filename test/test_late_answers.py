@@ -2,7 +2,7 @@
 
 import pytest
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.service import Service
 from std_srvs.srv import Trigger
@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 from im_core import clock
 from im_core.ros import late_answers, qos
 from im_core.ros.calls import pause
-from im_core.ros.guard import GuardedActionServer, GuardedNode
+from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.ros.node import ManagedNode
 from im_msgs.action import ExecuteCommand
 
@@ -114,7 +114,7 @@ def test_who_gave_a_goal_learns_that_it_was_taken_and_its_result(ros, monkeypatc
     node, asker = GuardedNode("late"), GuardedNode("asker")
     options = {} if accepts else {"goal_callback": lambda goal: GoalResponse.REJECT}
     server = GuardedActionServer(node, ExecuteCommand, "/late/do", work, **options)
-    client = ActionClient(asker, ExecuteCommand, "/late/do")
+    client = GuardedActionClient(asker, ExecuteCommand, "/late/do")
     ros(node, asker)
     assert client.wait_for_server(60.0)
     sent = client.send_goal_async(ExecuteCommand.Goal())
@@ -145,7 +145,7 @@ def test_a_cancellation_whose_answer_is_lost_is_carried_out_and_counted(ros, mon
     node, asker = ManagedNode("late"), GuardedNode("asker")
     accept = {"cancel_callback": lambda goal: CancelResponse.ACCEPT}
     server = GuardedActionServer(node, ExecuteCommand, "/late/cancelled", work, **accept)
-    client = ActionClient(asker, ExecuteCommand, "/late/cancelled")
+    client = GuardedActionClient(asker, ExecuteCommand, "/late/cancelled")
     ros(node, asker)
     assert client.wait_for_server(60.0)
     sent = client.send_goal_async(ExecuteCommand.Goal())

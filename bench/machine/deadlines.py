@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from rclpy.action import ActionClient
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -21,6 +19,7 @@ from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_core import clock
 from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos
+from im_core.ros.guard import GuardedActionClient, GuardedNode
 from im_core.ros.run import Spinner
 from im_msgs.action import Move
 from im_msgs.msg import McsState
@@ -36,7 +35,7 @@ _START_S, _ANSWER_S, _POLL_S = 60.0, 60.0, 0.01
 _STEP = 0.1
 
 
-class Operator(Node):
+class Operator(GuardedNode):
     """Moves the arms to and fro and asks for images, as fast as they come."""
 
     def __init__(self) -> None:
@@ -47,7 +46,7 @@ class Operator(Node):
         self.moves = 0
         self.create_subscription(McsState, "/mcs/state", self._keep, qos.LATCHED)
         self.create_subscription(JointState, "/joint_states", self._hear, qos.EVENTS)
-        self._move = ActionClient(self, Move, f"/{GROUP}/move")
+        self._move = GuardedActionClient(self, Move, f"/{GROUP}/move")
         self._snap = self.create_client(Snap, "/vss/snap")
 
     def _keep(self, message: McsState) -> None:
