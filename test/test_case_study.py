@@ -260,6 +260,7 @@ def test_a_trajectory_of_a_foreign_client_is_carried_out(machine):
         assert answer.success, answer.message
     client = GuardedActionClient(machine.node, FollowJointTrajectory, "/right/follow_joint_trajectory")
     try:
+        machine.wait_for(client.server_is_ready, "the action")
         sent = client.send_goal_async(goal)
         machine.wait_for(sent.done, "the goal to be accepted")
         ended = sent.result().get_result_async()
@@ -269,12 +270,13 @@ def test_a_trajectory_of_a_foreign_client_is_carried_out(machine):
             assert machine.call(GroupCommand, f"/mcs/{word}", **owner).success
         assert machine.call(ReserveGroup, "/mcs/release", **owner).success
         client.destroy()
-    answer, after = ended.result(), machine.message(JointState, "/joint_states")
+        after = machine.message(JointState, "/joint_states")
+        assert machine.execute("home", group="right")().success
+    answer = ended.result()
     assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0), answer.result.error_string
     moved = dict(zip(after.name, after.position, strict=True))
     assert moved["right_j4"] - arm["right_j4"] == near(0.1, 2e-3)
     assert other().success
-    assert machine.execute("home", group="right")().success
 
 
 def wrist(machine, group):
