@@ -29,3 +29,12 @@ def test_who_answers_nothing_is_not_waited_for(ros, recorder, wait_until, monkey
     page = interfaces.tables(asking)
     assert "| `/oven/bake` | `std_srvs/srv/Trigger` | `/oven` |" in page
     assert "| `standalone` | bool |  | at the start |" in page
+
+
+def test_who_is_named_and_has_gone_is_passed_over(ros, monkeypatch):
+    """The graph names nodes that have ended: for a while, under load for good."""
+    asking = ros(InterruptibleNode("asking"))
+    named = asking.get_node_names_and_namespaces
+    monkeypatch.setattr(asking, "get_node_names_and_namespaces", lambda: [("gone", "/"), *named()])
+    page = interfaces.tables(asking)
+    assert "/gone" not in page

@@ -44,12 +44,14 @@ def tables(node: InterruptibleNode) -> str:
         if name.startswith(("_", node.get_name())):
             continue
         whole = f"{space.rstrip('/')}/{name}"
-        offered = [*node.get_service_names_and_types_by_node(name, space)]
-        offered += node.get_publisher_names_and_types_by_node(name, space)
-        for interface, _ in offered:
-            owners.setdefault(interface, set()).add(whole)
-        for topic, _ in node.get_subscriber_names_and_types_by_node(name, space):
-            listeners.setdefault(topic, set()).add(whole)
+        with suppress(NodeNameNonExistentError):  # it has gone meanwhile
+            offered = [*node.get_service_names_and_types_by_node(name, space)]
+            offered += node.get_publisher_names_and_types_by_node(name, space)
+            heard = node.get_subscriber_names_and_types_by_node(name, space)
+            for interface, _ in offered:
+                owners.setdefault(interface, set()).add(whole)
+            for topic, _ in heard:
+                listeners.setdefault(topic, set()).add(whole)
     services, actions, topics, driven = [], [], [], []
     for name, types in node.get_service_names_and_types():
         if ACTION in name:
