@@ -208,6 +208,19 @@ def test_images_flow_at_a_rate_of_testbed_time(machine):
     assert all(result.successful for result in set_parameters(machine, table__rate=0.0, wall__rate=0.0))
 
 
+def test_no_image_at_a_rate_is_left_out_however_fast_time_passes(machine):
+    """At clock factor 0 ten periods that somebody wants at once take as long as their images."""
+    seen = [watch(machine, name, *TOPICS[0]) for name in ("table", "wall")]
+    assert all(result.successful for result in set_parameters(machine, table__rate=10.0, wall__rate=5.0))
+    machine.until(lambda: all(seen))
+    advance(machine, 2.0)
+    machine.until(lambda: all(len(images) >= most for images, most in zip(seen, (19, 9), strict=True)))
+    for images, period_s in zip(seen, (0.1, 0.2), strict=True):
+        stamps = np.array([image.header.stamp.sec + image.header.stamp.nanosec * 1e-9 for image in images])
+        assert (np.diff(np.floor(stamps[1:] / period_s)) == 1.0).all()  # the first comes at once, not at a multiple
+    assert all(result.successful for result in set_parameters(machine, table__rate=0.0, wall__rate=0.0))
+
+
 def test_images_at_a_rate_do_not_drive_the_clock_on(machine):
     """Exposures of four periods and more: what they take of testbed time brings no further image."""
     seen, began = [watch(machine, name, *TOPICS[0]) for name in ("table", "wall")], machine.testbed._link.tick

@@ -150,6 +150,13 @@ class FrameSource(ABC):
             ImError: The cameras cannot deliver; the message says who is missing.
         """
 
+    def await_image(self, due_ns: int | None) -> None:  # noqa: B027  # time waits for none where it passes by itself
+        """Say when the next image of those at a rate is due, so that time, where it can, waits for it.
+
+        Args:
+            due_ns: Testbed time [ns]; None: none is.
+        """
+
     @abstractmethod
     def close(self) -> None:
         """Let go of the cameras."""

@@ -7,7 +7,19 @@ import threading
 import numpy as np
 import pytest
 
-from im_cell.link import CameraEnd, ClockEnd, HostEnd, LaserBeam, LaserEnd, PanelEnd, Sensors, ServoEnd, TickCommand
+from im_cell.link import (
+    CameraEnd,
+    ClockEnd,
+    HostEnd,
+    LaserBeam,
+    LaserEnd,
+    PanelEnd,
+    RateEnd,
+    Sensors,
+    ServoEnd,
+    TickCommand,
+)
+from im_cell.link import host as host_module
 from im_core import clock
 from im_core.errors import DataError, LinkError, WaitTimeoutError
 from im_core.shm_names import remove_all
@@ -45,6 +57,7 @@ def end_of(kind):
 
 
 servo, time, camera, panel = end_of(ServoEnd), end_of(ClockEnd), end_of(CameraEnd), end_of(PanelEnd)
+laser, rates = end_of(LaserEnd), end_of(RateEnd)
 
 
 @contextlib.contextmanager
@@ -208,6 +221,45 @@ def test_exposure_that_nobody_serves_times_out_and_is_replaced(host, camera):
         camera.expose(0, blank_light=False, timeout_s=0.02)
 
 
+def test_time_waits_for_an_image_that_is_due(host, time, camera, rates, monkeypatch):
+    monkeypatch.setattr(host_module, "IMAGE_PATIENCE_S", 60.0)
+    rates.await_image(31_000_000)
+    with running(host, []):
+        time.request_time(10)
+        time.wait_tick(4, timeout_s=60.0)
+        clock.sleep(0.03)
+        assert time.tick == 4
+        rates.await_image(70_000_000)
+        time.wait_tick(7, timeout_s=60.0)
+        clock.sleep(0.03)
+        assert time.tick == 7
+        rates.await_image(None)
+        time.wait_tick(10, timeout_s=60.0)
+
+
+def test_who_takes_the_image_has_the_time_that_it_takes(host, time, camera, laser, rates, monkeypatch):
+    monkeypatch.setattr(host_module, "IMAGE_PATIENCE_S", 60.0)
+    rates.await_image(0)
+    publish(host, 1)
+    time.request_time(9)
+    assert not host.demand()
+    with pytest.raises(WaitTimeoutError, match="an exposure of 2 ticks"):
+        camera.expose(2, blank_light=False, timeout_s=0.02)
+    assert host.demand()
+    host.finish_exposure(host.pending_exposure(), 1, 3, np.zeros(N), np.zeros(2), LaserBeam())
+    assert not host.demand()
+    laser.request_time(1)
+    assert host.demand()
+
+
+def test_an_image_that_does_not_come_is_waited_for_once(host, time, rates, monkeypatch):
+    monkeypatch.setattr(host_module, "IMAGE_PATIENCE_S", 0.05)
+    rates.await_image(20_000_000)
+    with running(host, []):
+        time.request_time(50)
+        time.wait_tick(50, timeout_s=60.0)
+
+
 def test_lights(host, panel):
     panel.set_light(1, True)
     assert host.lights() == (False, True)
@@ -221,8 +273,9 @@ def test_an_end_can_do_what_its_user_may_do_and_no_more():
 
     host = {"publish_state", "publish_laser", "read_truth", "await_command", "await_demand", "finish_exposure"}
     assert able(HostEnd) >= host
-    for kind in (ServoEnd, CameraEnd, LaserEnd, PanelEnd, ClockEnd):
+    for kind in (ServoEnd, CameraEnd, RateEnd, LaserEnd, PanelEnd, ClockEnd):
         assert not able(kind) & host
     assert able(CameraEnd) - able(LaserEnd) == {"expose"}
+    assert able(RateEnd) - able(LaserEnd) == {"await_image"}
     assert able(LaserEnd) - able(ClockEnd) == {"set_laser", "laser"}
     assert not able(ServoEnd) & {"expose", "set_laser", "set_faults", "set_light", "request_time"}

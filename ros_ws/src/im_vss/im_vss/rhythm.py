@@ -1,12 +1,14 @@
 """When cameras take images without being asked."""
 
+import math
+
 
 class Rhythm:
     """Says which cameras are due, in testbed time: at the multiples of their periods.
 
     Cameras of the same rate are therefore exposed together. What falls into an exposure is left out. Where testbed time
-    passes only for those who want it, an exposure makes time pass; images never follow from that time alone, else they
-    would drive the clock on for ever.
+    passes only for those who want it, it waits for what is due, and an exposure makes time pass; images never follow
+    from that time alone, else they would drive the clock on for ever.
     """
 
     def __init__(self) -> None:
@@ -50,6 +52,19 @@ class Rhythm:
         for camera in cameras:
             if camera in self._last:
                 self._last[camera] = max(self._last[camera], self._period(camera, end_ns))
+
+    @property
+    def next_ns(self) -> int | None:
+        """From which testbed time on the next image is due [ns], 0 if one is at once; None if none is."""
+        return min((self._next(camera) for camera in self._rates), default=None)
+
+    def _next(self, camera: str) -> int:
+        if camera not in self._last:
+            return 0
+        start_ns = math.ceil((self._last[camera] + 1) * 1e9 / self._rates[camera])
+        while self._period(camera, start_ns) <= self._last[camera]:  # by rounding
+            start_ns += 1
+        return max(start_ns, self._rest_ns + 1)
 
     def _period(self, camera: str, time_ns: int) -> int:
         """Number of the period of a camera that a time lies in."""

@@ -78,3 +78,20 @@ def test_rates_come_and_go():
     rhythm.set_rate("wall", 0.0)
     rhythm.taken(("wall",), 2 * 10**9)  # the last one, still under way
     assert (rhythm.active, rhythm.due(3 * 10**9)) == (False, ())
+
+
+@given(RATES, EXPOSURES, st.integers(0, 10**6))
+def test_it_says_when_the_next_image_is_due(rates, exposure, start):
+    """The first tick from that time on, and none before, brings an image, also where an exposure has just ended."""
+    rhythm, now = rhythm_of(rates), start * TICK_NS
+    assert rhythm_of({}).next_ns is None
+    assert rhythm.next_ns == 0
+    for _ in range(10):
+        now = max(now, -(-rhythm.next_ns // TICK_NS) * TICK_NS)
+        cameras = rhythm.due(now)
+        assert cameras
+        now += exposure * TICK_NS
+        rhythm.taken(cameras, now + TICK_NS)
+        while now + TICK_NS < rhythm.next_ns:
+            now += TICK_NS
+            assert rhythm.due(now) == ()

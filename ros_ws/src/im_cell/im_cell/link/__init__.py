@@ -2,9 +2,9 @@
 
 It is a stand-in for the wires of a real robot: encoder readings one way, torques the other, and an exposure trigger for
 the cameras. The physics process creates the link as :class:`HostEnd`; everybody else attaches an end that can do what
-its user may do and no more: :class:`ServoEnd`, :class:`CameraEnd`, :class:`LaserEnd`, :class:`PanelEnd` (lights,
-faults, objects between the jaws), :class:`StopEnd` (emergency stop), :class:`ClockEnd` (time only). Truth is to be had
-at the host's end alone.
+its user may do and no more: :class:`ServoEnd`, :class:`CameraEnd`, :class:`RateEnd` (images that come by
+themselves), :class:`LaserEnd`, :class:`PanelEnd` (lights, faults, objects between the jaws), :class:`StopEnd`
+(emergency stop), :class:`ClockEnd` (time only). Truth is to be had at the host's end alone.
 
 One tick, period 4.5 ms, is one handshake::
 
@@ -39,7 +39,8 @@ where the jaws are and what they press with.
 
 *Exposures.* ``expose(ticks, blank_light, timeout_s, blank_laser)`` starts at the next tick boundary and takes ``ticks``
 ticks; ``blank_light`` strobes the wrist lights off during it, ``blank_laser`` the laser. One client at a time; a new
-client replaces a dead one.
+client replaces a dead one. ``await_image(due_ns)`` at the :class:`RateEnd`: at ``factor == 0`` time that others want
+waits there until the image is taken and the next one is announced, for a second at most.
 
 *Laser.* ``set_laser`` says where the mirrors of the scanner shall go and with what power the beam shall be lit; they
 move at their own rate, ``laser`` says where they are. The end asks for the time that takes.
@@ -64,7 +65,7 @@ from im_cell.link.values import (
     TickState,
     TrueState,
 )
-from im_cell.link.vision import CameraEnd, LaserEnd
+from im_cell.link.vision import CameraEnd, LaserEnd, RateEnd
 
 __all__ = [
     "CameraEnd",
@@ -78,6 +79,7 @@ __all__ = [
     "LaserBeam",
     "LaserEnd",
     "PanelEnd",
+    "RateEnd",
     "Sensors",
     "ServoEnd",
     "StopEnd",

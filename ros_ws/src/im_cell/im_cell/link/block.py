@@ -65,6 +65,8 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             ("stop", "<i8"),
             # whoever drives the laser scanner
             ("laser_command", "<f8", (4,)),
+            # whoever has images taken at a rate; 0: none is due
+            ("image_due", "<i8"),
             # cameras
             ("exposure_request", "<i8"),
             ("exposure_ticks", "<i8"),

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.link.block import MAX_LIGHTS, LinkBlock, objects_of
-from im_cell.link.end import LinkEnd
+from im_cell.link.end import LinkEnd, TimeSlot
 from im_cell.link.values import (
     ControlState,
     ExposureRequest,
@@ -17,11 +17,14 @@ from im_cell.link.values import (
     TickCommand,
     TrueState,
 )
+from im_core import clock
 from im_core.errors import DataError
 from im_core.procfs import ProcessId
 from im_core.silence import Silence
 
 DEFAULT_LIGHTS = ("left_led", "right_led")
+#: How long time waits for an image that is due, at clock factor 0 [s]: less than a servo waits for a tick.
+IMAGE_PATIENCE_S = 1.0
 _SLICE_S = 0.05
 
 
@@ -33,6 +36,7 @@ class HostEnd(LinkEnd):
 
     _seen = 0
     _asked = 0
+    _image_due, _image_due_at = 0, 0.0
 
     @classmethod
     def create(
@@ -177,11 +181,16 @@ class HostEnd(LinkEnd):
         self._shared.view["laser"][:] = beam.values()
 
     def demand(self) -> bool:
-        """Whether somebody wants another tick at clock factor 0."""
+        """Whether somebody wants another tick at clock factor 0, and no image that is due is waited for.
+
+        Whoever takes it has the time that it takes: exposures, and what is asked for in the slot of vision.
+        """
         view = self._shared.view
-        if int(view["command_wants_time"]) and int(view["servo_pid"]):
+        wanted = (int(view["command_wants_time"]) and int(view["servo_pid"])) or self.time_asked()
+        if wanted and not self._image_awaited():
             return True
-        return int(view["exposure_request"]) != int(view["exposure_done"]) or self.time_asked()
+        exposed = int(view["exposure_request"]) != int(view["exposure_done"])
+        return exposed or int(view["demand_until"][TimeSlot.VSS]) > self.tick
 
     def await_demand(self, timeout_s: float) -> bool:
         """Wait until somebody wants a tick, at most ``timeout_s`` [s]; whether somebody does."""
@@ -217,6 +226,15 @@ class HostEnd(LinkEnd):
         view["exposure_laser"][:] = laser.values()
         view["exposure_done"][()] = request.request
         self._shared.exposed.post()
+
+    def _image_awaited(self) -> bool:
+        """Whether an image is due that nobody has said to be there; one that does not come is not waited for again."""
+        due = int(self._shared.view["image_due"])
+        if not 0 < due <= self.tick:
+            return False
+        if due != self._image_due:
+            self._image_due, self._image_due_at = due, clock.monotonic()
+        return clock.monotonic() - self._image_due_at < IMAGE_PATIENCE_S
 
     def _declare_gone(self) -> None:
         view = self._shared.view

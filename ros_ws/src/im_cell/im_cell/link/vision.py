@@ -60,6 +60,22 @@ class CameraEnd(LinkEnd):
         )
 
 
+class RateEnd(LinkEnd):
+    """Says when images are due that are taken at a rate; one client at a time."""
+
+    def await_image(self, due_ns: int | None) -> None:
+        """Have time wait, at clock factor 0, for an image that is due, until this is said anew.
+
+        What others want of time waits, for a second at most (:data:`im_cell.link.host.IMAGE_PATIENCE_S`).
+
+        Args:
+            due_ns: When the next image is due, testbed time [ns]; None: none is.
+        """
+        tick = 0 if due_ns is None else max(1, -(-due_ns // self.period_ns))
+        self._shared.view["image_due"][()] = tick
+        self._shared.wake.post()
+
+
 class LaserEnd(ClockEnd):
     """Commands mirrors and beam of the laser scanner; one client at a time."""
 

@@ -1,11 +1,12 @@
 """The node's end of the camera process: starts it, orders images, starts it again when it dies."""
 
 import threading
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 
 from pydantic import ValidationError
 
 from im_cell.frames import Exposed, Frame, FrameSet, FrameSource, FrameSourceSetup, SnapOrder, nobody
+from im_cell.link import RateEnd
 from im_cell.robot.truth import FILE_NAME
 from im_cell.sensor import SensorControls
 from im_core import clock, names
@@ -50,6 +51,7 @@ class CameraHost(FrameSource):
         self._lock = threading.Lock()
         self._shared = ExitStack()  # what is closed with the process
         self._child: ChildProcess | None = None
+        self._rates: RateEnd | None = None
         self._ready = False
         self._number = 0
 
@@ -122,14 +124,32 @@ class CameraHost(FrameSource):
             timing["handover_s"] = max(0.0, clock.monotonic() - begin - sum(timing.values()))
             return FrameSet(frames, timing, reply.exposure_s)
 
+    def await_image(self, due_ns: int | None) -> None:
+        """At clock factor 0 the testbed's time waits for an image; of the testbed that is there, if one is."""
+        if self._rates is not None and not self._rates.physics_alive():
+            self._leave_testbed()
+        if self._rates is None and due_ns is not None:
+            with suppress(LinkError):
+                self._rates = RateEnd.attach(names.instance(), 0.0)
+        if self._rates is not None:
+            self._rates.await_image(due_ns)
+
     def close(self) -> None:
-        """End the process and remove the shared memory."""
+        """End the process and remove the shared memory; no image is awaited any more."""
+        if self._rates is not None:
+            self._rates.await_image(None)
+            self._leave_testbed()
         with self._lock:
             if self._child is None:
                 return
             self._child.stop()
             self._child = None
             self._shared.close()
+
+    def _leave_testbed(self) -> None:
+        if self._rates is not None:
+            self._rates.close()
+            self._rates = None
 
     def _start(self) -> None:
         channels, run_dir = self._names, names.run_dir()

@@ -20,16 +20,20 @@ POLL_S = 0.01
 class ImageStream:
     """Has images taken when :class:`im_vss.rhythm.Rhythm` says so, by the node's clock: testbed time with /clock."""
 
-    def __init__(self, node: ManagedNode, take: Callable[[tuple[str, ...]], int]) -> None:
+    def __init__(
+        self, node: ManagedNode, take: Callable[[tuple[str, ...]], int], await_image: Callable[[int | None], None]
+    ) -> None:
         """Nothing flows yet.
 
         Args:
             node: The node whose loop it runs in.
             take: Takes an image with each of some cameras at the same time, in a thread; when the exposure ended,
                 testbed time [ns].
+            await_image: Is told when the next image is due, testbed time [ns]; None: none is.
         """
         self._node = node
         self._take = take
+        self._await_image = await_image
         self._rhythm = Rhythm()
         self._timer: Timer | None = None
         self._busy = False
@@ -37,6 +41,8 @@ class ImageStream:
     def set_rate(self, camera: str, rate: float) -> None:
         """Set the images a second of testbed time of a camera [Hz]; 0: on demand only."""
         self._rhythm.set_rate(camera, rate)
+        if not self._busy:
+            self._await_image(self._rhythm.next_ns)
         if self._rhythm.active and self._timer is None:
             self._timer = self._node.create_timer(POLL_S, self._look, clock=self._node.steady_clock)
         elif not self._rhythm.active and self._timer is not None:
@@ -59,6 +65,7 @@ class ImageStream:
             self._node.get_logger().warning(f"no image of {names}: {error.message}", throttle_duration_sec=5.0)
         finally:
             self._busy = False
+            self._await_image(self._rhythm.next_ns)
 
 
 class ControlParameters:

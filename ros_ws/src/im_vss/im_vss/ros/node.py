@@ -100,7 +100,8 @@ class VssNode(ManagedNode):
             mounts=Mounts(lambda frame, stamp_ns: tracker.wrist(frame.removesuffix("_wrist"), stamp_ns)),
             laser=self._laser,
         )
-        self._controls = ControlParameters(self, settings, self._rig.controls, ImageStream(self, self._take_images))
+        stream = ImageStream(self, self._take_images, self._source.await_image)
+        self._controls = ControlParameters(self, settings, self._rig.controls, stream)
         catalogue = load_catalogue(self._file("catalogue"))
         self._vsm = VisionServicesManager(self._rig, catalogue, self._process)
         self._source.start()
