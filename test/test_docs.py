@@ -1,6 +1,7 @@
-"""What the docs name exists: files and tests of the paper's table, paths and links, and what services take."""
+"""What the docs name exists: files, tests, paths, links and commits, and what services take."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -66,3 +67,17 @@ def test_paths_and_links_lead_somewhere(page):
         if not is_there(f"{path}.py") and not is_there(f"{path}/__main__.py"):
             missing.append(module)
     assert not missing
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_pytest_is_to_select_is_there(page):
+    for file, word in re.findall(r"pytest (\S+\.py) -k (\w+)", page.read_text()):
+        assert re.search(rf"def test_\w*{word}", (ROOT / file).read_text()), f"{file} -k {word}"
+
+
+@pytest.mark.skipif(not (ROOT / ".git").is_dir() or (ROOT / ".git" / "shallow").exists(), reason="no history here")
+def test_commits_are_in_the_history():
+    named = {commit for page in PAGES for commit in re.findall(r"commit `([0-9a-f]{7,40})", page.read_text())}
+    command = ["git", "cat-file", "--batch-check"]
+    told = subprocess.run(command, cwd=ROOT, input="\n".join(sorted(named)), capture_output=True, text=True, check=True)
+    assert not [line for line in told.stdout.splitlines() if " commit " not in line]
