@@ -133,7 +133,7 @@ def test_a_command_with_other_arguments_is_not_taken_for_the_one_that_goes_on(tm
     [
         (["--arg", "limit=4.0"], 0, 'pack done: {"parts": [2, 3], "mass": 3.8}'),
         (["--arg", "masses=[3.5, 4.5]", "--arg", "limit=3.0"], 1, "pack failed: no part is as light as 3.0 kg"),
-        (["--arg", "masses=[-1.0]"], 2, "argument masses[0] is -1.0, not a list of numbers >= 0 [kg]"),
+        (["--arg", "masses=[-1.0]"], 2, "argument masses[0] is -1.0, not a number >= 0 [kg]"),
     ],
 )
 def test_what_is_reckoned_in_python_comes_back_or_says_its_own_sentence(process, wait_until, given, code, told):

@@ -3,7 +3,7 @@
 import enum
 import math
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from im_core.errors import ArgumentError, DataError, nearest, require_text
 from im_core.yamltext import quoted_text
@@ -110,8 +110,9 @@ class Argument:
         if not isinstance(value, list | tuple):
             raise self._refusal(self.name, value)
         self._check_length(value, self.name)
+        one = replace(self, type=self.type.element, length=None)
         for index, element in enumerate(value):
-            self._check_one(element, f"{self.name}[{index}]")
+            one._check_one(element, f"{self.name}[{index}]")
         return list(value)
 
     def limits(self) -> dict[str, float]:
@@ -149,8 +150,7 @@ class Argument:
                 fits = isinstance(value, str)
         if fits and isinstance(value, str):
             require_text(value, f"a text of argument {where}")
-            if not self.type.is_list:
-                self._check_length(value, where)
+            self._check_length(value, where)
         if fits and isinstance(value, int | float) and not isinstance(value, bool):
             low, high = self.minimum, self.maximum
             fits = (low is None or value >= low) and (high is None or value <= high)
