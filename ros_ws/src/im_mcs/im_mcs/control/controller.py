@@ -78,10 +78,11 @@ def checked(model: type[ParametersT], parameters: dict[str, Any]) -> ParametersT
     """Parameters of a control law as its typed model.
 
     Raises:
-        ConfigError: One is missing, unknown or out of range; it is named.
+        ConfigError: Some are missing, unknown or out of range; they are named.
     """
     try:
         return model.model_validate(parameters)
     except pydantic.ValidationError as error:
-        fault = faults(error, model)[0]
-        raise ConfigError(f"controller parameter '{fault.field}': {fault.sentence}", parameter=fault.field) from None
+        told = faults(error, model)
+        sentence = "; ".join(f"parameter '{fault.field}': {fault.sentence}" for fault in told)
+        raise ConfigError(sentence, parameter=told[0].field) from None

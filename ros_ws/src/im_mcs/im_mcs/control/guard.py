@@ -82,13 +82,17 @@ def load_controller(name: str, setup: ControllerSetup) -> Controller:
     """Make the control law that the configuration names ``module:Class``.
 
     Raises:
-        ConfigError: There is no such module or class, or it refuses its parameters.
+        ConfigError: There is no such module or class, or it refuses its parameters; names the law.
     """
     factory = plugins.load(name, None, "controller")
     try:
         if not callable(factory):
             raise TypeError("it is no class")
         return GuardedLaw(name, factory(setup))
+    except ConfigError as error:
+        refused = ConfigError(f"controller '{name}': {error.message}", controller=name)
+        refused.facts.update(error.facts)
+        raise refused from error
     except ImError:
         raise
     except Exception as error:  # a law of the user's may raise anything

@@ -64,5 +64,5 @@ def _stiffness(parameters: ImpedanceParameters, joint: str) -> float:
     value = parameters.stiffness.get(kind)
     if value is None or value <= 0.0:
         given, where = "none" if value is None else f"{value:g}", f"stiffness.{kind}"
-        raise ConfigError(f"controller parameter '{where}': {joint} needs one > 0, not {given}", parameter=where)
+        raise ConfigError(f"parameter '{where}': {joint} needs one > 0, not {given}", parameter=where)
     return value
