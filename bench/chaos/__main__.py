@@ -17,6 +17,7 @@ from bench.chaos.faults import JOURNALS, KINDS, ROLES
 from bench.chaos.records import Result, Verdict
 from bench.chaos.safety import Watch
 from bench.chaos.trial import Setting
+from bench.part import positive
 from bench.power.plug import Plug
 from im_bringup.machine.interrupts import interrupt_once
 from im_bringup.tasks import deployment as deployments
@@ -39,8 +40,8 @@ def main() -> int:
         epilog="Exit codes: 0 no failure, 1 failures (the table says which; --seed N --injections 1 repeats one), "
         "2 bad usage, 130 interrupted.",
     )
-    parser.add_argument("--minutes", type=float, help="how long to go on")
-    parser.add_argument("--injections", type=int, help="how many (default: 20, or what --minutes gives)")
+    parser.add_argument("--minutes", type=positive(float), help="how long to go on")
+    parser.add_argument("--injections", type=positive(int), help="how many (default: 20, or what --minutes gives)")
     parser.add_argument(
         "--seed", type=int, help="of the first injection, the next has one more (default: 1, or what follows in --out)"
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bench.dom import kills, speed
 from bench.figures import Line
-from bench.part import Part, Work
+from bench.part import Part, Work, positive
 from im_core.errors import ImError
 
 GROUPS = {
@@ -21,7 +21,7 @@ _ABOUT = "Measures the Data Object Manager. All figures are written as JSON into
 def main() -> int:
     """Run the command; its exit code."""
     part = Part("dom", _ABOUT, GROUPS)
-    part.parser.add_argument("--kills", type=int, default=200, help="how many (default: %(default)s)")
+    part.parser.add_argument("--kills", type=positive(int), default=200, help="how many (default: %(default)s)")
     return part.run(_work)
 
 

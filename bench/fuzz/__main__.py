@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from bench.fuzz.attack import Attack
 from bench.fuzz.targets import Target, targets
 from bench.fuzz.values import Values
+from bench.part import positive
 from bench.usage import memory_mib
 from im_core import clock
 from im_core.ros import qos
@@ -152,10 +153,10 @@ def _settled(node: Node, census: Census) -> list[Target]:
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m bench.fuzz", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=5, help="throws of each client at each interface")
+    parser.add_argument("--rounds", type=positive(int), default=5, help="throws of each client at each interface")
     parser.add_argument("--seconds", type=float, default=0.0, help="go on for so long instead, e.g. 60")
     parser.add_argument("--rate", type=float, default=0.0, help="throws a second in all, e.g. 200 (default: what goes)")
-    parser.add_argument("--clients", type=int, default=1, help="nodes that throw, e.g. 50")
+    parser.add_argument("--clients", type=positive(int), default=1, help="nodes that throw, e.g. 50")
     parser.add_argument("--slow", type=int, default=0, help="nodes that subscribe and never take anything, e.g. 100")
     parser.add_argument("--large", type=float, default=0.002, help="share of texts that have two million characters")
     parser.add_argument("--seed", type=int, default=0)

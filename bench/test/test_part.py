@@ -1,14 +1,17 @@
 """What every part of the benchmarks does alike."""
 
 import json
+import sys
 from argparse import ArgumentTypeError
 
 import pytest
 
 import bench.part
 from bench.calibration import __main__ as calibration
+from bench.chaos import __main__ as chaos
 from bench.dom import __main__ as dom
 from bench.figures import Line
+from bench.fuzz import __main__ as fuzz
 from bench.machine import __main__ as machine
 from bench.mcs import __main__ as mcs
 from bench.nets import __main__ as nets
@@ -107,3 +110,15 @@ def test_every_group_that_help_tells_of_can_be_measured(each, monkeypatch, tmp_p
 def test_numbers_that_must_be_above_zero_are_refused_otherwise(text):
     with pytest.raises(ArgumentTypeError, match=f"{text} must be above 0"):
         positive(float)(text)
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [(chaos, "--injections"), (chaos, "--minutes"), (dom, "--kills"), (fuzz, "--rounds"), (fuzz, "--clients")],
+    ids=str,
+)
+def test_numbers_of_what_is_to_be_done_are_above_zero(command, option, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["bench", option, "-1"])
+    with pytest.raises(SystemExit, match="2"):
+        command.main()
+    assert f"argument {option}: -1 must be above 0" in capsys.readouterr().err
