@@ -168,9 +168,9 @@ def test_spoilt_bytes_are_met_with_a_sentence(tmp_path, monkeypatch, capsys, too
     [
         ("recalibrate", "it holds no calibration, there is no topic /vss/calibrate/_service_event in it"),
         ("mission", "it is no recording of a machine of ours"),
-        ("report", "there is no topic '/pnt/firings' in it; it has /chatter"),
-        ("display", "there is no topic '/pnt/firings' in it; it has /chatter"),
-        ("fit", "there is no topic '/pnt/firings' in it; it has /chatter"),
+        ("report", "there is no topic '/pnt/firings' in it (known: /chatter)"),
+        ("display", "there is no topic '/pnt/firings' in it (known: /chatter)"),
+        ("fit", "there is no topic '/pnt/firings' in it (known: /chatter)"),
     ],
 )
 def test_what_others_have_recorded_has_no_mission(tmp_path, monkeypatch, capsys, plugin, tool, sentence):

@@ -190,7 +190,7 @@ def nonsense(of):
     moving = [("/tool", transform(t, "base", "arm", TOOLS[k], TURNS[k])) for k, t in enumerate(times())]
     shifted = [("/tool", pose(t + SECOND // 2, TOOLS[k], TURNS[k])) for k, t in enumerate(times())]
     return {
-        "no topic": ([], [], "there is no topic '/tool' in it; it has /left/spot, /right/spot"),
+        "no topic": ([], [], "there is no topic '/tool' in it (known: /left/spot, /right/spot)"),
         "type": ([("/tool", spots()[0][1])], ["--camera-info", "left=/tool"], "is geometry_msgs/msg/PointStamped, not"),
         "frames": (several, [], "'/tool' is in several frames: base0, base1; one is needed"),
         "stamps": (unstamped, [], "1 of 12 messages on '/tool' have no stamp"),

@@ -127,7 +127,7 @@ def test_what_a_bag_lacks_is_named(tmp_path):
         BagDriver(bag, ["a", "d"])
     with pytest.raises(DataError, match="'/joint_states' says nothing of gripper left; it has none"):
         BagDriver(bag, ["a"], grippers=["left"])
-    with pytest.raises(DataError, match="there is no topic '/states' in it; it has /joint_states"):
+    with pytest.raises(DataError, match=r"there is no topic '/states' in it \(did you mean '/joint_states'\?\)"):
         BagDriver(bag, ["a"], "/states")
     with pytest.raises(DataError, match="nowhere: cannot be read"):
         BagDriver(str(tmp_path / "nowhere"), ["a"])

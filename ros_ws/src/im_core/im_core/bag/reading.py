@@ -16,7 +16,7 @@ from rosbags.typesys.store import Typestore
 from im_core.bag import unpacking
 from im_core.bag.files import METADATA, complete_bag
 from im_core.bag.storage import WholeReader
-from im_core.errors import DataError, printable
+from im_core.errors import DataError, nearest, printable
 from im_core.files import FileError, check_regular
 
 MessageT = TypeVar("MessageT")
@@ -127,8 +127,8 @@ def messages_of(
         have = {connection.topic for connection in chosen}
         for topic in wanted:
             if topic not in have:
-                topics = ", ".join(sorted({connection.topic for connection in reader.connections})) or "none"
-                raise DataError(f"{bag}: there is no topic '{topic}' in it; it has {topics}", topic=topic)
+                hint = nearest(topic, (connection.topic for connection in reader.connections))
+                raise DataError(f"{bag}: there is no topic '{topic}' in it{hint}", topic=topic)
         for connection in chosen:
             if connection.msgtype not in (types := wanted[connection.topic]):
                 allowed = " or ".join(types)
