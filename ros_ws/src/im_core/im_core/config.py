@@ -146,7 +146,9 @@ def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> 
         known = _keys(model, each["loc"][:-1]) if each["type"] == "extra_forbidden" else ()
         words = each["msg"].removeprefix("Value error, ")
         told.append(Fault(each["type"], (*each["loc"], *below), each["input"], words, context, known))
-    return told
+    # pydantic leaves wrong elements out, and then finds the list too short
+    wrong = {fault.location[:end] for fault in told for end in range(len(fault.location))}
+    return [fault for fault in told if not (fault.kind == "too_short" and fault.location in wrong)]
 
 
 def field_name(location: Location) -> str:

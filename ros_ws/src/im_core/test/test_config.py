@@ -22,7 +22,7 @@ class Slot(Model):
 
 class Config(Model):
     period: float
-    slots: tuple[Slot, ...]
+    slots: tuple[Slot, ...] = Field(min_length=1)
 
 
 GOOD = """\
@@ -46,9 +46,10 @@ def test_a_good_file_becomes_a_frozen_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("velocity: 1.5", "velocity: -1"), r"mcs\.yaml:5: slots\[0\]\.limits\.velocity: -1: .*greater than 0"),
+        (("velocity: 1.5", "velocity: -1"), r"mcs\.yaml:5: slots\[0\]\.limits\.velocity: -1: .*greater than 0$"),
         (("velocity: 1.5", "velocity: .inf"), r"mcs\.yaml:5: slots\[0\]\.limits\.velocity"),
         (("velocity: 1.5", "speed: 1.5"), r"mcs\.yaml:5: slots\[0\]\.limits\.(speed|velocity)"),
+        ((GOOD[GOOD.index("slots") :], "slots: []"), r"^mcs\.yaml:2: slots: .*at least 1 item .*not 0$"),
         (("period: 0.0045\n", ""), r"mcs\.yaml:1: period: .*required"),
         (("period: 0.0045", "period: [0.0045"), r"mcs\.yaml:\d+: not YAML"),
         ((GOOD, ""), r"mcs\.yaml:1: the file is empty"),
