@@ -26,9 +26,10 @@ COMMON_TOPICS = ("/parameter_events", "/rosout")
 HEAD = """\
 # Interfaces
 
-What the running machine offers, written by `scripts/run.sh im_bringup interfaces > docs/interfaces.md`. The services
-that every ROS node has are left out. Each interface's own file, in `ros_ws/src/im_msgs`, says what its fields mean and
-in which unit.
+What the running machine offers, written by `scripts/run.sh im_bringup interfaces > docs/interfaces.md` when it had run
+`calibrate_camera` and `close_gripper`: who writes to `/<node>/tokens` comes with his first token. The services that
+every ROS node has are left out. Each interface's own file, in `ros_ws/src/im_msgs`, says what its fields mean and in
+which unit.
 """
 _TYPES = ("", "bool", "integer", "double", "string")
 #: So many nodes are "all".
