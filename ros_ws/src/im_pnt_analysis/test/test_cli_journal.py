@@ -82,6 +82,13 @@ def test_torn_and_damaged_journals_are_named(cook, capsys, tmp_path):
     assert f"{file}: record 1 at byte 0 is damaged" in text
 
 
+def test_journals_within_a_folder_are_named(cook, capsys, tmp_path):
+    code, text = said(capsys, "show", str(tmp_path / "journal"))
+    assert code == BAD_INPUT
+    assert f"'{tmp_path / 'journal' / 'cook'}'" in text
+    assert said(capsys, "show", str(tmp_path / "journal" / "cook"))[0] == OK
+
+
 @pytest.mark.parametrize("name", ["cok", "..", "", "no/where", "a\0b"])
 def test_a_name_that_is_none_is_one_sentence(cook, capsys, name, tmp_path):
     before = sorted(tmp_path.rglob("*"))

@@ -133,20 +133,26 @@ def _home() -> Path:
 
 def _folders() -> list[Path]:
     """The folders of the journals of this machine, by name."""
-    home = _home()
-    return sorted(path for path in home.iterdir() if (path / LOCK).is_file()) if home.is_dir() else []
+    return _within(_home())
+
+
+def _within(folder: Path) -> list[Path]:
+    return sorted(lock.parent for lock in folder.glob(f"*/{LOCK}"))
 
 
 def _folder(name: str) -> Path:
     """Finds the folder of a journal.
 
     Raises:
-        NotFoundError: There is none of that name.
+        NotFoundError: There is none of that name; what is told is what a folder holds, or else this machine.
     """
-    for folder in (_home() / name, Path(name)):
-        if "\0" not in name and ((folder / LOCK).is_file() or any(folder.glob("*.journal"))):
-            return folder
-    raise NotFoundError(kind="journal", name=name, known=[each.name for each in _folders()])
+    beside: list[str] = []
+    if "\0" not in name:
+        for folder in (_home() / name, Path(name)):
+            if (folder / LOCK).is_file() or any(folder.glob("*.journal")):
+                return folder
+        beside = [str(each) for each in _within(Path(name))]
+    raise NotFoundError(kind="journal", name=name, known=beside or [each.name for each in _folders()])
 
 
 def _held(folder: Path) -> Recovered:
