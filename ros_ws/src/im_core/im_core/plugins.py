@@ -43,7 +43,8 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
         why = str(error) if known else f"{type(error).__name__}: {error}"
         if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
             why += " (its folder belongs into PYTHONPATH)"
-        sentence = f"{what} '{reference}' cannot be loaded: {why}; it is written module:Class"
+        form = "module:Class or module:function" if contract is None else "module:Class"
+        sentence = f"{what} '{reference}' cannot be loaded: {why}; it is written {form}"
         raise ConfigError(sentence, what=what, reference=reference) from error
     if contract is not None and not (isinstance(found, type) and issubclass(found, contract)):
         raise ConfigError(f"{what} '{reference}' is no {contract.__name__}", what=what, reference=reference)

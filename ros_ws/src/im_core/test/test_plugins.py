@@ -28,6 +28,11 @@ def test_what_cannot_be_loaded_is_named(reference, message):
         plugins.load(reference, ImError, "law")
 
 
+def test_where_a_function_will_do_that_is_said():
+    with pytest.raises(ConfigError, match="no attribute 'grasp'; it is written module:Class or module:function"):
+        plugins.load("im_core.plugins:grasp", None, "action function")
+
+
 def test_a_module_that_was_changed_after_it_was_imported_is_told_apart(tmp_path, monkeypatch):
     file = tmp_path / "im_changing.py"
     file.write_text("law = dict\n")
