@@ -44,6 +44,14 @@ def test_results_are_printed_as_they_are_asked_for(capsys):
     assert capsys.readouterr().out == 'im run close_gripper: done: {"width": 0.02}\n{"width": 0.02}\n'
 
 
+def test_long_results_are_cut_for_people_and_whole_as_json(capsys):
+    result = ExecuteCommand.Result(success=True, results=f'{{"report": "{"x" * 5000}"}}')
+    assert show(result, "im run", False, begun=True) == 0
+    assert capsys.readouterr().out.endswith("xxx... (5014 characters; --json prints all)\n")
+    assert show(result, "im run", True, begun=True) == 0
+    assert capsys.readouterr().out == f"{result.results}\n"
+
+
 @pytest.mark.parametrize(
     ("texts", "sentence"),
     [

@@ -41,6 +41,8 @@ LIST = "/dispatcher/commands"
 CONTROLS = ("cancel", "pause", "resume")
 ANSWER_S = 10.0
 MOST_NUMBER = 2**32 - 1
+#: Of results that a person is shown: a report of a calibration has 280,000 characters.
+MOST_SHOWN = 1000
 
 
 class CommandClient(DispatcherClient):
@@ -253,8 +255,10 @@ def show(result: ExecuteCommand.Result, who: str, as_json: bool, begun: bool) ->
         return INTERRUPTED if result.status.code == "cancelled" else FAILED
     if not as_json:
         results = json.loads(result.results or "{}")
-        shown = f": {json.dumps(results, ensure_ascii=False)}" if results else ""
-        print(f"{who}: done{shown}")
+        text = json.dumps(results, ensure_ascii=False)
+        if len(text) > MOST_SHOWN:
+            text = f"{text[:MOST_SHOWN]}... ({len(text)} characters; --json prints all)"
+        print(f"{who}: done: {text}" if results else f"{who}: done")
     return DONE
 
 
