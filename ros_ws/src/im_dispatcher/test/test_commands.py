@@ -23,6 +23,7 @@ from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.composition.holding import unheld
+from support.process import Process
 
 NET = """
 net: wave
@@ -254,6 +255,17 @@ def test_what_fails_as_power_or_light_went_with_a_life_of_the_machine_can_establ
                     reached |= set(each.outputs)
         assert entries & reached, f"{name}: {begins} fails for good when the machine has begun anew"
         assert any(guard and "begun_anew" in guard.name and not guard.negated for guard in guards)
+
+
+@pytest.mark.parametrize("given", [{}, {"joints": [0.0] * 9, "position": [0.0, 0.0, 1.0]}])
+def test_a_move_to_nowhere_or_to_two_places_is_refused_before_the_arm_gets_power(given: dict[str, list[float]]) -> None:
+    net = load_net(package_file("im_dispatcher", "nets/move.yaml"))
+    process = Process([net])
+    process.command("move", "move", **net.commands["move"].arguments.check(given, "command move"))
+    assert process.recorder.names("move") == ["begin", "refuse+", "refuse", "acknowledge_failure"]
+    (result,) = process.results
+    assert result.error is not None
+    assert result.error.message.startswith("a move is to joints or to a position: one of the two is needed")
 
 
 @pytest.mark.parametrize("name", PATHS)
