@@ -88,7 +88,9 @@ def test_lights_are_apart_and_the_wrist_turns(poses, model):
 )
 def test_mistakes_are_named(capsys, arguments, message):
     assert main(arguments) == 1
-    assert message in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert told.startswith("poses: ")
+    assert message in told
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         services = options.services or load_settings(load_cell()).services
         hosts = load_catalogue(options.catalogue).closure(services).deployment()
     except ImError as error:
-        print(error.message, file=sys.stderr)
+        print(f"{parser.prog}: {error.message}", file=sys.stderr)
         return 1
     print(write_yaml({"hosts": hosts}), end="")
     return 0

@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             write_whole(options.output, text)
             print(f"{len(selection.poses)} poses of {group} written to {options.output}: {_spread(selection)}")
     except (ImError, OSError) as error:
-        print(error, file=sys.stderr)
+        print(f"poses: {error}", file=sys.stderr)
         return 1
     return 0
 
