@@ -6,7 +6,8 @@
 #   scripts/test.sh --quick             without nodes and without the case study
 #   scripts/test.sh -k spot             what pytest selects; arguments that are not ours go to pytest
 #
-# The last line is "N passed, N failed"; ruff, the stubs and mypy count as one each. Exit codes: 0 all passed, 1 not.
+# The last line is "N passed, N failed"; ruff, the stubs and mypy count as one each. Exit codes: 0 all passed, 1 not,
+# 2 bad usage.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi
@@ -22,6 +23,9 @@ im_env
 export PYTHONPATH="$IM_ROOT:$IM_ROOT/test:$PYTHONPATH"  # bench, and test/support, also for the children of tests
 unset PYTHONDONTWRITEBYTECODE  # else each process compiles pytest, hypothesis and what it imports of the tests anew
 cd "$IM_ROOT"
+# Before minutes of checks: does pytest know the options?
+"$IM_VENV/bin/python" -m pytest --markers ${selection[@]+"${selection[@]}"} >/dev/null ||
+  die 2 "pytest does not take these arguments"
 results="$(mktemp -d)"
 trap 'kill "${mypy:-}" 2>/dev/null || true; rm -rf "$results"' EXIT
 trap 'exit 130' INT TERM

@@ -104,6 +104,13 @@ def test_without_a_machine_calibrate_camera_says_so(script):
     assert (done.returncode, done.stderr) == (3, sentence)
 
 
+def test_an_option_that_pytest_does_not_have_is_refused_before_any_check(script):
+    done = script("test", "--selct", "spot")
+    assert done.returncode == 2
+    assert "unrecognized arguments: --selct" in done.stderr
+    assert "==" not in done.stdout
+
+
 def test_run_lists_what_there_is(script):
     done = script("run")
     assert done.returncode == 0
