@@ -56,9 +56,8 @@ def _value(name: str, text: str, schema: ArgumentSchema | None) -> object:
         return text
     if argument is not None and argument.type is ArgumentType.STRINGS and not text.startswith("["):
         return text.split(",")
-    if argument is not None and argument.type.is_list and not text.startswith("["):
-        text = f"[{text}]"
+    bare = argument is not None and argument.type.is_list and not text.startswith("[")
     try:
-        return decode_json(text)
+        return decode_json(f"[{text}]" if bare else text)
     except JsonError:
         return text

@@ -58,6 +58,7 @@ def test_a_command_of_which_nothing_is_said_takes_json_or_texts():
         ("pick", ["width=0", "grup=left"], DataError, r"pick has no argument 'grup' \(did you mean 'group'\?\)"),
         ("pick", ["width=0", "group=lef"], DataError, "argument group is 'lef', not one of 'left', 'right'"),
         ("pick", ["width=0", "joints=1,2"], DataError, "argument joints has 2 elements, not 3"),
+        ("pick", ["width=0", "joints=1 2 3"], DataError, "argument joints is '1 2 3', not a list of 3 numbers"),
     ],
 )
 def test_what_does_not_fit_is_named(symbol, given, error, said):
