@@ -201,10 +201,18 @@ enter_underlay() {
   export COLCON_LOG_PATH="$IM_WS/log" HOME="${HOME:-$IM_ROOT/.run}"
 }
 
-# build OPTIONS...: colcon; how it prints is the step's matter.
+# build OPTIONS...: colcon; how it prints is the step's matter. All that packages printed which failed is
+# told: Ninja has what compilers say on standard output.
 build() {
-  cd "$IM_WS" && "$IM_VENV/bin/python" -m colcon build \
-    --event-handlers console_direct- console_cohesion- console_start_end- parallel_status- summary- "$@"
+  cd "$IM_WS" || return
+  local code=0 package
+  "$IM_VENV/bin/python" -m colcon build \
+    --event-handlers console_direct- console_cohesion- console_start_end- console_stderr- parallel_status- summary- "$@" || code=$?
+  ((code == 0)) && return
+  for package in $(sed -n "s/.*JobEnded: {'identifier': '\([^']*\)', 'rc': -*[1-9].*/\1/p" log/latest_build/events.log); do
+    cat "log/latest_build/$package/stdout_stderr.log"
+  done
+  return "$code"
 }
 
 # The packages of messages: ours, and what the underlay lacks. They are copied, not linked, so that they can be kept.

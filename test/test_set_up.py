@@ -76,6 +76,26 @@ def test_a_failed_step_shows_its_output_and_is_not_taken_as_done(computer):
     assert not (computer.root / ".venv" / ".im-installed").exists()
 
 
+def test_a_failed_compile_shows_what_the_compiler_said(computer):
+    """Ninja tells it on standard output; who was ended for the sake of another package has nothing to say."""
+    computer.add_compilers()
+    printed = {
+        "a_msgs": ("-- fine", 0),
+        "im_msgs": ("ld: cannot find -lnothing", 1),
+        "tf2_msgs": ("-- ended", "'SIGINT'"),
+    }
+    build = "".join(
+        f"""
+    mkdir -p log/latest_build/{name} && echo "{line}" >log/latest_build/{name}/stdout_stderr.log
+    echo "[1.5] ({name}) JobEnded: {{'identifier': '{name}', 'rc': {code}}}" >>log/latest_build/events.log"""
+        for name, (line, code) in printed.items()
+    )
+    computer.add_python("python3.11", f'case "$*" in *-GNinja*) {build}\n exit 1 ;; esac')
+    done = computer.run("setup")
+    assert done.returncode == 1
+    assert done.stderr.startswith("ld: cannot find -lnothing\nsetup: step 'building 3 packages"), done.stderr
+
+
 def test_a_second_run_does_nothing(computer):
     computer.add_compilers()
     computer.add_python("python3.11")
