@@ -72,7 +72,13 @@ im_defaults() {
 
 # im_env: the complete environment, as every script but setup.sh needs it.
 im_env() {
-  [[ -f "$IM_WS/install/.im-built" ]] || die 3 "the workspace is not built yet; run scripts/setup.sh first"
+  [[ -f "$IM_WS/install/.im-built" && -f "$IM_VENV/.im-installed" ]] ||
+    die 3 "the workspace is not built yet; run scripts/setup.sh first"
+  # Programs begin with the path of a Python: those of a copy would run what the first clone has.
+  local venv
+  read -r _ venv <"$IM_VENV/.im-installed"
+  [[ "$venv" -ef "$IM_VENV" ]] ||
+    die 3 "$IM_ROOT was moved, or copied, since it was set up; run scripts/setup.sh first"
   im_defaults
   local nounset=0
   [[ $- == *u* ]] && nounset=1

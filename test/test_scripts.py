@@ -1,6 +1,7 @@
 """The scripts teach, refuse what is wrong with one sentence, and say what a computer lacks."""
 
 import os
+import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -169,6 +170,33 @@ def test_before_setup_scripts_say_what_to_do(tmp_path, name):
     done = Computer(tmp_path).run(name)
     assert done.returncode == 3
     assert done.stderr == f"{name}: the workspace is not built yet; run scripts/setup.sh first\n"
+
+
+@pytest.mark.parametrize("transfer", [shutil.copytree, shutil.move])
+def test_a_clone_that_was_copied_or_moved_is_set_up_anew_before_it_runs(tmp_path, transfer):
+    """Its programs would be those of the other folder."""
+    computer = Computer(tmp_path)
+    computer.add_compilers()
+    computer.add_python("python3.11")
+    assert computer.run("setup").returncode == 0
+    old, computer.root = computer.root, tmp_path / "other"
+    transfer(old, computer.root)
+    done = computer.run("shell", "basename", "a/b")
+    assert (done.returncode, done.stdout) == (3, "")
+    told = f"shell: {computer.root} was moved, or copied, since it was set up; run scripts/setup.sh first\n"
+    assert done.stderr == told
+    assert computer.run("setup").returncode == 0
+    assert computer.run("shell", "basename", "a/b").stdout == "b\n"
+
+
+def test_a_clone_may_be_entered_by_a_link(tmp_path):
+    computer = Computer(tmp_path)
+    computer.add_compilers()
+    computer.add_python("python3.11")
+    assert computer.run("setup").returncode == 0
+    (tmp_path / "link").symlink_to(computer.root)
+    computer.root = tmp_path / "link"
+    assert computer.run("shell", "basename", "a/b").stdout == "b\n"
 
 
 @pytest.mark.end_to_end
