@@ -16,7 +16,8 @@
 #               only what it lacks is installed.
 #   IM_CACHE    where built messages are kept; "none": neither kept nor reused     (default: $XDG_CACHE_HOME/im)
 #
-# Exit codes: 0 ready, 1 a step failed, 2 bad usage, 4 something is missing on this machine (said which).
+# Exit codes: 0 ready, 1 a step failed, 2 bad usage, 4 something is missing on this machine (said which), or its folder
+# has a path in which nothing can be built.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 
@@ -127,8 +128,16 @@ find_python() {
   die 4 "Python 3.11 is missing (${first:-no python3.11 on the PATH}); install it, or set IM_PYTHON to one"
 }
 
+# The CMake files of ROS take other characters of a path for what stands between paths, or drop them.
+check_path() {
+  local LC_ALL=C
+  [[ "$IM_ROOT" =~ ^[A-Za-z0-9/._+@~=%-]+$ ]] ||
+    die 4 "messages of ROS cannot be built in the folder $IM_ROOT: its path may have letters of ASCII, digits and . _ + @ ~ = % - in it, no blank, comma or umlaut"
+}
+
 check_machine() {
   local compiler
+  check_path
   for compiler in gcc g++; do
     command -v "$compiler" >/dev/null || die 4 "$compiler is missing; the message packages are compiled with it (Debian: apt install build-essential)"
   done

@@ -56,6 +56,18 @@ def test_the_environment_is_not_made_of_the_one_that_it_replaces(computer):
     assert made.exists()
 
 
+@pytest.mark.parametrize("name", ["two words", "käfig", "a,b", "a;b"])
+def test_a_path_in_which_nothing_can_be_built_is_refused_before_anything_is_installed(tmp_path, name):
+    (tmp_path / name).mkdir()
+    computer = Computer(tmp_path / name)
+    computer.add_compilers()
+    done = computer.run("setup", LC_ALL="C.UTF-8")
+    assert done.returncode == 4
+    sentence = f"setup: messages of ROS cannot be built in the folder {computer.root}: its path may have letters"
+    assert done.stderr.startswith(sentence), done.stderr
+    assert not (computer.root / ".venv").exists()
+
+
 def test_a_full_disk_is_named(computer, python):
     computer.add_compilers()
     computer.write("df", "echo head; echo 'disk 9000 8000 1000 90% /'")
