@@ -142,6 +142,22 @@ def test_errors_name_file_line_and_field():
         parsed(text)
 
 
+@pytest.mark.parametrize(
+    ("hosts", "told"),
+    [
+        (
+            {"a": {"one": "{}"}, "b": {"two": "{}", "one": "{}"}},
+            r"d\.yaml:8: hosts\.localhost\.b\.one: task 'one' is in",
+        ),
+        ({"a": {"one": "{}"}, "b": {}}, r"d\.yaml:6: hosts\.localhost\.b: process 'b' of host 'localhost' has no task"),
+        ({"a": {"one": "{}", "two": '{x: "${nix}"}'}}, r"d\.yaml:6: hosts\.localhost\.a\.two: parameter 'x' of task"),
+    ],
+)
+def test_what_contradicts_another_part_of_the_file_is_told_with_its_line(hosts, told):
+    with pytest.raises(ConfigError, match=f"^{told}"):
+        parsed(machine({"localhost": hosts}))
+
+
 def test_a_node_must_be_named_as_its_task():
     text = machine({"localhost": {"a": {"one": "{}"}}}).replace("node: /one", "node: /other")
     with pytest.raises(ConfigError, match="task 'one' has the node /other, which must end in the task's name"):

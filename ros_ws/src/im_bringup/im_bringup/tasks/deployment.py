@@ -4,7 +4,7 @@ import argparse
 import json
 import re
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -14,7 +14,7 @@ import pydantic
 from im_bringup.tasks.upkeep import Keep
 from im_core import config
 from im_core.arrivals import read_json
-from im_core.config import Model
+from im_core.config import FieldError, Model
 from im_core.errors import ConfigError, DataError, NotFoundError
 from im_core.startup import OPTIONS_TOPIC
 
@@ -82,6 +82,27 @@ class PlacedTask:
     task: Task
 
 
+def _misplaced(name: str, task: Task, place: str, names: Mapping[str, str], nodes: Mapping[str, str]) -> str:
+    """Why a task cannot be there; empty: it can.
+
+    Args:
+        name: Its name.
+        task: The task.
+        place: Where it is.
+        names: Where those before it are, by name.
+        nodes: The tasks before it, by node.
+    """
+    if name in names:
+        return f"task '{name}' is in {names[name]} and in {place}"
+    if task.node == _OWN_NODE:
+        return f"task '{name}' has the node {task.node}, which is the machine's own"
+    if task.node in nodes:
+        return f"node {task.node} belongs to task '{nodes[task.node]}' and to '{name}'"
+    if task.node.rpartition("/")[2] != name:
+        return f"task '{name}' has the node {task.node}, which must end in the task's name"
+    return ""
+
+
 class Deployment(Model):
     """All tasks of a machine.
 
@@ -126,33 +147,28 @@ class Deployment(Model):
         nodes: dict[str, str] = {}
         for host, processes in self.hosts.items():
             for process, tasks in processes.items():
+                here, place = ("hosts", host, process), f"process '{process}' of host '{host}'"
                 if not tasks:
-                    raise ValueError(f"process '{process}' of host '{host}' has no task")
+                    raise FieldError(here, f"{place} has no task")
                 if process in _OWN_PROCESSES:
-                    raise ValueError(f"process '{process}' of host '{host}' has the name of one of the machine itself")
+                    raise FieldError(here, f"{place} has the name of one of the machine itself")
                 for name, task in tasks.items():
-                    place = f"process '{process}' of host '{host}'"
-                    if name in names:
-                        raise ValueError(f"task '{name}' is in {names[name]} and in {place}")
-                    if task.node == _OWN_NODE:
-                        raise ValueError(f"task '{name}' has the node {task.node}, which is the machine's own")
-                    if task.node in nodes:
-                        raise ValueError(f"node {task.node} belongs to task '{nodes[task.node]}' and to '{name}'")
-                    if task.node.rpartition("/")[2] != name:
-                        raise ValueError(f"task '{name}' has the node {task.node}, which must end in the task's name")
+                    if sentence := _misplaced(name, task, place, names, nodes) or self._unknown_reference(name, task):
+                        raise FieldError((*here, name), sentence)
                     names[name], nodes[task.node] = place, name
-                    self._check_references(name, task)
         return self
 
-    def _check_references(self, name: str, task: Task) -> None:
+    def _unknown_reference(self, name: str, task: Task) -> str:
+        """What is wrong with a reference among the parameters of a task; empty: nothing."""
         known = sorted(self._variables())
         for parameter, text in task.texts():
             for written in _WRITTEN.findall(text):
                 if written[2:-1] not in known or not written.endswith("}"):
-                    raise ValueError(
+                    return (
                         f"parameter '{parameter}' of task '{name}' refers to '{written[:60]}'; "
                         f"known are {', '.join(known)}"
                     )
+        return ""
 
     def _variables(self) -> dict[str, Scalar]:
         values = {name: getattr(self, name) for name in _VALUES}
