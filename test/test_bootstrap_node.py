@@ -220,18 +220,19 @@ hosts:
 
 
 @pytest.mark.parametrize(
-    ("change", "code", "sentence"),
+    ("change", "sentence"),
     [
-        (("executable: dom", "executable: dm"), 1, "there is no executable of im_dom 'dm'; did you mean 'dom'?"),
-        (("package: im_dom", "package: im_don"), 1, "there is no package with executables 'im_don'; did you mean"),
-        (("hosts", "host"), 2, "small.yaml:2: host: Extra inputs are not permitted"),
-        (("localhost", "elsewhere"), 1, "there is no host of the deployment 'localhost' (known: elsewhere)"),
+        (("executable: dom", "executable: dm"), "dom.dom: there is no executable of im_dom 'dm'; did you mean 'dom'?"),
+        (("package: im_dom", "package: im_don"), "dom.dom: there is no package with executables 'im_don'; did you"),
+        (("hosts", "host"), "small.yaml:2: host: Extra inputs are not permitted"),
+        (("localhost", "elsewhere"), "hosts: there is no host of the deployment 'localhost' (known: elsewhere)"),
     ],
 )
-def test_wrong_deployments(script, small_deployment, change, code, sentence):
+def test_wrong_deployments(script, small_deployment, change, sentence):
     small_deployment.write_text(small_deployment.read_text().replace(*change))
     done = script("start", small_deployment)
-    assert (done.returncode, sentence in done.stderr) == (code, True), done.stderr
+    assert (done.returncode, done.stdout, sentence in done.stderr) == (2, "", True), done.stderr
+    assert done.stderr.startswith(f"start: {small_deployment}:")
     assert machine.read() is None
 
 

@@ -20,8 +20,8 @@ from im_bringup.tasks.agent import environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.middleware import reach
-from im_core import clock, names
-from im_core.errors import ConfigError, ImError, StateError, StoreError
+from im_core import clock, config, names
+from im_core.errors import ConfigError, ImError, NotFoundError, StateError, StoreError
 from im_core.files import read_text
 from im_core.options import NumberParser, seconds
 from im_core.process import ChildProcess
@@ -94,6 +94,7 @@ def main() -> int:
     failure = 2
     try:
         deployment = deployments.with_options(deployments.load(path), arguments)
+        check_programs(deployment, path)
         deployments.require_calibration_here(deployment, arguments.calibration)
         check_calibration(deployment, path)
         failure = 1
@@ -125,6 +126,27 @@ def only_one() -> Iterator[None]:
                 "ROS_DOMAIN_ID"
             ) from error
         yield
+
+
+def check_programs(deployment: Deployment, path: Path) -> None:
+    """See to it that this host is in a deployment, and has the executables of its tasks.
+
+    Args:
+        deployment: What is to be started.
+        path: The file it came from.
+
+    Raises:
+        ConfigError: It is not, or has not.
+    """
+    host = deployment.local_host()
+    where: tuple[str, ...] = ("hosts",)
+    try:
+        for process, placed in deployment.on_host(host).items():
+            for each in placed:
+                where = ("hosts", host, process, each.name)
+                path_of(each.task.package, each.task.executable)
+    except NotFoundError as error:
+        raise config.fault_in(path, where, error.message) from error
 
 
 def check_calibration(deployment: Deployment, path: Path) -> None:
