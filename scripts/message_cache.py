@@ -120,9 +120,10 @@ def store(root: Path, entry: str, names: Iterable[str]) -> Path:
     content = packed.getvalue()
     cache = folder()
     cache.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=cache, prefix=".new-", delete=False) as new:
-        new.write(hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
-    os.replace(new.name, cache / entry)
+    with tempfile.TemporaryDirectory(dir=cache, prefix=".new-") as new:
+        path = Path(new) / entry
+        path.write_bytes(hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
+        os.replace(path, cache / entry)
     for old in sorted(cache.glob("[0-9a-f]*"), key=lambda path: path.stat().st_mtime)[:-KEPT]:
         old.unlink(missing_ok=True)
     return cache / entry

@@ -337,6 +337,14 @@ def test_what_works_in_one_clone_only_is_not_kept(cache, clone):
     assert not cache.folder().exists()
 
 
+def test_what_cannot_be_kept_leaves_nothing_in_the_cache(cache, clone):
+    root = clone("one")
+    (cache.folder() / "0").mkdir(parents=True)  # in its place
+    with pytest.raises(OSError, match="directory"):
+        cache.store(root, "0", ["a_msgs"])
+    assert [path.name for path in cache.folder().iterdir()] == ["0"]
+
+
 def test_two_set_ups_at_once_never_see_half_an_entry(cache, clone):
     first, second = clone("first"), clone("second", built=False)
     cache.store(first, "0", ["a_msgs"])
