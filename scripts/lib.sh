@@ -31,16 +31,37 @@ wants_help() {
   return 1
 }
 
+# is_ros PREFIX: whether it is a ROS installation; an environment made of wheels, this clone's or another's, is none.
+is_ros() { [[ -d "$1/share/rclpy" && ! -f "$1/pyvenv.cfg" ]]; }
+
 # True where a ROS 2 Jazzy installation is sourced; it is then the underlay, and the virtual environment adds the rest.
-# An environment made of wheels, this clone's or another's, is none.
 ros_is_sourced() {
   [[ "${ROS_DISTRO:-}" == jazzy && "${IM_WHEELS:-}" != 1 ]] || return 1
   local prefix prefixes
   IFS=: read -r -a prefixes <<<"${AMENT_PREFIX_PATH:-}"
   for prefix in ${prefixes[@]+"${prefixes[@]}"}; do
-    [[ -d "$prefix/share/rclpy" && ! -f "$prefix/pyvenv.cfg" ]] && return 0
+    is_ros "$prefix" && return 0
   done
   return 1
+}
+
+# leave_ros: takes a ROS installation that happens to be sourced out of the environment, but for its programs: Python
+# would find its modules before those of the wheels.
+leave_ros() {
+  local prefix prefixes variable entry entries kept
+  IFS=: read -r -a prefixes <<<"${AMENT_PREFIX_PATH:-}"
+  for prefix in ${prefixes[@]+"${prefixes[@]}"}; do
+    is_ros "$prefix" || continue
+    for variable in AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH; do
+      [[ -n "${!variable:-}" ]] || continue
+      kept=""
+      IFS=: read -r -a entries <<<"${!variable}"
+      for entry in "${entries[@]}"; do
+        [[ "$entry" == "$prefix" || "$entry" == "$prefix"/* ]] || kept+="${kept:+:}$entry"
+      done
+      export "$variable=$kept"
+    done
+  done
 }
 
 # The Fast DDS profile (quick discovery, images that pass whole) and the defaults of every process.
@@ -80,6 +101,7 @@ im_env() {
   [[ "$venv" -ef "$IM_VENV" ]] ||
     die 3 "$IM_ROOT was moved, or copied, since it was set up; run scripts/setup.sh first"
   im_defaults
+  if [[ -f "$IM_VENV/local_setup.bash" ]]; then leave_ros; fi  # it was set up with wheels
   local nounset=0
   [[ $- == *u* ]] && nounset=1
   set +u

@@ -314,7 +314,7 @@ fi
 ((clean)) && step "removing .venv and the build" : rm -rf "$IM_VENV" "$IM_WS/build" "$IM_WS/install" "$IM_WS/log"
 
 kind=wheels
-ros_is_sourced && kind="ros:$AMENT_PREFIX_PATH"
+if ros_is_sourced; then kind="ros:$AMENT_PREFIX_PATH"; else leave_ros; fi
 wanted="$( { echo "$kind $UV"; cat "$IM_ROOT/requirements.lock" "$IM_ROOT"/scripts/{underlay,im_rosidl}.py; } | sha256sum | cut -d' ' -f1)"
 if [[ ! -x "$IM_VENV/bin/python" || "$(cat "$INSTALLED" 2>/dev/null)" != "$wanted $IM_VENV" ]]; then
   check_machine

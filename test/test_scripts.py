@@ -172,6 +172,29 @@ def test_before_setup_scripts_say_what_to_do(tmp_path, name):
     assert done.stderr == f"{name}: the workspace is not built yet; run scripts/setup.sh first\n"
 
 
+@pytest.mark.parametrize("distribution", ["jazzy", "humble"])
+def test_where_ros_is_sourced_wheels_are_taken_all_the_same(tmp_path, distribution):
+    """Python would find the modules of that ROS first, which are for another Python."""
+    computer = Computer(tmp_path)
+    computer.add_compilers()
+    computer.add_python("python3.11", f'echo "<$PYTHONPATH>" >>{tmp_path}/searched')
+    ros = tmp_path / "ros"
+    (ros / "share" / "rclpy").mkdir(parents=True)
+    mine = tmp_path / "mine"
+    sourced = {
+        "IM_WHEELS": "1",
+        "ROS_DISTRO": distribution,
+        "AMENT_PREFIX_PATH": f"{mine}:{ros}",
+        "LD_LIBRARY_PATH": f"{ros}/lib",
+        "PYTHONPATH": f"{ros}/lib/python3.12/site-packages:{mine}",
+    }
+    assert computer.run("setup", **sourced).returncode == 0
+    assert set((tmp_path / "searched").read_text().splitlines()) == {f"<{mine}>"}
+    done = computer.run("shell", "env", **sourced)
+    told = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
+    assert [told[name] for name in ("AMENT_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONPATH")] == [str(mine), "", str(mine)]
+
+
 @pytest.mark.parametrize("transfer", [shutil.copytree, shutil.move])
 def test_a_clone_that_was_copied_or_moved_is_set_up_anew_before_it_runs(tmp_path, transfer):
     """Its programs would be those of the other folder."""
