@@ -43,6 +43,13 @@ install_peers() {
     printf '%s\n' "$wanted" >"$PEERS/.im-installed"
 }
 
+# measures_nets: whether the benchmark that is asked for compares nets with the peers.
+measures_nets() {
+  [[ "$part" == nets ]] && return
+  local told=" ${arguments[*]-} "
+  [[ -z "$part" && "$told" != *" --from "* && ( "$told" != *" --only "* || "$told" == *" nets "* ) ]]
+}
+
 part=""
 arguments=()
 for argument in "$@"; do
@@ -58,7 +65,7 @@ if wants_help "$@" && [[ -z "$part" ]]; then help; exit 0; fi
 "$IM_ROOT/scripts/setup.sh"
 im_env
 export PYTHONPATH="$IM_ROOT:$PYTHONPATH"
-if [[ -z "$part" || "$part" == nets ]] && ! wants_help "$@"; then
+if measures_nets && ! wants_help "$@"; then
   install_peers || warn "bench: the peers could not be installed; their rows say so"
 fi
 exec "$IM_VENV/bin/python" -m "bench.${part:-page}" ${arguments[@]+"${arguments[@]}"}
