@@ -558,7 +558,9 @@ def client(machine):
     told = []
     node.spawn(offer(node))
     hardware.create_subscription(String, "/worker/commands", lambda message: told.append(message.data), qos.LATCHED)
-    return GuardedActionClient(hardware, ExecuteCommand, "/worker/execute"), told
+    found = GuardedActionClient(hardware, ExecuteCommand, "/worker/execute")
+    assert found.wait_for_server(60.0)
+    return found, told
 
 
 async def offer(node):
@@ -567,7 +569,6 @@ async def offer(node):
 
 def execute(client, symbol, arguments="", steps=None):
     """The handle of a goal that was accepted."""
-    assert client.wait_for_server(60.0)
     goal = ExecuteCommand.Goal(symbol=symbol, arguments=arguments)
     return completed(client.send_goal_async(goal, feedback_callback=lambda m: steps.append(m.feedback)))
 
