@@ -257,15 +257,17 @@ def test_what_fails_as_power_or_light_went_with_a_life_of_the_machine_can_establ
         assert any(guard and "begun_anew" in guard.name and not guard.negated for guard in guards)
 
 
-@pytest.mark.parametrize("given", [{}, {"joints": [0.0] * 9, "position": [0.0, 0.0, 1.0]}])
-def test_a_move_to_nowhere_or_to_two_places_is_refused_before_the_arm_gets_power(given: dict[str, list[float]]) -> None:
+@pytest.mark.parametrize(("joints", "position"), [(0, 0), (9, 3), (2, 0), (0, 2), (2, 3), (9, 1)])
+def test_a_move_to_nowhere_or_to_two_places_is_refused_before_the_arm_gets_power(joints: int, position: int) -> None:
+    given = {"joints": [0.0] * joints, "position": [0.0] * position}
     net = load_net(package_file("im_dispatcher", "nets/move.yaml"))
     process = Process([net])
     process.command("move", "move", **net.commands["move"].arguments.check(given, "command move"))
     assert process.recorder.names("move") == ["begin", "refuse+", "refuse", "acknowledge_failure"]
     (result,) = process.results
     assert result.error is not None
-    assert result.error.message.startswith("a move is to joints or to a position: one of the two is needed")
+    assert result.error.message.startswith("a move is to 9 joint positions or to a position of 3 coordinates")
+    assert result.error.message.endswith(f": {joints} and {position} are given")
 
 
 @pytest.mark.parametrize("name", PATHS)
