@@ -136,9 +136,8 @@ class CameraHost(FrameSource):
 
     def close(self) -> None:
         """End the process and remove the shared memory; no image is awaited any more."""
-        if self._rates is not None:
-            self._rates.await_image(None)
-            self._leave_testbed()
+        self.await_image(None)
+        self._leave_testbed()
         with self._lock:
             if self._child is None:
                 return
