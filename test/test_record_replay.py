@@ -308,12 +308,75 @@ def test_a_clock_that_is_set_back_while_messages_wait_keeps_the_order_of_a_topic
     bag = BagWriter(tmp_path / "bag")
     bag.add_topic("/a", "std_msgs/msg/String", Delivery(True, False, 10))
     recorder = BagRecorder(None, None, bag, [])
-    recorder._topics["/a"] = RecordedTopic("std_msgs/msg/String", Delivery(True, False, 10))
-    recorder._topics["/a"]._ends.append((None, Queue((10, b"0"), (11, b"1"), (5, b"2"), (6, b"3"))))
+    recorder._topics["/a"] = RecordedTopic(None, "/a", "std_msgs/msg/String", Delivery(True, False, 10))
+    recorder._topics["/a"]._ends.append(Queue((10, b"0"), (11, b"1"), (5, b"2"), (6, b"3")))
     recorder.drain()
     bag.close()
     with BagReader(tmp_path / "bag") as reader:
         assert [data for _, _, data in reader.messages(["/a"])] == [b"0", b"1", b"2", b"3"]
+
+
+class Publisher:
+    """Stands for one that goes on publishing while a recorder looks into its subscriptions, one after the other."""
+
+    def __init__(self):
+        self.sent, self.readers = 0, []
+
+    def publish(self):
+        self.sent += 1
+        for reader in self.readers:
+            reader.waiting.append(self.sent)
+
+    def get_publishers_info_by_topic(self, _):
+        return []
+
+    def destroy_subscription(self, reader):
+        self.readers.remove(reader)
+
+
+class Reader:
+    """Stands for a subscription to it that is connected just before it is looked at for the first time."""
+
+    msg_type = String
+
+    def __init__(self, publisher):
+        self.handle, self.waiting, self._publisher = self, [], publisher
+
+    def __enter__(self):
+        self._publisher.publish()
+        if self not in self._publisher.readers:
+            self._publisher.readers.append(self)
+        self._publisher.publish()
+        return self
+
+    def __exit__(self, *_):
+        self._publisher.publish()
+
+    def get_publisher_count(self):
+        return 0
+
+    def take_message(self, _, raw):
+        if not self.waiting:
+            return None
+        number = self.waiting.pop(0)
+        told = {"received_timestamp": number, "source_timestamp": number, "publication_sequence_number": number}
+        return b"%d" % number, told
+
+
+def test_what_comes_while_one_subscription_is_looked_at_after_the_other_keeps_its_order():
+    publisher = Publisher()
+    recorded = RecordedTopic(publisher, "/a", "std_msgs/msg/String", Delivery(True, False, 10))
+    recorded._ends.append(Reader(publisher))
+    publisher.readers.append(recorded._ends[0])
+    got = []
+    for _ in range(3):
+        recorded._ends.append(Reader(publisher))
+        recorded._until = clock.monotonic() + 0.2
+        while len(recorded._ends) > 1:
+            got += [int(data) for _, data, _ in recorded.take()]
+        got += [int(data) for _, data, _ in recorded.take()]
+    assert got == list(range(1, len(got) + 1))
+    assert publisher.sent - len(got) < 5
 
 
 def test_extracting_goes_with_nothing_that_is_of_publishing(script, tmp_path):

@@ -46,44 +46,51 @@ class RecordedTopic:
     A subscription that asks for more than a publisher offers gets nothing of it. So it is made anew where a publisher
     comes that offers less; until the new one is connected both get the same messages, of which one is passed on.
 
+    All are of one node, whose participant gives a message to all of them at once.
+
     Args:
+        node: Subscribes to it.
+        topic: Its name.
         type_name: Its type.
         delivery: How its publishers deliver.
     """
 
-    def __init__(self, type_name: str, delivery: Delivery) -> None:
+    def __init__(self, node: Node, topic: str, type_name: str, delivery: Delivery) -> None:
         self.type_name, self.delivery = type_name, delivery
         self.has_other_types = False
-        self._ends: list[tuple[Node, Subscription]] = []
+        self._node, self._topic = node, topic
+        self._ends: list[Subscription] = []
         self._passed_on: set[tuple[int, int, bytes]] = set()
         self._until = 0.0
 
-    def subscribe(self, node: Node, topic: str) -> None:
+    def subscribe(self) -> None:
         """Subscribe, or do so anew."""
         profile = to_profile(self.delivery)
         if self._ends:
             profile.durability = DurabilityPolicy.VOLATILE  # what is latched was got before
             self._until = clock.monotonic() + HANDOVER_AT_MOST_S
-        subscription = node.create_subscription(
-            interface_class(self.type_name), topic, _never_called, profile, raw=True
+        self._ends.append(
+            self._node.create_subscription(
+                interface_class(self.type_name), self._topic, _never_called, profile, raw=True
+            )
         )
-        self._ends.append((node, subscription))
 
     def is_connected(self, publishers: int) -> bool:
         """Whether the subscription is connected to so many publishers."""
-        return bool(self._ends[-1][1].handle.get_publisher_count() >= publishers)
+        return bool(self._ends[-1].handle.get_publisher_count() >= publishers)
 
     def take(self) -> Iterator[Taken]:
-        """What has come, each message once."""
+        """What has come, each message once, those of a publisher in its order."""
         replaced = len(self._ends) > 1
         if not replaced and not self._passed_on:
-            yield from _taken(self._ends[0][1])
+            yield from _taken(self._ends[0])
             return
         now = clock.monotonic()
         if replaced and self.is_connected(self._count_publishers()):
             self._until = min(self._until, now + HANDOVER_S)
-        for _, subscription in self._ends:
-            for message in _taken(subscription):
+        newest_first = [list(_taken(subscription)) for subscription in reversed(self._ends)]
+        for messages in reversed(newest_first):  # the oldest, looked at last, has what the others had and what preceded
+            for message in messages:
                 _, data, told = message
                 key = (told["source_timestamp"], told["publication_sequence_number"], data)
                 if key not in self._passed_on:
@@ -92,13 +99,12 @@ class RecordedTopic:
         if not replaced:
             self._passed_on.clear()
         elif now > self._until:
-            for node, subscription in self._ends[:-1]:
-                node.destroy_subscription(subscription)
+            for subscription in self._ends[:-1]:
+                self._node.destroy_subscription(subscription)
             del self._ends[:-1]
 
     def _count_publishers(self) -> int:
-        node, subscription = self._ends[-1]
-        return len(_of_type(self.type_name, node.get_publishers_info_by_topic(subscription.topic_name)))
+        return len(_of_type(self.type_name, self._node.get_publishers_info_by_topic(self._topic)))
 
 
 class BagRecorder:
@@ -187,7 +193,9 @@ class BagRecorder:
 
     def _subscribe(self, topic: str, publishers: list[Any]) -> None:
         type_name, type_hash = publishers[0].topic_type, str(publishers[0].topic_type_hash)
-        recorded = RecordedTopic(type_name, delivery_of(_of_type(type_name, publishers)))
+        delivery = delivery_of(_of_type(type_name, publishers))
+        is_seldom = delivery.latched or topic.endswith(SERVICE_EVENTS)
+        recorded = RecordedTopic(self._seldom if is_seldom else self._node, topic, type_name, delivery)
         try:
             interface_class(type_name)
             self._bag.add_topic(topic, type_name, recorded.delivery, type_hash)
@@ -198,7 +206,7 @@ class BagRecorder:
             print(f"record: {topic} is left out: {error.message}", file=sys.stderr)
             return
         self._topics[topic] = recorded
-        recorded.subscribe(self._node_for(topic, recorded.delivery), topic)
+        recorded.subscribe()
         self._follow(topic, recorded, publishers)
 
     def _follow(self, topic: str, recorded: RecordedTopic, publishers: list[Any]) -> None:
@@ -212,10 +220,7 @@ class BagRecorder:
         now = weaker(before, delivery_of(_of_type(recorded.type_name, publishers)))
         if (now.reliable, now.latched) != (before.reliable, before.latched):
             recorded.delivery = now
-            recorded.subscribe(self._node_for(topic, now), topic)
-
-    def _node_for(self, topic: str, delivery: Delivery) -> Node:
-        return self._seldom if delivery.latched or topic.endswith(SERVICE_EVENTS) else self._node
+            recorded.subscribe()
 
 
 def _taken(subscription: Subscription) -> Iterator[Taken]:
