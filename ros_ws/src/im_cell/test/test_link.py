@@ -151,6 +151,32 @@ def test_silent_servo_is_declared_gone_told_so_and_may_come_back(host, servo, pa
     assert commands[2].tau.tolist() == [1.0, 1.0, 1.0]
 
 
+def test_a_servo_that_waits_hears_that_it_was_declared_gone(host, servo, panel):
+    servo.attach_servo(os.getpid())
+    with running(host, [], timeout_s=0.5):
+        assert not servo.wait_state(0.05), "nobody wants time"
+        panel.request_time(1)
+        assert servo.wait_state(60.0)
+        panel.wait_tick(1, timeout_s=60.0)  # what it has read it has not answered
+        with pytest.raises(LinkError, match="declared the servo gone before tick 1"):
+            servo.wait_state(0.05)
+
+
+def test_a_servo_that_attaches_again_answers_the_tick_that_came_meanwhile(host, servo, panel):
+    commands = []
+    servo.attach_servo(os.getpid())
+    with running(host, commands):
+        panel.request_time(1)
+        assert servo.wait_state(60.0)
+        servo._shared.state.post()  # as if it had not looked yet
+        servo.attach_servo(os.getpid())
+        assert servo.wait_state(60.0)
+        servo.write_command(TickCommand(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
+        panel.wait_tick(1, timeout_s=60.0)
+    assert panel.servo_losses == 0
+    assert commands[0].tau.tolist() == [1.0, 1.0, 1.0]
+
+
 def test_a_servo_that_was_declared_gone_commands_nothing_once_another_has_come(host, servo, panel):
     commands = []
     servo.attach_servo(os.getpid())

@@ -25,8 +25,8 @@ and then calls ``request_time(1)`` is therefore heard at a tick that does not de
 
 *Watchdog.* A servo that does not answer a tick within 0.5 s of wall time, or dies, is declared gone: brakes on, power
 off, physics goes on alone. A servo that comes back late gets a :class:`~im_core.errors.LinkError` from
-``write_command`` and must ``attach_servo`` again. When physics is gone, ``wait_state``, ``expose`` and ``wait_tick``
-raise the same error, and one attaches anew.
+``wait_state`` or ``write_command`` and must ``attach_servo`` again. When physics is gone, ``wait_state``, ``expose``
+and ``wait_tick`` raise the same error, and one attaches anew.
 
 *Brakes.* ``brakes[i]`` true: the joint is held. Without power all torques are zero and all brakes are engaged, whatever
 the command says; ``TickState.power`` and ``TickState.brakes`` tell what is so.

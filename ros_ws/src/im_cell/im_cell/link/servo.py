@@ -12,7 +12,7 @@ class ServoEnd(LinkEnd):
     _pid = 0  # of the servo that this end has attached; 0: none
 
     def attach_servo(self, pid: int) -> None:
-        """Take part in the handshake from the next tick on.
+        """Take part in the handshake from the next tick on; who takes part already still answers the present one.
 
         Args:
             pid: Process that runs the servo loop.
@@ -26,10 +26,12 @@ class ServoEnd(LinkEnd):
         present = ProcessId(int(view["servo_pid"]), int(view["servo_start"]))
         if present.pid != pid and present.alive():
             raise LinkError(f"the testbed already has a servo, process {present.pid}", pid=present.pid)
+        self._pid = pid
+        if present == process:
+            return
         self._shared.state.drain()
         view["servo_start"][()] = process.start
         view["servo_pid"][()] = pid
-        self._pid = pid
         self._shared.wake.post()
 
     def wait_state(self, timeout_s: float) -> bool:
@@ -39,12 +41,13 @@ class ServoEnd(LinkEnd):
             True if a tick waits for :meth:`write_command`, False after ``timeout_s`` [s] without one.
 
         Raises:
-            LinkError: Physics is gone.
+            LinkError: Physics is gone, or has declared this servo gone: no tick will come.
         """
         if self._shared.state.wait(timeout_s):
             return True
         if not self._shared.block.owner_alive():
             raise LinkError("the testbed's physics process is gone")
+        self._require_attached()
         return False
 
     def read_state(self) -> TickState:
@@ -71,8 +74,7 @@ class ServoEnd(LinkEnd):
                 gripper_force=view["gripper_force"].copy(),
             )
             if before % 2 == 0 and int(sequence) == before:
-                if self._pid and int(view["servo_pid"]) != self._pid:
-                    raise self._gone()
+                self._require_attached()
                 return state
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
@@ -108,6 +110,11 @@ class ServoEnd(LinkEnd):
         view["servo_pid"][()] = 0
         view["command_wants_time"][()] = False
         self._shared.command.post()
+
+    def _require_attached(self) -> None:
+        """Who has attached a servo hears once that it was declared gone."""
+        if self._pid and int(self._shared.view["servo_pid"]) != self._pid:
+            raise self._gone()
 
     def _gone(self) -> LinkError:
         """What is said once to who reads, and to who writes until it attaches a servo again."""
