@@ -24,6 +24,8 @@ JOURNALS = (
 )  # fmt: skip
 WRITERS = (*JOURNALS, "dom", "vss", "mcs")
 JUMPS_H = (-1, 1, 100_000)
+#: How often all processes stand still at once, as on a computer whose host is busy, and for how long at most [s].
+STANDSTILLS, LONGEST_STANDSTILL_S = 10, 1.5
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,12 @@ def _load(draw: Random, among: tuple[str, ...]) -> Fault:
     return Fault("load", (), lambda _: outside.burn(), words=("deadlines",))
 
 
+def _standstill(draw: Random, among: tuple[str, ...]) -> Fault:
+    pauses = [(draw.uniform(0.0, 1.0), draw.uniform(0.05, LONGEST_STANDSTILL_S)) for _ in range(STANDSTILLS)]
+    words = ("deadlines", "has not ticked", "sign of life")
+    return Fault("all stands still", (), lambda _: outside.stand_still(pauses), words)
+
+
 def _disk(draw: Random, among: tuple[str, ...]) -> Fault:
     role = draw.choice([role for role in WRITERS if role in among] or WRITERS)
     return Fault("full disk", (role,), lambda _: outside.fill_disk(role), words=("too large", "journal"))
@@ -123,6 +131,7 @@ KINDS: Mapping[str, Callable[[Random, tuple[str, ...]], Fault]] = {
     "clock": _clock_jump,
     "second": _second,
     "load": _load,
+    "standstill": _standstill,
     "disk": _disk,
     "journal": _journal,
     "lifecycle": _lifecycle,

@@ -5,7 +5,7 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from random import Random
 
@@ -17,6 +17,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from bench.chaos import machine
+from im_bringup.machine import leftovers
 from im_core import clock
 from im_core.errors import StateError
 from im_core.ros import qos
@@ -116,6 +117,22 @@ def burn() -> None:
         for program in programs:
             program.kill()
             program.wait()
+
+
+def stand_still(pauses: Iterable[tuple[float, float]]) -> None:
+    """All processes of the machine stand still, and go on, at the same time.
+
+    Args:
+        pauses: After how long each time, and for how long [s].
+    """
+    for after_s, for_s in pauses:
+        clock.sleep(after_s)
+        pids = [process.pid for process in leftovers.processes()]
+        for number, wait_s in ((signal.SIGSTOP, for_s), (signal.SIGCONT, 0.0)):
+            for pid in pids:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, number)
+            clock.sleep(wait_s)
 
 
 def fill_disk(role: str) -> None:
