@@ -29,27 +29,6 @@
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 
-readonly PEERS="$IM_ROOT/.venv-peers"
-
-# install_peers: makes the environment of the peers, unless it is there; complete only when its stamp is written.
-install_peers() {
-  local wanted
-  wanted="$(sha256sum <"$IM_ROOT/bench/peers/requirements.txt") $PEERS"
-  [[ -x "$PEERS/bin/python" && "$(cat "$PEERS/.im-installed" 2>/dev/null)" == "$wanted" ]] && return
-  say "bench: installing the peers into $PEERS (once)"
-  rm -rf "$PEERS"
-  "$IM_VENV/bin/python" -m venv "$PEERS" &&
-    "$PEERS/bin/python" -m pip install --disable-pip-version-check --quiet --requirement "$IM_ROOT/bench/peers/requirements.txt" &&
-    printf '%s\n' "$wanted" >"$PEERS/.im-installed"
-}
-
-# measures_nets: whether the benchmark that is asked for compares nets with the peers.
-measures_nets() {
-  [[ "$part" == nets ]] && return
-  local told=" ${arguments[*]-} "
-  [[ -z "$part" && "$told" != *" --from "* && ( "$told" != *" --only "* || "$told" == *" nets "* ) ]]
-}
-
 part=""
 arguments=()
 for argument in "$@"; do
@@ -65,7 +44,4 @@ if wants_help "$@" && [[ -z "$part" ]]; then help; exit 0; fi
 "$IM_ROOT/scripts/setup.sh"
 im_env
 export PYTHONPATH="$IM_ROOT:$PYTHONPATH"
-if measures_nets && ! wants_help "$@"; then
-  install_peers || warn "bench: the peers could not be installed; their rows say so"
-fi
 exec "$IM_VENV/bin/python" -m "bench.${part:-page}" ${arguments[@]+"${arguments[@]}"}

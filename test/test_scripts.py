@@ -162,29 +162,6 @@ def test_scripts_work_without_a_home(script):
     assert (done.returncode, done.stdout) == (0, "dom\n"), done.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "installed"),
-    [
-        ([], True),
-        (["--quick", "--only", "mcs", "nets"], True),
-        (["--nets", "--quick"], True),
-        (["--only", "mcs"], False),
-        (["--from", "nets.json"], False),
-        (["--mcs"], False),
-        (["--nets", "--help"], False),
-    ],
-)
-def test_the_peers_of_nets_are_installed_for_what_measures_nets(tmp_path, arguments, installed):
-    computer = Computer(tmp_path)
-    computer.add_compilers()
-    computer.add_python("python3.11")
-    peers = computer.root / "bench" / "peers" / "requirements.txt"
-    peers.parent.mkdir(parents=True)
-    peers.touch()
-    done = computer.run("bench", *arguments, PYTHONPATH="workspace")
-    assert (done.returncode, "bench: installing the peers" in done.stdout) == (0, installed), done.stderr
-
-
 BEFORE_SETUP = ["start", "stop", "run", "shell", "record", "replay", "bag_report", "calibrate_camera"]
 
 

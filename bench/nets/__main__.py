@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from bench.nets import firings, idle, journals, links, searches
-from bench.nets.peers import found_peers
+from bench.nets.peers import installed_peers
 from bench.part import Part, Work
 
 ROUNDS = 5
@@ -44,13 +44,12 @@ def work(options: argparse.Namespace, folder: Path) -> Work:
         options: Of the command line.
         folder: For what is written meanwhile.
     """
-    peers = found_peers()
     shipped = sorted(SOURCES.glob("*/*/nets/*.yaml"))
     share = 10 if options.quick else 1
     rounds = 1 if options.quick else ROUNDS
     return {
-        "firings": lambda: firings.plain_lines(peers, FIRINGS // share, rounds),
-        "actions": lambda: firings.action_lines(peers, FIRINGS // share, rounds, folder),
+        "firings": lambda: firings.plain_lines(installed_peers(), FIRINGS // share, rounds),
+        "actions": lambda: firings.action_lines(installed_peers(), FIRINGS // share, rounds, folder),
         "node": lambda: firings.node_lines(FIRINGS // share // 5, rounds, folder),
         "idle": lambda: idle.lines(IDLE_S / share, rounds, folder),
         "search": lambda: searches.lines(rounds),

@@ -6,7 +6,7 @@ import pytest
 
 from bench.figures import measure
 from bench.nets import firings, searches
-from bench.nets.peers import Peers, plain
+from bench.nets.peers import Peers, installed_peers, plain
 from bench.nets.player import Player, Work, working
 from bench.nets.workers import Worker, number, own
 from im_core.errors import LinkError
@@ -114,6 +114,41 @@ def test_rates_are_medians_of_rounds_and_a_size_is_compared_with_the_others():
     assert [line.value > 0 for line in own_lines] == [True] * 6
     spread = next(line for line in lines if "slowest" in line.name)
     assert spread.measure >= 1.0
+
+
+@pytest.fixture
+def workspace(tmp_path):
+    """``workspace(requirement)``: one with another requirement of peers."""
+
+    def write(requirement=""):
+        requirements = tmp_path / "bench" / "peers" / "requirements.txt"
+        requirements.parent.mkdir(parents=True, exist_ok=True)
+        requirements.write_text(requirement)
+        installed_peers.cache_clear()
+        return installed_peers(tmp_path)
+
+    yield write
+    installed_peers.cache_clear()
+
+
+def test_peers_are_installed_once(workspace, capfd):
+    peers = workspace()
+    assert peers.python is not None
+    assert peers.python.exists()
+    assert "installing the peers into" in capfd.readouterr().err
+    assert workspace() == peers
+    assert not capfd.readouterr().err
+    assert workspace("# others") == peers
+    assert "installing the peers into" in capfd.readouterr().err
+
+
+def test_peers_that_cannot_be_installed_are_told_and_tried_again(workspace, capfd):
+    for _ in range(2):
+        peers = workspace("./no_such_folder")
+        assert (peers.python, peers.missing) == (None, "the peers could not be installed into .venv-peers")
+        assert "their rows say so" in capfd.readouterr().err
+        with pytest.raises(LinkError, match="could not be installed into"):
+            peers.start("snakes")
 
 
 def test_peers_get_the_same_net():
