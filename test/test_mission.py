@@ -5,11 +5,14 @@ import subprocess
 import sys
 
 import pytest
+import yaml
 
 from bench.chaos.everything import DEVIATIONS, distance
 from bench.chaos.machine import die_starting
 from im_bringup.machine import leftovers, stop
+from im_bringup.tasks import deployment as deployments
 from im_core import names, open_commands
+from im_core.config import package_file
 from im_msgs.srv import ControlCommand, LoadNet
 from support.whole_machine import COMMAND_S, SEED, Machine, free_port, run_script, write_few_poses
 
@@ -32,11 +35,21 @@ transitions: {go: {symbol: greet, in: idle, out: greeted}, tell: {in: greeted, o
 
 
 @pytest.fixture
-def machines():
-    """Starts machines, one after the death of the other; the last is stopped."""
+def machines(tmp_path):
+    """Starts machines, one after the death of the other; the last is stopped.
+
+    In real time their servos take a busy computer that misses deadlines as it is.
+    """
+    settings = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+    settings["servo"]["max_overruns"] = 10_000
+    config, deployment = tmp_path / "mcs.yaml", tmp_path / "deployment.yaml"
+    config.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    tasks = yaml.safe_load(deployments.default_path().read_text(encoding="utf-8"))
+    tasks["hosts"]["localhost"]["mcs"]["mcs"]["parameters"]["config"] = str(config)
+    deployment.write_text(yaml.safe_dump(tasks, sort_keys=False), encoding="utf-8")  # started in their order
 
     def start(*options):
-        started = run_script("start", "--factor", 0, "--seed", SEED, "--port", free_port(), *options)
+        started = run_script("start", deployment, "--factor", 0, "--seed", SEED, "--port", free_port(), *options)
         assert started.returncode == 0, started.stdout + started.stderr
         return started.stdout
 

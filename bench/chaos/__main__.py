@@ -120,7 +120,7 @@ def _synchronising(folder: Path, sync: str) -> Path:
                 if name in tasks:
                     tasks[name].setdefault("parameters", {})["journal_sync"] = sync
     path = folder / "synchronising.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")  # tasks are started in its order
     return path
 
 
