@@ -8,7 +8,9 @@ import pytest
 
 from im_cell.link import PanelEnd, ServoEnd
 from im_core import clock, names
+from im_mcs.client.time_source import FlowingTime
 from im_mcs.limits.configuration import load_config
+from im_mcs.ros import servo_keeper
 from im_msgs.srv import ReserveGroup
 
 SLOW = {"speed_scale": 0.02}
@@ -69,5 +71,21 @@ def test_a_servo_that_hangs_is_named_and_waited_for_by_nobody(client, servo):
     assert client.states[-1].reason
     client.until(lambda: servo() == pid)
     assert client.trigger("reset").success
+    client.to_motion()
+    assert client.move(client.home).success
+
+
+def test_a_servo_that_lives_and_hears_nothing_is_named_and_waited_for_by_nobody(client, monkeypatch):
+    """Here no tick comes in which it would hear, for nobody asks for the time of one."""
+    sentence = "the servo process hangs: it gives signs of life, and has heard no request for 1 s"
+    monkeypatch.setattr(servo_keeper, "_UNHEARD_S", 1.0)
+    servo = client.mcs._mcs.client()
+    with monkeypatch.context() as deaf:
+        deaf.setattr(servo, "_time", FlowingTime())
+        for _ in range(2):
+            answer = client.call(ReserveGroup, "reserve", group="left")
+            assert (answer.success, answer.message) == (False, sentence)
+    servo._time.ask()
+    client.until(lambda: not client.states[-1].reason)
     client.to_motion()
     assert client.move(client.home).success

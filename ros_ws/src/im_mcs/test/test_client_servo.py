@@ -64,6 +64,19 @@ def test_while_the_servo_hangs_nobody_waits_and_only_an_estop_is_passed_on(ends)
     assert heard(servo) == [("power_on", {})]
 
 
+def test_what_the_servo_leaves_lying_is_counted_from_when_it_was_sent(ends):
+    client, servo = ends
+    assert client.unheard_s() == 0.0
+    clock.sleep(0.3)
+    client.send(Event.POWER_ON)
+    assert client.unheard_s() < 0.3
+    clock.sleep(0.2)
+    client.send(Event.POWER_OFF)
+    assert client.unheard_s() >= 0.2, "the second one lies behind the first"
+    assert len(heard(servo)) == 2
+    assert client.unheard_s() == 0.0
+
+
 def test_a_full_queue_does_not_keep_the_answers_back(ends):
     client, servo = ends
     replies = []

@@ -151,6 +151,47 @@ def test_cancel_decelerates_and_a_second_goal_is_refused(bench, cell, target):
     refused(bench.ask("cancel", goal=goal), f"goal {goal} is not under way")
 
 
+def heard_together(bench, *requests):
+    """Requests of one tick, as a servo hears them that was late; their numbers are 101, 102, ..."""
+    together = [{"id": 101 + i, "request": name, "arguments": given} for i, (name, given) in enumerate(requests)]
+    bench.mcs.tick(together)
+    return [bench.reply(message["id"]) for message in together]
+
+
+def test_what_is_cancelled_already_when_it_is_heard_is_not_begun(bench, target):
+    """Whoever asked for it has been told that it failed."""
+    power, cancel = heard_together(bench, ("reserve", {"group": "left", "owner": "me"}), ("cancel", {"goal": 101}))
+    refused(power, "it was cancelled before it was begun")
+    assert cancel["success"]
+    assert bench.mcs.manager.state.value == "cold"
+    bench.to_motion("left")
+    move, cancel = heard_together(
+        bench, ("move", {"group": "left", "path": joint_path(target)}), ("cancel", {"goal": 101})
+    )
+    assert (move["error"]["code"], cancel["success"]) == ("cancelled", True)
+    assert not bench.mcs.wants_time
+
+
+@pytest.mark.parametrize("stop", ["estop", "protective_stop"])
+def test_a_stop_that_is_heard_late_is_a_stop_all_the_same(bench, target, stop):
+    bench.to_motion("left")
+    goal = bench.send("move", group="left", path=joint_path(target))
+    for _ in range(60):
+        bench.mcs.tick([])
+    stopped, cancel = heard_together(bench, (stop, {"reason": "by hand"}), ("cancel", {"goal": 101}))
+    assert stopped["success"]
+    refused(cancel, "goal 101 is not under way" if stop == "protective_stop" else "estopped")
+    while bench.mcs.wants_time and stop == "estop":
+        bench.mcs.tick([])
+    assert bench.reply(goal) is None if stop == "protective_stop" else not bench.reply(goal)["success"]
+
+
+@pytest.mark.parametrize("goal", [0, -101, None, 101.0, True, "101", [101]])
+def test_what_cancels_nothing_withdraws_nothing(bench, goal):
+    reserved, _ = heard_together(bench, ("reserve", {"group": "left", "owner": "me"}), ("cancel", {"goal": goal}))
+    assert reserved["success"]
+
+
 def with_joint(target, i, value):
     return [*target[:i], value, *target[i + 1 :]]
 

@@ -81,6 +81,7 @@ class ServoClient:
         self._lock = threading.Lock()
         self._next_id = 1
         self._waiting: dict[int, tuple[OnReply, OnProgress | None]] = {}
+        self._heard = clock.monotonic()
         self._running = True
         self._refusal: ImError | None = None
         self._thread = threading.Thread(target=self._listen, name="mcs_events", daemon=True)
@@ -106,6 +107,8 @@ class ServoClient:
             if self._refusal is not None and event is not Event.ESTOP:
                 raise self._refusal
             number = self._next_id
+            if self._channel.requests.empty():
+                self._heard = clock.monotonic()
             self._channel.requests.send(request_message(number, event.value, arguments or {}))
             self._next_id += 1
             self._waiting[number] = (on_reply or (lambda reply: None), on_progress)
@@ -146,6 +149,10 @@ class ServoClient:
         """For how long the servo process has given no sign of life, wall time [s]."""
         return self._channel.heartbeat.silence_s()
 
+    def unheard_s(self) -> float:
+        """For how long the servo process has left requests lying, wall time [s]; 0 if there are none."""
+        return 0.0 if self._channel.requests.empty() else clock.monotonic() - self._heard
+
     def give_up(self, error: ImError) -> None:
         """The servo process is gone: every request that waits is answered with ``error``, and so is every new one."""
         with self._lock:
@@ -181,6 +188,8 @@ class ServoClient:
     def _listen(self) -> None:
         while self._running:
             tick = self._time.tick
+            if self._channel.requests.empty():
+                self._heard = clock.monotonic()
             rung = self._channel.bell.wait(_BELL_S if self._channel.requests.empty() else _UNHEARD_S)
             for message in self._channel.events.receive_all():
                 self._hand_out(message)

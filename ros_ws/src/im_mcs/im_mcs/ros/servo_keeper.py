@@ -36,6 +36,9 @@ _LONGER = 1.1
 _ESTOP_ANSWER_S = 0.2
 _TELL_AGAIN_S = 0.5
 """How soon a servo that is not stopped, and should be, is told again [s]."""
+_UNHEARD_S = 30.0
+"""For how long the servo may let requests lie [s]. Where its testbed is silent it refuses them itself, and sooner, but
+for the time in which a busy computer gives that no processor."""
 _MARK_S = 30.0
 """How long it may take to keep a stop on the disk [s]."""
 
@@ -394,17 +397,21 @@ class ServoKeeper:
             raise LinkError(f"the servo process cannot be started: {error}") from error
 
     def _listen_to(self, client: ServoClient) -> None:
-        """Refuse requests while the servo process runs but gives no sign of life; nobody waits for it."""
-        bound_s = self._silence_s
-        if client.silence_s() <= bound_s:
+        """Refuse requests while the servo runs but gives no sign of life, or hears none; nobody waits for it."""
+        why = ""
+        if client.silence_s() > self._silence_s:
+            why = f"it has given no sign of life for {self._silence_s:g} s"
+        elif client.unheard_s() > _UNHEARD_S:
+            why = f"it gives signs of life, and has heard no request for {_UNHEARD_S:g} s"
+        if not why:
             if self._hang is not None:
                 self._hang = None
                 client.resume()
-                self._node.get_logger().warning("the servo process gives signs of life again")
+                self._node.get_logger().warning("the servo process gives signs of life again, and hears requests")
                 self._changed()
             return
         if self._hang is None:
-            self._hang = LinkError(f"the servo process hangs: it has given no sign of life for {bound_s:g} s")
+            self._hang = LinkError(f"the servo process hangs: {why}")
             self._node.get_logger().error(self._hang.message)
             self._changed()
         client.suspend(self._hang)

@@ -124,8 +124,7 @@ class Mcs:
         """
         m = self.measured = self.manager.measured = self._testbed.read()
         self.v = self._velocity.update(m.q)
-        for message in messages:
-            self._dispatch.run(message)
+        self._dispatch.run_all(messages)
         self.manager.tick()
         abandoned = self.manager.state in POWERED and self._watch()
         for finding in self.loop.run(m, self.v):

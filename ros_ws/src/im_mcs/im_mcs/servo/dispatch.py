@@ -43,6 +43,9 @@ from im_mcs.state import Event
 from im_mcs.state.manager import StateManager
 from im_mcs.testbed import Measured
 
+#: What is done though whoever asked for it no longer waits.
+_STOPS = (Event.ESTOP.value, Event.PROTECTIVE_STOP.value)
+
 
 class Machine(Protocol):
     """What requests act on: :class:`im_mcs.servo.core.Mcs`, attributes and methods as there."""
@@ -86,6 +89,22 @@ class Dispatch:
         self._manager = mcs.manager
         planning = mcs.config.planning
         self._most = planning.max_points, planning.max_trajectory_points
+
+    def run_all(self, messages: Iterable[Mapping[str, Any]]) -> None:
+        """Do what requests ask for that were heard together; what is cancelled already is not begun, but for stops."""
+        heard = list(messages)
+        cancelled = {_cancelled_goal(message) for message in heard} - {None}
+        withdrawn: set[int] = set()
+        for message in heard:
+            number = request_id(message)
+            if number in cancelled and message.get("request") not in _STOPS:
+                withdrawn.add(number)
+                fault = ImError("it was cancelled before it was begun", code="cancelled", group="")
+                self._mcs.answers.reply(number, fault)
+            elif _cancelled_goal(message) in withdrawn:
+                self._mcs.answers.reply(number, None)
+            else:
+                self.run(message)
 
     def run(self, message: Mapping[str, Any]) -> None:
         """Do what one request asks for; refusals are answered, never raised."""
@@ -241,6 +260,15 @@ class Dispatch:
         """A group, or for an empty name all of the sender's, of everybody's without one, that ``event`` may concern."""
         names = [name] if name else self._manager.allowed(event, sender)
         return [self._mcs.groups[each] for each in names]
+
+
+def _cancelled_goal(message: Mapping[str, Any]) -> int | None:
+    """The number of the request that a request cancels; None if it is another one, or says no number."""
+    arguments = message.get("arguments")
+    if message.get("request") != Event.CANCEL.value or not isinstance(arguments, dict):
+        return None
+    goal = arguments.get("goal")
+    return goal if type(goal) is int and goal > 0 else None
 
 
 def _cancelled(group: str) -> ImError:
