@@ -46,8 +46,13 @@ def main() -> int:
         "--seed", type=int, help="of the first injection, the next has one more (default: 1, or what follows in --out)"
     )
     parser.add_argument("--factor", type=float, default=0.0, help="clock factor of the machine (default: 0)")
-    parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), default=tuple(KINDS), metavar="KIND")
-    parser.add_argument("--roles", nargs="+", choices=ROLES, default=ROLES, metavar="ROLE")
+    kinds, roles = ", ".join(KINDS), ", ".join(ROLES)
+    parser.add_argument(
+        "--kinds", nargs="+", choices=tuple(KINDS), default=tuple(KINDS), metavar="KIND", help=f"only of {kinds}"
+    )
+    parser.add_argument(
+        "--roles", nargs="+", choices=ROLES, default=ROLES, metavar="ROLE", help=f"done only to these: {roles}"
+    )
     parser.add_argument(
         "--everything",
         action="store_true",
