@@ -25,6 +25,7 @@ from im_core.startup import STATUS_TOPIC
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, TaskStatus
 from im_msgs.srv import CalibrateCamera, ListCommands
+from support.forgetful import forget
 
 RESULTS = {"message": "", "directory": "/results/1", "report": {"message": "fits"}}
 
@@ -169,6 +170,38 @@ def test_a_goal_whose_acceptance_was_lost_is_carried_out_once(ros, stopped, wait
     done = ended(lambda: client.run(ExecuteCommand.Goal(symbol="move"), io.StringIO()))
     (result,) = wait_until(lambda: done, "the result")
     assert (result.success, len(stopped.begun), len(lost)) == (True, 1, 1)
+
+
+class Anew(Stopped):
+    """Begins anew with each goal, and goes on with the commands that it was given."""
+
+    def _accept(self, goal):
+        self.numbers.append(self.numbers[-1] + (not goal.attach))
+        return super()._accept(goal)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_command_whose_dispatcher_does_not_know_the_goal_any_more_is_attached_to(ros, wait_until, monkeypatch, times):
+    node, client = ros(Anew()), ros(CommandClient())
+    forget(monkeypatch, times)
+    done = ended(lambda: client.run(ExecuteCommand.Goal(symbol="move"), io.StringIO()))
+    (result,) = wait_until(lambda: done, "the result")
+    assert (result.success, node.attached) == (True, [4] * times)
+
+
+def test_a_calibration_whose_dispatcher_does_not_know_the_goal_any_more_is_attached_to_again(
+    ros, stopped, wait_until, monkeypatch
+):
+    client = ros(CalibrateCameraClient(None))
+    forget(monkeypatch, 1)
+    done = ended(lambda: client.calibrate([], ""))
+    wait_until(lambda: client.count_services("/dispatcher/calibrate_camera") and client._incarnation, "the dispatcher")
+    clock.sleep(0.5)
+    stopped.away.set()
+    clock.sleep(2.0)
+    stopped.away.clear()
+    (response,) = wait_until(lambda: done, "the answer")
+    assert (response.success, response.message, stopped.attached) == (True, "fits", [4, 4])
 
 
 def test_what_rclpy_prints_is_not_among_the_output_of_a_program(capfd, monkeypatch):

@@ -35,6 +35,7 @@ from im_pnt.ros.execution.goals import GoalActions
 from im_pnt.ros.messages import RosTypes
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from support.forgetful import forget
 from support.loop import in_loop
 
 NET = """
@@ -253,6 +254,15 @@ def test_a_goal_that_its_server_has_already_is_followed_not_lost(machine, monkey
     """A node whose journal has lost its end sends a goal once more; the server rejects what it has."""
     monkeypatch.setattr(GoalActions, "_goal_id", lambda *_: UUID(uuid=[7] * 16))
     assert run(machine[0], "follow").success
+    assert run(machine[0], "follow").success
+
+
+def test_a_goal_that_its_server_has_forgotten_names_who_did(machine, monkeypatch):
+    """Whoever asks for the result again may meet the next life of the server before it is heard of."""
+    forget(monkeypatch, 1)
+    outcome = run(machine[0], "move", speed=0.1)
+    assert (outcome.success, outcome.status.code) == (False, "link")
+    assert "hardware does not know goal /hardware/move any more: it was started again" in outcome.status.message
     assert run(machine[0], "follow").success
 
 

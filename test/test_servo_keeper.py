@@ -24,6 +24,7 @@ def keeper():
         send=lambda event, arguments: servo.told.append((event, arguments)),
         beat=lambda: None,
         silence_s=lambda: 0.0,
+        unheard_s=lambda: 0.0,
     )
     keeper._owner = SimpleNamespace(client=client, process=SimpleNamespace(check=lambda: None))
     keeper.servo = servo

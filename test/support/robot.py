@@ -45,10 +45,9 @@ class Robot(Node):
 
     def _grip(self, goal):
         width = goal.request.command.position
-        hold = self._folder / "hold"
-        if hold.exists() and float(hold.read_text()) == width:
+        if self._is_held(width):
             self._note("gripper", width, "held")
-        while hold.exists() and float(hold.read_text()) == width:
+        while self._is_held(width):
             if goal.is_cancel_requested:
                 goal.canceled()
                 return GripperCommand.Result()
@@ -56,6 +55,12 @@ class Robot(Node):
         self._note("gripper", width)
         goal.succeed()
         return GripperCommand.Result(position=width, reached_goal=True)
+
+    def _is_held(self, width: float) -> bool:
+        try:
+            return float((self._folder / "hold").read_text()) == width
+        except FileNotFoundError:
+            return False
 
     def _note(self, what: str, value: object, file: str = "done") -> None:
         with (self._folder / file).open("a") as lines:

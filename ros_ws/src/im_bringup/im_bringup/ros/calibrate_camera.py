@@ -76,10 +76,10 @@ class CalibrateCameraClient(DispatcherClient):
         self._until(self._attach.server_is_ready, f"the action {ACTION}", SILENCE_S)
         goal = ExecuteCommand.Goal(symbol=NET, attach=True, command_id=number)
         handle = self._answer(self._attach.send_goal_async(goal), ACCEPT_S)
-        answer = None if handle is None else self._answer(handle.get_result_async())
-        if answer is None:
+        result = None if handle is None else self._result(self._answer(handle.get_result_async()))
+        if result is None:
             return None
-        result, results = answer.result, json.loads(answer.result.results or "{}")
+        results = json.loads(result.results or "{}")
         message = str(results.get("message", result.status.message))
         response = CalibrateCamera.Response(success=result.success, message=message)
         if result.success:

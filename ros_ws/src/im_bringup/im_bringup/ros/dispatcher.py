@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from action_msgs.msg import GoalStatus
+
 from im_bringup.machine import record as machine
 from im_bringup.machine.record import MachineRecord
 from im_bringup.ros.interruptible import InterruptibleNode
@@ -113,6 +115,11 @@ class DispatcherClient(InterruptibleNode):
     def _dispatcher_there(self) -> bool:
         """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""
         return bool(self._incarnation) and not _starting(machine.read())
+
+    @staticmethod
+    def _result(answer: Any | None) -> Any | None:
+        """What a goal ended with, of its answer; None where the dispatcher was away and knows it no more."""
+        return None if answer is None or answer.status == GoalStatus.STATUS_UNKNOWN else answer.result
 
     def _answer(self, future: Any, limit_s: float = math.inf, *, asked_once: bool = False) -> Any | None:
         """The result of a future that the dispatcher completes, None if it was started again or does not in time.

@@ -148,7 +148,7 @@ class CommandClient(DispatcherClient):
             self._cancelling = True
             handle.cancel_goal_async()
             answer = self._answer(future)
-        return None if answer is None else answer.result
+        return self._result(answer)
 
     def _asked(self, client: Any, request: Any) -> Any:
         self._until(lambda: self._dispatcher_there() and client.service_is_ready(), f"the service {client.srv_name}")

@@ -15,7 +15,7 @@ from rclpy.action.client import ClientGoalHandle
 from unique_identifier_msgs.msg import UUID
 
 from im_core.clock import monotonic
-from im_core.errors import ImError, StateError
+from im_core.errors import ImError, LinkError, StateError
 from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient
 from im_core.ros.interfaces import interface_class
@@ -105,8 +105,12 @@ class GoalActions:
             result = self._follow(activity, known)
             left = time_left(activity, GOAL_TIMEOUT_S)
             answer = await around.wait(result, task, left, waited, client.server_is_ready)
-            if not handle.accepted and answer.status == GoalStatus.STATUS_UNKNOWN:
-                raise StateError(f"{action} was rejected by {task or 'its server'}", action=action.name)
+            if answer.status == GoalStatus.STATUS_UNKNOWN:
+                server = task or "its server"
+                if not handle.accepted:
+                    raise StateError(f"{action} was rejected by {server}", action=action.name)
+                forgot = "it was started again meanwhile, or nobody has asked for the result for too long"
+                raise LinkError(f"{server} does not know {action} any more: {forgot}", task=task, action=action.name)
             return answer
 
         answer = await around.log.read(answer_key(activity), reach(), packed_result)
