@@ -1,9 +1,7 @@
 """What is done to the machine: faults by kind, each drawn from a seed."""
 
-import os
 import signal
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from random import Random
 
@@ -51,9 +49,7 @@ class Fault:
 
 def _signal(victims: tuple[str, ...], number: signal.Signals) -> list[int]:
     pids = [machine.pid_of(victim) for victim in victims]
-    for pid in pids:
-        with suppress(ProcessLookupError):  # it died with the one before it
-            os.kill(pid, number)
+    machine.send(number, pids)
     return pids
 
 
@@ -76,9 +72,7 @@ def stop(victims: tuple[str, ...], seconds: float) -> Fault:
         if "servo" in victims and seconds > STOPS_S[0]:
             motion_lost()
         clock.sleep(seconds)
-        for pid in pids:
-            with suppress(ProcessLookupError):  # it was replaced meanwhile
-                os.kill(pid, signal.SIGCONT)
+        machine.send(signal.SIGCONT, pids)
 
     return Fault(f"SIGSTOP {seconds:g} s", victims, inject)
 

@@ -2,9 +2,10 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -115,6 +116,13 @@ def pid_of(role: str) -> int:
     if process is None:
         raise StateError(f"there is no {role}")
     return process.pid
+
+
+def send(number: signal.Signals, pids: Iterable[int]) -> None:
+    """Send a signal to processes; one that has ended meanwhile, or was replaced, gets none."""
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, number)
 
 
 def keep_logs(seed: int) -> Path:

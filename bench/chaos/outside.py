@@ -128,11 +128,9 @@ def stand_still(pauses: Iterable[tuple[float, float]]) -> None:
     for after_s, for_s in pauses:
         clock.sleep(after_s)
         pids = [process.pid for process in leftovers.processes()]
-        for number, wait_s in ((signal.SIGSTOP, for_s), (signal.SIGCONT, 0.0)):
-            for pid in pids:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, number)
-            clock.sleep(wait_s)
+        machine.send(signal.SIGSTOP, pids)
+        clock.sleep(for_s)
+        machine.send(signal.SIGCONT, pids)
 
 
 def fill_disk(role: str) -> None:
