@@ -12,8 +12,8 @@ from bench.chaos.machine import die_starting
 from im_bringup.machine import leftovers, stop
 from im_bringup.tasks import deployment as deployments
 from im_core import names, open_commands
-from im_core.config import package_file
 from im_msgs.srv import ControlCommand, LoadNet
+from support.mcs_config import write_mcs_config
 from support.whole_machine import COMMAND_S, SEED, Machine, free_port, run_script, write_few_poses
 
 pytestmark = pytest.mark.end_to_end
@@ -40,10 +40,7 @@ def machines(tmp_path):
 
     In real time their servos take a busy computer that misses deadlines as it is.
     """
-    settings = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
-    settings["servo"]["max_overruns"] = 10_000
-    config, deployment = tmp_path / "mcs.yaml", tmp_path / "deployment.yaml"
-    config.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    config, deployment = write_mcs_config(tmp_path, servo={"max_overruns": 10_000}), tmp_path / "deployment.yaml"
     tasks = yaml.safe_load(deployments.default_path().read_text(encoding="utf-8"))
     tasks["hosts"]["localhost"]["mcs"]["mcs"]["parameters"]["config"] = str(config)
     deployment.write_text(yaml.safe_dump(tasks, sort_keys=False), encoding="utf-8")  # started in their order

@@ -5,7 +5,6 @@ import threading
 
 import pytest
 import rclpy
-import yaml
 from control_msgs.action import FollowJointTrajectory
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -17,7 +16,6 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_cell.robot import load_cell
 from im_core import clock
-from im_core.config import package_file
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.guard import GuardedActionClient, GuardedNode
@@ -27,6 +25,7 @@ from im_msgs.action import Move
 from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState, ReserveGroup
 from im_sim.ros.node import TestbedNode
+from support.mcs_config import write_mcs_config
 
 CELL = load_cell()
 MOST_POINTS = 1000
@@ -173,12 +172,12 @@ def machine(tmp_path_factory, owner_silence_s):
     A protective stop waits ten minutes to be resumed: without a clock, five seconds are over before a busy computer
     lets the client ask.
     """
-    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
-    data["protective"]["patience_s"] = 600.0
-    data["safety"]["owner_silence_s"] = owner_silence_s
-    data["planning"]["max_trajectory_points"] = MOST_POINTS
-    config = tmp_path_factory.mktemp("mcs") / "mcs.yaml"
-    config.write_text(yaml.safe_dump(data), encoding="utf-8")
+    config = write_mcs_config(
+        tmp_path_factory.mktemp("mcs"),
+        protective={"patience_s": 600.0},
+        safety={"owner_silence_s": owner_silence_s},
+        planning={"max_trajectory_points": MOST_POINTS},
+    )
     parameters = {"testbed:factor": 0.0, "testbed:seed": 3, "mcs:config": config}
     with _machine(TestbedNode, McsNode, parameters=parameters) as client:
         yield client

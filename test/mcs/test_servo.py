@@ -7,17 +7,16 @@ import sys
 
 import numpy as np
 import pytest
-import yaml
 
 from im_cell.link import ClockEnd
 from im_cell.robot import load_cell
 from im_core import clock
-from im_core.config import package_file
 from im_mcs.client.servo_client import ServoClient, ask
 from im_mcs.client.time_source import TestbedTime
 from im_mcs.limits.configuration import load_config
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.state import Event
+from support.mcs_config import write_mcs_config
 
 HOME = load_cell().home[:9]
 POINTS = [
@@ -82,10 +81,7 @@ def test_two_runs_are_the_same_whoever_is_faster():
 
 def test_in_real_time_every_period_is_a_tick_or_counted_as_missed(tmp_path):
     """How many are missed, and how late they are, is the computer's doing: ``scripts/bench.sh --mcs deadlines``."""
-    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
-    data["servo"]["max_overruns"] = 10_000
-    config = tmp_path / "mcs.yaml"
-    config.write_text(yaml.safe_dump(data), encoding="utf-8")
+    config = write_mcs_config(tmp_path, servo={"max_overruns": 10_000})
     steps, servo = run(f"im_test_{os.getpid()}_b", 1.0, 0.0, POINTS[:1], str(config))
     np.testing.assert_allclose(steps[-1][1], POINTS[0], atol=1e-4)
     period_s, ticks = load_config().servo.period_s, servo["ticks"] - 1
